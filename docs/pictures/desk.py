@@ -80,7 +80,7 @@ def photograph_alarm(page: Page) -> None:
 
 def measure(page: Page) -> None:
     """Until a run has been measured for a minute and a half."""
-    page.key("4")
+    page.key("3")
     page.wait_text("rig desk")
     page.click("Start …")
     page.in_dialog()
@@ -90,19 +90,13 @@ def measure(page: Page) -> None:
 
 
 def photograph(page: Page) -> None:
-    """From align to measure, and stop."""
+    """From the live picture to measure, and stop."""
     page.click("Live picture")
     page.wait_text("clean spot")
     page.wait("document.querySelectorAll('[aria-label=\"histogram\"] svg path').length > 30")
     time.sleep(SHARPNESS_S)
     save(page, "align")
     page.click("Stop")
-    page.key("3")
-    page.click("Run preflight")
-    page.click("Plan")
-    page.wait("document.querySelectorAll('.against span').length > 8", 120.0)
-    page.wait("document.querySelectorAll('.light').length > 8")
-    save(page, "preflight")
     page.key("2")
     page.point_at("document.querySelector('[aria-label=\"Measure the balance\"]')")
     page.wait("document.querySelector('svg[aria-label^=\"turn weight\"]') !== null", 120.0)
@@ -113,14 +107,14 @@ def photograph(page: Page) -> None:
     page.click("Stop")
     page.click("Stop it")
     page.wait(HANDED_OVER, 200.0)
-    page.key("6")
+    page.key("5")
     page.wait("document.querySelector('.q-table tbody .q-checkbox') !== null")
     page.ask("document.querySelector('.q-table tbody .q-checkbox').click()")
     page.wait_text("1 marked")
     page.click("Fit again")
     page.wait_text("rig fit: done", 200.0)
     save(page, "sessions")
-    page.key("5")
+    page.key("4")
     for count, answer in enumerate(("tilt", "arcsec", "4.8 um", "0.05", "1e-3", *ladder(), "", "1"), 1):
         if count > 2:
             page.fill("answer", answer)

@@ -33,7 +33,8 @@ class AlarmState(StrEnum):
 class AlarmRow:
     """One alarm of the list; times are the computer's clock of the day in s, None for what has not happened.
 
-    `times` is how often it was raised since it came into the list.
+    `times` is how often it was raised since it came into the list, `earlier` whether it was left over when a
+    session began.
     """
 
     key: AlarmKey
@@ -43,6 +44,7 @@ class AlarmRow:
     acknowledged_s: float | None = None
     shelved_until_s: float | None = None
     times: int = 1
+    earlier: bool = False
 
     @property
     def alarm(self) -> Alarm:
@@ -61,7 +63,8 @@ class AlarmRow:
     @property
     def cries(self) -> bool:
         """Whether it is to be heard: it is there, matters, and nobody has seen it yet."""
-        return self.state is AlarmState.ACTIVE and self.alarm.grade is not Grade.CAUTION
+        matters = self.alarm.grade is not Grade.CAUTION and not self.earlier
+        return matters and self.state is AlarmState.ACTIVE
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +111,13 @@ class AlarmList:
                     self._rows[key] = replace(row, shelved_until_s=None)
                 if key not in conditions and not CATALOGUE[key].latched:
                     self._clear(key, now_s)
+
+    def session_begins(self) -> None:
+        """What no condition holds now belongs to what was before: it is still to be seen, and not heard."""
+        with self._lock:
+            for key, row in self._rows.items():
+                if key not in self._since_s:
+                    self._rows[key] = replace(row, earlier=True)
 
     def rows(self) -> list[AlarmRow]:
         """All that is in the list: what is to be seen first comes first."""
@@ -172,8 +182,8 @@ class AlarmList:
             self._rows[key] = AlarmRow(
                 key, cause, now_s, shelved_until_s=row.shelved_until_s, times=row.times + 1
             )
-        elif row.cause != cause:
-            self._rows[key] = replace(row, cause=cause)
+        elif row.earlier or row.cause != cause:
+            self._rows[key] = replace(row, cause=cause, earlier=False)
 
     def _clear(self, key: AlarmKey, now_s: float) -> None:
         row = self._rows[key]
@@ -196,5 +206,5 @@ _STATES = {state: place for place, state in enumerate(AlarmState)}
 _GRADES = {grade: place for place, grade in enumerate(Grade)}
 
 
-def _order(row: AlarmRow) -> tuple[int, int, float]:
-    return _STATES[row.state], _GRADES[row.alarm.grade], -row.raised_s
+def _order(row: AlarmRow) -> tuple[bool, int, int, float]:
+    return row.earlier, _STATES[row.state], _GRADES[row.alarm.grade], -row.raised_s

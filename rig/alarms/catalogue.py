@@ -119,7 +119,8 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.CAMERA: Alarm(
         "no frames from the camera",
         "unplugged, without power, or without its trigger",
-        "check cable, power and trigger; for a minute it is reopened automatically, and the run continues",
+        "check cable, power and trigger at once: it is reopened automatically, but the laser goes dark after "
+        "some seconds without frames, and that may end the run",
         _URGENT,
     ),
     AlarmKey.SPOT: Alarm(
@@ -183,7 +184,7 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     AlarmKey.PREFLIGHT: Alarm(
         "preflight says no-go",
         "a check before the run has failed",
-        "see its remedy under Preflight; then start again, or overrule it for this session",
+        "see its remedy under Rig; then start again, or overrule it for this session",
         _URGENT,
     ),
     AlarmKey.PICTURE: Alarm(

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from acquisition.record.events import EventKind
 from rig.alarms.catalogue import AlarmKey
-from rig.control import STALE_S, ControlState, DevicesNow, Light, Loop, SafetyNow
+from rig.control import STALE_S, ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.instrument import Phase
 from rig.measure import LEAST_FREE_BYTES
 
@@ -36,6 +36,20 @@ _OCCURRENCES: Final[Mapping[str, AlarmKey]] = {
     EventKind.FAILED: AlarmKey.SESSION_FAILED,
     EventKind.RECORD: AlarmKey.DISK_FULL,
 }
+
+
+_UNDER_TRIP: Final = frozenset(
+    {
+        AlarmKey.LASER_DARK,
+        AlarmKey.SPOT,
+        AlarmKey.BALANCE,
+        AlarmKey.LIGHT_STEP,
+        AlarmKey.REST_STEP,
+        AlarmKey.PUSH,
+        AlarmKey.REJECTED,
+    }
+)
+"""What frames without light look like."""
 
 
 class HowEnded(StrEnum):
@@ -82,17 +96,32 @@ class Seen:
 
 
 def conditions(seen: Seen) -> dict[AlarmKey, str]:
-    """The alarms whose conditions hold, each with its cause where something tells it."""
-    return dict([*_of_light(seen), *_of_session(seen), *_of_desk(seen)])
+    """The alarms whose conditions hold, each with its cause where something tells it.
+
+    What somebody does with LIGHT OFF is none, and what follows from a trip is not told beside it.
+    """
+    found = dict([*_of_light(seen), *_of_session(seen), *_of_desk(seen)])
+    under = _UNDER_TRIP if seen.safety.trip is not None else frozenset()
+    return {key: cause for key, cause in found.items() if key not in under}
 
 
-def happened(events: Sequence[Mapping[str, Any]], ended: EndedSession | None) -> list[tuple[AlarmKey, str]]:
-    """Alarms of new events of a session, and of one that has ended."""
+def happened(
+    events: Sequence[Mapping[str, Any]], ended: EndedSession | None, trip: LatchedTrip | None = None
+) -> list[tuple[AlarmKey, str]]:
+    """Alarms of new events of a session, and of one that has ended; none of what follows from a `trip`.
+
+    A session that ends because somebody has pressed LIGHT OFF has not failed.
+    """
     found = [
         (key, str(event["text"]))
         for event in events
         if (key := _OCCURRENCES.get(str(event["kind"]))) is not None
     ]
+    if trip is not None:
+        under = _UNDER_TRIP | {AlarmKey.SESSION_FAILED} if _is_own(trip) else _UNDER_TRIP
+        found = [one for one in found if one[0] not in under]
+        if ended is not None and ended.how is HowEnded.FAILED and _is_own(trip):
+            ended = None
     if ended is not None and ended.how is HowEnded.DIED:
         found.append((AlarmKey.SESSION_DIED, f"{ended.name}: {ended.reason or 'killed, or crashed'}"))
     if ended is not None and ended.how is HowEnded.FAILED:
@@ -100,9 +129,14 @@ def happened(events: Sequence[Mapping[str, Any]], ended: EndedSession | None) ->
     return found
 
 
+def _is_own(trip: LatchedTrip) -> bool:
+    """Whether a person has taken the light, who knows of it."""
+    return trip.cause is TripCause.PERSON
+
+
 def _of_light(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
     safety = seen.safety
-    if safety.trip is not None:
+    if safety.trip is not None and not _is_own(safety.trip):
         yield AlarmKey.TRIP, safety.trip.text
     if safety.light is Light.DISAGREES:
         yield AlarmKey.LIGHT_DISAGREES, ""

@@ -6,6 +6,7 @@ from enum import StrEnum
 from typing import Any
 
 _WAY_LINES = 40
+_WAY_POINTS = 1000
 _PLAY = "the second turn takes the play out of the screw"
 
 
@@ -69,7 +70,7 @@ def balance_dialogue(
     last = _newest(lines, "found", "rejected")
     judged = _newest(lines, "live") if stage is BalanceStage.MEASURING else last
     faults = judged.get("faults") or _newest(lines, "found").get("faults") or []
-    x, y = _way(lines)
+    x, y = _way(lines, whole=stage is not BalanceStage.MEASURING)
     problem = next((str(one["problem"]) for one in list(lines)[-2:] if one.get("problem")), "")
     turn = None if stage is BalanceStage.MEASURING else last.get("turn")
     advice, detail = _advice(stage, last, turn, said)
@@ -105,6 +106,14 @@ def _newest(lines: Sequence[Mapping[str, Any]], *kinds: str) -> Mapping[str, Any
     return next((one for one in reversed(lines) if one["kind"] in kinds), {})
 
 
-def _way(lines: Sequence[Mapping[str, Any]]) -> tuple[list[float | None], list[float | None]]:
-    pieces = [one for one in lines if one["kind"] == "way"][-_WAY_LINES:]
-    return [x for piece in pieces for x in piece["x"]], [y for piece in pieces for y in piece["y"]]
+def _way(lines: Sequence[Mapping[str, Any]], *, whole: bool) -> tuple[list[float | None], list[float | None]]:
+    """The last seconds of the way, or all of the measurement that was made last, thinned."""
+    since = 0
+    if whole:
+        ends = [k for k, one in enumerate(lines) if one["kind"] in ("found", "rejected")]
+        since = ends[-2] if len(ends) > 1 else 0
+    pieces = [one for one in lines[since:] if one["kind"] == "way"]
+    pieces = pieces if whole else pieces[-_WAY_LINES:]
+    x, y = ([value for piece in pieces for value in piece[axis]] for axis in ("x", "y"))
+    step = max(1, len(x) // _WAY_POINTS)
+    return x[::step], y[::step]

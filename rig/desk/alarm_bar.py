@@ -7,9 +7,8 @@ from pathlib import Path
 
 from nicegui import ui
 
-from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState
-from rig.desk.at_once import at_once
-from rig.desk.tab import DELIBERATE, Tab
+from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState, Grade
+from rig.desk.tab import DELIBERATE, Tab, at_once
 
 _PAST_SHOWN = 8
 _COUNTED = (AlarmState.ACTIVE, AlarmState.CLEARED, AlarmState.ACKNOWLEDGED, AlarmState.SHELVED)
@@ -32,8 +31,11 @@ class AlarmBar:
         self._alarms, self._tab, self._ask_leave = alarms, tab, ask_leave
         self._resumable, self._ask_resume = resumable, ask_resume
         self._shown: object = None
-        self._banner = ui.label().classes("alarm").props('role="alert" aria-live="assertive"')
-        self._remedy = ui.label().classes("alarm-remedy")
+        self._banner = ui.element("div").classes("alarm").props('role="alert" aria-live="assertive"')
+        with self._banner:
+            self._title = ui.label().classes("text-weight-bold")
+            self._remedy = ui.label().classes("alarm-remedy")
+            ui.button("All", on_click=self.toggle).props('dense flat aria-label="All alarms, key a"')
         self._resume = tab.button("Resume …", self._resumed)
         self._resume.props('color="positive" size="lg" aria-label="Resume … the session that died"')
         self._resume.classes("full-width")
@@ -54,25 +56,34 @@ class AlarmBar:
         rows, past = self._alarms.rows(), list(self._alarms.past)[:_PAST_SHOWN]
         crying = [row for row in rows if row.cries]
         worst = crying[0] if crying else None
-        self._banner.set_text("" if worst is None else f"{worst.alarm.title}: {worst.cause}".upper())
+        self._title.set_text("" if worst is None else sentence(f"{worst.alarm.title}: {worst.cause}"))
+        self._remedy.set_text("" if worst is None else sentence(worst.alarm.remedy))
         self._banner.set_visibility(worst is not None)
-        self._remedy.set_text("" if worst is None else worst.alarm.remedy)
-        self._remedy.set_visibility(worst is not None)
         died = any(row.key is AlarmKey.SESSION_DIED for row in rows)
         self._resume.set_visibility(died and self._resumable() is not None)
+        earlier = [row for row in rows if row.earlier]
+        rows = [row for row in rows if not row.earlier]
         counted = [(state, sum(row.state is state for row in rows)) for state in _COUNTED]
-        said = ", ".join(f"{count} {state}" for state, count in counted if count)
+        told = [f"{count} {state}" for state, count in counted if count]
+        said = ", ".join([*told, f"{len(earlier)} from before this session"] if earlier else told)
         self._counts.set_text(f"Alarms: {said or 'none'}")
-        now = (rows, past, refused)
+        now = (rows, earlier, past, refused)
         if now != self._shown:
             self._shown = now
             self._list.clear()
             with self._list:
                 for row in rows:
                     self._row(row, refused)
+                if earlier:
+                    with at_once(ui.expansion(f"{len(earlier)} from before this session")):
+                        self._tab.button(
+                            "All of them seen", partial(self._seen, *(row.key for row in earlier))
+                        )
+                        for row in earlier:
+                            self._row(row, refused)
                 for row in past:
                     ui.label(f"gone: {row.alarm.title}: {row.cause}; {_times(row)}").classes("dim")
-                if not rows and not past:
+                if not rows and not earlier and not past:
                     ui.label("nothing has been wrong").classes("dim")
         return crying
 
@@ -92,7 +103,9 @@ class AlarmBar:
                 elif row.state in (AlarmState.ACTIVE, AlarmState.CLEARED):
                     button = tab.button("Seen", partial(self._seen, row.key))
                     button.props(f'dense outline aria-label="acknowledge {alarm.title}" {DELIBERATE}')
-                if row.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
+                # danger stays where it is seen
+                may_wait = alarm.grade is not Grade.DANGER
+                if may_wait and row.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
                     button = tab.button("Shelve 10 min", partial(self._shelve, row.key))
                     button.props(f'dense flat aria-label="shelve {alarm.title}"')
 
@@ -100,11 +113,17 @@ class AlarmBar:
         if (folder := self._resumable()) is not None:
             self._ask_resume(folder)
 
-    def _seen(self, key: AlarmKey) -> None:
-        self._alarms.acknowledge(key)
+    def _seen(self, *keys: AlarmKey) -> None:
+        for key in keys:
+            self._alarms.acknowledge(key)
 
     def _shelve(self, key: AlarmKey) -> None:
         self._alarms.shelve(key)
+
+
+def sentence(text: str) -> str:
+    """With a capital letter."""
+    return text[:1].upper() + text[1:]
 
 
 def _times(row: AlarmRow) -> str:
@@ -120,17 +139,3 @@ def _times(row: AlarmRow) -> str:
 
 def _clock(at_s: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(at_s))
-
-
-STYLE = """
-.alarm-remedy { background: var(--bar-ink); color: var(--bar); font-size: 18px;
-  padding: 4px 14px; width: 100%; }
-.alarms { background: var(--card); color: var(--ink); }
-.alarms .q-item { min-height: 26px; padding: 2px 12px; }
-.alarm-row { display: grid; gap: 4px 12px; width: 100%; padding: 4px 0; border-top: 1px solid var(--dim);
-  grid-template-columns: minmax(0, 1fr) minmax(0, 1.2fr) minmax(0, 1.6fr) auto; border-left: 6px solid; }
-.alarm-row { padding-left: 8px; border-left-color: var(--dim); }
-.alarm-row.active { border-left-color: var(--alarm); }
-.alarm-row.cleared { border-left-color: var(--warn); border-left-style: dashed; }
-@media (max-width: 900px) { .alarm-row { grid-template-columns: minmax(0, 1fr); } }
-"""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from processing.errors import RigError
 from rig.alarms import AlarmKey, AlarmList, EndedSession, HowEnded, Seen, conditions, happened
-from rig.control import STALE_S, SafetyNow
+from rig.control import STALE_S, LatchedTrip, SafetyNow
 from rig.instrument import Phase
 from rig.measure import read_session, state_of
 
@@ -75,6 +75,8 @@ class Alarming:
         self._ended = threading.Event()
         self._listed = b""
         self._heard: tuple[object, int] = (None, 0)
+        self._followed: Path | None = None
+        self._trip: LatchedTrip | None = None
         self._told: deque[object] = deque(maxlen=_TOLD_KEPT)
         self._begun: object = None
         self._picture = (0, 0, 0.0)
@@ -113,11 +115,16 @@ class Alarming:
 
     def _look(self) -> None:
         following = self._desk.following
+        before, self._followed = self._followed, following.folder
+        if before is None and self._followed is not None:
+            self.alarms.session_begins()
         events = self._new_events()
-        found = happened(events, None)
+        # the end of a session is seen before the latch of a rig that ends with it
+        trip, self._trip = self._desk.safety.trip or self._trip, self._desk.safety.trip
+        found = happened(events, None, trip)
         while following.ended:
-            found += happened([], following.ended.popleft())
-        found += [*self._of_commands(), *self._of_started_session(), *self._of_clock()]
+            found += happened([], following.ended.popleft(), trip)
+        found += [*self._of_commands(), *self._of_started_session(trip), *self._of_clock()]
         self.alarms.see(conditions(self._seen()), found)
 
     def _seen(self) -> Seen:
@@ -199,7 +206,7 @@ class Alarming:
         self._told.append(what)
         return False
 
-    def _of_started_session(self) -> Iterator[tuple[AlarmKey, str]]:
+    def _of_started_session(self, trip: LatchedTrip | None) -> Iterator[tuple[AlarmKey, str]]:
         """A session of this desk that has ended with an error before it could be followed."""
         begun = self._desk.started
         if begun is None or begun[0].poll() in (None, 0) or begun[0] is self._begun:
@@ -211,7 +218,7 @@ class Alarming:
                 return
         words = [line for line in self._desk.last_words() if line.strip()]
         reason = words[-1] if words else f"ended with {begun[0].returncode}"
-        yield from happened([], EndedSession(folder.name, HowEnded.FAILED, reason))
+        yield from happened([], EndedSession(folder.name, HowEnded.FAILED, reason), trip)
 
     def _of_clock(self) -> Iterator[tuple[AlarmKey, str]]:
         before_s, self._clocks_s = self._clocks_s, time.time() - time.monotonic()

@@ -62,7 +62,8 @@ class Desk:
         self.balancing = Balancing(self)
         self.following = Following(self.config.session.output, lambda: self.calibrating.watched)
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
-        self.safety = Safety(self.rig, self.following, lambda: self.aligner)
+        by = "board" if self.config.laser.kind == "controller" else "laser"
+        self.safety = Safety(self.rig, self.following, lambda: self.aligner, by)
         self.aligner: Aligner | None = None
         self.jobs: dict[str, Job] = {}
         self.looking_again = LookingAgain()
@@ -231,6 +232,12 @@ class Desk:
             return None
         status = self._session[0].poll()
         return Started.RUNNING if status is None else Started.DONE if status == 0 else Started.FAILED
+
+    @property
+    def starting(self) -> bool:
+        """Whether the session that this desk has started last has still to be heard of."""
+        begun = self._session
+        return begun is not None and begun[0].poll() is None and self.following.last_folder != begun[1]
 
     @property
     def started(self) -> "tuple[subprocess.Popen[bytes], Path] | None":

@@ -11,6 +11,8 @@ from typing import Any
 from rig.terminal import start_python
 
 _LAST_LINES = 200
+_OBJECTS = 2000
+"""A measured balance has its whole way in them."""
 MESSAGES_NAME = "messages.txt"
 
 
@@ -37,7 +39,7 @@ class Job:
         )
         self.name = words[0]
         self.ending = False
-        self.lines: deque[dict[str, Any]] = deque(maxlen=_LAST_LINES)
+        self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
         self.newest: dict[str, dict[str, Any]] = {}
         self.said: deque[str] = deque(maxlen=_LAST_LINES)
         self.count = 0

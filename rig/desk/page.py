@@ -1,6 +1,5 @@
 """The page: head with state and keys, alarms over everything, one panel at a time."""
 
-import html
 import json
 import time
 from functools import partial
@@ -9,18 +8,16 @@ from nicegui import run, ui
 from nicegui.events import KeyEventArguments
 
 from rig.alarms import AlarmRow
-from rig.control import LatchedTrip
-from rig.desk import alarm_bar, chart_script, safety_bar, watchdog
-from rig.desk.alarm_bar import AlarmBar
-from rig.desk.at_once import at_once
+from rig.control import LatchedTrip, TripCause
+from rig.desk.alarm_bar import AlarmBar, sentence
 from rig.desk.desk import Desk, Started
+from rig.desk.dialogs import TripDialog, keys_dialog, resume_dialog
 from rig.desk.following import doing
+from rig.desk.head import build_head
 from rig.desk.panels import PANELS
-from rig.desk.resuming import resume_dialog
 from rig.desk.safety import lamps, refusal
 from rig.desk.sessions import last_state
-from rig.desk.style import STYLE
-from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.instrument import Phase
 from rig.presentation import loud
 
@@ -30,62 +27,88 @@ _LOOK_S = 0.25
 def build_page(desk: Desk, off_port: int) -> None:
     """Build the page for one tab of a browser; `off_port` is where LIGHT OFF is heard beside this server."""
     tab = Tab()
-    ui.add_css(STYLE + safety_bar.STYLE + alarm_bar.STYLE + watchdog.STYLE)
-    script = f"{SCRIPT}{chart_script.SCRIPT}{safety_bar.script(off_port)}{watchdog.script()}"
-    ui.add_head_html(f"<script>{script}</script>")
-    ui.add_body_html(watchdog.BAR + safety_bar.BAR)
+    build_head(off_port)
     with ui.header().classes("items-center no-wrap"):
         ui.html("rig desk", tag="h1", sanitize=False).classes("text-weight-bold")
-        simulated = ui.label("SIMULATED").classes("no")
-        simulated.set_visibility(desk.config.simulated)
+        ui.label("SIMULATED").classes("no").set_visibility(desk.config.simulated)
         state = ui.label().classes("ellipsis state").props('role="status" aria-live="polite"')
         ui.space()
         keys = ui.button("Keys", on_click=lambda: tab.press("?")).props('dense flat aria-label="Keys, key ?"')
         keys.classes("spare")
+    over_all = OverAll(desk, tab)
+    _build_panels(desk, tab)
+    tab.key("a", over_all.alarms.toggle)
+    tab.key("?", keys_dialog(_keys()).open)
 
-    asked: LatchedTrip | None = None
+    def pressed(event: KeyEventArguments) -> None:
+        if event.action.keydown and not (event.modifiers.ctrl or event.modifiers.alt or event.modifiers.meta):
+            tab.press(str(event.key))
 
-    def ask_leave() -> None:
-        nonlocal asked
-        # what is acknowledged is what is read, also if another trip comes meanwhile
-        asked = desk.safety.trip
-        if asked is not None:
-            trip_text.set_text(asked.text)
-            allow.set_text(f"Acknowledge trip {asked.number}")
-            leave.open()
+    # of what is typed into a field nothing is a key
+    ui.keyboard(on_key=pressed, repeating=False, ignore=["input", "select", "textarea"])
 
-    async def acknowledged() -> None:
-        leave.close()
-        if (trip := asked) is not None:
-            ui.notify(await run.io_bound(desk.lighting.acknowledge, trip.number))
+    def refresh() -> None:
+        state.set_text(_state(desk))
+        crying = over_all.refresh()
+        shown = json.dumps(lamps(desk.safety, _recording(desk)))
+        cry = json.dumps(" ".join(_name(row) for row in crying))
+        told = json.dumps([_told(row) for row in crying])
+        of_session = json.dumps(_session_age(desk))
+        ui.run_javascript(f"window.rigSafety({shown}, {cry}); window.rigAlarms({told}, {of_session});")
 
-    async def light() -> None:
-        ui.notify(await run.io_bound(desk.lighting.again))
+    refresh()
+    ui.timer(_LOOK_S, refresh)
 
-    with ui.dialog().props('aria-label="acknowledge a trip"') as leave, ui.card():
-        trip_text = ui.label().classes("middle")
-        ui.label("Check that nobody is in the beam path. Acknowledging lights nothing.")
-        with ui.row():
-            allow = tab.button("Acknowledge", acknowledged)
-            allow.props(f'color="negative" {DELIBERATE}')
-            ui.button("Not now", on_click=leave.close).props("outline")
-    resume = resume_dialog(desk, tab)
-    with ui.element("div").classes("cries"):
-        alarms = AlarmBar(desk.alarming.alarms, tab, ask_leave, desk.resumable, resume)
-        acknowledge = tab.button("Acknowledge …", ask_leave)
-        acknowledge.props('color="negative" size="lg"').classes("full-width")
-        waits = ui.label("The laser is dark and waits for a person. Check that nobody is in the beam path.")
-        waits.classes("alarm-remedy")
-        again = tab.button("Light again", light).props(f'size="lg" {DELIBERATE}')
-        again.classes("full-width")
-        instruction = ui.label().classes("instruction").props('role="alert"')
-        tab.errors = ui.element("div").classes("errors full-width")
+
+class OverAll:
+    """What stands above every panel: alarms, light that waits for a person, a request, errors."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk = desk
+        asking = TripDialog(desk, tab)
+        resume = resume_dialog(desk, tab)
+        with ui.element("div").classes("cries"):
+            self.alarms = AlarmBar(desk.alarming.alarms, tab, asking.ask, desk.resumable, resume)
+            with ui.element("div").classes("waits") as self._waits:
+                self._why_dark = ui.label()
+                self._acknowledge = tab.button("Acknowledge …", asking.ask).props('color="negative"')
+                self._again = tab.button("Light again", self._light)
+                self._again.props(f'color="positive" {DELIBERATE}')
+            self._instruction = ui.label().classes("instruction").props('role="alert"')
+            tab.errors = ui.element("div").classes("errors full-width")
+
+    def refresh(self) -> list[AlarmRow]:
+        """Show what holds now; returns the alarms that cry."""
+        desk, trip = self._desk, self._desk.safety.trip
+        refused, waiting = refusal(desk.safety.now), desk.lighting.waits
+        if trip is not None:
+            self._acknowledge.set_text(f"Acknowledge trip {trip.number}{f': {refused}' if refused else ' …'}")
+        self._acknowledge.set_visibility(trip is not None)
+        self._acknowledge.set_enabled(not refused)
+        cause = "The laser is dark, and waits for a person" if trip is None else _taken(trip)
+        self._why_dark.set_text(f"{cause}. Check that nobody is in the beam path.")
+        self._waits.set_visibility(waiting or trip is not None)
+        # it stands where the remedy names it, also before it may be pressed
+        self._again.set_visibility(waiting or (trip is not None and desk.lighting.may_follow))
+        self._again.set_enabled(waiting)
+        self._again.set_text("Light again" if waiting else "Light again: once the trip is acknowledged")
+        asked_for = str((desk.following.news.get("state") or {}).get("instruction") or "")
+        self._instruction.set_text(loud(asked_for))
+        self._instruction.set_visibility(bool(asked_for))
+        return self.alarms.refresh(refused)
+
+    async def _light(self) -> None:
+        ui.notify(await run.io_bound(self._desk.lighting.again))
+
+
+def _build_panels(desk: Desk, tab: Tab) -> None:
+    """The names of the panels, and one panel at a time; a number shows one, too."""
     with at_once(ui.tabs()).props("dense align=left").classes("full-width") as tabs:
         for number, panel in enumerate(PANELS, start=1):
             ui.tab(panel.name).props(f'aria-label="{panel.name}, key {number}" data-panel="{panel.name}"')
-    shown = PANELS[0].name if not desk.following.running else "Measure"
-    tab.shown = shown
-    with ui.tab_panels(tabs, value=shown).classes("full-width").props("animated=false keep-alive") as panels:
+    tab.shown = PANELS[0].name if not desk.following.running else "Measure"
+    panels = ui.tab_panels(tabs, value=tab.shown).classes("full-width").props("animated=false keep-alive")
+    with panels:
         for panel in PANELS:
             tab.building = panel.name
             with ui.tab_panel(panel.name):
@@ -103,44 +126,11 @@ def build_page(desk: Desk, off_port: int) -> None:
     panels.on_value_change(seen)
     for number, panel in enumerate(PANELS, start=1):
         tab.key(str(number), partial(show, panel.name))
-    tab.key("a", alarms.toggle)
-    tab.key("?", _keys().open)
 
-    def pressed(event: KeyEventArguments) -> None:
-        if event.action.keydown and not (event.modifiers.ctrl or event.modifiers.alt or event.modifiers.meta):
-            tab.press(str(event.key))
 
-    # of what is typed into a field nothing is a key
-    ui.keyboard(on_key=pressed, repeating=False, ignore=["input", "select", "textarea"])
-
-    def refresh() -> None:
-        news = desk.following.news
-        run_state = news.get("state") or {}
-        state.set_text(_state(desk))
-        safety = desk.safety.now
-        refused, waiting = refusal(safety), desk.lighting.waits
-        crying = alarms.refresh(refused)
-        if safety.trip is not None:
-            number = safety.trip.number
-            acknowledge.set_text(f"Acknowledge trip {number}{f': {refused}' if refused else ' …'}")
-        acknowledge.set_visibility(safety.trip is not None)
-        acknowledge.set_enabled(not refused)
-        waits.set_visibility(waiting)
-        # it stands where the remedy names it, also before it may be pressed
-        again.set_visibility(waiting or (safety.trip is not None and desk.lighting.may_follow))
-        again.set_enabled(waiting)
-        again.set_text("Light again" if waiting else "Light again: once the trip is acknowledged")
-        asked_for = str(run_state.get("instruction") or "")
-        instruction.set_text(loud(asked_for))
-        instruction.set_visibility(bool(asked_for))
-        shown = json.dumps(lamps(safety, _recording(desk)))
-        cry = json.dumps(" ".join(_name(row) for row in crying))
-        told = json.dumps([_told(row) for row in crying])
-        of_session = json.dumps(_session_age(desk))
-        ui.run_javascript(f"window.rigSafety({shown}, {cry}); window.rigAlarms({told}, {of_session});")
-
-    refresh()
-    ui.timer(_LOOK_S, refresh)
+def _taken(trip: LatchedTrip) -> str:
+    """Who or what has taken the light; what a person has done needs no number."""
+    return sentence(trip.why if trip.cause is TripCause.PERSON else trip.text)
 
 
 def _name(row: AlarmRow) -> str:
@@ -196,26 +186,7 @@ def _recording(desk: Desk) -> str:
     return next((name for name, job in desk.jobs.items() if job.running and name.startswith("camera")), "")
 
 
-def _keys() -> ui.dialog:
-    panels = [
-        f"<tr><th>{number}</th><td>{panel.name}</td></tr>" for number, panel in enumerate(PANELS, start=1)
-    ]
-    others = [("a", "the alarms"), ("F9", "LIGHT OFF"), ("?", "this list")]
-    others += [entry for panel in PANELS for entry in panel.keys]
-    lines = [f"<tr><th>{html.escape(key)}</th><td>{html.escape(text)}</td></tr>" for key, text in others]
-    with ui.dialog().props('aria-label="keys"') as dialog, ui.card():
-        ui.label("Keys").classes("middle")
-        ui.html(f"<table class='rows'>{''.join(panels + lines)}</table>", sanitize=False)
-    return dialog
-
-
-SCRIPT = """
-window.rigShow = name => document.querySelector(`[data-panel="${name}"]:not(.q-tab--active)`)?.click();
-// the frame of a picture has its name; the picture in it has none of its own
-new MutationObserver(() => {
-  document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; });
-  // a wide table scrolls, with the keys, too
-  document.querySelectorAll('.q-table__middle:not([tabindex])').forEach(one => { one.tabIndex = 0; });
-})
-  .observe(document.documentElement, {childList: true, subtree: true});
-"""
+def _keys() -> list[tuple[str, str]]:
+    panels = [(str(number), panel.name) for number, panel in enumerate(PANELS, start=1)]
+    own = [entry for panel in PANELS for entry in panel.keys]
+    return [*panels, ("a", "the alarms"), ("F9", "LIGHT OFF"), ("?", "this list"), *own]

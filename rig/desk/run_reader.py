@@ -30,8 +30,7 @@ from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.ticks import NS_PER_S, seconds
-from rig.desk.ground_now import GroundNow
-from rig.desk.run_history import RunHistory, spectrum
+from rig.desk.run_history import GroundNow, RunHistory, spectrum
 from rig.instrument import advice_for, balance_failures, recorded_configuration
 from rig.presentation import balance_numbers, plain_values
 from rig.settings import Configuration

@@ -1,12 +1,19 @@
-"""Serves the desk on the loopback interface until Ctrl-C, to a browser that has its key."""
+"""Serves the desk on the loopback interface until Ctrl-C, to a browser that has its key.
+
+LIGHT OFF has a second server, of one address in threads of its own: it answers while the event loop is busy.
+"""
 
 import asyncio
 import contextlib
+import http
+import http.server
 import socket
 import threading
 import urllib.parse
 import webbrowser
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI, Request
@@ -18,14 +25,71 @@ from starlette.responses import PlainTextResponse, Response
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
 from rig.desk.guard import Guard
-from rig.desk.off_switch import OffSwitch
+from rig.desk.head import DARK
 from rig.desk.page import build_page
 from rig.desk.panels.live_picture import picture_now
-from rig.desk.safety_bar import DARK
 from rig.desk.sessions import SERVED, served_file
 from rig.devices import check_wiring
 from rig.presentation import say
 from rig.terminal import LOOPBACK, told_of_hang_up
+
+
+class OffSwitch:
+    """Serves while it is open; `admits` judges host, origin and cookie of who asks, `off` switches off.
+
+    `off` is given the name of the press.
+    """
+
+    def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
+        self._server = _Server(off, admits)
+        self.port = int(self._server.server_address[1])
+
+    def start(self) -> None:
+        """Begin to listen."""
+        threading.Thread(target=self._server.serve_forever, name="off switch", daemon=True).start()
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Server(http.server.ThreadingHTTPServer):
+    """In threads; it writes nothing into the terminal."""
+
+    request_queue_size = 64
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Who has gone is no event."""
+
+    def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
+        super().__init__((LOOPBACK, 0), _Handler)
+        self.off, self.admits = off, admits
+
+
+class _Handler(http.server.BaseHTTPRequestHandler):
+    timeout = 10.0
+    server: _Server
+
+    def do_POST(self) -> None:
+        host, origin, cookie = (self.headers.get(name, "") for name in ("Host", "Origin", "Cookie"))
+        asked = urllib.parse.urlsplit(self.path)
+        if asked.path != DARK or not self.server.admits(host, origin, cookie):
+            self.send_error(http.HTTPStatus.FORBIDDEN)
+            return
+        answer = "; ".join(self.server.off(urllib.parse.unquote(asked.query))).encode()
+        self.send_response(http.HTTPStatus.OK)
+        self.send_header("Content-Type", "text/plain; charset=utf-8")
+        self.send_header("Content-Length", str(len(answer)))
+        self.send_header("Access-Control-Allow-Origin", origin)
+        self.send_header("Access-Control-Allow-Credentials", "true")
+        self.end_headers()
+        self.wfile.write(answer)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Requests are not logged."""
+
 
 _PORT = 8642
 _MOST_PX = 2000

@@ -1,22 +1,25 @@
 """The sessions of a folder as the desk lists and finds them, and the commands that look at them again."""
 
 import json
+import math
 import os
 import re
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from acquisition.record import records_of
 from processing.errors import ConfigurationError, RigError
 from rig.calibrate import next_free
 from rig.desk.jobs import Job
+from rig.instrument import BALANCE_CONDITIONS
 from rig.measure import STATE_NAME, RunState, read_session, state_of
+from rig.presentation import quantity, with_uncertainty
 
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
@@ -161,13 +164,51 @@ def session_row(folder: Path) -> SessionRow:
     return SessionRow(folder, when, sample, runs, state, operator, conditions, lacks, died, text)
 
 
-def sparkline(folder: Path) -> str:
-    """The amplitudes of a session's last run as a line of blocks; empty without results."""
+class LastRun(NamedTuple):
+    """What the list shows of a session's last run; empty where it has no results.
+
+    `balance` is go, no or empty where it was not judged; sigma, b and c have their whole uncertainty, in the
+    units of `NUMBERS`.
+    """
+
+    decay: str = ""
+    sigma: str = ""
+    b: str = ""
+    c: str = ""
+    balance: str = ""
+
+
+NUMBERS = {"sigma": "surface_energy_table2_j_per_m2", "b": "b", "c": "c"}
+"""Quantities of the list by the name of their column."""
+
+
+def last_run(folder: Path) -> LastRun:
+    """Read it from the results of a session."""
     try:
-        runs = json.loads((folder / "results.json").read_bytes())["runs"]
-        amplitudes = [one for one in runs[-1]["turning_points"]["amplitude"] if one is not None]
+        run = json.loads((folder / "results.json").read_bytes())["runs"][-1]
+        amplitudes = [one for one in run["turning_points"]["amplitude"] if one is not None]
+        rows = {row["quantity"]: row for row in run["table"]}
+        judged = [one["ok"] for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
     except (OSError, ValueError, KeyError, IndexError, TypeError):
+        return LastRun()
+    numbers = {name: _number(rows.get(key)) for name, key in NUMBERS.items()}
+    balance = "" if not judged else "go" if all(judged) else "no"
+    return LastRun(_blocks(amplitudes), **numbers, balance=balance)
+
+
+def _number(row: Mapping[str, Any] | None) -> str:
+    """Value and whole uncertainty in the unit shown; none of what is not determined."""
+    if row is None or row["value"] is None:
         return ""
+    if row["verdict"] != "determined":
+        return str(row["verdict"])
+    factor = quantity(row["quantity"]).factor
+    u = row["u"] if row["u_total"] is None else row["u_total"]
+    return with_uncertainty(factor * row["value"], factor * (u or math.nan))
+
+
+def _blocks(amplitudes: Sequence[float]) -> str:
+    """The amplitudes as a line of blocks; empty where there are few."""
     if len(amplitudes) < _SPARKS:
         return ""
     picked = amplitudes[:: max(1, len(amplitudes) // _SPARKS)][:_SPARKS]

@@ -9,6 +9,13 @@ from typing import Final
 
 from rig.presentation import palette
 
+_IN_BOTH: Final[Mapping[str, str]] = {
+    "picture": "#000000",
+    "picture-ink": "#ffffff",
+    "lamp-go": palette.BLUISH_GREEN,
+    "lamp-caution": palette.YELLOW,
+    "lamp-no": palette.VERMILLION,
+}
 THEMES: Final[Mapping[str, Mapping[str, str]]] = {
     "dark": {
         "ground": "#0e1113",
@@ -33,6 +40,7 @@ THEMES: Final[Mapping[str, Mapping[str, str]]] = {
         "bar-button": "#333333",
         "off": "#c00000",
         "off-ink": "#ffffff",
+        **_IN_BOTH,
     },
     "light": {
         "ground": "#f2f4f6",
@@ -57,6 +65,7 @@ THEMES: Final[Mapping[str, Mapping[str, str]]] = {
         "bar-button": "#333333",
         "off": "#c00000",
         "off-ink": "#ffffff",
+        **_IN_BOTH,
     },
 }
 

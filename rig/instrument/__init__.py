@@ -9,7 +9,12 @@ from rig.instrument.balance import (
     sensor_room,
     turn_text,
 )
-from rig.instrument.balance_conditions import PLANE_OF_SWING, balance_failures, balance_verdicts
+from rig.instrument.balance_conditions import (
+    BALANCE_CONDITIONS,
+    PLANE_OF_SWING,
+    balance_failures,
+    balance_verdicts,
+)
 from rig.instrument.beam_verdict import beam_quality
 from rig.instrument.calibration import fill_from_files, judge_calibration
 from rig.instrument.camera_clock import CameraClock, rate_text

@@ -40,6 +40,9 @@ _OF_FAULTS: Final[Mapping[str, _Condition]] = {
 }
 """Faults of a balance that are conditions of a run. The direction of the line is the camera's."""
 
+BALANCE_CONDITIONS: Final = frozenset(one.name for one in _OF_FAULTS.values())
+"""Names of the conditions of a run that its balance decides."""
+
 
 def balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Verdict]:
     """One verdict for each quantity that is known, which has a limit in the unit of the deflections."""

@@ -177,8 +177,9 @@ class PhasesBeforeRecord:
 
         def warm() -> bool:
             frames = self._wait.frames
-            since_ns = frames.now_ns - begun_ns
-            if since_ns < max(window_ns, laser.warm_up_min_s * NS_PER_S):
+            since_ns, least_ns = frames.now_ns - begun_ns, max(window_ns, laser.warm_up_min_s * NS_PER_S)
+            if since_ns < least_ns:
+                self._wait.progress = f"{since_ns / NS_PER_S:.0f} of {least_ns / NS_PER_S:g} s"
                 return False
             recent = frames.since(frames.now_ns - window_ns)
             drift = max(
@@ -206,7 +207,9 @@ class PhasesBeforeRecord:
             nonlocal begun_ns
             # 0 before the first frame
             begun_ns = begun_ns or frames.now_ns
-            return frames.now_ns - begun_ns >= duration_ns
+            looked_ns = frames.now_ns - begun_ns
+            self._wait.progress = f"{looked_ns / NS_PER_S:.0f} of {duration_ns / NS_PER_S:g} s"
+            return looked_ns >= duration_ns
 
         self._wait.until_reached(Phase.PREFLIGHT, math.inf, long_enough)
         self._check(resting=True)

@@ -64,7 +64,7 @@ def _series(
         if frozen is None:
             page.click("Live picture")
         else:
-            page.key("4")
+            page.key("3")
             page.click("Start …")
             page.in_dialog()
             # it would take the port of the next series' board
@@ -83,7 +83,7 @@ def _series(
 
 def _lit_again(page: Page, board: BoardProcess) -> None:
     """As a person does it; the simulated camera sees light whatever the board does, so with a new picture."""
-    page.wait_text("LIGHT OFF WAS PRESSED")
+    page.wait_text("LIGHT OFF was pressed")
     page.click("Stop")
     page.wait_text("No live picture yet")
     page.click("Live picture")

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rig.desk.desk import Desk
-from rig.desk.panels import align, balance, calibrate, measure, preflight, sessions
+from rig.desk.panels import balance, calibrate, measure, rig_panel, runs
 from rig.desk.tab import Tab
 
 
@@ -17,10 +17,9 @@ class Panel(NamedTuple):
 
 
 PANELS = (
-    Panel("Align", align.build, align.KEYS),
+    Panel("Rig", rig_panel.build, rig_panel.KEYS),
     Panel("Balance", balance.build),
-    Panel("Preflight", preflight.build),
     Panel("Measure", measure.build),
     Panel("Calibrate", calibrate.build),
-    Panel("Sessions", sessions.build, sessions.KEYS),
+    Panel("Runs", runs.build, runs.KEYS),
 )

@@ -1,8 +1,8 @@
-"""Align: the live picture with its figures, exposure, gain and region, the focus, the rest position."""
+"""The live picture of the camera with its figures, exposure, gain and region, focus and rest position."""
 
 import html
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -12,61 +12,168 @@ from nicegui.events import MouseEventArguments
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError
 from rig.desk import tables
-from rig.desk.aligner import EXPOSE, Aligner, Wish
-from rig.desk.at_once import at_once
-from rig.desk.chart_options import Curve
-from rig.desk.charts import Chart
+from rig.desk.aligner import EXPOSE, Aligner
+from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import as_typed, number_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
-from rig.desk.tab import DELIBERATE, Handler, Tab
+from rig.desk.tab import DELIBERATE, Handler, Tab, at_once
 from rig.presentation import Verdict
 
-KEYS = (("z", "align: zoom 1, 4, 16"),)
 _SIZE = (800, 540)
 _STEP, _STEP_DB = 1.25, 1.0
 _BARS = 64
+_LEAST_REGION_PX = 8
 _NEEDS = "settings need a live picture"
 _SHORT = 24
 """Letters of a number that stands in a lamp."""
 
 
-def build(desk: Desk, tab: Tab) -> None:
-    """Build the panel."""
-    corner: list[tuple[float, float]] = []
-    fields: dict[str, ui.input] = {}
-    needing: list[ui.button] = []
+class AlignPicture:
+    """The live picture with its buttons; a rectangle drawn over the whole frame is the camera's region."""
 
-    def mouse(event: MouseEventArguments) -> None:
-        """A rectangle drawn over the whole frame becomes the camera's region."""
-        if desk.aligner is None or picture.zoom != 1:
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk = desk
+        self._corner: tuple[float, float] | None = None
+        with ui.column().classes("box"):
+            self._picture = LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk), self._mouse)
+            with ui.row():
+                self._begin = tab.button("Live picture", self._start)
+                self._begin.props(f'color="positive" {DELIBERATE}')
+                self._end = tab.button("Stop", self._stop).props("outline")
+                self._zooming = ui.button("Zoom 1", on_click=self.zoom)
+                self._zooming.props('outline aria-label="Zoom to the spot, key z"')
+                # it begins the picture anew, and with it the light
+                tab.button("Whole sensor", self._whole).props(f"outline {DELIBERATE}")
+                self._keep = tab.button("Keep for runs", lambda: desk.keep_camera(aligner_of(desk).applied))
+                self._keep.props("outline")
+            self._kept = ui.label().classes("dim")
+
+    def refresh(self) -> None:
+        """Show which buttons can do something, and what is kept."""
+        now = self._desk.aligner
+        self._begin.set_visibility(now is None)
+        self._end.set_visibility(now is not None)
+        self._keep.set_enabled(now is not None and now.running)
+        self._zooming.set_enabled(_seen(self._desk))
+        self._kept.set_text(_kept(self._desk))
+
+    def zoom(self) -> None:
+        """The next zoom."""
+        self._picture.zoom_on()
+        self._zooming.set_text(f"Zoom {self._picture.zoom}")
+
+    def _mouse(self, event: MouseEventArguments) -> None:
+        if self._desk.aligner is None or self._picture.zoom != 1:
             return
         if event.type == "pointerdown":
-            corner[:] = [(event.image_x, event.image_y)]
-        elif corner:
-            x, y = corner[0]
+            self._corner = event.image_x, event.image_y
+        elif self._corner is not None:
+            x, y = self._corner
             left, top = min(x, event.image_x), min(y, event.image_y)
             width, height = abs(event.image_x - x), abs(event.image_y - y)
-            picture.element.content = (
+            drawn = (
                 f"<rect x='{left}' y='{top}' width='{width}' height='{height}' fill='none' "
                 "stroke='white' stroke-width='2'/>"
             )
             if event.type == "pointerup":
-                corner.clear()
-                if min(width, height) > 8:
-                    _ask_region(desk, left, top, width, height)
+                self._corner = None
+                if min(width, height) > _LEAST_REGION_PX:
+                    _ask_region(self._desk, left, top, width, height)
                 else:
-                    picture.element.content = ""
+                    drawn = ""
+            self._picture.element.content = drawn
 
-    def aligner() -> Aligner:
-        if desk.aligner is None:
-            raise ConfigurationError("no live picture: press Live picture first")
-        return desk.aligner
+    async def _whole(self) -> None:
+        self._picture.element.content = ""
+        await run.io_bound(self._desk.align_whole_sensor)
 
-    def wish(wanted: Wish) -> None:
-        aligner().wish(wanted)
+    async def _start(self) -> None:
+        await run.io_bound(self._desk.begin_aligning)
 
-    def turned(exposure: float = 1.0, gain_db: float = 0.0) -> None:
+    async def _stop(self) -> None:
+        await run.io_bound(self._desk.end_aligning)
+
+
+class CameraControls:
+    """Lamps of the beam, exposure and gain, histogram, focus and figures of the picture."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk, self._tab = desk, tab
+        self._fields: dict[str, ui.input] = {}
+        self._needing: list[ui.button] = []
+        # on a low screen it scrolls by itself: picture and buttons stay
+        with (
+            ui.column()
+            .classes("box scrolls")
+            .props('role="region" aria-label="lamps and settings" tabindex="0"')
+        ):
+            self._lamps = ui.html(sanitize=False).classes("full-width")
+            self._lamps.props('role="status" aria-label="lamps"')
+            self._note = ui.label().props('role="status"')
+            self._setting("exposure_us", "exposure / µs", {"-": (1 / _STEP, 0.0), "+": (_STEP, 0.0)})
+            self._setting("gain_db", "gain / dB", {"-": (1.0, -_STEP_DB), "+": (1.0, _STEP_DB)})
+            bars, line = (Curve("pixels", style="bars"),), (Curve("sharpness_per_px"),)
+            self._histogram = Chart("histogram", "level_dn", bars, tools=False, height="100px")
+            self._focus = Chart("focus", "elapsed_s", line, tools=False, height="110px")
+            with at_once(ui.expansion("figures", value=True)).classes("full-width"):
+                self._figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
+
+    def refresh(self) -> None:
+        """Show the newest look, and what is set at the camera."""
+        now = self._desk.aligner
+        for button in self._needing:
+            button.set_enabled(now is not None and now.running)
+        wrong = "" if now is None else now.problem or now.darkness
+        self._note.set_text(wrong or (_NEEDS if now is None else now.note))
+        self._note.classes(remove="caution dim", add="caution" if wrong else "dim")
+        self._show_applied(CameraSettings() if now is None else now.applied)
+        sharpness = [] if now is None else list(now.focus)
+        self._focus.show([sharpness[:: 1 + len(sharpness) // 200]], empty="no sharpness yet")
+        look = look_now(self._desk)
+        if look is None:
+            self._figures.set_content("")
+            self._lamps.set_content("")
+            self._histogram.show([[]], empty="no picture yet")
+            return
+        best = max((one for _, one in sharpness), default=0.0)
+        # of a frame that is dark on purpose there is nothing to be judged: why it is stands below
+        dark = now is not None and bool(now.darkness)
+        self._lamps.set_content("" if dark else _lamps(look.lamps(best)))
+        self._figures.set_content(tables.table(look.rows(), "figures of the picture"))
+        counts, edges = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        self._histogram.show(
+            [[(float(at), round(math.log10(1 + n), 3)) for at, n in zip(middles, counts, strict=True)]]
+        )
+
+    def _setting(self, name: str, label: str, steps: Mapping[str, tuple[float, float]]) -> None:
+        """A row for one setting: field, Set, for the exposure Auto, and a step down and up."""
+        what = label.partition(" ")[0]
+        with ui.row().classes("items-center no-wrap full-width"):
+            field = number_field(self._desk, f"camera.{name}", label, None)
+            field.props("hide-bottom-space stack-label").classes("col")
+            self._fields[name] = field
+            self._small("Set", partial(self._typed, name, field), f"Set {label}")
+            if name == "exposure_us":
+                self._small("Auto", lambda: aligner_of(self._desk).wish(EXPOSE), "Auto exposure")
+            for sign, (factor, more_db) in steps.items():
+                words = f"{'smaller' if sign == '-' else 'larger'} {what}"
+                self._small(sign, partial(self._turned, factor, more_db), words)
+
+    def _small(self, text: str, do: Handler, words: str) -> None:
+        button = self._tab.button(text, do).props(f'outline dense aria-label="{words}"').classes("step")
+        self._needing.append(button)
+
+    def _typed(self, name: str, field: ui.input) -> None:
+        key, value = f"camera.{name}", as_typed(field.value, True)
+        if value == "":
+            raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
+        if fault := self._desk.fault(key, value):
+            raise ConfigurationError(fault)
+        aligner_of(self._desk).wish(CameraSettings.model_validate({name: value}))
+
+    def _turned(self, exposure: float, gain_db: float) -> None:
         def wanted(applied: CameraSettings) -> CameraSettings:
             stated = applied.exposure_us if exposure != 1.0 else applied.gain_db
             if stated is None:
@@ -77,122 +184,21 @@ def build(desk: Desk, tab: Tab) -> None:
                 return CameraSettings(exposure_us=stated * exposure)
             return CameraSettings(gain_db=stated + gain_db)
 
-        wish(wanted)
+        aligner_of(self._desk).wish(wanted)
 
-    def typed(name: str, field: ui.input) -> None:
-        key, value = f"camera.{name}", as_typed(field.value, True)
-        if value == "":
-            raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
-        if fault := desk.fault(key, value):
-            raise ConfigurationError(fault)
-        wish(CameraSettings.model_validate({name: value}))
-
-    async def whole() -> None:
-        picture.element.content = ""
-        await run.io_bound(desk.align_whole_sensor)
-
-    async def start() -> None:
-        await run.io_bound(desk.begin_aligning)
-
-    async def stop() -> None:
-        await run.io_bound(desk.end_aligning)
-
-    def zoom() -> None:
-        picture.zoom_on()
-        zooming.set_text(f"Zoom {picture.zoom}")
-
-    with ui.element("div").classes("grid align"):
-        with ui.column().classes("box"):
-            picture = LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk), mouse)
-            with ui.row():
-                begin = tab.button("Live picture", start)
-                begin.props(f'color="positive" {DELIBERATE}')
-                end = tab.button("Stop", stop).props("outline")
-                zooming = ui.button("Zoom 1", on_click=zoom).props(
-                    'outline aria-label="Zoom to the spot, key z"'
-                )
-                # it begins the picture anew, and with it the light
-                tab.button("Whole sensor", whole).props(f"outline {DELIBERATE}")
-                keep = tab.button("Keep for runs", lambda: desk.keep_camera(aligner().applied))
-                needing.append(keep.props("outline"))
-            kept = ui.label().classes("dim")
-        # on a low screen it scrolls by itself: picture and buttons stay
-        with (
-            ui.column()
-            .classes("box scrolls")
-            .props('role="region" aria-label="lamps and settings" tabindex="0"')
-        ):
-            lamps = ui.html(sanitize=False).classes("full-width").props('role="status" aria-label="lamps"')
-            note = ui.label().props('role="status"')
-            for name, label, down, up, auto in (
-                ("exposure_us", "exposure / µs", lambda: turned(1 / _STEP), lambda: turned(_STEP), True),
-                (
-                    "gain_db",
-                    "gain / dB",
-                    lambda: turned(gain_db=-_STEP_DB),
-                    lambda: turned(gain_db=_STEP_DB),
-                    False,
-                ),
-            ):
-                with ui.row().classes("items-center no-wrap full-width"):
-                    field = number_field(desk, f"camera.{name}", label, None)
-                    field.props("hide-bottom-space stack-label").classes("col")
-                    fields[name] = field
-                    put = tab.button("Set", partial(typed, name, field))
-                    needing.append(put.props(f'outline dense aria-label="Set {label}"').classes("step"))
-                    if auto:
-                        find = tab.button("Auto", lambda: wish(EXPOSE))
-                        needing.append(find.props('outline dense aria-label="Auto exposure"').classes("step"))
-                    needing += _stepper(label.partition(" ")[0], down, up, tab)
-            histogram = Chart(
-                "histogram", "level_dn", (Curve("pixels", style="bars"),), tools=False, height="100px"
-            )
-            focus = Chart("focus", "elapsed_s", (Curve("sharpness_per_px"),), tools=False, height="110px")
-            with at_once(ui.expansion("figures", value=True)).classes("full-width"):
-                figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
-    tab.key("z", zoom)
-
-    def show_applied(applied: CameraSettings) -> None:
-        for name, field in fields.items():
+    def _show_applied(self, applied: CameraSettings) -> None:
+        for name, field in self._fields.items():
             value = getattr(applied, name)
             said = "" if value is None else f"now {value:.6g}"
             if field.props.get("placeholder") != said:
                 field.props(f'placeholder="{said}"')
 
-    def refresh() -> None:
-        now = desk.aligner
-        begin.set_visibility(now is None)
-        end.set_visibility(now is not None)
-        for button in needing:
-            button.set_enabled(now is not None and now.running)
-        zooming.set_enabled(_seen(desk))
-        kept.set_text(_kept(desk))
-        wrong = "" if now is None else now.problem or now.darkness
-        note.set_text(wrong or (_NEEDS if now is None else now.note))
-        note.classes(remove="caution dim", add="caution" if wrong else "dim")
-        show_applied(CameraSettings() if now is None else now.applied)
-        sharpness = [] if now is None else list(now.focus)
-        focus.show([sharpness[:: 1 + len(sharpness) // 200]], empty="no sharpness yet")
-        look = look_now(desk)
-        if look is None:
-            figures.set_content("")
-            lamps.set_content("")
-            histogram.show([[]], empty="no picture yet")
-            return
-        best = max((one for _, one in sharpness), default=0.0)
-        # of a frame that is dark on purpose there is nothing to be judged: why it is stands below
-        dark = now is not None and bool(now.darkness)
-        lamps.set_content("" if dark else _lamps(look.lamps(best)))
-        figures.set_content(tables.table(look.rows(), "figures of the picture"))
-        counts, edges = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))
-        middles = 0.5 * (edges[1:] + edges[:-1])
-        bars = [
-            (float(at), round(math.log10(1 + count), 3)) for at, count in zip(middles, counts, strict=True)
-        ]
-        histogram.show([bars])
 
-    tab.every(0.3, refresh)
-    refresh()
+def aligner_of(desk: Desk) -> Aligner:
+    """The live picture; raises ConfigurationError without one."""
+    if desk.aligner is None:
+        raise ConfigurationError("no live picture: press Live picture first")
+    return desk.aligner
 
 
 def _lamps(verdicts: Sequence[Verdict]) -> str:
@@ -207,11 +213,6 @@ def _lamps(verdicts: Sequence[Verdict]) -> str:
             why = "; ".join(filter(None, (one.reason, one.remedy)))
             told.append(f"<div class='{kind}'>{html.escape(f'{one.name}: {why}')}</div>")
     return f"<div class='lamps'>{''.join(shown)}</div>{''.join(told)}"
-
-
-def _stepper(what: str, down: Handler, up: Handler, tab: Tab) -> Iterator[ui.button]:
-    for sign, words, do in (("-", "smaller", down), ("+", "larger", up)):
-        yield tab.button(sign, do).props(f'outline dense aria-label="{words} {what}"').classes("step")
 
 
 def _seen(desk: Desk) -> bool:

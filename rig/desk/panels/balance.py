@@ -10,18 +10,16 @@ from nicegui import run, ui
 from processing.errors import RigError
 from rig.balance import HEAD, BalanceStage
 from rig.desk import charts, tables
-from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
-from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.instrument import WEIGHTS
-from rig.presentation import with_uncertainty
 
 _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
-    balancing, wide = desk.balancing, False
+    balancing = desk.balancing
     advised: Mapping[str, Any] | None = None
 
     async def measure() -> None:
@@ -45,12 +43,6 @@ def build(desk: Desk, tab: Tab) -> None:
             text = "".join(f"<div>{html.escape(line)}</div>" for line in found.lines)
             past.set_content(tables.table(rows, "turns used for learning") + text)
 
-    def stretched() -> None:
-        nonlocal wide
-        wide = not wide
-        stretching.set_text("to scale" if wide else "stretch X")
-        refresh()
-
     with ui.element("div").classes("at-once"):
         with ui.row().classes("box full-width items-start no-wrap told"):
             with ui.column().classes("col").style("gap: 4px"):
@@ -73,9 +65,7 @@ def build(desk: Desk, tab: Tab) -> None:
             pendulum = ui.html(sanitize=False).classes("drawn")
         with ui.element("div").classes("grid halves"):
             with ui.column().classes("box"):
-                way = charts.Chart("trajectory", "deflection_x", charts.WAY, square=True)
-                with way.beside:
-                    stretching = ui.button("stretch X", on_click=stretched).props("dense outline no-caps")
+                way = charts.Trajectory()
             judged = ui.column().classes("box scrolls")
             with judged.props('role="region" aria-label="faults and history" tabindex="0"'):
                 ui.html("faults against their limits", tag="h3", sanitize=False).classes("title")
@@ -109,7 +99,7 @@ def build(desk: Desk, tab: Tab) -> None:
         wrong.set_text(shown.problem)
         pendulum.set_content(drawing(shown.turn))
         faults.set_content(tables.bars(_bars(shown.faults, shown.before), "faults of the balance"))
-        charts.trajectory(way, shown.x, shown.y, balancing.unit, stretched=wide)
+        way.show(shown.x, shown.y, balancing.unit)
 
     tab.every(0.3, refresh)
     refresh()
@@ -188,5 +178,5 @@ def _bars(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any
 def _number(fault: Mapping[str, Any]) -> str:
     if fault["value"] is None or fault["u_value"] is None:
         return "not known"
-    shown = with_uncertainty(fault["value"], fault["u_value"], signed=True)
+    shown = tables.judged_number(fault["value"], fault["u_value"], fault["limit"])
     return f"{shown} {fault['unit']}".rstrip()

@@ -8,13 +8,11 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.calibrate import Filed, Filing
 from rig.desk import tables
-from rig.desk.at_once import at_once
 from rig.desk.calibrating import FOLDER, Calibrating
-from rig.desk.chart_options import Curve
-from rig.desk.charts import Chart
+from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
-from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.settings import number
 
 _DAYS, _DARK_FRAMES = 90.0, 16

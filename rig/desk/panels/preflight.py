@@ -1,4 +1,4 @@
-"""Preflight: a light for each check with its number and remedy; what the plan expects of a run."""
+"""The checks before a run, a light for each with its number and remedy; what the plan expects of a run."""
 
 import html
 import math
@@ -9,10 +9,9 @@ from nicegui import run, ui
 
 from processing.errors import RigError
 from rig.desk import tables
-from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
 from rig.desk.following import doing
-from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_table
 from rig.presentation import percent, quantity
@@ -21,52 +20,27 @@ _LEAST, _WELL, _USELESS = 1e-6, 0.1, 0.5
 """Uncertainty over value where a bar begins, up to which it is well known, and from which on hardly."""
 
 
-def build(desk: Desk, tab: Tab) -> None:
-    """Build the panel."""
+class PreflightChecks:
+    """The button that runs the checks, their verdict, and a light for each."""
 
-    async def start() -> None:
-        await run.io_bound(desk.start, "doctor", "--preflight", "--json")
-
-    def end() -> None:
-        if "doctor" in desk.jobs:
-            desk.jobs["doctor"].end()
-
-    async def plan() -> None:
-        working.set_visibility(True)
-        try:
-            found = await run.io_bound(_expected, desk)
-            if found is not None:
-                rows, words_of = found
-                text = f"<p class='dim'>{html.escape(words_of)}</p>"
-                expected.set_content(tables.bars(rows, "uncertainty of each parameter over its value") + text)
-        except RigError as error:
-            tab.tell(str(error))
-        finally:
-            working.set_visibility(False)
-
-    with ui.element("div").classes("grid wide-left"):
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk = desk
         with ui.column().classes("box"):
-            verdict = ui.label().classes("verdict").props('role="status" aria-live="polite"')
-            words = ui.label().classes("middle").style("white-space: pre-line")
             with ui.row().classes("items-center"):
-                button = tab.button("Run preflight", start).props(f'color="positive" size="lg" {DELIBERATE}')
-                ending = tab.button("End", end).props("outline")
-            failing = ui.html(sanitize=False).classes("full-width")
-            with at_once(ui.expansion("passed")).classes("full-width") as folded:
-                passing = ui.html(sanitize=False).classes("full-width")
-        with ui.column().classes("box"):
-            ui.html("expected uncertainties", tag="h3", sanitize=False).classes("title")
-            with ui.row().classes("items-center"):
-                ui.button("Plan", on_click=plan).props("outline")
-                working = ui.spinner().props('aria-label="it is planned"')
-            working.set_visibility(False)
-            expected = ui.html(sanitize=False).classes("full-width")
+                self._button = tab.button("Run preflight", self._start)
+                self._button.props(f'color="positive" size="lg" {DELIBERATE}')
+                self._ending = tab.button("End", self._end).props("outline")
+                self._verdict = ui.label().classes("advice").props('role="status" aria-live="polite"')
+                self._words = ui.label().style("white-space: pre-line")
+            self._failing = ui.html(sanitize=False).classes("full-width")
+            with at_once(ui.expansion("passed")).classes("full-width") as self._folded:
+                self._passing = ui.html(sanitize=False).classes("full-width")
 
-    def refresh() -> None:
-        job = desk.jobs.get("doctor")
-        news = desk.following.news
+    def refresh(self) -> None:
+        """Show what the running session, or the last command, has found."""
+        job, news = self._desk.jobs.get("doctor"), self._desk.following.news
         found: Sequence[Mapping[str, Any]] = ()
-        said = "Run preflight: it checks whether a run can be made"
+        said = "it checks whether a run can be made"
         if news.get("preflight"):
             found = news["preflight"]
         elif job is not None:
@@ -74,23 +48,54 @@ def build(desk: Desk, tab: Tab) -> None:
             said = "\n".join(list(job.said)[-3:])
             if job.running:
                 said = doing(job.newest.get("state")) or "the camera is opened"
-        button.set_enabled(job is None or not job.running)
-        ending.set_visibility(job is not None and job.running and not found)
+        self._button.set_enabled(job is None or not job.running)
+        self._ending.set_visibility(job is not None and job.running and not found)
         against = [one for one in found if not one["ok"]]
         shown_first = against + [one for one in found if one["ok"] and (one["remedy"] or not one["made"])]
         passed = [one for one in found if one not in shown_first]
-        verdict.set_text("" if not found else "NO-GO" if against else "GO")
-        verdict.set_visibility(bool(found))
-        verdict.classes(remove="go no", add="no" if against else "go")
-        done = "" if desk.following.running else _next(len(against))
-        words.set_text(done if found else said)
-        failing.set_content(lights(shown_first))
-        passing.set_content(lights(passed))
-        folded.set_text(f"{len(passed)} of {len(found)} checks passed")
-        folded.set_visibility(bool(passed))
+        self._verdict.set_text("" if not found else "NO-GO" if against else "GO")
+        self._verdict.set_visibility(bool(found))
+        self._verdict.classes(remove="go no", add="no" if against else "go")
+        done = "" if self._desk.following.running else _next(len(against))
+        self._words.set_text(done if found else said)
+        self._failing.set_content(lights(shown_first))
+        self._passing.set_content(lights(passed))
+        self._folded.set_text(f"{len(passed)} of {len(found)} checks passed")
+        self._folded.set_visibility(bool(passed))
 
-    tab.every(0.3, refresh)
-    refresh()
+    async def _start(self) -> None:
+        await run.io_bound(self._desk.start, "doctor", "--preflight", "--json")
+
+    def _end(self) -> None:
+        if "doctor" in self._desk.jobs:
+            self._desk.jobs["doctor"].end()
+
+
+class Expected:
+    """What a run as configured is expected to give, planned when it is asked for."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk, self._tab = desk, tab
+        with ui.column().classes("box"):
+            ui.html("expected uncertainties", tag="h3", sanitize=False).classes("title")
+            with ui.row().classes("items-center"):
+                ui.button("Plan", on_click=self._plan).props("outline")
+                self._working = ui.spinner().props('aria-label="it is planned"')
+            self._working.set_visibility(False)
+            self._found = ui.html(sanitize=False).classes("full-width")
+
+    async def _plan(self) -> None:
+        self._working.set_visibility(True)
+        try:
+            found = await run.io_bound(_expected, self._desk)
+            if found is not None:
+                rows, words = found
+                bars = tables.bars(rows, "uncertainty of each parameter over its value")
+                self._found.set_content(f"{bars}<p class='dim'>{html.escape(words)}</p>")
+        except RigError as error:
+            self._tab.tell(str(error))
+        finally:
+            self._working.set_visibility(False)
 
 
 def _next(against: int) -> str:

@@ -5,12 +5,10 @@ from typing import Any
 
 from nicegui import run, ui
 
-from rig.desk.at_once import at_once
-from rig.desk.chart_options import Curve, Mark, Points
-from rig.desk.charts import Chart
+from rig.desk.charts import Chart, Curve, Mark, Points
 from rig.desk.desk import Desk
-from rig.desk.tab import Tab
-from rig.posterior import FIRST_HALF_CYCLES
+from rig.desk.panels.run_words import first_fit
+from rig.desk.tab import Tab, at_once
 from rig.presentation import quantity
 
 _EVERY_S = 1.0
@@ -44,7 +42,6 @@ _CHARTS: Mapping[str, tuple[str, Sequence[Curve]]] = {
 }
 _MOST_PARAMETERS = 3
 _SPECTRA = ("spectrum", "ground")
-FIRST_FIT = f"the first fit is made from {FIRST_HALF_CYCLES} half-cycles on"
 _LEFT = (Curve("left_density_rad_per_rthz"),)
 _GROUND = (
     Curve("ground_m_per_s2_rthz", name="at most the ground"),
@@ -79,21 +76,20 @@ class RunCharts:
         if not history:
             return
         chart, marks = self._charts[name], _marks(following.events, str(following.news.get("run") or ""))
+        no_fit = first_fit(following.news.get("state") or {})
         if name in ("decay", "period"):
             kind = "amplitude" if name == "decay" else "period"
             at = 1 if name == "decay" else 3
             measured = [(one[0], one[at]) for one in history["swings"]]
             fit = history["fit"]
             left = fit.get(f"{kind}_residual", [])
-            chart.show(
-                [measured, fit.get(kind, []), left], unit, marks=marks, below="" if left else FIRST_FIT
-            )
+            chart.show([measured, fit.get(kind, []), left], unit, marks=marks, below="" if left else no_fit)
         elif name == "X and Y":
             chart.show([history["x"], history["y"]], unit, marks=marks)
         elif name == "parameters":
             curves, points = _parameters(history["estimates"])
             chart.declare(curves)
-            chart.show(points, unit, marks=marks, empty=FIRST_FIT)
+            chart.show(points, unit, marks=marks, empty=no_fit)
         elif name == "ground":
             found = history["ground"]
             kinds = ("acceleration", "low", "high") if found["acceleration"] else ("left",)

@@ -7,12 +7,10 @@ from urllib.parse import quote
 from nicegui import run, ui
 
 from rig.desk import tables
-from rig.desk.at_once import at_once
-from rig.desk.chart_options import Curve
-from rig.desk.charts import Chart
+from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
 from rig.desk.sessions import SERVED
-from rig.desk.tab import Tab
+from rig.desk.tab import Tab, at_once
 from rig.measure import HandOver, RunState
 
 _KINDS = {RunState.COMPLETE: "go", RunState.STOPPED: "caution"}
@@ -51,11 +49,12 @@ class RunResult:
                 self._next = ui.html(sanitize=False).classes("full-width")
                 with ui.row():
                     self._report = ui.button("Report", on_click=self._open).props('outline size="lg"')
+                    self._fits = tab.button("Fit", self._fit).props('outline size="lg"')
                     ui.button("Next run", on_click=_to_next).props('outline size="lg"')
                 self._others = ui.html(sanitize=False).classes("full-width")
                 with at_once(ui.expansion("its last words")).classes("full-width"):
                     self._words = ui.html(sanitize=False).classes("dim")
-            with ui.column().classes("box"):
+            with ui.column().classes("box") as self._found:
                 ui.html("what limits it", tag="h3", sanitize=False).classes("title")
                 self._limits = ui.html(sanitize=False).classes("full-width")
                 self._decay = Chart("decay, fit and residuals", "elapsed_s", _DECAY, height="420px")
@@ -87,6 +86,9 @@ class RunResult:
         ]
         self._limits.set_content(tables.bars(bars, "sources of the uncertainty, by their share"))
         self._report.set_visibility(over.report is not None)
+        # a run that has failed has a record, too
+        self._fits.set_visibility(not over.headline)
+        self._found.set_visibility(bool(over.limits) or over.decay is not None)
         self._show_decay(over)
 
     def _show_decay(self, over: HandOver) -> None:
@@ -108,6 +110,11 @@ class RunResult:
                 [(t, 1e3 * (a - b)) for (t, a), (_, b) in zip(periods, fitted_periods, strict=True)],
             ]
         )
+
+    def _fit(self) -> None:
+        if self._drawn is not None:
+            self._desk.looking_again.fit(self._drawn.folder)
+            ui.notify(f"rig fit {self._drawn.folder.name} runs; what it says is below the list of sessions")
 
     def _open(self) -> None:
         over = self._drawn

@@ -3,10 +3,9 @@
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError
-from rig.desk.at_once import at_once
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import number_field, stated, text_field
-from rig.desk.tab import DELIBERATE, Tab
+from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.settings import SessionSettings
 
 _RELEASE = {

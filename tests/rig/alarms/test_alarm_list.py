@@ -156,3 +156,25 @@ def test_a_list_goes_on_where_the_last_desk_ended(alarms: AlarmList, clock: Cloc
 def test_what_is_no_list_starts_an_empty_one(alarms: AlarmList, kept: bytes) -> None:
     alarms.restore(kept)
     assert alarms.rows() == []
+
+
+def test_what_is_left_of_an_earlier_session_is_seen_last_and_not_heard(alarms: AlarmList) -> None:
+    alarms.see({CAMERA: ""}, [(DIED, "run-1 was killed")])
+    alarms.session_begins()
+    assert [(row.key, row.earlier, row.cries) for row in alarms.rows()] == [
+        (CAMERA, False, True),
+        (DIED, True, False),
+    ]
+    alarms.see({}, [(DIED, "run-2 was killed")])
+    assert next(row for row in alarms.rows() if row.key == DIED).cries
+
+
+def test_a_cause_that_holds_after_a_new_desk_has_begun_to_look_is_heard(
+    alarms: AlarmList, clock: Clock
+) -> None:
+    alarms.see({CAMERA: ""})
+    later = AlarmList(clock)
+    later.restore(alarms.kept())
+    later.session_begins()
+    later.see({CAMERA: ""})
+    assert only(later).cries

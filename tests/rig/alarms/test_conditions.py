@@ -21,6 +21,13 @@ def told(state: dict[str, Any] | None = None, **news: Any) -> Seen:
 
 LIT = SafetyNow(light=Light.ON, light_age_s=0.1, interlock=Loop.CLOSED, interlock_age_s=0.1)
 TRIP = LatchedTrip(5, TripCause.INTERLOCK, "the interlock opened", True)
+PRESSED = LatchedTrip(6, TripCause.PERSON, "LIGHT OFF was pressed at the desk", True)
+
+
+def dark(trip: LatchedTrip) -> Seen:
+    """A session whose light was taken: it sees no spot."""
+    news = told({"alarm": "the laser is dark"}, darkness="LIGHT OFF", spot_lost_s=3.0)
+    return replace(news, safety=replace(LIT, light=Light.OFF, trip=trip))
 
 
 @pytest.mark.parametrize(
@@ -30,6 +37,10 @@ TRIP = LatchedTrip(5, TripCause.INTERLOCK, "the interlock opened", True)
         (told(), set()),
         (Seen(safety=LIT, lit_by="the live picture"), set()),
         (Seen(safety=replace(LIT, trip=TRIP)), {AlarmKey.TRIP}),
+        # an own act, and what follows from it
+        (Seen(safety=replace(LIT, trip=PRESSED)), set()),
+        (dark(PRESSED), set()),
+        (dark(TRIP), {AlarmKey.TRIP}),
         (Seen(safety=replace(LIT, interlock=Loop.OPEN)), {AlarmKey.INTERLOCK}),
         (Seen(safety=replace(LIT, light=Light.DISAGREES)), {AlarmKey.LIGHT_DISAGREES}),
         (Seen(safety=replace(LIT, light_age_s=2.5), lit_by="the live picture"), {AlarmKey.LASER_UNKNOWN}),
@@ -113,4 +124,17 @@ def test_how_a_session_has_ended() -> None:
     assert happened([], EndedSession("a", HowEnded.DIED))[0][0] is AlarmKey.SESSION_DIED
     assert happened([], EndedSession("a", HowEnded.FAILED, "no space left on device")) == [
         (AlarmKey.SESSION_FAILED, "a: no space left on device")
+    ]
+
+
+def test_a_run_that_somebody_has_darkened_has_neither_failed_nor_found_anything() -> None:
+    failed = EndedSession("a", HowEnded.FAILED, "the laser is dark")
+    events = [
+        {"kind": kind, "text": "x"} for kind in (EventKind.LIGHT_STEP, EventKind.FAILED, EventKind.RECORD)
+    ]
+    assert happened(events, failed, PRESSED) == [(AlarmKey.DISK_FULL, "x")]
+    assert [key for key, _ in happened(events, failed, TRIP)] == [
+        AlarmKey.SESSION_FAILED,
+        AlarmKey.DISK_FULL,
+        AlarmKey.SESSION_FAILED,
     ]

@@ -53,3 +53,12 @@ def test_stages_and_answers_that_are_none() -> None:
     assert wrong.problem == "no"
     failed = balance_dialogue([], ["a", "rig: no camera"], running=False, failed=True)
     assert (failed.stage, failed.detail) == (BalanceStage.FAILED, "a rig: no camera")
+
+
+def test_once_it_is_measured_the_whole_measurement_is_drawn_and_no_earlier_one() -> None:
+    earlier = [{"kind": "way", "x": [9.0], "y": [9.0]}, found(False), ASK]
+    now = [{"kind": "way", "x": [float(k)], "y": [0.0]} for k in range(90)]
+    measuring = balance_dialogue([*earlier, *now], [], running=True, failed=False)
+    assert (measuring.x[0], measuring.x[-1]) == (50.0, 89.0)
+    measured = balance_dialogue([*earlier, *now, found(True), ASK], [], running=True, failed=False)
+    assert measured.x == [float(k) for k in range(90)]

@@ -17,7 +17,7 @@ from tests.rig.desk.desk_page import DeskProcess, Page
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 PACKAGE = "axe-core@4.10.3"
-PANELS = {"1": "Align", "2": "Balance", "3": "Preflight", "4": "Measure", "5": "Calibrate", "6": "Sessions"}
+PANELS = {"1": "Rig", "2": "Balance", "3": "Measure", "4": "Calibrate", "5": "Runs"}
 Shown = tuple[DeskProcess, Page]
 STILL = """
 document.head.append(Object.assign(document.createElement('style'),
@@ -81,7 +81,7 @@ def test_no_panel_at_rest_has_a_violation(shown: Shown, axe: str, theme: str) ->
 def test_no_state_of_a_session_has_a_violation(shown: Shown, axe: str, theme: str, desk_output: Path) -> None:
     _, page = shown
     page.prefer(theme)
-    page.key("4")
+    page.key("3")
     session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     session_news.begin_run("run 1", 255, None)
     folder = desk_output / f"axe-{theme}"
@@ -122,7 +122,7 @@ def test_no_form_error_drawer_archive_picture_or_hand_over_has_a_violation(
         if found := violations(page, axe):
             wrong[what] = found
 
-    page.key("5")
+    page.key("4")
     page.click("lever")
     page.wait_text("Lever: from px to radians")
     judge("the form of a calibration")
@@ -132,7 +132,7 @@ def test_no_form_error_drawer_archive_picture_or_hand_over_has_a_violation(
     judge("a form whose list was wrong")
     page.click("close")
     page.wait("document.querySelector('.errors > *') === null")
-    page.key("4")
+    page.key("3")
     runs = "document.querySelector('[data-key=\"session.runs\"]')"
     page.wait(f"{runs}.offsetParent !== null")
     before = page.ask(f"{runs}.value")
@@ -148,7 +148,7 @@ def test_no_form_error_drawer_archive_picture_or_hand_over_has_a_violation(
     judge("the picture with its lamps")
     page.click("Stop")
     page.wait_text("No live picture yet")
-    page.key("6")
+    page.key("5")
     folder = finished(desk_output, theme)
     page.wait_text(folder.name)
     mark(page, folder.name)
@@ -169,7 +169,7 @@ def test_no_form_error_drawer_archive_picture_or_hand_over_has_a_violation(
     )
     page.wait_text(folder.name)
     # what has just ended hands over
-    page.key("4")
+    page.key("3")
     news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     news.begin_run("run 1", 255, None)
     with OrderSocket(folder, news, {}):

@@ -1,4 +1,4 @@
-"""The panels Calibrate and Sessions in a real browser: a lever typed in, a record made, old sessions."""
+"""The panels Calibrate and Runs in a real browser: a lever typed in, a record made, old sessions."""
 
 import contextlib
 import os
@@ -114,13 +114,13 @@ def test_a_lever_is_typed_in_and_a_resting_spot_is_recorded(page: Page, place: P
 
 
 def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> None:
-    page.click("Sessions")
-    page.wait_text("runs/older")
+    page.click("Runs")
+    page.wait_text("older")
     page.wait_text("interrupted")
     page.wait_text("mark a session")
     page.key("o")
     page.wait_text("0 sessions are marked; mark one session in the list")
-    mark(page, "runs/broken")
+    mark(page, "broken")
     page.click("Resume")
     page.wait_text("The laser will be lit")
     page.in_dialog()
@@ -134,7 +134,7 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     assert page.ask("fetch('/sessions/broken/run-1.mcap').then(r => r.status)") == 404
     page.wait_text("Compare needs two marked")
     page.wait("[...document.querySelectorAll('button')].find(b => b.innerText === 'COMPARE').disabled")
-    mark(page, "runs/older")
+    mark(page, "older")
     page.click("Compare")
     page.wait_text("rig compare: ")
     photograph(page, "sessions")

@@ -13,8 +13,7 @@ from nicegui.page import page
 from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
-from rig.desk.chart_options import Curve, Ends, chart_options
-from rig.desk.charts import Chart, trajectory
+from rig.desk.charts import Chart, Curve, chart_options, trajectory_ends
 from rig.orders import OrderSocket, SessionNews
 from rig.presentation import quantity
 from rig.settings import Configuration
@@ -44,10 +43,10 @@ def test_rows_below_each_other_have_the_same_time() -> None:
 
 @pytest.mark.parametrize("high", [0.37, 9.4, 94.2, 95.0, 101.0, 128.0, 180.0])
 def test_ends_of_a_trajectory_are_labels(high: float) -> None:
-    chart = ChartsOptions()
+    extents = (-0.1 * high, 0.013 * high), (-high, 0.97 * high)
+    known = list(zip(*extents, strict=True))
     for stretched in (False, True):
-        trajectory(chart, [-0.1 * high, 0.013 * high], [-high, 0.97 * high], "arcsec", stretched=stretched)  # type: ignore[arg-type]
-        for axis, extent in zip(chart.ends, ((-0.1 * high, 0.013 * high), (-high, 0.97 * high)), strict=True):
+        for axis, extent in zip(trajectory_ends(known, stretched=stretched), extents, strict=True):
             low, top, step = axis
             assert low <= extent[0] < extent[1] <= top
             assert low / step == pytest.approx(round(low / step), abs=1e-9)
@@ -66,13 +65,6 @@ def test_words_in_an_empty_row_go_when_it_is_filled() -> None:
     assert words == [["", "no fit yet"], ["", ""]]
 
 
-class ChartsOptions:
-    """Keeps the ends that a chart is given."""
-
-    def show(self, points: object, unit: str, *, ends: Ends, empty: str) -> None:
-        self.ends = ends
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_a_trajectory_is_drawn_zoomed_and_exported(
@@ -87,7 +79,7 @@ def test_a_trajectory_is_drawn_zoomed_and_exported(
     way = Deflections(np.arange(100) * 10**7, y, y, none, none, DeflectionUnit.PX)
     folder = desk_output / "of-charts"
     folder.mkdir(parents=True)
-    page.key("4")
+    page.key("3")
     with OrderSocket(folder, session_news, {}):
         session_news.before_record([frame], [SPOT], way)
         page.wait(f"{OF}.getOption().series[0].data.length > 90")

@@ -21,7 +21,7 @@ def test_a_desk_that_dies_is_said_by_the_page_which_finds_the_next_one(
     with desk_page(browser, config) as (desk, page):
         page.wait_text("recording nothing")
         os.kill(desk.pid, signal.SIGSTOP)
-        page.wait_text("THE DESK DOES NOT ANSWER (last heard at")
+        page.wait_text("Not connected: the desk does not answer (last heard at")
         page.wait_text("start rig desk again: this page reconnects automatically")
         assert page.ask(GREY)
         page.wait("window.rigBeep")

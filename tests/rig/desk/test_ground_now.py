@@ -8,7 +8,7 @@ import pytest
 from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.swing import Swing, SwingDetector
-from rig.desk.ground_now import GroundNow
+from rig.desk.run_history import GroundNow
 from rig.settings import PendulumSettings
 
 PERIOD_S, SHAKEN_HZ, RATE_HZ = 4.0, 3.1, 25.0

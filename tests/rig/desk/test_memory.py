@@ -138,7 +138,7 @@ def test_a_desk_holds_no_more_after_seven_hours_of_a_run_than_after_two(
     with browser.another() as tab:
         page = Page(tab)
         page.open(desk.address)
-        page.key("4")
+        page.key("3")
 
         def counted(until_s: float) -> dict[str, int]:
             run.go_on_until(until_s)

@@ -14,10 +14,10 @@ from rig.alarms import AlarmKey
 from rig.balance import BalanceStage
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
-from rig.desk.chart_options import Curve, in_last_row
+from rig.desk.charts import Curve, in_last_row
 from rig.desk.desk import Desk
 from rig.desk.panels.balance import net_of
-from rig.desk.panels.measure import as_alarmed
+from rig.desk.panels.run_words import as_alarmed
 from rig.desk.safety import refusal
 from rig.desk.sessions import LookingAgain, session_row
 from rig.measure import RunState

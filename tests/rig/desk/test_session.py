@@ -38,7 +38,7 @@ def test_an_interlock_that_opens_under_the_live_picture_cries_until_it_is_acknow
     config = desk_configuration(INTERLOCK + OPENS.format(4.0))
     with desk_page(browser, config) as (_, page):
         page.click("Live picture")
-        page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
+        page.wait_text("the interlock of the controller opened")
         page.wait_text("none found")
         # refused while the interlock is open
         page.acknowledge()
@@ -62,13 +62,13 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
         page.click("Keep for runs")
         page.wait_text("camera.exposure_us = 125")
         # preflight gives the camera free and takes it itself
-        page.key("3")
+        page.key("1")
         page.click("Run preflight")
         page.wait_text("checks passed")
         page.wait("/NO-GO|GO/.test(document.body.innerText)")
         # measure; only now, so that the interlock opens in the session however long all that has taken
         config.write_text(config.read_text("utf-8") + OPENS.format(8.0), encoding="utf-8")
-        page.key("4")
+        page.key("3")
         page.fill("session.sample", 'steel "on" K8 – µ')
         page.wait("![...document.querySelectorAll('button')].some(b => b.disabled && b.innerText == 'START')")
         page.click("Start …")
@@ -76,14 +76,14 @@ def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
         page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
         folder = next((config.parent / "runs").glob("*/session.json")).parent
         # the interlock opens: an alarm that stays until it is acknowledged
-        page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
+        page.wait_text("the interlock of the controller opened")
         page.wait_text("Acknowledge trip".upper())
         desk.kill()
         # the session goes on without the desk, and another one finds it
         again = DeskProcess(config)
         try:
             page.open(again.address)
-            page.wait_text("THE INTERLOCK OF THE CONTROLLER OPENED")
+            page.wait_text("the interlock of the controller opened")
             page.acknowledge()
             page.click("Light again")
             page.wait_text("laser lit: again")
@@ -129,7 +129,7 @@ def test_a_session_by_keyboard_alone(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
 ) -> None:
     with desk_page(browser, desk_configuration(INTERLOCK)) as (_, page):
-        page.type("4")
+        page.type("3")
         page.wait("document.querySelector('[data-key=\"session.notes\"]').offsetParent !== null")
         tab_to(page, "notes")
         page.type("by keys")
@@ -162,14 +162,14 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
     measuring = "(a => a.offsetParent && parseFloat(a.innerText) > 50)(document.getElementById('amplitude'))"
     resume = 'document.querySelector(\'[aria-label^="Resume"][aria-label$="that died"]\')'
     with desk_page(browser, config) as (_, page):
-        page.key("4")
+        page.key("3")
         page.click("Start …")
         page.in_dialog()
         page.wait(measuring)
         (channel,) = (config.parent / "runs").glob("*/.orders.json")
         folder = channel.parent
         os.kill(process_of(folder), signal.SIGSTOP)
-        page.wait_text("SESSION DOES NOT ANSWER")
+        page.wait_text("Session does not answer")
         tab_to(page, "Stop the session")
         page.type("\r")
         page.wait_text("End its process?")
@@ -186,7 +186,7 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
         (channel,) = (config.parent / "runs").glob("*/.orders.json")
         folder = channel.parent
         os.kill(process_of(folder), signal.SIGKILL)
-        page.wait_text("SESSION DIED")
+        page.wait_text("Session died")
         page.wait(f"{resume}.offsetParent !== null")
         page.ask(f"{resume}.click()")
         page.wait_text(f"Make the missing runs of {folder}?")
@@ -217,7 +217,7 @@ def test_a_session_on_a_phone(desk_configuration: Callable[[str], Path], browser
             "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True
         )
         fits = "document.documentElement.scrollWidth <= 391"
-        for panel in ("Balance", "Preflight", "Calibrate", "Sessions", "Align"):
+        for panel in ("Balance", "Calibrate", "Runs", "Rig"):
             page.click(panel)
             page.wait(fits, 10.0)
         page.click("Live picture")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.desk import style, theme
+from rig.desk import theme
 from rig.desk.theme import THEMES
 from rig.presentation import palette
 from rig.report import html
@@ -20,6 +20,7 @@ PAIRS = (
     ("bar-dim", "bar"),
     ("bar-ink", "bar-button"),
     ("off-ink", "off"),
+    ("picture-ink", "picture"),
 )
 """Ink and ground of every text; 4.5 is asked."""
 DRAWN = (
@@ -68,14 +69,13 @@ def test_every_state_of_a_report_can_be_read_on_every_ground(theme: Mapping[str,
 def test_every_theme_has_every_colour_and_every_colour_that_is_used_has_a_name() -> None:
     names = set(THEMES["dark"])
     assert all(set(colours) == names for colours in THEMES.values())
-    text = "".join(path.read_text("utf-8") for path in DESK.rglob("*.py"))
+    text = "".join(path.read_text("utf-8") for path in (*DESK.rglob("*.py"), *DESK.rglob("static/*")))
     sizes = set(re.findall(r"--(head|room|aspect|small):", text))
     assert set(re.findall(r"var\(--([\w-]+)\)", text)) - {"name"} <= names | sizes
 
 
 def test_panels_and_bars_have_no_colours_of_their_own() -> None:
-    bars = [DESK / f"{name}.py" for name in ("safety_bar", "alarm_bar", "watchdog")]
-    for path in (*(DESK / "panels").glob("*.py"), *bars):
+    for path in (*(DESK / "panels").glob("*.py"), DESK / "alarm_bar.py", *(DESK / "static").iterdir()):
         found = re.findall(r"(?:: |solid )(#[0-9a-fA-F]{3,6})\b", path.read_text("utf-8"))
         assert found == [], path.name
-    assert "#0e1113" in style.STYLE
+    assert "#0e1113" in theme.named_colours()

@@ -1,22 +1,4 @@
-"""What the buttons of a chart do in the page, and how a number is written with its unit."""
-
-
-def chart_buttons(number: int, title: str) -> str:
-    """The buttons of the chart with this number of its element."""
-    said = (
-        ("in", "+", f"zoom into {title}"),
-        ("out", "−", f"zoom out of {title}"),
-        ("all", "All", f"All of {title}"),
-        ("png", "PNG", f"PNG of {title}"),
-        ("csv", "CSV", f"CSV of {title}"),
-    )
-    return " ".join(
-        f'<button type="button" data-chart="{number}" data-do="{do}" aria-label="{words}">{sign}</button>'
-        for do, sign, words in said
-    )
-
-
-SCRIPT = r"""
+// What the buttons of a chart do, and how a number is written with its unit.
 window.rigNumber = (value, unit) => {
   if (Array.isArray(value)) value = value[value.length - 1];
   if (value == null || !isFinite(value)) return '–';
@@ -82,5 +64,3 @@ window.rigNumber = (value, unit) => {
       start: Math.max(0, middle - half), end: Math.min(100, middle + half)});
   });
 })();
-"""
-"""What the buttons of a chart do, and how a number is written with its unit."""

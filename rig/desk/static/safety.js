@@ -1,95 +1,36 @@
-"""The safety bar at the foot of every page: lamps with their ages, LIGHT OFF, silence.
-
-It is drawn by the page itself, over dialogs too, so that a desk which says nothing any more is seen: what is
-older than two seconds is unknown, never the last value.
-"""
-
-from rig.control import STALE_S
-from rig.desk.tab import PRESSES
-from rig.presentation import palette
-
-DARK = "/dark"
-"""Where LIGHT OFF is sent to, at both servers."""
-
-BAR = """
-<div id="safety" role="region" aria-label="safety">
-  <button id="light-off" type="button" aria-label="light off, key F9">LIGHT OFF</button>
-  <span class="lamp" id="lamp-laser" role="status" aria-live="polite"></span>
-  <span class="lamp" id="lamp-interlock" role="status" aria-live="polite"></span>
-  <span class="lamp" id="lamp-recording"></span>
-  <span class="lamp" id="lamp-age"></span>
-  <span id="off-said" role="status" aria-live="assertive"></span>
-  <button id="silence" type="button" hidden>Silence</button>
-</div>
-"""
-
-STYLE = f"""
-#safety {{ position: fixed; left: 0; right: 0; bottom: 0; z-index: 20000; display: flex; flex-wrap: wrap;
-  gap: 4px 14px; align-items: center; padding: 5px 10px; background: var(--bar); color: var(--bar-ink);
-  border-top: 2px solid var(--bar-ink); font-size: 16px; }}
-#safety button {{ font: inherit; font-weight: 700; padding: 8px 18px; border: 2px solid var(--bar-ink);
-  border-radius: 4px; background: var(--bar-button); color: var(--bar-ink); cursor: pointer; }}
-#safety #light-off {{ background: var(--off); color: var(--off-ink); font-size: 20px; }}
-/* it is tried also then */
-#safety #light-off.gone {{ background: var(--bar); color: var(--bar-ink); border-style: dashed;
-  font-size: 16px; }}
-#safety #silence {{ margin-left: auto; }}
-/* a lamp has the colour, its words do not */
-#safety .lamp {{ color: var(--bar-ink); font-weight: 400; }}
-#safety .lamp::before {{ content: ''; display: inline-block; width: 14px; height: 14px; border-radius: 7px;
-  margin-right: 6px; background: var(--edge); }}
-#safety .go::before {{ background: {palette.BLUISH_GREEN}; }}
-#safety .caution::before {{ background: {palette.YELLOW}; }}
-#safety .no::before {{ background: {palette.VERMILLION}; }}
-#safety .unknown {{ color: var(--bar-dim); font-style: italic; }}
-#safety .unknown::before {{ background: transparent; border: 2px dashed var(--bar-dim);
-  box-sizing: border-box; }}
-.nicegui-content {{ padding-bottom: 64px; }}
-.q-notifications__list--bottom {{ bottom: 64px !important; }}
-@media (max-width: 600px) {{ .nicegui-content {{ padding-bottom: 120px; }}
-  #safety {{ font-size: 14px; gap: 3px 10px; }} #safety #light-off {{ width: 100%; }}
-  .q-notifications__list--bottom {{ bottom: 120px !important; }} }}
-"""
-
-
-def script(off_port: int) -> str:
-    """What the bar does; `off_port` is that of the server beside the event loop."""
-    of_page = {"OFF_PORT": str(off_port), "STALE_S": f"{STALE_S:g}", "DARK": DARK, "PRESSES": PRESSES}
-    told = _SCRIPT
-    for name, value in of_page.items():
-        told = told.replace(name, value)
-    return told
-
-
-_SCRIPT = """
+// The safety bar: lamps that grow older by themselves, LIGHT OFF, the sound of an alarm.
 (() => {
   let told = {}, heard = null, silenced = '', cry = '', own = null, beep = null, answer = '',
     answeredAt = 0;
   const ANSWER_MS = 60000;
   const at = id => document.getElementById(id);
+  const ago = s => (s < 60 ? s.toFixed(0) + ' s' : s < 3600 ? (s / 60).toFixed(0) + ' min' :
+    (s / 3600).toFixed(0) + ' h') + ' ago';
   function draw() {
     if (!at('safety')) return;
     const since = heard === null ? Infinity : (performance.now() - heard) / 1000;
     let oldest = since;
     for (const name of ['laser', 'interlock', 'recording']) {
       const lamp = told[name], old = !lamp || lamp.age_s === null ? Infinity : lamp.age_s + since;
-      const known = old <= STALE_S && lamp.kind !== 'unknown', shown = at('lamp-' + name);
-      const text = (name === 'recording' ? 'recording ' : name + ' ') + (known ? lamp.text : 'unknown');
+      const known = old <= rigDesk.staleS && lamp.kind !== 'unknown', shown = at('lamp-' + name);
+      // what is too old is no state: what was confirmed last is a fact, with its age
+      const age = lamp && lamp.last_age_s != null ? ', ' + ago(lamp.last_age_s + since) : '';
+      const last = lamp && lamp.last ? lamp.last + age : 'unknown';
+      const text = name + ' ' + (known ? lamp.text : last) + (lamp && lamp.more ? '; ' + lamp.more : '');
       if (shown.textContent !== text) shown.textContent = text;
       shown.className = 'lamp ' + (known ? lamp.kind : 'unknown');
       if (name !== 'recording' && lamp && lamp.age_s !== null) oldest = Math.max(oldest, old);
     }
-    const dead = since > STALE_S;
-    // just opened it has not been answered yet
-    const gone = dead && (heard !== null || performance.now() / 1000 > STALE_S), off = at('light-off');
+    // slow is not gone: LIGHT OFF has a port of its own
+    const gone = document.documentElement.classList.contains('dead'), off = at('light-off');
     const named = gone ? 'LIGHT OFF (no connection: key switch)' : 'LIGHT OFF';
     if (off.textContent !== named) off.textContent = named;
     off.classList.toggle('gone', gone);
-    at('lamp-age').textContent = dead ? 'the desk does not answer' + (heard === null ? '' :
+    at('lamp-age').textContent = gone ? 'not connected' + (heard === null ? '' :
       ' for ' + since.toFixed(0) + ' s') : told.laser && told.laser.age_s !== null ?
-      oldest.toFixed(1) + ' s old' : 'no news of the laser';
+      oldest.toFixed(1) + ' s old' : told.laser && told.laser.last ? '' : 'no news of the laser yet';
     const heardOf = told.laser && told.laser.age_s !== null;
-    const late = dead || (heardOf && oldest > STALE_S);
+    const late = gone || (heardOf && oldest > rigDesk.staleS);
     at('lamp-age').className = 'lamp ' + (late ? 'unknown' : heardOf ? 'go' : 'dim');
     at('silence').hidden = !loud() || silenced === loud();
     // what was answered long ago says nothing of now
@@ -113,10 +54,10 @@ _SCRIPT = """
     const pressed = new Date().toLocaleTimeString('en-GB');
     answer = 'LIGHT OFF is sent'; answeredAt = performance.now(); draw();
     const press = '?' + Math.random().toString(36).slice(2) + Date.now();
-    const other = location.protocol + '//' + location.hostname + ':OFF_PORTDARK' + press;
+    const other = location.protocol + '//' + location.hostname + ':' + rigDesk.offPort + rigDesk.dark + press;
     const ask = address => fetch(address, {method: 'POST', credentials: 'include', keepalive: true})
       .then(got => got.ok ? got.text() : Promise.reject(new Error(got.status)));
-    Promise.any([ask(other), ask('DARK' + press)]).then(
+    Promise.any([ask(other), ask(rigDesk.dark + press)]).then(
       said => { answer = 'LIGHT OFF was taken at ' + pressed + (said ? ', BUT ' + said : ''); },
       () => { answer = 'LIGHT OFF DID NOT REACH THE DESK: turn the key switch'; }).then(draw);
   };
@@ -147,7 +88,7 @@ _SCRIPT = """
   // what lights, or allows light, takes a pointer, or a key that is held on the button: nothing that is typed
   const HOLD_MS = 1000;
   let holding = null;
-  window.PRESSES = {};
+  window.rigPresses = {};
   const deliberate = target => target && target.closest && target.closest('[data-deliberate]');
   const release = () => { if (holding) { clearTimeout(holding); holding = null; } };
   for (const name of ['click', 'keydown', 'keyup'])
@@ -156,7 +97,7 @@ _SCRIPT = """
       if (!button) return;
       if (name === 'click') {
         if (event.detail > 0 || button.rigHeld) {
-          window.PRESSES[button.id] = performance.now();
+          window.rigPresses[button.id] = performance.now();
           return;
         }
       } else if (event.key !== 'Enter' && event.key !== ' ') {
@@ -177,4 +118,3 @@ _SCRIPT = """
   window.addEventListener('blur', release);
   window.addEventListener('focusout', release, true);
 })();
-"""

@@ -1,0 +1,9 @@
+// Small helps of the page.
+window.rigShow = name => document.querySelector(`[data-panel="${name}"]:not(.q-tab--active)`)?.click();
+// the frame of a picture has its name; the picture in it has none of its own
+new MutationObserver(() => {
+  document.querySelectorAll('.picture img:not([alt])').forEach(one => { one.alt = ''; });
+  // a wide table scrolls, with the keys, too
+  document.querySelectorAll('.q-table__middle:not([tabindex])').forEach(one => { one.tabIndex = 0; });
+})
+  .observe(document.documentElement, {childList: true, subtree: true});

@@ -1,0 +1,32 @@
+"""What the list of sessions shows of the last run of each."""
+
+import json
+import shutil
+from pathlib import Path
+
+from rig.desk.sessions import LastRun, last_run
+
+SERIES = Path(__file__).resolve().parents[1] / "data" / "samples" / "series"
+
+
+def test_the_last_run_has_its_numbers_with_their_whole_uncertainty_and_its_decay() -> None:
+    found = last_run(SERIES)
+    assert len(found.decay) == 12
+    assert (found.sigma, found.b, found.c) == ("256 ± 27", "0.0298 ± 0.0027", "(9.3 ± 1.0) × 10⁻⁸")
+    assert found.balance == ""
+
+
+def test_balance_is_judged_by_its_conditions_and_what_is_not_determined_is_no_number(tmp_path: Path) -> None:
+    folder = shutil.copytree(SERIES, tmp_path / "series")
+    results = json.loads((folder / "results.json").read_text("utf-8"))
+    run = results["runs"][-1]
+    for ok, lamp in ((True, "go"), (False, "no")):
+        run["conditions"].append({"name": "plane of swing", "ok": ok})
+        run["table"][0]["verdict"] = "not determined"
+        (folder / "results.json").write_text(json.dumps(results), "utf-8")
+        found = last_run(folder)
+        assert (found.balance, found.b) == (lamp, "not determined")
+
+
+def test_a_session_without_results_has_nothing_to_show(tmp_path: Path) -> None:
+    assert last_run(tmp_path) == LastRun()
