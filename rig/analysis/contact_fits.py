@@ -251,7 +251,7 @@ def fit_decay(
         raise DataError(
             "no [pendulum] in the configuration: state mass_kg and ball_radius_m to fit the contact"
         )
-    loss = loss_of(settings)
+    loss, printed_curvature = loss_of(settings), settings.printed_055
     if exact is None:
         exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
     exact, points = _of_one_moment(points, pendulum, exact)
@@ -261,7 +261,7 @@ def fit_decay(
         pendulum,
         drag=exact.has_drag,
         loss=loss,
-        printed_curvature=settings.printed_055,
+        printed_curvature=printed_curvature,
         exact=exact,
     )
 

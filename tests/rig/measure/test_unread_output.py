@@ -98,4 +98,5 @@ def test_an_unread_terminal_does_not_hold_a_preflight_up(
     # on a busy machine frames may be lost
     assert done.returncode in (0, 1), done.stderr
     kinds = [json.loads(line)["kind"] for line in done.stdout.splitlines()]
-    assert kinds == ["state", "preflight"]
+    assert set(kinds[:-1]) == {"state"}
+    assert kinds[-1] == "preflight"
