@@ -11,10 +11,9 @@ FILE = ROOT / "docs" / "validation.md"
 _HEAD = """# Validation
 
 How far the numbers of this program can be trusted. Each row is a claim, tested by means that share nothing
-with the code: certified values, a definition of a standard, published data, another program, or a simulation
-that has no formula in common with the analysis. **Bold** falls short of its limit. For a share of cases the
-limit is three binomial standard deviations about 68 %, if nothing else is said. `docs/validation.json` keeps
-the numbers.
+with the code: certified values, a standard, published data, another program, or a simulation without a
+formula of the analysis. **Bold** falls short of its limit. A share of cases has as its limit three binomial
+standard deviations about 68 %, if nothing else is said. `docs/validation.json` keeps the numbers.
 
     make validation                         # rows that this commit has no number of; about two hours
     make validation ARGS="--quick"          # rows that take seconds
@@ -78,20 +77,16 @@ def _line(row: Row, found: Kept | None) -> str:
         before = f"; earlier, by [benchmarks](benchmarks.md): {known_number(row.known)}" if row.known else ""
         return f"| `{row.name}` | {row.claim} | {row.means} | not run on this commit{before} | {limit} | |"
     detail = f"; {found.detail}" if found.detail else ""
-    when = f"{found.date}, {found.commit}, {_cpu(found.cpu_s)}"
+    when = f"{found.date}, {found.commit}"
     return f"| `{row.name}` | {row.claim} | {row.means} | {shown(row, found)}{detail} | {limit} | {when} |"
-
-
-def _cpu(cpu_s: float) -> str:
-    return f"{cpu_s:.0f} s" if cpu_s < 100 else f"{cpu_s / 60:.0f} min"
 
 
 def _machines(rows: Sequence[Row], kept: Mapping[str, Kept]) -> str:
     """What the last column says, and where it was measured."""
     machines = sorted({kept[row.name].machine for row in rows if row.name in kept})
     return (
-        "Measured: date, last commit that touched the program (+ where something was not committed), "
-        f"processor time; on {'; '.join(machines)}."
+        "Measured: date, last commit that touched the program (+ where something was not committed); "
+        f"on {'; '.join(machines)}."
     )
 
 
