@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import dst
 
 from processing.arrays import Floats
 from processing.estimate import Estimate
@@ -49,6 +48,8 @@ def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
     For fits over whole periods T of a random walk with variance S a period, neighbouring differences have the
     covariance ``2 S/3 + 2 r, S/6 - r, 0, ...``, r the variance of the reading. Sines diagonalise it.
     """
+    from scipy.fft import dst
+
     rest = swing_at_rest(time_s, deflection)
     period_s, periods = rest.period_s, rest.periods
     turning, expected = quadratures_of(rest, rest.deflection[:, None])

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaincinv
 
 from processing.arrays import Flags, Floats
 from processing.errors import DataError
@@ -80,6 +79,8 @@ def witness_at_rest(time_s: Floats, deflection: Floats, witness: Witness) -> Wit
     DataError
         The pendulum or the witness was seen for too short a time; or the witness does not change at all.
     """
+    from scipy.special import betaincinv
+
     rest = swing_at_rest(time_s, deflection)
     signals = plain_signals(witness, rest.period_s)
     if not np.all(np.ptp(signals.value, axis=0) > 0):

@@ -61,9 +61,8 @@ class ExpectedDrag:
 
 def expected_drag_s(air: Air, bar: Bar, pendulum: PendulumOnBall, period_s: float) -> float:
     """The coefficient of `ContactParameters.drag_s` that air gives a bar."""
-    from scipy.special import (
-        kve,
-    )  # scaled by an exponential, which cancels; here, because it would slow down every command
+    # scaled by an exponential, which cancels; here, because it would slow down every command
+    from scipy.special import kve
 
     omega, radius = 2 * pi / period_s, 0.5 * bar.width_m
     root = np.sqrt(1j * air.density_kg_per_m3 * omega * radius**2 / air.viscosity_pa_s)

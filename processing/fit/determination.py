@@ -12,7 +12,6 @@ from math import nan
 from typing import Annotated
 
 import numpy as np
-from scipy.special import stdtrit
 
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
@@ -162,6 +161,8 @@ def profile_likelihood(
     A refit that has not converged shows that chi2 rises by no more than it says: it may be passed, but sets
     no limit. The search goes nearer then, and soon ends without one.
     """
+    from scipy.special import stdtrit
+
     if result.method is not FitMethod.EXACT:
         raise DataError("a profile likelihood belongs to an exact fit")
     model, best = ExactModel.of(points, pendulum, result)

@@ -10,7 +10,6 @@ from math import gamma, inf, isnan, nan, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import fdtrc, stdtrit
 
 from processing.contact import STEEPER_DRAG, ExpectedDrag, PendulumOnBall
 from processing.contact.laws import DRAG
@@ -146,6 +145,8 @@ def _test(
     Friction and drag can cancel each other along a curved valley, where the curvature at its bottom says
     little of its length. There the bound is the profile likelihood's.
     """
+    from scipy.special import fdtrc, stdtrit
+
     value, u = alone.estimate(DRAG.key)
     scale = max(1.0, alone.chi2_per_dof) if alone.loss == "linear" else 1.0
     if alone.widened is not None:
@@ -193,6 +194,8 @@ def steeper_drag(at: Linearised) -> SteeperDrag:
 
     Raises DataError where the law predicts no waveform.
     """
+    from scipy.special import fdtrc
+
     fit = at.fit
     period0_s, period_s = fit.estimate("period0_s").value, fit.mean_period_s.value
     rate = 2 * pi / period0_s

@@ -8,7 +8,6 @@ from dataclasses import replace
 from math import nan
 
 import numpy as np
-from scipy.special import chdtrc
 
 from processing.arrays import Floats
 from processing.contact.laws import AMPLITUDE, DRAG, TIME
@@ -184,6 +183,8 @@ def whiteness(residuals: Floats) -> Whiteness:
 
 
 def _ljung_box(z: Floats, lags: int) -> tuple[float, float]:
+    from scipy.special import chdtrc
+
     count = len(z)
     z = np.clip(z, -5.0, 5.0)  # an outlier is listed as such; it must not hide or feign a correlation
     power = float(z @ z)

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from math import inf, isfinite, log, log1p, pi, sqrt
 
 import numpy as np
-from scipy.special import gammaincc
 
 from processing.arrays import Complexes
 from processing.contact import AMPLITUDE, DRAG, TIME, PendulumOnBall, law_harmonics, weight_moment
@@ -217,6 +216,8 @@ def waveform_chances(
     classes: Sequence[HarmonicClass], predicted: Mapping[str, Sequence[Complexes]]
 ) -> dict[str, float]:
     """For each law the chance of a third harmonic at least so far from its prediction."""
+    from scipy.special import gammaincc
+
     chances = {}
     for name, laws in predicted.items():
         chi2 = 0.0

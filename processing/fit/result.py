@@ -7,7 +7,6 @@ from math import nan
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from processing.arrays import Floats
 from processing.contact import ContactParameters
@@ -345,6 +344,8 @@ class FitResult(FitQuality):
         (b and gamma, whose units contain the exponents p and n). For poorly determined parameters
         `identifiability` uses the profile likelihood.
         """
+        from scipy.special import stdtrit
+
         value, u = self.estimate(name)
         k = float(stdtrit(self.dof, 0.5 * (1 + coverage)))
         if self.law.parameter(name).logarithmic and value > 0:

@@ -6,7 +6,6 @@ from math import hypot, inf, isfinite, nan, sqrt
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy.special import stdtrit
 
 from processing.arrays import Floats
 from processing.contact.laws import DRAG
@@ -59,6 +58,8 @@ class Budget:
     @property
     def coverage_factor_95(self) -> float:
         """Student's t of the degrees of freedom; a file has none of what has infinitely many."""
+        from scipy.special import stdtrit
+
         return float(stdtrit(self.degrees_of_freedom if self.degrees_of_freedom < 1e9 else 1e9, 0.975))
 
     @property

@@ -13,7 +13,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc
 
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
@@ -199,6 +198,8 @@ def air_of_vanes(
     DataError
         Fewer than two exposures, a fit that is not exact, has no drag or a prior of it, or no convergence.
     """
+    from scipy.special import chdtrc
+
     _check(runs, by_ratio)
     models = [_of(run, pendulum) for run in runs]
     shared = _Shared(models, by_ratio)

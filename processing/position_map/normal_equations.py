@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from processing.arrays import Floats
 from processing.position_map.position_map import Splines
@@ -87,6 +86,8 @@ class Accumulator:
 
     def add(self, cycle: CycleResiduals) -> Floats:
         """Add one cycle and return its score."""
+        from scipy.sparse import csr_array
+
         self.cycles += 1
         root = np.sqrt(cycle.weight)
         own = cycle.own * root[:, None]

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import toeplitz
 
 from processing.arrays import Floats
 from processing.position_map.normal_equations import Accumulator, NormalEquations, all_of
@@ -141,6 +140,8 @@ class PositionMapSearch:
 
     def _prior(self, length: float) -> Floats:
         """Correlation of the coefficients for a correlation length, which is a fraction of the stretch."""
+        from scipy.linalg import toeplitz
+
         step = np.arange(_SPLINES) / ((_SPLINES - 3) * length)
         return np.asarray(toeplitz(np.exp(-0.5 * step**2)), dtype=np.float64)
 

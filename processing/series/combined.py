@@ -7,7 +7,6 @@ from math import hypot, isfinite, nan, sqrt
 from typing import Annotated
 
 import numpy as np
-from scipy.special import chdtrc, stdtr, stdtrit
 
 from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
@@ -66,6 +65,8 @@ class Combined:
     @property
     def expanded_uncertainty_95(self) -> float:
         """Half-width of the 95 % interval: Student's t of what scatters, the normal's of what is shared."""
+        from scipy.special import stdtrit
+
         return hypot(float(stdtrit(self.degrees_of_freedom, 0.975)) * self.own, _NORMAL_95 * self.by_air)
 
 
@@ -103,6 +104,8 @@ def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -
     DataError
         Fewer than two runs, or a run whose uncertainty is not positive and finite.
     """
+    from scipy.special import chdtrc
+
     if len(runs) < 2:
         raise DataError(f"{len(runs)} run: a series needs at least 2 to show its scatter")
     x, whole = np.array([tuple(run) for run in runs], dtype=np.float64).T
@@ -199,6 +202,8 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
     with its few degrees of freedom, unless it agrees with their own uncertainties, which are then used
     instead.
     """
+    from scipy.special import stdtr
+
     found, count = [], len(results)
     limit = _DISAGREES / (count * len(names))
     for name in names:
@@ -299,6 +304,8 @@ def compare_series(series: Mapping[str, Mapping[str, Combined]]) -> tuple[Compar
     equally. What is known of the air counts as far as it shifts them differently. A single run scatters as
     those of the other series do.
     """
+    from scipy.special import stdtr
+
     rows = []
     for (first, of_first), (second, of_second) in combinations(series.items(), 2):
         for name in of_first:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp
 
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
@@ -90,11 +89,15 @@ def log_kinds(design: Design, w: Floats, found: Spread) -> Floats:
 
 def chances(kinds: Floats) -> Floats:
     """Probabilities (M, R, S, K) of sub-likelihoods and kinds of every run."""
+    from scipy.special import logsumexp
+
     return np.asarray(np.exp(kinds - logsumexp(kinds, axis=(2, 3), keepdims=True)))
 
 
 def _log_of_bounds(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
     """Log likelihood of the censored values (M, B), and its first two derivatives by what is censored."""
+    from scipy.special import log_ndtr
+
     bounds = design.bounds
     width2 = bounds.softness**2 + between_runs(design, h)[:, bounds.coordinate]
     width = np.sqrt(width2)
@@ -106,6 +109,8 @@ def _log_of_bounds(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats
 
 def log_density(design: Design, h: Floats, w: Floats, found: Spread | None = None) -> Floats:
     """Log of prior times likelihood (M,)."""
+    from scipy.special import logsumexp
+
     known = spread(design, h, w) if found is None else found
     of_runs = logsumexp(log_kinds(design, w, known), axis=(2, 3)).sum(axis=1)
     return np.asarray(_log_prior(design, h, w) + of_runs + _log_of_bounds(design, h, w)[0].sum(axis=1))
@@ -250,6 +255,8 @@ def compare_forms(
     Half of the probability beforehand is that of nothing, the candidates share the other half: among many a
     chance resemblance is charged for.
     """
+    from scipy.special import logsumexp
+
     base = likeliest(design_of(runs, model))
     gains = np.array(
         [
@@ -265,6 +272,8 @@ def compare_forms(
 def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: str) -> ChangePoint:
     """Where, if anywhere, a parameter became another one; runs are in their order. Raises DataError for fewer
     than four runs."""
+    from scipy.special import logsumexp
+
     if len(runs) < 2 * _FEWEST:
         raise DataError(f"{len(runs)} runs: a change needs {_FEWEST} on either side")
     places = range(_FEWEST, len(runs) - _FEWEST + 1)

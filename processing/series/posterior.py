@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
 
 from processing.arrays import Floats
 from processing.errors import ConfigurationError
@@ -211,6 +210,8 @@ def fit_series(
 
 
 def _weights(log_ratio: Floats) -> Floats:
+    from scipy.special import logsumexp
+
     return np.asarray(np.exp(log_ratio - logsumexp(log_ratio)))
 
 
@@ -242,6 +243,8 @@ def _weighted(
 
 def _students(rng: np.random.Generator, shape: tuple[int, int], tails: float) -> tuple[Floats, Floats]:
     """Draws of Student's t in several dimensions, and their log density."""
+    from scipy.special import gammaln
+
     draws, size = shape
     if not size:
         return np.zeros(shape), np.zeros(draws)

@@ -11,7 +11,6 @@ from math import inf, log
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
 from processing.arrays import Floats
 from processing.errors import DataError
@@ -195,6 +194,8 @@ class Effect:
 
         An uncertain value lies on the far side of a step with a probability: the form is its mean there.
         """
+        from scipy.special import ndtr
+
         value = self.value(x)
         if self.form is not Form.STEP:
             return value, np.abs(self.slope(x)) * u

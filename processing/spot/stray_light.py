@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from processing.arrays import Floats
 from processing.spot.spot import Image, Spot, SpotFlag
@@ -51,6 +50,8 @@ class FixedLight:
 
 def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     """What stays in pictures of a spot that moves; None where nothing does, or nothing that matters."""
+    from scipy.ndimage import gaussian_filter
+
     pairs = [(image, spot) for image, spot in pictures if not spot.flags & SpotFlag.LOST]
     if len(pairs) < 2 * _FEWEST:
         return None

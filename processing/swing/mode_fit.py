@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from processing.arrays import Floats, Vector
+from processing.arrays import Floats, Ints, Vector
 from processing.kernel import kernel
 
 
@@ -26,6 +26,14 @@ def line(rate: float, time_s: Vector, value: Vector, weight: Vector) -> tuple[fl
         ss += weight[i] * s * s
         c_value += weight[i] * c * value[i]
         s_value += weight[i] * s * value[i]
+    return _line_of_sums(cc, cs, ss, c_value, s_value)
+
+
+@kernel
+def _line_of_sums(
+    cc: float, cs: float, ss: float, c_value: float, s_value: float
+) -> tuple[float, float, float]:
+    """`line`, of the weighted sums of products of cosine, sine and value."""
     determinant = cc * ss - cs * cs
     if not determinant > 1e-6 * cc * ss:
         return 0.0, 0.0, 0.0
@@ -52,9 +60,15 @@ _FAST_TERMS = (
     Y + FAST_COSINE,
     Y + FAST_SINE,
 )
+_COLUMNS = Y
+"""Terms of one coordinate: those that both share, and its own."""
+
 EVERY = list(range(TERMS))
 SLOW_ONLY = [k for k in EVERY if k not in _FAST_TERMS]
+_DIAGONAL = np.diag_indices(TERMS)
 _STEPS = 8
+_DETERMINED = 1e-8
+"""Part of a term's information, beside all terms before it, that rounding leaves as exact as is needed."""
 _NOISE_LIKE = 4.0
 """Chi-square per sample: residuals of twice the stated noise may still be noise that was stated too small."""
 _FALSE = 1e-7
@@ -117,11 +131,12 @@ def slow_fit(samples: ModeSamples, slow_period_s: float) -> ModeFit | None:
     if math.isnan(slow_period_s):
         spacing = 0.5 * math.pi / samples.span_s
         highest = min(0.8 * math.pi * len(samples.t) / samples.span_s, 400.0 * spacing)
-        rates = np.arange(1.6 * math.pi / samples.span_s, highest, spacing)
-        if len(rates) == 0:
+        lowest = 1.6 * math.pi / samples.span_s
+        count = math.ceil((highest - lowest) / spacing)
+        if count < 1:
             return None
         centred = samples._replace(x=samples.x - samples.x.mean(), y=samples.y - samples.y.mean())
-        rate = _strongest(*centred, rates)[0]
+        rate = _strongest(*centred, lowest, spacing, count)[0]
     else:
         rate = 2.0 * math.pi / slow_period_s
     start = np.zeros(TERMS)
@@ -138,15 +153,16 @@ def with_fast_mode(slow: ModeFit, samples: ModeSamples) -> tuple[ModeFit, float]
     """
     slow_rate = float(slow.p[SLOW_RATE])
     top = min(_FASTEST * slow_rate, 0.8 * math.pi * len(samples.t) / samples.span_s)
-    rates = np.arange(_SLOWEST_FAST * slow_rate, top, math.pi / samples.span_s)
-    if len(rates) == 0:
+    lowest, spacing = _SLOWEST_FAST * slow_rate, math.pi / samples.span_s
+    count = math.ceil((top - lowest) / spacing)
+    if count < 1:
         return slow, math.nan
     left = samples._replace(x=slow.left_x, y=slow.left_y)
-    rate, limit = _strongest(*left, rates)
+    rate, limit = _strongest(*left, lowest, spacing, count)
     start = slow.p.copy()
     start[FAST_RATE] = rate
     fit = fit_terms(start, EVERY, samples, slow_rate)
-    if fast_mode_seen(fit, len(rates)) and fit.p[FAST_RATE] > 1.5 * fit.p[SLOW_RATE]:
+    if fast_mode_seen(fit, count) and fit.p[FAST_RATE] > 1.5 * fit.p[SLOW_RATE]:
         return fit, 0.0
     return slow, limit
 
@@ -181,19 +197,16 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
     limit = 0.5 * math.pi / samples.span_s
     for step in range(_STEPS):
         information, score, _, _, _ = _equations(p, *samples)
-        information[np.diag_indices(TERMS)] += ridge
+        information[_DIAGONAL] += ridge
         score -= ridge * p
-        part = information[np.ix_(places, places)]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
-        small = np.linalg.pinv(part * np.outer(scale, scale), rcond=1e-12, hermitian=True)
-        change = np.zeros(TERMS)
-        change[places] = scale * (small @ (scale * score[places]))
+        change, covariance, determined = _step(information, score, places)
+        if not determined:
+            change, covariance = _step_in_what_is_determined(information, score, places)
         for place in (SLOW_RATE, FAST_RATE):
             change[place] = min(max(change[place], -limit), limit)
-        p = p + change
+        p += change
         for place in (SLOW_DAMPING, FAST_DAMPING, TURNING, WIDENING):
             p[place] = min(max(p[place], -6.0 * limit), 6.0 * limit)
-        covariance[np.ix_(places, places)] = small * np.outer(scale, scale)
         # The error left by a step of the rates is proportional to its square. The first steps find the
         # amplitudes only, so that convergence is not judged by them.
         u_slow, u_fast = (
@@ -206,6 +219,57 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
     return ModeFit(p, covariance, active, chi2, left_x, left_y)
 
 
+def _step_in_what_is_determined(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Floats]:
+    """`_step` by eigenvectors, without those combinations of terms that the samples do not determine."""
+    part = information[np.ix_(places, places)]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
+    small = np.linalg.pinv(part * np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    change, covariance = np.zeros(TERMS), np.zeros((TERMS, TERMS))
+    change[places] = scale * (small @ (scale * score[places]))
+    covariance[np.ix_(places, places)] = small * np.outer(scale, scale)
+    return change, covariance
+
+
+@kernel
+def _step(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Floats, bool]:
+    """Change of the terms at `places`, their covariance, and whether the samples determine all of them well.
+
+    Terms without any information stay as they are. It is a Cholesky decomposition of the information in units
+    of each term's own.
+    """
+    change, covariance = np.zeros(TERMS), np.zeros((TERMS, TERMS))
+    known = places[np.array([information[place, place] > 0.0 for place in places])]
+    count = len(known)
+    scale = np.array([1.0 / math.sqrt(information[place, place]) for place in known])
+    # the inverse of the lower triangle is built up beside it, row by row
+    lower, inverse = np.zeros((count, count)), np.zeros((count, count))
+    for j in range(count):
+        for k in range(j + 1):
+            value = information[known[j], known[k]] * scale[j] * scale[k]
+            for m in range(k):
+                value -= lower[j, m] * lower[k, m]
+            if k < j:
+                lower[j, k] = value / lower[k, k]
+            elif value > _DETERMINED:
+                lower[j, j] = math.sqrt(value)
+            else:
+                return change, covariance, False
+        for m in range(j):
+            for k in range(m + 1):
+                inverse[j, k] -= lower[j, m] * inverse[m, k]
+        for k in range(j):
+            inverse[j, k] /= lower[j, j]
+        inverse[j, j] = 1.0 / lower[j, j]
+    for m in range(count):
+        for j in range(m + 1):
+            for k in range(m + 1):
+                covariance[known[j], known[k]] += inverse[m, j] * inverse[m, k] * scale[j] * scale[k]
+    for j in known:
+        for k in known:
+            change[j] += covariance[j, k] * score[k]
+    return change, covariance, True
+
+
 @kernel
 def _equations(
     p: Floats, t: Floats, x: Floats, y: Floats, weights_x: Floats, weights_y: Floats
@@ -214,10 +278,11 @@ def _equations(
 
     The coupling k mixes the slow parts of the coordinates: x has X + k t Y, y has Y - k t X (see `modes`).
     """
-    terms, common, columns = len(p), X, 12
-    information, score = np.zeros((terms, terms)), np.zeros(terms)
+    information, score = np.zeros((TERMS, TERMS)), np.zeros(TERMS)
+    # each coordinate's own, in which its terms are side by side: the innermost loop takes several at once
+    sums, scores = np.zeros((2, _COLUMNS, _COLUMNS)), np.zeros((2, _COLUMNS))
     left_x, left_y = np.empty(len(t)), np.empty(len(t))
-    row, places = np.empty(columns), np.empty(columns, dtype=np.int64)
+    row = np.empty(_COLUMNS)
     chi2 = 0.0
     for i in range(len(t)):
         s = t[i]
@@ -225,9 +290,9 @@ def _equations(
         slow_c, slow_s = slow * math.cos(p[SLOW_RATE] * s), slow * math.sin(p[SLOW_RATE] * s)
         fast_c, fast_s = fast * math.cos(p[FAST_RATE] * s), fast * math.sin(p[FAST_RATE] * s)
         # derivatives by a coordinate's own linear terms, in their order
-        row[common + REST], row[common + DRIFT] = 1.0, s
-        row[common + SLOW_COSINE], row[common + SLOW_SINE] = slow_c, slow_s
-        row[common + FAST_COSINE], row[common + FAST_SINE] = fast_c, fast_s
+        row[X + REST], row[X + DRIFT] = 1.0, s
+        row[X + SLOW_COSINE], row[X + SLOW_SINE] = slow_c, slow_s
+        row[X + FAST_COSINE], row[X + FAST_SINE] = fast_c, fast_s
         for coordinate in range(2):
             first = X if coordinate == 0 else Y
             other = Y if coordinate == 0 else X
@@ -249,8 +314,6 @@ def _equations(
             row[FAST_DAMPING] = -s * fast_part
             row[TURNING] = way * turned
             row[WIDENING] = way * widened
-            for k in range(columns):
-                places[k] = k if k < common else first + k - common
             model = p[first + REST] + p[first + DRIFT] * s + slow_part + fast_part
             if coordinate == 0:
                 left, weight = x[i] - model, weights_x[i]
@@ -259,31 +322,60 @@ def _equations(
                 left, weight = y[i] - model, weights_y[i]
                 left_y[i] = left
             chi2 += weight * left * left
-            for j in range(columns):
+            for j in range(_COLUMNS):
                 weighted = weight * row[j]
-                score[places[j]] += weighted * left
-                for k in range(j + 1):
-                    information[places[j], places[k]] += weighted * row[k]
-    for j in range(terms):
-        for k in range(j):
-            information[k, j] = information[j, k]
+                scores[coordinate, j] += weighted * left
+                for k in range(_COLUMNS):
+                    sums[coordinate, j, k] += weighted * row[k]
+    for coordinate in range(2):
+        shift = 0 if coordinate == 0 else Y - X
+        for j in range(_COLUMNS):
+            at = j if j < X else j + shift
+            score[at] += scores[coordinate, j]
+            for k in range(_COLUMNS):
+                information[at, k if k < X else k + shift] += sums[coordinate, j, k]
     return information, score, chi2, left_x, left_y
 
 
 @kernel
 def _strongest(
-    t: Floats, x: Floats, y: Floats, weights_x: Floats, weights_y: Floats, rates: Floats
+    t: Floats,
+    x: Floats,
+    y: Floats,
+    weights_x: Floats,
+    weights_y: Floats,
+    first: float,
+    spacing: float,
+    count: int,
 ) -> tuple[float, float]:
-    """Angular frequency of the strongest line, by its power in both coordinates, and its amplitude in x."""
-    best_power, best_rate, best_x = -1.0, 0.0, 0.0
-    for rate in rates:
-        power, amplitude_x = 0.0, 0.0
-        for coordinate in range(2):
-            value, weight = (x, weights_x) if coordinate == 0 else (y, weights_y)
-            line_power, cosine, sine = line(rate, t, value, weight)
-            power += line_power
-            if coordinate == 0:
-                amplitude_x = math.hypot(cosine, sine)
-        if power > best_power:
-            best_power, best_rate, best_x = power, rate, amplitude_x
-    return best_rate, best_x
+    """Angular frequency of the strongest line, by its power in both coordinates, and its amplitude in x.
+
+    Of `count` frequencies from `first` on. From each to the next a sample's phase turns by the same angle.
+    """
+    turn_c, turn_s = np.cos(spacing * t), np.sin(spacing * t)
+    phase_c, phase_s = np.cos(first * t), np.sin(first * t)
+    best_power, best, best_x = -1.0, 0, 0.0
+    for at in range(count):
+        cc_x = cs_x = ss_x = c_x = s_x = 0.0
+        cc_y = cs_y = ss_y = c_y = s_y = 0.0
+        for i in range(len(t)):
+            c, s = phase_c[i], phase_s[i]
+            c_weight, s_weight = weights_x[i] * c, weights_x[i] * s
+            cc_x += c_weight * c
+            cs_x += c_weight * s
+            ss_x += s_weight * s
+            c_x += c_weight * x[i]
+            s_x += s_weight * x[i]
+            c_weight, s_weight = weights_y[i] * c, weights_y[i] * s
+            cc_y += c_weight * c
+            cs_y += c_weight * s
+            ss_y += s_weight * s
+            c_y += c_weight * y[i]
+            s_y += s_weight * y[i]
+            phase_c[i] = c * turn_c[i] - s * turn_s[i]
+            phase_s[i] = s * turn_c[i] + c * turn_s[i]
+        power_x, cosine, sine = _line_of_sums(cc_x, cs_x, ss_x, c_x, s_x)
+        power_y, _, _ = _line_of_sums(cc_y, cs_y, ss_y, c_y, s_y)
+        if power_x + power_y > best_power:
+            best_power, best, best_x = power_x + power_y, at, math.hypot(cosine, sine)
+    return first + best * spacing, best_x

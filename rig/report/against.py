@@ -6,7 +6,6 @@ from math import isfinite, nan
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtr
 
 from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
@@ -104,6 +103,8 @@ def against_table(runs: Sequence[Seen], name: str) -> Table:
 
 def _line(runs: Sequence[Seen], key: str) -> tuple[float, float, float]:
     """Slope, its standard uncertainty and the chance of one so large; NaN where there is no line."""
+    from scipy.special import stdtr
+
     known = np.array([(run.at, *tuple(run.parameters[key])) for run in runs if key in run.parameters])
     if len(known) < _FEWEST or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
         return nan, nan, nan

@@ -8,7 +8,20 @@ from scipy.stats import chi2
 
 from processing.balance.estimate import _without_overtone
 from processing.errors import DataError
-from processing.swing.mode_fit import EVERY, FAST_COSINE, FAST_SINE, TERMS, ModeFit, X, Y, fast_mode_seen
+from processing.swing import mode_fit
+from processing.swing.mode_fit import (
+    EVERY,
+    FAST_COSINE,
+    FAST_SINE,
+    SLOW_ONLY,
+    TERMS,
+    ModeFit,
+    X,
+    Y,
+    _step,
+    _step_in_what_is_determined,
+    fast_mode_seen,
+)
 from processing.swing.modes import TwoModes, separate_modes
 
 RATE, FAST_RATE, TURNING = 1.55, 7.5, 1e-4
@@ -146,3 +159,35 @@ def test_noise_is_taken_for_a_fast_mode_once_in_ten_million_looks(frequencies: i
         p[[X + FAST_COSINE, Y + FAST_SINE]] = np.sqrt(0.5 * factor * limit)
         fit = ModeFit(p, np.eye(TERMS), EVERY, 0.0, np.zeros(50), np.zeros(50))
         assert fast_mode_seen(fit, frequencies) is seen
+
+
+@pytest.mark.parametrize("active", [EVERY, SLOW_ONLY])
+def test_a_step_solves_the_normal_equations_of_terms_with_information(active: list[int]) -> None:
+    rng = np.random.default_rng(9)
+    design = rng.standard_normal((60, TERMS)) * np.geomspace(1e-6, 1e6, TERMS)
+    design[:, mode_fit.FAST_RATE] = 0.0  # as long as the fast mode has no amplitude
+    information, score = design.T @ design, rng.standard_normal(TERMS)
+    change, covariance, determined = _step(information, score, np.array(active))
+    known = [place for place in active if place != mode_fit.FAST_RATE]
+    part = np.ix_(known, known)
+    assert determined
+    size = np.sqrt(np.diag(information)[known])
+    scaled = size[:, None] * covariance[part] @ information[part] / size
+    np.testing.assert_allclose(scaled, np.eye(len(known)), atol=1e-12)
+    np.testing.assert_allclose(change[known], covariance[part] @ score[known], rtol=1e-9)
+    others = [place for place in range(TERMS) if place not in known]
+    assert not change[others].any()
+    assert not covariance[others].any()
+    assert not covariance[:, others].any()
+
+
+def test_a_step_leaves_out_a_combination_that_samples_do_not_determine() -> None:
+    rng = np.random.default_rng(10)
+    design = rng.standard_normal((60, TERMS))
+    design[:, Y] = design[:, X]
+    information, score = design.T @ design, design.T @ rng.standard_normal(60)
+    places = np.array(EVERY)
+    assert not _step(information, score, places)[2]
+    change, _ = _step_in_what_is_determined(information, score, places)
+    np.testing.assert_allclose(information @ change, score, rtol=1e-9, atol=1e-9)
+    assert change[X] == pytest.approx(change[Y])
