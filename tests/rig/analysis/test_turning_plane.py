@@ -33,9 +33,13 @@ BACK = Spin(-0.003)
 DISTURBED = {"leakage": 0.03, "fast_arcsec": 6.0, "rest_arcsec": (-30.0, 15.0)}
 
 
-@cache
 def run_of(spin: Spin, seed: int = 3, u_axes: float = 0.0) -> AnalysedRun:
-    """Ten minutes of a pendulum that turns so, by axes whose angle is known so well."""
+    """Ten minutes of a pendulum that turns so, by axes whose angle is known so well; analysed once."""
+    return _analysed_once(spin, seed, u_axes)
+
+
+@cache
+def _analysed_once(spin: Spin, seed: int, u_axes: float) -> AnalysedRun:
     config = configuration(f"axes.u_non_orthogonality_rad={u_axes}")
     with TemporaryDirectory() as folder:
         return analysed(positions(spin, seed), config, Path(folder) / f"run-{seed}.mcap")
