@@ -11,6 +11,7 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from rig.alarms import CATALOGUE, AlarmKey
 from rig.orders import OrderSocket, SessionNews
+from rig.presentation import Verdict
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
@@ -37,7 +38,8 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy_and_so_is_the_desk
         folder = config.parent / "runs" / "told"
         folder.mkdir(parents=True)
         alarm = CATALOGUE[AlarmKey.PREFLIGHT]
-        with OrderSocket(folder, news, {}, lambda: {"preflight": [{"name": "spot", "ok": False}]}):
+        news.preflight([Verdict("spot", False, "it is lost", "look for it")])
+        with OrderSocket(folder, news, {}):
             news.state({"phase": "preflight"}, [])
             page.wait("window.told.length")
             title, text, tag, stays = page.ask("window.told[0]")
@@ -53,3 +55,21 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy_and_so_is_the_desk
             page.wait("window.told.some(one => one[2] === 'desk lost')")
         finally:
             os.kill(desk.pid, signal.SIGCONT)
+
+
+def test_a_panel_that_cannot_be_drawn_says_so_once_and_holds_nothing_up(
+    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
+) -> None:
+    config = desk_configuration("")
+    with desk_page(browser, config) as (_, page):
+        news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+        news.begin_run("run 1", 255, None)
+        folder = config.parent / "runs" / "older"
+        folder.mkdir(parents=True)
+        # a row without the keys of this version
+        with OrderSocket(folder, news, {}, lambda: {"preflight": [{"name": "spot", "ok": False}]}):
+            page.wait_text("Rig is not brought up to date: KeyError")
+            page.ask("document.querySelectorAll('.errors button').forEach(one => one.click())")
+            page.wait("(window.looks = (window.looks || 0) + 1) > 15")
+            assert page.ask("document.querySelectorAll('.errors > *').length") == 0
+            assert page.ask("document.documentElement.classList.contains('dead')") is False
