@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 from rig.alarms import CATALOGUE, AlarmKey
+from rig.desk.alarm_bar import sentence
 from rig.orders import OrderSocket, SessionNews
 from rig.presentation import Verdict
 from rig.settings import Configuration
@@ -46,7 +47,7 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy_and_so_is_the_desk
             assert (title, tag, stays) == (alarm.title, AlarmKey.PREFLIGHT, True)
             assert alarm.remedy in text
             # the page is told four times a second what cries
-            page.wait_text(alarm.remedy)
+            page.wait_text(sentence(alarm.remedy))
             looks = "(window.looks = (window.looks || 0) + 1) > 15"
             page.wait(looks)
             assert page.ask("window.told.length") == 1
