@@ -19,7 +19,6 @@ from processing.ticks import NS_PER_S, seconds
 from rig.desk.run_history import GroundNow, RunHistory, spectrum
 from rig.instrument import advice_for, balance_failures, recorded_configuration, told_in
 from rig.orders import PATH_S, thinned_path
-from rig.presentation import balance_numbers, plain_values
 from rig.settings import Configuration
 
 _LOOK_S = 0.1
@@ -139,15 +138,10 @@ class RunReader:
 
 
 def _told(config: Configuration, balance: Balance) -> dict[str, Any]:
-    return dict(
-        plain_values(
-            {
-                "numbers": balance_numbers(balance),
-                "next_step": advice_for(config, balance).next_step or None,
-                "against": balance_failures(balance, config.balance),
-            }
-        )
-    )
+    return {
+        "next_step": advice_for(config, balance).next_step or None,
+        "against": balance_failures(balance, config.balance),
+    }
 
 
 def _configuration_of(reader: RecordReader) -> Configuration | None:
