@@ -132,7 +132,8 @@ class AlarmList:
     def restore(self, kept: bytes) -> None:
         """Go on with the list of an earlier desk; what is no such list is passed over.
 
-        What nobody has seen stays to be seen. A cause that is not found again is gone, as of now.
+        What nobody has seen stays to be seen, and is heard where its cause is found again. A cause that is
+        not is gone, as of now.
         """
         try:
             found = _KEPT.validate_json(kept)
@@ -140,7 +141,7 @@ class AlarmList:
             return
         with self._lock:
             for row in found.rows:
-                self._rows.setdefault(row.key, row)
+                self._rows.setdefault(row.key, replace(row, earlier=True))
             self.past.extend(found.past)
 
     def acknowledge(self, key: AlarmKey) -> None:

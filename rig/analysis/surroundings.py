@@ -63,7 +63,8 @@ def _read(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]
         found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
         if name == "temperature_c" and len(read) >= _FEWEST:
             at = np.linspace(-0.5, 0.5, len(read))
-            found["temperature_change_k"] = float(np.polyfit(at, read, 1)[0])
+            # from the first reading on: of readings that are all alike the change is 0
+            found["temperature_change_k"] = float(np.polyfit(at, read - read[0], 1)[0])
     return found
 
 

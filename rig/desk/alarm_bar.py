@@ -65,7 +65,7 @@ class AlarmBar:
         rows = [row for row in rows if not row.earlier]
         counted = [(state, sum(row.state is state for row in rows)) for state in _COUNTED]
         told = [f"{count} {state}" for state, count in counted if count]
-        said = ", ".join([*told, f"{len(earlier)} from before this session"] if earlier else told)
+        said = ", ".join([*told, f"{len(earlier)} from before"] if earlier else told)
         self._counts.set_text(f"Alarms: {said or 'none'}")
         now = (rows, earlier, past, refused)
         if now != self._shown:
@@ -75,7 +75,7 @@ class AlarmBar:
                 for row in rows:
                     self._row(row, refused)
                 if earlier:
-                    with at_once(ui.expansion(f"{len(earlier)} from before this session")):
+                    with at_once(ui.expansion(f"{len(earlier)} from before")):
                         self._tab.button(
                             "All of them seen", partial(self._seen, *(row.key for row in earlier))
                         )

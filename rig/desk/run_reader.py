@@ -8,35 +8,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from acquisition.record.events import Event
 from acquisition.record.reader import Piece, RecordReader
-from acquisition.record.topics import (
-    BALANCE,
-    ESTIMATE,
-    EVENT,
-    FITTED,
-    NOTE,
-    SPOT,
-    SWING,
-    RecordedEstimate,
-    RecordedFittedPoint,
-    RecordedNote,
-)
+from acquisition.record.topics import FITTED, SPOT, RecordedEstimate, RecordedFittedPoint
 from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.ticks import NS_PER_S, seconds
 from rig.desk.run_history import GroundNow, RunHistory, spectrum
-from rig.instrument import advice_for, balance_failures, recorded_configuration
-from rig.presentation import balance_numbers, plain_values
+from rig.instrument import advice_for, balance_failures, recorded_configuration, told_in
+from rig.orders import PATH_S, thinned_path
 from rig.settings import Configuration
 
-_PATH_S = 20.0
-_PATH_POINTS = 400
 _LOOK_S = 0.1
 _EVENTS = 500
 
@@ -87,14 +71,7 @@ class RunReader:
         """The last seconds of the trajectory, in some hundred points, as they are shown."""
         with self._lock:
             path = list(self._path)
-        if not path:
-            return {"x": [], "y": []}
-        step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))
-        x, y = (
-            np.concatenate(parts)[::step]
-            for parts in ([one.shown_x for one in path], [one.shown_y for one in path])
-        )
-        return {"x": or_none(x), "y": or_none(y)}
+        return thinned_path(path)
 
     def history(self, *, spectra: bool) -> dict[str, Any]:
         """What charts show of the run since it began, decimated.
@@ -138,44 +115,33 @@ class RunReader:
             ago_s = time.time() - seconds(self._start_ns + reader.epoch_offset_ns)
             self.began_s = time.monotonic() - ago_s
         start_ns, size = self._start_ns, reader.deflection_unit.shown_size
-        swings = [one for one in reader.swings(piece.get(SWING.topic, ())) if not one.flags]
-        balances = reader.balances(piece.get(BALANCE.topic, ()))
-        if balances and self._config is not None:
-            self.balance = _told(self._config, balances[-1])
+        told = told_in(reader, piece, start_ns, start_ns)
+        if told.balances and self._config is not None:
+            self.balance = _told(self._config, told.balances[-1])
         with self._lock:
             if SPOT.topic in piece:
                 deflections = reader.deflections(reader.rows(SPOT.topic, piece[SPOT.topic]))
                 self._history.motion(start_ns, deflections)
-                self._ground.take(deflections, swings)
+                self._ground.take(deflections, told.swings)
                 self._path.append(deflections)
-                while deflections.times_ns[-1] - self._path[0].times_ns[-1] > _PATH_S * NS_PER_S:
+                while deflections.times_ns[-1] - self._path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     self._path.popleft()
-            for swing in swings:
-                self._history.swing(start_ns, swing, size)
-            self._take_fits(reader, piece, start_ns)
-            events = reader.events(piece.get(EVENT.topic, ()))
-            notes = reader.values(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ()))
-            for event in [*events, *(note.event for note in notes)]:
-                self._events.append((seconds(event.time_ns - start_ns), event))
-
-    def _take_fits(self, reader: RecordReader, piece: Piece, start_ns: int) -> None:
-        for row in reader.values(ESTIMATE.topic, RecordedEstimate, piece.get(ESTIMATE.topic, ())):
-            self._history.estimate(
-                seconds(row.time_ns - start_ns), row.quantity, Estimate(row.value, row.u_value)
-            )
-        self._history.fitted(reader.values(FITTED.topic, RecordedFittedPoint, piece.get(FITTED.topic, ())))
+            for swing in told.swings:
+                if not swing.flags:
+                    self._history.swing(start_ns, swing, size)
+            for row in told.of(RecordedEstimate):
+                one = Estimate(row.value, row.u_value)
+                self._history.estimate(seconds(row.time_ns - start_ns), row.quantity, one)
+            points = piece.get(FITTED.topic, ())
+            self._history.fitted(reader.values(FITTED.topic, RecordedFittedPoint, points))
+            self._events.extend((seconds(event.time_ns - start_ns), event) for event in told.events)
 
 
 def _told(config: Configuration, balance: Balance) -> dict[str, Any]:
-    return dict(
-        plain_values(
-            {
-                "numbers": balance_numbers(balance),
-                "next_step": advice_for(config, balance).next_step or None,
-                "against": balance_failures(balance, config.balance),
-            }
-        )
-    )
+    return {
+        "next_step": advice_for(config, balance).next_step or None,
+        "against": balance_failures(balance, config.balance),
+    }
 
 
 def _configuration_of(reader: RecordReader) -> Configuration | None:
@@ -183,11 +149,6 @@ def _configuration_of(reader: RecordReader) -> Configuration | None:
         return recorded_configuration(reader)
     except RecordError:
         return None
-
-
-def or_none(values: NDArray[np.float64]) -> list[float | None]:
-    """Rounded, and None where there is no number."""
-    return [round(value, 4) if math.isfinite(value) else None for value in values.tolist()]
 
 
 def newest_first(

@@ -3,6 +3,7 @@
 import asyncio
 import inspect
 import json
+import logging
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
@@ -37,6 +38,7 @@ PRESSES = "rigPresses"
 _FRESH_S = 5.0
 """A press that was made longer ago than this is nobody's leave any more: who made it has gone to look."""
 Handler = Callable[[], None] | Callable[[], Awaitable[None]]
+_log = logging.getLogger(__name__)
 
 
 class Tab:
@@ -50,14 +52,25 @@ class Tab:
         self.errors: ui.element | None = None
 
     def every(self, seconds: float, refresh: Handler) -> None:
-        """Call it again and again while the panel that is being built is seen, once at a time."""
-        panel = self.building
+        """Call it again and again while the panel that is being built is seen, once at a time.
+
+        What fails is told once: a log that is filled, and that nobody reads, would hold the desk up.
+        """
+        panel, told = self.building, ""
 
         async def due() -> None:
-            if not panel or self.shown == panel:
+            nonlocal told
+            if panel and self.shown != panel:
+                return
+            try:
                 done = refresh()
                 if inspect.isawaitable(done):
                     await done
+            except Exception as error:
+                if repr(error) != told:
+                    told = repr(error)
+                    _log.exception("%s is not brought up to date", panel or "the page")
+                    self.tell(f"{panel or 'the page'} is not brought up to date: {told}")
 
         ui.timer(seconds, due)
 

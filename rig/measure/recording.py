@@ -285,7 +285,8 @@ class Recording:
         parts = self._parts
         if parts.waits_in_darkness and parts.somebody_watches:
             return
-        self._stop.failed(DeviceError(f"{alarm}; the run ends; with laser.when_dark = 'wait' it would wait"))
+        why = "nobody is at the terminal or a desk" if parts.waits_in_darkness else "laser.when_dark = 'end'"
+        self._stop.failed(DeviceError(f"{alarm}; the run ends: {why}"))
 
     @property
     def _known(self) -> Posterior:

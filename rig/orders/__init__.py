@@ -7,4 +7,4 @@ without one nothing is prepared.
 
 from rig.orders.line import Line, NoSession, SessionBusy, running_sessions
 from rig.orders.server import LOOPBACK, ORDERS_NAME, Orders, OrderSocket, devices_now, light_told
-from rig.orders.session_news import SessionNews, SessionPicture
+from rig.orders.session_news import PATH_S, SessionNews, SessionPicture, thinned_path

@@ -21,7 +21,8 @@ from rig.instrument import Block
 from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
 
-_PATH_S = 20.0
+PATH_S = 20.0
+"""So much of the way a page draws."""
 _PATH_POINTS = 400
 _EVENTS = 500
 _PICTURE_INTERVAL_S = 0.1
@@ -115,7 +116,7 @@ class SessionNews:
             with self._lock:
                 path, newest_ns = self._path, deflections.times_ns[-1]
                 path.append(deflections)
-                while newest_ns - path[0].times_ns[-1] > _PATH_S * NS_PER_S:
+                while newest_ns - path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     path.popleft()
         self._keep_picture(frames, spots, references)
 
@@ -173,19 +174,14 @@ class SessionNews:
             "frames_age_s": now_s - self._frames_s,
             "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
             "record": self._record,
-            "simulated": self._config.simulated,
-            "sample": self._config.session.sample,
-            "operator": self._config.session.operator,
             "unit": self._unit.shown,
-            "initial_amplitude": self._config.session.initial_amplitude_arcsec,
-            "final_amplitude": self._config.session.final_amplitude_arcsec,
             "start_way": self._config.start.way,
             "camera": self._camera,
             "state": self._state,
             "rows": self._rows,
             "preflight": self._preflight,
             "events": events,
-            "path": _thinned_path(path),
+            "path": thinned_path(path),
         }
 
     @property
@@ -205,8 +201,8 @@ class SessionNews:
         return None if frame is None or frame.number <= after else frame
 
 
-def _thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
-    """The last seconds of the trajectory, in some hundred points."""
+def thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
+    """The last seconds of the trajectory, in some hundred points, as they are shown."""
     if not path:
         return {"x": [], "y": []}
     step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))

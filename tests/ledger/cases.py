@@ -72,6 +72,7 @@ def _session(name: str, settings: Mapping[str, str] | None = None, status: int =
 
 
 _TO_300_S = {"session.max_duration_s": "300"}
+_TO_2_ARCSEC = {"session.final_amplitude_arcsec": "2"}
 
 CASES: Sequence[Case] = (
     _session("demo"),
@@ -80,8 +81,8 @@ CASES: Sequence[Case] = (
     _session("steel", {"session.runs": "1"}),
     _session("basement"),
     _session("vault", _TO_300_S),
-    _session("live", {**SIMULATED_TIME, **_TO_300_S}),
-    _session("faults", {**SIMULATED_TIME, **_TO_300_S}, status=1),
+    _session("live", {**SIMULATED_TIME, **_TO_300_S, **_TO_2_ARCSEC}),
+    _session("faults", {**SIMULATED_TIME, **_TO_300_S, **_TO_2_ARCSEC}, status=1),
     Case("table", ("fit", "decay.csv"), prepare=write_table),
     Case("film", ("fit", "film", "--rate", "20"), prepare=write_film),
 )

@@ -38,9 +38,9 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
         default=0.0, ge=0, le=1e6, description="from the beginning of an exposure to that of its pulse"
     )
     when_dark: Literal["end", "wait"] = Field(
-        default="end",
-        description="'end': a laser that goes dark ends the run; 'wait': it waits until a person, at the "
-        "terminal or rig desk, acknowledges the trip and asks for light",
+        default="wait",
+        description="'wait': a run whose laser goes dark waits until the person at the terminal or rig desk "
+        "acknowledges the trip and asks for light, and ends where nobody sits; 'end': it ends",
     )
     warm_up_min_s: float = Field(default=0.0, ge=0)
     warm_up_max_s: float = Field(default=1800.0, gt=0)

@@ -98,7 +98,7 @@ def build(desk: Desk, tab: Tab) -> None:
         detail.set_text(shown.detail)
         wrong.set_text(shown.problem)
         pendulum.set_content(drawing(shown.turn))
-        faults.set_content(tables.bars(_bars(shown.faults, shown.before), "faults of the balance"))
+        faults.set_content(tables.bars(fault_bars(shown.faults, shown.before), "faults of the balance"))
         way.show(shown.x, shown.y, balancing.unit)
 
     tab.every(0.3, refresh)
@@ -162,10 +162,11 @@ def _arrow(x: float, y: float, sense: float) -> str:
     )
 
 
-def _bars(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any]]) -> list[tables.Bar]:
+def fault_bars(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any]]) -> list[tables.Bar]:
     """A bar for each fault; what is not known is grey, and never go."""
     rows = []
-    for k, fault in enumerate(faults):
+    before = [_in_its_unit(fault) for fault in before]
+    for k, fault in enumerate(map(_in_its_unit, faults)):
         part, limit_part = tables.against_limit(fault["value"], fault["limit"])
         was = f"before: {_number(before[k])}" if k < len(before) else ""
         meaning = str(fault["meaning"]) if fault["ok"] is False else ""
@@ -173,6 +174,14 @@ def _bars(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any
         shown = f"{_STATE[fault['ok']][1]} {_number(fault)}"
         rows.append(tables.Bar(str(fault["name"]), shown, part, limit_part, _STATE[fault["ok"]][0], note))
     return rows
+
+
+def _in_its_unit(fault: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A fraction in per cent, as sessions and reports have it."""
+    if fault["unit"]:
+        return fault
+    numbers = {name: fault[name] for name in ("value", "u_value", "limit")}
+    return {**fault, **{name: one and 100 * one for name, one in numbers.items()}, "unit": "%"}
 
 
 def _number(fault: Mapping[str, Any]) -> str:

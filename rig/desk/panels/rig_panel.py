@@ -1,13 +1,34 @@
-"""Rig: what the camera sees with its exposure, then the checks before a run, on one panel."""
+"""Rig: what the camera sees with its figures, exposure and region, then the checks before a run."""
 
-from nicegui import ui
+import html
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
 
+import numpy as np
+from nicegui import run, ui
+from nicegui.events import MouseEventArguments
+
+from acquisition.camera import CameraSettings
+from processing.errors import ConfigurationError
+from rig.desk import tables
+from rig.desk.aligner import EXPOSE, Aligner
+from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
-from rig.desk.panels.align import AlignPicture, CameraControls
+from rig.desk.panels.fields import as_typed, number_field
+from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
 from rig.desk.panels.preflight import Expected, PreflightChecks
-from rig.desk.tab import Tab
+from rig.desk.tab import DELIBERATE, Handler, Tab, at_once
+from rig.presentation import Verdict
 
 KEYS = (("z", "rig: zoom 1, 4, 16"),)
+_SIZE = (800, 540)
+_STEP, _STEP_DB = 1.25, 1.0
+_BARS = 64
+_LEAST_REGION_PX = 8
+_NEEDS = "settings need a live picture"
+_SHORT = 24
+"""Letters of a number that stands in a lamp."""
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -27,3 +48,226 @@ def build(desk: Desk, tab: Tab) -> None:
     tab.key("z", picture.zoom)
     tab.every(0.3, refresh)
     refresh()
+
+
+class AlignPicture:
+    """The live picture with its buttons; a rectangle drawn over the whole frame is the camera's region."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk = desk
+        self._corner: tuple[float, float] | None = None
+        with ui.column().classes("box"):
+            self._picture = LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk), self._mouse)
+            with ui.row():
+                self._begin = tab.button("Live picture", self._start)
+                self._begin.props(f'color="positive" {DELIBERATE}')
+                self._end = tab.button("Stop", self._stop).props("outline")
+                self._zooming = ui.button("Zoom 1", on_click=self.zoom)
+                self._zooming.props('outline aria-label="Zoom to the spot, key z"')
+                # it begins the picture anew, and with it the light
+                tab.button("Whole sensor", self._whole).props(f"outline {DELIBERATE}")
+                self._keep = tab.button("Keep for runs", lambda: desk.keep_camera(aligner_of(desk).applied))
+                self._keep.props("outline")
+            self._kept = ui.label().classes("dim")
+
+    def refresh(self) -> None:
+        """Show which buttons can do something, and what is kept."""
+        now = self._desk.aligner
+        self._begin.set_visibility(now is None)
+        self._end.set_visibility(now is not None)
+        self._keep.set_enabled(now is not None and now.running)
+        self._zooming.set_enabled(_seen(self._desk))
+        self._kept.set_text(_kept(self._desk))
+
+    def zoom(self) -> None:
+        """The next zoom."""
+        self._picture.zoom_on()
+        self._zooming.set_text(f"Zoom {self._picture.zoom}")
+
+    def _mouse(self, event: MouseEventArguments) -> None:
+        if self._desk.aligner is None or self._picture.zoom != 1:
+            return
+        if event.type == "pointerdown":
+            self._corner = event.image_x, event.image_y
+        elif self._corner is not None:
+            x, y = self._corner
+            left, top = min(x, event.image_x), min(y, event.image_y)
+            width, height = abs(event.image_x - x), abs(event.image_y - y)
+            drawn = (
+                f"<rect x='{left}' y='{top}' width='{width}' height='{height}' fill='none' "
+                "stroke='white' stroke-width='2'/>"
+            )
+            if event.type == "pointerup":
+                self._corner = None
+                if min(width, height) > _LEAST_REGION_PX:
+                    _ask_region(self._desk, left, top, width, height)
+                else:
+                    drawn = ""
+            self._picture.element.content = drawn
+
+    async def _whole(self) -> None:
+        self._picture.element.content = ""
+        await run.io_bound(self._desk.align_whole_sensor)
+
+    async def _start(self) -> None:
+        await run.io_bound(self._desk.begin_aligning)
+
+    async def _stop(self) -> None:
+        await run.io_bound(self._desk.end_aligning)
+
+
+class CameraControls:
+    """Lamps of the beam, exposure and gain, histogram, focus and figures of the picture."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk, self._tab = desk, tab
+        self._fields: dict[str, ui.input] = {}
+        self._needing: list[ui.button] = []
+        # on a low screen it scrolls by itself: picture and buttons stay
+        with (
+            ui.column()
+            .classes("box scrolls")
+            .props('role="region" aria-label="lamps and settings" tabindex="0"')
+        ):
+            self._lamps = ui.html(sanitize=False).classes("full-width")
+            self._lamps.props('role="status" aria-label="lamps"')
+            self._note = ui.label().props('role="status"')
+            self._setting("exposure_us", "exposure / µs", {"-": (1 / _STEP, 0.0), "+": (_STEP, 0.0)})
+            self._setting("gain_db", "gain / dB", {"-": (1.0, -_STEP_DB), "+": (1.0, _STEP_DB)})
+            bars, line = (Curve("pixels", style="bars"),), (Curve("sharpness_per_px"),)
+            self._histogram = Chart("histogram", "level_dn", bars, tools=False, height="100px")
+            self._focus = Chart("focus", "elapsed_s", line, tools=False, height="110px")
+            with at_once(ui.expansion("figures", value=True)).classes("full-width"):
+                self._figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
+
+    def refresh(self) -> None:
+        """Show the newest look, and what is set at the camera."""
+        now = self._desk.aligner
+        for button in self._needing:
+            button.set_enabled(now is not None and now.running)
+        wrong = "" if now is None else now.problem or now.darkness
+        self._note.set_text(wrong or (_NEEDS if now is None else now.note))
+        self._note.classes(remove="caution dim", add="caution" if wrong else "dim")
+        self._show_applied(CameraSettings() if now is None else now.applied)
+        sharpness = [] if now is None else list(now.focus)
+        self._focus.show([sharpness[:: 1 + len(sharpness) // 200]], empty="no sharpness yet")
+        look = look_now(self._desk)
+        if look is None:
+            self._figures.set_content("")
+            self._lamps.set_content("")
+            self._histogram.show([[]], empty="no picture yet")
+            return
+        best = max((one for _, one in sharpness), default=0.0)
+        # of a frame that is dark on purpose there is nothing to be judged: why it is stands below
+        dark = now is not None and bool(now.darkness)
+        self._lamps.set_content("" if dark else _lamps(look.lamps(best)))
+        self._figures.set_content(tables.table(look.rows(), "figures of the picture"))
+        counts, edges = np.histogram(look.image, _BARS, (0, look.full_scale_dn + 1))
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        self._histogram.show(
+            [[(float(at), round(math.log10(1 + n), 3)) for at, n in zip(middles, counts, strict=True)]]
+        )
+
+    def _setting(self, name: str, label: str, steps: Mapping[str, tuple[float, float]]) -> None:
+        """A row for one setting: field, Set, for the exposure Auto, and a step down and up."""
+        what = label.partition(" ")[0]
+        with ui.row().classes("items-center no-wrap full-width"):
+            field = number_field(self._desk, f"camera.{name}", label, None)
+            field.props("hide-bottom-space stack-label").classes("col")
+            self._fields[name] = field
+            self._small("Set", partial(self._typed, name, field), f"Set {label}")
+            if name == "exposure_us":
+                self._small("Auto", lambda: aligner_of(self._desk).wish(EXPOSE), "Auto exposure")
+            for sign, (factor, more_db) in steps.items():
+                words = f"{'smaller' if sign == '-' else 'larger'} {what}"
+                self._small(sign, partial(self._turned, factor, more_db), words)
+
+    def _small(self, text: str, do: Handler, words: str) -> None:
+        button = self._tab.button(text, do).props(f'outline dense aria-label="{words}"').classes("step")
+        self._needing.append(button)
+
+    def _typed(self, name: str, field: ui.input) -> None:
+        key, value = f"camera.{name}", as_typed(field.value, True)
+        if value == "":
+            raise ConfigurationError(f"{key}: the field is empty; type a number, then press Set")
+        if fault := self._desk.fault(key, value):
+            raise ConfigurationError(fault)
+        aligner_of(self._desk).wish(CameraSettings.model_validate({name: value}))
+
+    def _turned(self, exposure: float, gain_db: float) -> None:
+        def wanted(applied: CameraSettings) -> CameraSettings:
+            stated = applied.exposure_us if exposure != 1.0 else applied.gain_db
+            if stated is None:
+                raise ConfigurationError(
+                    "this camera does not report its setting; type a value, then press Set"
+                )
+            if exposure != 1.0:
+                return CameraSettings(exposure_us=stated * exposure)
+            return CameraSettings(gain_db=stated + gain_db)
+
+        aligner_of(self._desk).wish(wanted)
+
+    def _show_applied(self, applied: CameraSettings) -> None:
+        for name, field in self._fields.items():
+            value = getattr(applied, name)
+            said = "" if value is None else f"now {value:.6g}"
+            if field.props.get("placeholder") != said:
+                field.props(f'placeholder="{said}"')
+
+
+def aligner_of(desk: Desk) -> Aligner:
+    """The live picture; raises ConfigurationError without one."""
+    if desk.aligner is None:
+        raise ConfigurationError("no live picture: press Live picture first")
+    return desk.aligner
+
+
+def _lamps(verdicts: Sequence[Verdict]) -> str:
+    """A lamp for each; what is to be done stands below."""
+    shown, told = [], []
+    for one in verdicts:
+        kind = "no" if not one.ok else "caution" if one.remedy else "go"
+        # a beam's verdict is a sentence; it is among the figures
+        words = one.measured if len(one.measured) < _SHORT else kind
+        shown.append(f"<span class='{kind}'>{html.escape(f'{one.name} {words}')}</span>")
+        if one.remedy:
+            why = "; ".join(filter(None, (one.reason, one.remedy)))
+            told.append(f"<div class='{kind}'>{html.escape(f'{one.name}: {why}')}</div>")
+    return f"<div class='lamps'>{''.join(shown)}</div>{''.join(told)}"
+
+
+def _seen(desk: Desk) -> bool:
+    return desk.following.running or desk.aligner is not None
+
+
+def _why_none(desk: Desk) -> str:
+    """Why there is no picture; empty if there is one."""
+    now = desk.aligner
+    if now is not None:
+        if now.problem:
+            return f"the live picture has ended: {now.problem}"
+        return "" if now.look is not None else f"waiting for the first frame. {now.note}"
+    if desk.following.running:
+        return no_frame_yet(desk.following)
+    return "No live picture yet. Press Live picture to light the laser and show the camera's view."
+
+
+def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:
+    """Ask the camera for the rectangle, which is in px of the picture."""
+    aligner = desk.aligner
+    look = None if aligner is None else aligner.look
+    if aligner is None or look is None:
+        return
+    rows, columns = look.image.shape
+    scale = min(_SIZE[0] / columns, _SIZE[1] / rows)
+    # the frame is in the middle of the picture
+    left -= 0.5 * (_SIZE[0] - columns * scale)
+    top -= 0.5 * (_SIZE[1] - rows * scale)
+    aligner.wish_region(*(round(one / scale) for one in (left, top, width, height)))
+
+
+def _kept(desk: Desk) -> str:
+    lines = ", ".join(
+        f"{key} = {value:g}" for key, value in desk.kept.items() if isinstance(value, int | float)
+    )
+    return f"used for everything this desk starts: {lines}" if lines else ""

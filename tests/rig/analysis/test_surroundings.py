@@ -5,6 +5,7 @@ from datetime import timedelta
 from math import isnan
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
@@ -62,3 +63,15 @@ def test_results_have_the_drag_of_air_beside_the_fitted_one(measured_series: Pat
         "dwell_s",
         "age_s",
     }
+
+
+def test_readings_that_are_all_alike_have_not_changed(
+    monkeypatch: pytest.MonkeyPatch, measured_series: Path
+) -> None:
+    kind = [(name, float) for name in ("temperature_c", "humidity_percent", "pressure_pa")]
+    readings = np.array([(23.46, 41.3, 99870.0)] * 37, kind)
+    monkeypatch.setattr(RecordReader, "table", lambda *_: readings)
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        found = recorded_surroundings(reader)
+    assert found.temperature_change_k == 0.0
+    assert found.temperature_c == pytest.approx(23.46)

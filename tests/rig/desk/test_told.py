@@ -10,7 +10,9 @@ import pytest
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 from rig.alarms import CATALOGUE, AlarmKey
+from rig.desk.alarm_bar import sentence
 from rig.orders import OrderSocket, SessionNews
+from rig.presentation import Verdict
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
@@ -37,14 +39,15 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy_and_so_is_the_desk
         folder = config.parent / "runs" / "told"
         folder.mkdir(parents=True)
         alarm = CATALOGUE[AlarmKey.PREFLIGHT]
-        with OrderSocket(folder, news, {}, lambda: {"preflight": [{"name": "spot", "ok": False}]}):
+        news.preflight([Verdict("spot", False, "it is lost", "look for it")])
+        with OrderSocket(folder, news, {}):
             news.state({"phase": "preflight"}, [])
             page.wait("window.told.length")
             title, text, tag, stays = page.ask("window.told[0]")
             assert (title, tag, stays) == (alarm.title, AlarmKey.PREFLIGHT, True)
             assert alarm.remedy in text
             # the page is told four times a second what cries
-            page.wait_text(alarm.remedy)
+            page.wait_text(sentence(alarm.remedy))
             looks = "(window.looks = (window.looks || 0) + 1) > 15"
             page.wait(looks)
             assert page.ask("window.told.length") == 1
@@ -53,3 +56,21 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy_and_so_is_the_desk
             page.wait("window.told.some(one => one[2] === 'desk lost')")
         finally:
             os.kill(desk.pid, signal.SIGCONT)
+
+
+def test_a_panel_that_cannot_be_drawn_says_so_once_and_holds_nothing_up(
+    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
+) -> None:
+    config = desk_configuration("")
+    with desk_page(browser, config) as (_, page):
+        news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+        news.begin_run("run 1", 255, None)
+        folder = config.parent / "runs" / "older"
+        folder.mkdir(parents=True)
+        # a row without the keys of this version
+        with OrderSocket(folder, news, {}, lambda: {"preflight": [{"name": "spot", "ok": False}]}):
+            page.wait_text("Rig is not brought up to date: KeyError")
+            page.ask("document.querySelectorAll('.errors button').forEach(one => one.click())")
+            page.wait("(window.looks = (window.looks || 0) + 1) > 15")
+            assert page.ask("document.querySelectorAll('.errors > *').length") == 0
+            assert page.ask("document.documentElement.classList.contains('dead')") is False
