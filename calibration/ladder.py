@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.birge import birge_ratio
-from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
 from processing.errors import DataError
 from processing.least_squares import solve
+from processing.units import ARCSEC_RAD
 
 FEWEST_STEPS = 5
 """Along the motion at most origin, scale, skew and hysteresis are fitted: one degree of freedom remains."""

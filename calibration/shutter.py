@@ -12,7 +12,7 @@ import numpy as np
 
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
-from processing.ticks import NS_PER_S
+from processing.units import NS_PER_S
 
 _PERIODS = 3.0
 """Length of a stretch that is fitted on its own, in periods: friction changes the amplitude little in it."""

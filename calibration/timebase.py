@@ -12,7 +12,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.robust import robust_scatter
-from processing.ticks import S_PER_NS, nanoseconds, seconds
+from processing.units import S_PER_NS, nanoseconds, seconds
 from processing.wandering import FEWEST_PARTS, part_means, u_of_wandering
 
 FRAME_JITTER_LIMIT_S = 15e-6

@@ -7,9 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from processing.angle import ARCSEC_RAD
 from processing.arrays import Flags, Floats, Ints
-from processing.ticks import seconds
+from processing.units import ARCSEC_RAD, seconds
 
 _COLUMNS = ("times_ns", "x", "y", "u_x", "u_y")
 

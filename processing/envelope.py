@@ -1,17 +1,18 @@
-"""Decay of an envelope: amplitudes, or powers in dB, against time, without the swings themselves.
+"""A decay measured without its swings: an envelope of amplitudes or powers, and distances without a sign."""
 
-power(t) = A(t)^2 + floor^2, where A falls by `processing.damping`
-"""
-
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from math import log10, nan, pi
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from processing.arrays import Floats
 from processing.damping import Damping, fit_damping
 from processing.swing import estimate_noise
-from processing.ticks import nanoseconds
+from processing.units import nanoseconds, seconds
 
 _ROUNDING = 1e-9
 _NOT_DESCRIBED = 2.0
@@ -94,3 +95,101 @@ def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeD
         last_s=float(ends_s[1]),
         damping=damping,
     )
+
+
+_FEWEST: Final = 8
+"""Cycles, and samples of one, that show their shape."""
+_CYCLES: Final = 16
+_STARTS: Final = np.arange(72) / 72
+"""Phases that are tried."""
+_BETTER: Final = 0.2
+"""Of the squares that a sinusoid leaves, what a rectified one leaves at most where it is the better shape."""
+_CLOSE: Final = 0.04
+"""Of the swing, its scatter about the rectified shape at most."""
+_ZERO: Final = 0.1
+"""Of the largest, the smallest values that are zero but for the sampling."""
+_FALLEN: Final = 0.75
+_AT_ZERO: Final = 0.35
+"""Of the samples, that are near zero at most; of a sensor that sees one side of the swing half are."""
+
+
+def unsigned_period_s(times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> float:
+    """The period of a swing x where the values are |x|, x² or their negatives, with any zero; NaN elsewhere.
+
+    |x| has cusps where x is zero; the lower turning points of both stay where they are while the upper ones
+    fall.
+    """
+    good = np.isfinite(values)
+    times_s, values = seconds(times_ns[good]), values[good]
+    if len(values) < _FEWEST**2:
+        return np.nan
+    times_s = times_s - times_s[0]
+    even_s = np.linspace(0.0, times_s[-1], len(times_s))
+    steps = np.diff(np.interp(even_s, times_s, values))
+    spectrum = np.abs(np.fft.rfft(steps * np.hanning(len(steps))))
+    at = int(np.argmax(spectrum[1:-1])) + 1
+    before, here, after = spectrum[at - 1 : at + 2]
+    bend = before - 2.0 * here + after
+    cycles = at + (0.5 * (before - after) / bend if bend else 0.0)
+    if not _FEWEST <= cycles <= len(values) / _FEWEST:
+        return np.nan
+    period_s = float(times_s[-1] / cycles)
+    edges = np.searchsorted(times_s, period_s * np.arange(int(cycles) + 1))
+    parts = [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a >= _FEWEST]
+    if len(parts) < _FEWEST:
+        return np.nan
+    is_unsigned = _stands_at_zero([values[part] for part in parts]) or _has_cusps(
+        [(times_s[part] / period_s, values[part]) for part in parts]
+    )
+    return 2.0 * period_s if is_unsigned else np.nan
+
+
+def _stands_at_zero(parts: list[NDArray[np.float64]]) -> bool:
+    """Whether the values of a decay come back to zero in every cycle, and never cross it."""
+    ends = np.array([(part.min(), part.max()) for part in parts])
+    if np.abs(ends[:, 0]).max() > np.abs(ends[:, 1]).max():
+        ends = -ends[:, ::-1]
+    third = len(ends) // 3
+    (first_low, first), (last_low, last) = np.median(ends[:third], axis=0), np.median(ends[-third:], axis=0)
+    stands = abs(first_low) < _ZERO * first and abs(last_low) < _ZERO * last and 0 < last < _FALLEN * first
+    at_zero = np.mean([np.mean(np.abs(part) < _ZERO * np.abs(part).max()) for part in parts[:third]])
+    return bool(stands and at_zero < _AT_ZERO)
+
+
+def _has_cusps(parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> bool:
+    """Whether cycles, with their times in periods, are rather those of a rectified sinusoid than of one."""
+    largest = sorted(parts, key=lambda part: -float(np.ptp(part[1])))[:_CYCLES]
+    left = np.array(
+        [
+            [_left(cycles, values, shape) / np.ptp(values) ** 2 for shape in (_rectified, _sinusoid)]
+            for cycles, values in largest
+            if np.ptp(values) > 0
+        ]
+    )
+    if len(left) < _FEWEST:
+        return False
+    rectified, sinusoid = np.median(left, axis=0)
+    return bool(rectified < min(_BETTER * sinusoid, _CLOSE**2))
+
+
+def _rectified(cycles: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.abs(np.sin(np.pi * cycles))
+
+
+def _sinusoid(cycles: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.cos(2.0 * np.pi * cycles)
+
+
+def _left(
+    cycles: NDArray[np.float64], values: NDArray[np.float64], shape: Callable[..., NDArray[np.float64]]
+) -> float:
+    """Mean square that the shape leaves at the phase that suits it best, with a straight line below it."""
+    columns = np.stack(
+        [
+            np.broadcast_to(column, (len(_STARTS), len(cycles)))
+            for column in (1.0, cycles - cycles[0], shape(cycles - _STARTS[:, None]))
+        ],
+        axis=-1,
+    )
+    rest = values - (columns @ (np.linalg.pinv(columns) @ values)[..., None])[..., 0]
+    return float(np.min(np.mean(rest**2, axis=-1)))

@@ -27,8 +27,7 @@ from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
 from numba.types import Array, unliteral
 
-from processing.byte_lock import byte_locked
-from processing.kernel_parts import Part, PartCompiler, answers_kept
+from processing.kernel_parts import Part, PartCompiler, answers_kept, byte_locked
 
 _WAITS = "processing:another process compiles it"
 _BYTES = 2**31

@@ -1,14 +1,11 @@
-"""What a number is, declared once: on the field of the dataclass that holds it.
-
-``drag_s: Annotated[float, Quantity("drag", "linear drag")]`` gives symbol and meaning; the SI unit stands in
-the name. Terminal, report, files for other programs, archive and JSON schema take theirs from here.
-"""
+"""What a number is, declared once: on the field that holds it, or here for what is derived from a fit."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import Any, Final, get_type_hints
+from typing import Annotated, Any, Final, get_type_hints
 
+from processing.arrays import Floats
 from processing.estimate import Estimate
 from processing.units import conversion, unit_of_name
 
@@ -109,3 +106,24 @@ def _resolved(unit: str, value: Any, unit_of: Callable[[str], str], own: str) ->
     if unit.startswith(STATED):
         return str(getattr(value, unit.removeprefix(STATED)) or "")
     return unit_of(getattr(value, unit.removeprefix(OF))) if unit.startswith(OF) else unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Derived:
+    """What follows from the parameters of the paper's law and the rig's input quantities.
+
+    A quantity that is added here has a line in the budget, a row in the table of results, and a place in
+    every file: `derived_quantities` of `processing.fit` calculates it.
+    """
+
+    surface_energy_table2_j_per_m2: Annotated[
+        Floats, Quantity("σ (Table 2's form)", "surface energy, as in the paper's Table 2", "mJ/m²")
+    ]
+    surface_energy_eq2_j_per_m2: Annotated[
+        Floats, Quantity("σ (Eq. 2 as printed)", "surface energy, by the paper's Eq. 2", "mJ/m²")
+    ]
+    contact_radius_m: Annotated[
+        Floats, Quantity("contact radius a", "radius of the contact, after Hertz", "µm")
+    ]
+    contact_depth_m: Annotated[Floats, Quantity("depth a²/R", "depth of the contact", "µm")]
+    contact_angle_rad: Annotated[Floats, Quantity("contact angle a/R", "angle of the contact", "arcmin")]

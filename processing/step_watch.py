@@ -8,7 +8,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.robust import robust_scatter
-from processing.ticks import seconds
+from processing.units import seconds
 
 _SIGNIFICANCE = 8.0
 """In white noise one of 1,100 values exceeds it by chance, since six values tell their scatter badly (5: one

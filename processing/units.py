@@ -1,19 +1,43 @@
-"""Units: the one table of them, the one way to read them, and the factors between them.
-
-A unit is a text such as ``m``, ``mJ/m^2``, ``rad/s^2/sqrt(Hz)`` or ``µm``: symbols with prefixes, joined by a
-space, ``·`` or ``*`` (times) and ``/`` (by the next one alone), with powers as ``^2`` or ``²``. A name ends
-in its unit: ``rotation_rad_per_s`` is in rad/s.
-"""
+"""Units: the one table of them, of angles and of a clock's ticks, how they are read, factors between them."""
 
 import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction
 from functools import cache
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, overload
 
-from processing.angle import ARCSEC_RAD
+import numpy as np
+from numpy.typing import NDArray
+
 from processing.errors import ConfigurationError
+
+ARCSEC_RAD = math.pi / 648000.0
+"""One arcsec in rad."""
+
+
+S_PER_NS: Final = 1e-9
+NS_PER_S: Final = 1e9
+
+
+@overload
+def seconds(ticks_ns: float | np.integer[Any]) -> float: ...
+@overload
+def seconds(ticks_ns: NDArray[np.int64]) -> NDArray[np.float64]: ...
+def seconds(ticks_ns: Any) -> Any:
+    """A number or an array of ticks in s; differences of ticks first, which are exact as integers."""
+    return ticks_ns * S_PER_NS
+
+
+@overload
+def nanoseconds(time_s: float) -> int: ...
+@overload
+def nanoseconds(time_s: NDArray[np.float64]) -> NDArray[np.int64]: ...
+def nanoseconds(time_s: Any) -> Any:
+    """The nearest ticks of a number or an array of times in s."""
+    ticks_ns = time_s * NS_PER_S
+    return np.rint(ticks_ns).astype(np.int64) if isinstance(time_s, np.ndarray) else round(ticks_ns)
+
 
 Powers = Mapping[str, Fraction]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from processing.arrays import Flags, Floats
 from processing.errors import DataError
 from processing.fit import LEAST_LEFT, Signals, Witness, plain_signals
-from processing.swing_at_rest import SwingAtRest, quadratures_of, swing_at_rest
+from processing.pendulum_at_rest import SwingAtRest, quadratures_of, swing_at_rest
 
 _STEPS_A_PERIOD = 80
 """In which the record's drive is summed."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from acquisition.record.reader import RecordReader
-from processing.angle import ARCSEC_RAD
+from processing.units import ARCSEC_RAD
 from tests.rig.command_line import SMALL, set_words
 from tests.rig.view.rrd_contents import measured
 

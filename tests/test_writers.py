@@ -20,15 +20,15 @@ ALLOWED = {
     "rig/export/session_export.py": "under the name that being_written gives",
     "rig/export/nexus.py": "under the name that being_written gives",
     "rig/settings/written_file.py": "under the name that being_written gives",
-    "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
+    "rig/measure/without_session.py": "in the folder that folder_being_written gives",
     # lines that are added, never changed
     "rig/balance/history.py": "a history to which lines are added",
-    "rig/measure/notes.py": "lines of a file beside the record, which holds them too",
+    "rig/measure/session_orders.py": "lines of a file beside the record, which holds them too",
     "rig/devices/audit.py": "a chain of lines, each forced to the disk, which knows where it was cut",
     "rig/desk/jobs.py": "what a program prints",
     # no content that anybody keeps
     "rig/orders/server.py": "a live port, gone with its process",
-    "processing/byte_lock.py": "a lock",
+    "processing/kernel_parts.py": "a lock",
     "rig/control/safety_state.py": "a lock",
     "rig/desk/kept.py": "a lock",
     "rig/measure/session_file.py": "a lock",

@@ -27,7 +27,7 @@ from acquisition.cameras.preparation import GenicamFeatures, Quantity
 from acquisition.frame import Frame
 from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError, MissingPackage
-from processing.ticks import NS_PER_S
+from processing.units import NS_PER_S
 
 _NAMES: Final[dict[Quantity, tuple[str, ...]]] = {
     "exposure_us": ("ExposureTime", "ExposureTimeAbs"),

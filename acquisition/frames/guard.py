@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
 from acquisition.frame import Frame
 from processing.errors import DeviceError, RigError, in_one_line
-from processing.ticks import seconds
+from processing.units import seconds
 
 _log = logging.getLogger(__name__)
 

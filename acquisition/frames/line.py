@@ -24,7 +24,7 @@ from acquisition.frames.expected_times import (
 from acquisition.frames.guard import NO_TIME_NS, ClockWatch, Delivered
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
-from processing.ticks import S_PER_NS, seconds
+from processing.units import S_PER_NS, seconds
 
 _ALIKE = 3
 """Frames that agree on a step, until it is believed."""

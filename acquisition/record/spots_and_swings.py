@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import DEFLECTION_FIELDS, SWING
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import SPOT_DTYPE, Spot
 from processing.swing import Swing
+from processing.units import ARCSEC_RAD
 
 
 def spot_rows(

@@ -2,7 +2,7 @@
 
 import datetime
 
-from processing.ticks import seconds
+from processing.units import seconds
 
 
 def utc(time_ns: int) -> datetime.datetime:

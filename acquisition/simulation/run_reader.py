@@ -11,7 +11,7 @@ from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.scene import PlannedFrames, Scene
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 
 _log = logging.getLogger(__name__)
 CAMERA_NAME = "simulated camera"

@@ -17,7 +17,7 @@ from acquisition.simulation.optics import RollingReadout, Sheared, spot_position
 from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.smooth_series import SmoothSeries
 from acquisition.simulation.true_path import axes_motion
-from processing.ticks import NS_PER_S
+from processing.units import NS_PER_S
 
 
 class PlannedFrames(NamedTuple):

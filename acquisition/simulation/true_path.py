@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from acquisition.simulation import randomness
 from acquisition.simulation.motion import Motion, motions
 from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
-from processing.ticks import nanoseconds
+from processing.units import nanoseconds
 
 _PATH_NOISE = 11
 

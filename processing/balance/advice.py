@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Flags, Floats
+from processing.balance.balance import Doubt, Room, Turn, Unreachable
 from processing.balance.faults import BalanceLimits
-from processing.balance.room import Room
-from processing.balance.turn import Doubt, Turn, Unreachable
 from processing.balance.weight_response import WeightResponse
 
 _LEAST_SWING_ARCSEC = 10.0

@@ -1,8 +1,13 @@
-"""The balance of the pendulum at one moment: one value with its unit."""
+"""The balance of the pendulum at one moment, the room that the spot has, and what is to be turned."""
 
+import math
 from dataclasses import dataclass
-from typing import Annotated, get_args, get_type_hints
+from enum import StrEnum
+from typing import Annotated, NamedTuple, get_args, get_type_hints
 
+import numpy as np
+
+from processing.arrays import Floats
 from processing.deflections import DeflectionUnit
 from processing.quantity import Quantity
 
@@ -76,3 +81,67 @@ def names_with_units(unit: DeflectionUnit) -> dict[str, str]:
         elif name != "unit":
             names[name] = name
     return names
+
+
+@dataclass(frozen=True)
+class Room:
+    """The rest positions at which the spot is on the sensor: a polygon of tilts (X, Y).
+
+    `normals` (n, 2) are unit vectors towards its edges, `distances_arcsec` (n,) those of the edges from zero
+    tilt.
+    """
+
+    normals: Floats
+    distances_arcsec: Floats
+
+    def holds(self, rest_arcsec: Floats) -> bool:
+        """Whether a rest position (2,) lies on the sensor."""
+        return bool(np.all(self.normals @ rest_arcsec <= self.distances_arcsec))
+
+    def largest_swing_arcsec(self, rest_arcsec: Floats, u_arcsec: Floats) -> Floats:
+        """Largest amplitude along Y with which the spot stays on the sensor; negative: it is off it at rest.
+
+        `rest_arcsec` and `u_arcsec` (..., 2): predicted rest positions and their standard uncertainties, of
+        which two are kept clear. Returns (...,).
+        """
+        doubt = 2.0 * np.sqrt(u_arcsec**2 @ (self.normals**2).T)
+        left = self.distances_arcsec - rest_arcsec @ self.normals.T - doubt
+        along = np.abs(self.normals[:, 1])
+        # an edge along which the pendulum swings limits no amplitude, only the rest position
+        swing = np.where(
+            (left < 0) | (along < 0.02), np.where(left < 0, left, np.inf), left / np.maximum(along, 0.02)
+        )
+        return np.asarray(np.min(swing, axis=-1))
+
+
+class Doubt(StrEnum):
+    """What a turn of a weight shows instead of what was stated."""
+
+    STUCK = "does not move"
+    REVERSED = "was turned the other way"
+    OPEN = "may have been turned either way"
+
+
+class Turn(NamedTuple):
+    """The next adjustment: the weight, the number of turns (positive: clockwise) and the reason (`why`).
+
+    `then` is a second part, the other way, which takes the play out of the screw; 0: none. `swing_arcsec` is
+    the largest amplitude with which the spot will stay on the sensor afterwards (inf: not known).
+    """
+
+    weight: str
+    turns: float
+    why: str
+    then: float = 0.0
+    swing_arcsec: float = math.inf
+
+    @property
+    def parts(self) -> tuple[float, ...]:
+        """The turns in sequence."""
+        return (self.turns, self.then) if self.then else (self.turns,)
+
+
+class Unreachable(NamedTuple):
+    """No turn of the weights leads to balance; `why` says what is wrong with them."""
+
+    why: str

@@ -14,7 +14,7 @@ from processing.balance.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.swing import TwoModes, separate_modes
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 
 _WINDOW_PERIODS = 2.0
 _HISTORY = 8

@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
-from processing.balance.balance import Balance
-from processing.balance.room import Room
+from processing.balance.balance import Balance, Room
 from processing.deflections import DeflectionUnit
+from processing.units import ARCSEC_RAD
 
 _MOST_HEIGHT = 0.2
 """Height of the mass centre over the ball's radius: beyond it the period was not the pendulum's."""

@@ -15,7 +15,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.balance.balance import Balance
 from processing.deflections import Deflections
-from processing.ticks import seconds
+from processing.units import seconds
 
 _FEWEST = 6
 """Directions through which a line is laid: four degrees of freedom show its scatter."""

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from processing.air import Air
 from processing.contact.law import PendulumOnBall, weight_moment
+from processing.surroundings import Air
 
 _PERIOD_RATIO = 5.0
 """Slow over fast period of the paper's pendulum, and so length over width."""

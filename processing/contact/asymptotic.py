@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 
 from processing.arrays import Floats
 from processing.contact.law import ContactParameters, PendulumOnBall, stiffness_ratio
+from processing.decay_summary import FEWEST_PERIODS, full_periods, mean_period, reference_amplitude
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.least_squares import Loss, Solution, propagate, solve
-from processing.periods import FEWEST_PERIODS, full_periods, mean_period, reference_amplitude
 from processing.swing import TurningPoints
 
 _PIECE, _PIECES = 0.1, 400

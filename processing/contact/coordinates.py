@@ -19,8 +19,8 @@ from processing.contact.law import (
     PendulumOnBall,
     relative_curvature,
 )
+from processing.decay_summary import reference_amplitude
 from processing.errors import DataError
-from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
 
 ComplexOrReal = NDArray[Any]

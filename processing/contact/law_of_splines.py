@@ -19,7 +19,7 @@ from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import FREE_PERIOD, PERIOD, Law, Parameter
 from processing.contact.memoryless import Moment, Moments, memoryless_law
-from processing.periods import reference_amplitude
+from processing.decay_summary import reference_amplitude
 from processing.swing import TurningPoints
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import DRAG, FREE_PERIOD, PERIOD, Law, Parameter, PendulumOnBall, stiffness_ratio
 from processing.contact.laws import LAWS, PAPER, STIFFNESS, elastic_moment
 from processing.contact.memoryless import Moment, Moments, memoryless_law
+from processing.decay_summary import reference_amplitude
 from processing.errors import DataError
-from processing.periods import reference_amplitude
 from processing.swing import TurningPoints
 
 _ELASTIC = ("n", "gamma_pa")

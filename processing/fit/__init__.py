@@ -1,6 +1,6 @@
 """Fits of a contact law to a decay, and uncertainties of the results."""
 
-from processing.derived import Derived
+from processing.estimate import FitMethod
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.changes import DRIFTS, drift_term, drifts_of, with_changes
 from processing.fit.checks import domain_warnings
@@ -71,4 +71,4 @@ from processing.fit.sensor_errors import (
 from processing.fit.terms import Linearised, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
-from processing.fit_method import FitMethod
+from processing.quantity import Derived

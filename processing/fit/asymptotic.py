@@ -20,14 +20,7 @@ from processing.contact import (
     stiffness_ratio,
 )
 from processing.contact.laws import AMPLITUDE, DRAG, PAPER
-from processing.errors import DataError
-from processing.estimate import Estimate
-from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
-from processing.fit.exact_model import ExactModel
-from processing.fit.result import FitResult
-from processing.fit_method import FitMethod
-from processing.least_squares import Factored, Loss, Solution, propagate, solve
-from processing.periods import (
+from processing.decay_summary import (
     FEWEST_PERIODS,
     Periods,
     full_periods,
@@ -35,6 +28,12 @@ from processing.periods import (
     mean_period_estimate,
     reference_amplitude,
 )
+from processing.errors import DataError
+from processing.estimate import Estimate, FitMethod
+from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
+from processing.fit.exact_model import ExactModel
+from processing.fit.result import FitResult
+from processing.least_squares import Factored, Loss, Solution, propagate, solve
 from processing.swing import TurningPoints
 
 

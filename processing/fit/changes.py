@@ -17,12 +17,12 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.contact import DRAG, PendulumOnBall
+from processing.decay_summary import mean_period
 from processing.fit.exact_model import Errors, ExactModel
 from processing.fit.ground import Noise
 from processing.fit.result import FITTED_DRIFTS, STEP, Change, ChangeKind, FitResult
 from processing.fit.terms import Driven, Linearised, Term
 from processing.least_squares import Factored
-from processing.periods import mean_period
 from processing.swing import TurningPoints
 
 _GROWN = 1e-3

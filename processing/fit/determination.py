@@ -16,11 +16,10 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
-from processing.estimate import WELL_DETERMINED, Determinacy
+from processing.estimate import WELL_DETERMINED, Determinacy, FitMethod
 from processing.fit.checks import impossible
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
-from processing.fit_method import FitMethod
 from processing.least_squares import Solution, solve
 from processing.number_text import plain, with_uncertainty
 from processing.quantity import OF, Quantity

@@ -14,12 +14,11 @@ import numpy as np
 from processing.contact import STEEPER_DRAG, ExpectedDrag, PendulumOnBall
 from processing.contact.laws import DRAG
 from processing.errors import DataError
-from processing.estimate import NOT_DETERMINED, Estimate
+from processing.estimate import NOT_DETERMINED, Estimate, FitMethod
 from processing.fit.determination import profile_likelihood
 from processing.fit.exact import fit_exact, fit_exact_with
 from processing.fit.result import STEEPER, FitResult, SteeperDrag
 from processing.fit.terms import Linearised, Term
-from processing.fit_method import FitMethod
 from processing.number_text import plain, with_uncertainty
 from processing.swing import TurningPoints
 

@@ -11,6 +11,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.contact.laws import DEFAULT_LAW, DRAG, Law
+from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.checks import (
@@ -26,7 +27,6 @@ from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult
 from processing.least_squares import Loss, Solution, solve
 from processing.number_text import plain
-from processing.periods import mean_period
 from processing.swing import TurningPoints
 
 _GOOD_CHI2 = 1.5

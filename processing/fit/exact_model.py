@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from processing.arrays import Floats
 from processing.contact import TABLE_RATIO, HalfSwings, OneHalfSwing, PendulumOnBall, SwingTable, walk
 from processing.contact.laws import DEFAULT_LAW, Law
+from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import (
@@ -25,7 +26,6 @@ from processing.fit.ground import (
 )
 from processing.fit.known_drive import KnownDrive, WitnessedColumns
 from processing.fit.result import FitResult
-from processing.periods import mean_period
 from processing.swing import TurningPoints
 
 _ABOVE, _BELOW = 1.05, 0.6

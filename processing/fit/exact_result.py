@@ -11,14 +11,14 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.contact.laws import AMPLITUDE, DRAG, TIME
+from processing.decay_summary import full_periods, mean_period_estimate
+from processing.estimate import FitMethod
 from processing.fit.checks import OUTLIER, data_warnings, of_correlation, of_ground, of_limits, of_overstated
 from processing.fit.evidence import AIR, WAVEFORM
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, GroundFit
 from processing.fit.result import READING, FitResult, Whiteness, changes_of
-from processing.fit_method import FitMethod
 from processing.least_squares import Factored, Loss, Solution, covariance_of, propagate
-from processing.periods import full_periods, mean_period_estimate
 
 _LAGS = 20
 """Box and Jenkins' usual number; of a short run a fifth of its length, since far lags have few pairs."""

@@ -30,7 +30,7 @@ from processing.swing import (
     turning_points,
     with_learned_weights,
 )
-from processing.ticks import seconds
+from processing.units import seconds
 
 _MOST = 0.95
 """Share of the half-cycles that must be found again."""

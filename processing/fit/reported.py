@@ -10,11 +10,10 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material, PendulumOnBall, contact_radius
 from processing.contact.laws import DRAG, PAPER
-from processing.derived import Derived
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit.result import FitResult, part_of
-from processing.quantity import Quantity, quantities_of
+from processing.quantity import Derived, Quantity, quantities_of
 from processing.units import in_ascii
 
 OUTPUTS: Mapping[str, str] = {

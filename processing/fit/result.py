@@ -12,10 +12,9 @@ from processing.arrays import Floats
 from processing.contact import ContactParameters
 from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME, Law
 from processing.errors import DataError
-from processing.estimate import NOT_DETERMINED, Estimate
+from processing.estimate import NOT_DETERMINED, Estimate, FitMethod
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.ground import Ground, GroundFit
-from processing.fit_method import FitMethod
 from processing.least_squares import Loss
 from processing.quantity import PLAIN, Quantity
 

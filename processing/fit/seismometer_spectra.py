@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from processing.arrays import Flags, Floats
 from processing.contact import PendulumOnBall
+from processing.decay_summary import mean_period
 from processing.fit.ground import density_of_step
 from processing.fit.known_drive import KnownDrive
 from processing.fit.result import FitResult
 from processing.fit.seismometer_terms import at_fit, model_of
-from processing.periods import mean_period
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from processing.arrays import Flags, Floats
 from processing.contact import PendulumOnBall
+from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.exact_model import ExactModel
@@ -24,7 +25,6 @@ from processing.fit.known_drive import KnownDrive, Signals, known_drive
 from processing.fit.result import FitResult
 from processing.fit.terms import Term, solve
 from processing.least_squares import Factored
-from processing.periods import mean_period
 from processing.swing import TurningPoints
 
 _COARSEST = 0.25

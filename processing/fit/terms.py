@@ -16,10 +16,10 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
+from processing.estimate import FitMethod
 from processing.fit.exact_model import Errors, ExactModel
 from processing.fit.ground import Noise
 from processing.fit.result import FitResult
-from processing.fit_method import FitMethod
 from processing.least_squares import Factored
 from processing.swing import TurningPoints
 

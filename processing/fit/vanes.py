@@ -18,12 +18,11 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.contact.laws import AMPLITUDE, DRAG, PAPER, TIME
 from processing.errors import DataError
-from processing.estimate import Estimate
+from processing.estimate import Estimate, FitMethod
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.fit.terms import Term
 from processing.fit.terms import solve as solve_terms
-from processing.fit_method import FitMethod
 from processing.least_squares import covariance_of, solve
 from processing.swing import TurningPoints
 

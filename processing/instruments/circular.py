@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from processing.arrays import Floats
+from processing.decay_summary import full_periods
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.periods import full_periods
 from processing.swing import TurningPoints
 
 _FEWEST = 8

@@ -19,7 +19,7 @@ import numpy as np
 
 from processing.arrays import Floats, Ints
 from processing.swing import Swing, SwingFlag
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 
 _REACH = 0.2
 """Time and speed of a crossing are fitted to samples within this fraction of the half period on either

@@ -13,9 +13,9 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Annotated, Literal
 
-from processing.angle import ARCSEC_RAD
 from processing.estimate import Estimate
 from processing.quantity import IN_UNIT
+from processing.units import ARCSEC_RAD
 
 DEGREE_RAD = math.pi / 180.0
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from processing.arrays import Floats, Ints
 from processing.swing import Swing
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 
 _REACH = 0.32
 """Fitted on either side, in half periods: with the powers below a cosine is met to 2e-5 of the amplitude."""

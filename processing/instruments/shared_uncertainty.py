@@ -11,9 +11,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from processing.arrays import Floats, Ints
+from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.periods import mean_period
 from processing.swing import TurningPoints
 
 Found = TypeVar("Found", bound=NamedTuple)

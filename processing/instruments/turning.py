@@ -15,7 +15,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.swing import Swing, SwingFlag
-from processing.ticks import seconds
+from processing.units import seconds
 
 _REACH = 0.40
 """Half-width of the fitted interval in half periods. Within it even powers up to the sixth approximate a

@@ -8,12 +8,12 @@ from typing import Annotated
 
 import numpy as np
 
-from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit import AIR, MISFIT, FitResult, FittedContact, fitted_contact
 from processing.quantity import PART
 from processing.swing import TurningPoints
+from processing.units import ARCSEC_RAD
 
 _AGREE = 0.05
 """Probability above which the scatter of the runs is attributed to their own uncertainties."""

@@ -25,9 +25,11 @@ from processing.spot.fit_values import (
     Workspace,
     X,
     Y,
+    cholesky,
+    inverse_diagonal,
+    solve,
 )
 from processing.spot.general_fit import window_of
-from processing.spot.linear_algebra import cholesky, inverse_diagonal, solve
 from processing.spot.prefetch import prefetch_window
 from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image

@@ -12,20 +12,25 @@ from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean, moved
 from processing.spot.fit_values import (
     AMPLITUDE,
     COVARIANCE,
+    LAST,
     REACH,
     SIGMA_X,
     SIGMA_Y,
+    TILT_HINTS,
+    TILTED,
+    TWO,
     Fitted,
     Place,
     Workspace,
     as_kind,
+    cholesky,
+    expect,
+    inverse_diagonal,
     nothing_hidden,
     workspace_of,
 )
 from processing.spot.fit_values import TILTED as TILTED_PARAMETERS
 from processing.spot.general_fit import fit_general
-from processing.spot.linear_algebra import cholesky, inverse_diagonal
-from processing.spot.memory import LAST, TILT_HINTS, TILTED, TWO, expect
 from processing.spot.outcome import Result, finish, significant, without_spot
 from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 from processing.spot.spot import Image

@@ -45,8 +45,10 @@ from processing.spot.fit_values import (
     Workspace,
     X,
     Y,
+    cholesky,
+    inverse_diagonal,
+    solve,
 )
-from processing.spot.linear_algebra import cholesky, inverse_diagonal, solve
 from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image
 

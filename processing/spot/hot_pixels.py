@@ -11,6 +11,7 @@ from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
     COVARIANCE,
+    LAST,
     PARAMETERS,
     REACH,
     SECOND_AMPLITUDE,
@@ -18,12 +19,14 @@ from processing.spot.fit_values import (
     SECOND_Y,
     SIGMA_X,
     SIGMA_Y,
+    STEP_X,
+    STEP_Y,
+    TWO,
     Place,
     X,
     Y,
 )
 from processing.spot.following import SEARCH
-from processing.spot.memory import LAST, STEP_X, STEP_Y, TWO
 from processing.spot.outcome import FLAGS, Result
 from processing.spot.spot import Image
 

@@ -31,11 +31,11 @@ from processing.spot.fit_values import (
     Workspace,
     X,
     Y,
+    inverse_diagonal,
     nothing_hidden,
     poor_fit_limit,
 )
 from processing.spot.general_fit import fit_general, inverse_covariance, window_of
-from processing.spot.linear_algebra import inverse_diagonal
 from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image
 

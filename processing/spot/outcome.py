@@ -8,11 +8,13 @@ import numpy as np
 from processing.arrays import Floats
 from processing.kernel import kernel
 from processing.spot.fit_values import (
+    ALONE,
     AMPLITUDE,
     BACKGROUND,
     COVARIANCE,
     GATE,
     PARAMETERS,
+    POOR_FRAMES,
     REACH,
     SECOND_AMPLITUDE,
     SECOND_X,
@@ -26,13 +28,15 @@ from processing.spot.fit_values import (
     X,
     Y,
     as_kind,
+    cholesky,
+    forget,
+    inverse_diagonal,
     misfit_limit,
     nothing_hidden,
     poor_fit_limit,
+    remember,
 )
 from processing.spot.general_fit import fit_general, inverse_covariance, score_general, window_of
-from processing.spot.linear_algebra import cholesky, inverse_diagonal
-from processing.spot.memory import ALONE, POOR_FRAMES, forget, remember
 from processing.spot.obstacle import CUT, FEWEST_OUTLIERS, HIDDEN, fit_uncovered
 from processing.spot.sensor_model import PixelNoise, background_variance
 from processing.spot.spot import Image, SpotFlag

@@ -13,8 +13,7 @@ import numpy as np
 
 from processing.arrays import Floats, Singles
 from processing.kernel import kernel
-from processing.spot.fit_values import GATE
-from processing.spot.linear_algebra import cholesky, inverse_diagonal, solve
+from processing.spot.fit_values import GATE, cholesky, inverse_diagonal, solve
 from processing.spot.sensor_model import background_variance, pixel_noise_of
 
 LIGHT, CENTRE_X, CENTRE_Y, LEVEL, SLOPE_X, SLOPE_Y = range(6)

@@ -9,15 +9,21 @@ from processing.spot.fit_values import (
     AMPLITUDE,
     BACKGROUND,
     COVARIANCE,
+    FOLLOWS,
+    LAST,
+    POOR_FRAMES,
     SIGMA_X,
     SIGMA_Y,
+    STEP_X,
+    STEP_Y,
+    TILTED,
+    TWO,
     Place,
     X,
     Y,
     poor_fit_limit,
 )
 from processing.spot.hot_pixels import HotPixels
-from processing.spot.memory import FOLLOWS, LAST, POOR_FRAMES, STEP_X, STEP_Y, TILTED, TWO
 from processing.spot.outcome import principal_axes
 from processing.spot.profile import BeamProfile, ProfileFit, dark_variance, fit_at
 from processing.spot.profile_fit import CENTRE_X, CENTRE_Y, FITTED, LEVEL, LIGHT, SLOPE_X, SLOPE_Y

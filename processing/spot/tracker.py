@@ -9,39 +9,37 @@ from processing.arrays import Floats
 from processing.errors import DataError
 from processing.spot.clean_fit import LARGEST_TABLE
 from processing.spot.fit_values import (
+    ALONE,
     AMPLITUDE,
     BACKGROUND,
     COVARIANCE,
+    FOLLOWS,
+    LAST,
     PARAMETERS,
+    POOR_FRAMES,
     REACH,
     SIGMA_X,
     SIGMA_Y,
-    WORKSPACE_SHAPE,
-    Place,
-    X,
-    Y,
-)
-from processing.spot.following import EXPECTED, NEAR, ROUGH, SEARCH, follow
-from processing.spot.hot_pixels import HotPixels
-from processing.spot.memory import (
-    ALONE,
-    FOLLOWS,
-    LAST,
-    POOR_FRAMES,
     STEP_X,
     STEP_Y,
     TILT_HINTS,
     TWO,
+    WORKSPACE_SHAPE,
+    Place,
+    X,
+    Y,
     empty_memory,
 )
+from processing.spot.following import EXPECTED, NEAR, ROUGH, SEARCH, follow
+from processing.spot.hot_pixels import HotPixels
 from processing.spot.model_choice import KnownWidth, ModelChoice, SpotModel
 from processing.spot.outcome import FLAGS, Result
 from processing.spot.profile import Shape
 from processing.spot.profile_follower import ProfileFollower
 from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
-from processing.spot.searching import AREAS, BLOCK, EVERY_ROW, SEEN, SOME_ROWS, find_start
 from processing.spot.sensor_model import SensorModel
 from processing.spot.spot import Image, Spot, SpotFlag
+from processing.spot.start import AREAS, BLOCK, EVERY_ROW, SEEN, SOME_ROWS, find_start
 from processing.spot.upright_score import TABLE_ROWS
 
 

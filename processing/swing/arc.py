@@ -32,7 +32,7 @@ from processing.swing.half_cycle import (
 )
 from processing.swing.small_matrices import copy, times_matrix
 from processing.swing.waveform import NODES, SHAPES, zero_phases
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 
 _STEPS = 30
 _SETTLED = 0.1

@@ -27,10 +27,10 @@ from processing.swing.half_cycle import (
     propagate,
     tabulated,
 )
-from processing.swing.known_motion import KnownMotion
+from processing.swing.prediction import KnownMotion
 from processing.swing.swing import Swing
 from processing.swing.waveform import SHAPES, zero_phases
-from processing.ticks import NS_PER_S, seconds
+from processing.units import NS_PER_S, seconds
 
 _ACTIVE = np.array([AMPLITUDE, TIME, RATE, *range(SHAPE, SHAPE + SHAPES), CENTRE, DRIFT])
 _OWN = np.isin(_ACTIVE, (AMPLITUDE, TIME, CENTRE, DRIFT))

@@ -10,12 +10,12 @@ from processing.deflections import Deflections
 from processing.swing.follower import Follower
 from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.judgement import turned
-from processing.swing.known_motion import KnownMotion
 from processing.swing.modes import separate_modes
 from processing.swing.onset import FirstHalfCycle, Onset, OnsetSearch
+from processing.swing.prediction import KnownMotion
 from processing.swing.sample_buffer import SampleBuffer
 from processing.swing.swing import Swing, SwingFlag
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 
 _OFF = 0.05
 """Largest deviation of a turning point, in half periods, for the motion after a disturbance to count as the

@@ -33,7 +33,7 @@ from processing.swing.prediction import SLOPE_WANDER, predict
 from processing.swing.swing import SwingFlag
 from processing.swing.term_selection import ANHARMONIC, FAST_MODE, bent, extend, prior
 from processing.swing.waveform import DAMPING, RISE
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 
 _REFITS = (8, 16, 32, 64)
 _LINEAR_REFITS = (6, 8, 10, 12, 16, 24, 32, 64)

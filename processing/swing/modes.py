@@ -33,7 +33,7 @@ from processing.swing.mode_fit import (
     slow_fit,
     with_fast_mode,
 )
-from processing.ticks import seconds
+from processing.units import seconds
 
 _FEWEST = 20  # samples of two coordinates each, for the 18 terms of both modes
 

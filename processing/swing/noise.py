@@ -21,7 +21,7 @@ from processing.errors import DataError
 from processing.robust import robust_scatter
 from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.swing import Swing
-from processing.ticks import seconds
+from processing.units import seconds
 
 _MEMORY = 15
 """Number of half-cycles whose median reduced chi-square gives the factor on the samples' uncertainties."""

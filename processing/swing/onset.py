@@ -16,14 +16,13 @@ from processing.swing.arc import Arc, HalfCycleSamples, state_before, state_on_a
 from processing.swing.half_cycle import AMPLITUDE, RATE, TIME
 from processing.swing.half_cycle_fit import HalfCycleFit, fit_half_cycle
 from processing.swing.judgement import judge, turned
-from processing.swing.known_motion import KnownMotion
 from processing.swing.noise import NoiseLevel
 from processing.swing.pivots import FOUND, FOUND_TIME, SEARCH_STATE, Pivot, regular, search
-from processing.swing.prediction import window
+from processing.swing.prediction import KnownMotion, window
 from processing.swing.sample_buffer import SampleBuffer
 from processing.swing.swing import SwingFlag
 from processing.swing.term_selection import choose, first_guess
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 
 _PIVOTS = 4
 """Number of rough turning points that start a fit ..."""

@@ -1,20 +1,11 @@
-"""Prediction step of the Kalman filter, from one half-cycle to the next.
-
-The state follows the equation of motion; its covariance becomes
-
-    P' = F P F^T + Q
-
-with the transition matrix F (`half_cycle.propagate`) and the process noise Q, a diagonal matrix of the
-variances by which each term may change between two half-cycles, beyond the model. Nearly all of Q is
-expressed by `resolution`, the uncertainty of a single amplitude: terms may change slowly compared with
-what one half-cycle can measure. The filter then averages over many half-cycles, yet follows slow changes.
-"""
+"""Prediction from one half-cycle to the next, with frequency and waveform of the motion known or not."""
 
 import math
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from processing.arrays import Ints, Matrix, Vector
+from processing.arrays import Floats, Ints, Matrix, Vector
 from processing.kernel import kernel
 from processing.swing.half_cycle import (
     AMPLITUDE,
@@ -31,8 +22,39 @@ from processing.swing.half_cycle import (
     propagate,
     tabulated,
 )
-from processing.swing.waveform import BEND, DAMPING, DRY, RISE, STIFF, N, P, Table, zero_phases
-from processing.ticks import NS_PER_S, S_PER_NS
+from processing.swing.waveform import BEND, DAMPING, DRY, RISE, SHAPES, STIFF, N, P, Table, zero_phases
+from processing.units import NS_PER_S, S_PER_NS
+
+
+@dataclass(frozen=True, slots=True)
+class KnownMotion:
+    """Frequency and shape of the half-swing at every amplitude (see `waveform` for the equation).
+
+    `rate_rad_per_s` is the angular frequency of the linear part of the waveform's equation at the amplitude
+    `reference`, which has the unit of the deflection. The fields from `damping` to `bend` are dimensionless,
+    in the order of the state's shape terms. `drive` is the step by which the ground moves either quadrature
+    in a half-swing, in the unit of the deflection: a rest that seems to move hides one that is unknown.
+    """
+
+    rate_rad_per_s: float
+    reference: float
+    damping: float = 0.0
+    dry: float = 0.0
+    rise: float = 0.0
+    p: float = 1.0
+    stiff: float = 0.0
+    n: float = 1.0
+    bend: float = 0.0
+    drive: float = 0.0
+
+    def put_into(self, x: Floats) -> Floats:
+        """Copy of the state `x` (see `half_cycle`) with this motion's frequency and shape."""
+        out = np.array(x, dtype=np.float64)
+        assert out.shape == (STATES,)
+        out[RATE] = self.rate_rad_per_s
+        out[SHAPE : SHAPE + SHAPES] = astuple(self)[2 : 2 + SHAPES]
+        return out
+
 
 SLOPE_WANDER = 1e-3
 """Standard deviation of the change of the drift per half-cycle, in units of (resolution per half-cycle)."""

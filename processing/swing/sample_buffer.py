@@ -9,7 +9,7 @@ from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.kernel import kernel
 from processing.swing.arc import HalfCycleSamples
-from processing.ticks import seconds
+from processing.units import seconds
 
 _FINE, _BACKWARDS, _UNCERTAINTY = 0, 1, 2
 _FIRST_SIZE = 4096

@@ -14,7 +14,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.swing.swing import Swing
-from processing.ticks import seconds
+from processing.units import seconds
 
 _FEWEST_SWINGS = 8
 _PERIODS = 20

@@ -7,7 +7,7 @@ from enum import IntFlag
 import numpy as np
 
 from processing.arrays import Floats, Ints
-from processing.ticks import seconds
+from processing.units import seconds
 
 
 class SwingFlag(IntFlag):

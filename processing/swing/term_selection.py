@@ -23,11 +23,11 @@ from processing.swing.half_cycle import (
     linearise,
     tabulated,
 )
-from processing.swing.known_motion import KnownMotion
 from processing.swing.mode_fit import line
 from processing.swing.pivots import Pivot
+from processing.swing.prediction import KnownMotion
 from processing.swing.waveform import BEND, DAMPING, DRY, RISE, SHAPES, STIFF, N, P
-from processing.ticks import seconds
+from processing.units import seconds
 
 PLACE: tuple[int, ...] = (AMPLITUDE, TIME, CENTRE, DRIFT)
 LINEAR: tuple[int, ...] = (AMPLITUDE, TIME, RATE, SHAPE + DAMPING, CENTRE, DRIFT)

@@ -19,9 +19,8 @@ from acquisition.frame import Frame
 from acquisition.frames.queue import FrameQueue
 from processing.errors import ConfigurationError, DeviceError
 from processing.spot import Spot, SpotTracker
-from processing.ticks import nanoseconds
-from rig.align.annotated_picture import annotated_picture
-from rig.align.look import AlignmentFrame, take_look
+from processing.units import nanoseconds
+from rig.align.look import AlignmentFrame, annotated_picture, take_look
 from rig.devices import watch_latest
 from rig.presentation import Keys, answer
 

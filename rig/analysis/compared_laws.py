@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall, StatedLaw
 from processing.contact.laws import DEFAULT_LAW, LAWS, Law
 from processing.errors import ConfigurationError, DataError
@@ -23,6 +22,7 @@ from processing.fit import (
     waveform_chances,
 )
 from processing.swing import ORDERS, HarmonicClass, TurningPoints, harmonic_classes
+from processing.units import ARCSEC_RAD
 from rig.analysis.contact_results import (
     ComparedLaws,
     Harmonics,

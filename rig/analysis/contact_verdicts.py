@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from calibration import Axes, Lever
-from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
 from processing.contact import (
     AdhesiveContact,
@@ -49,6 +48,7 @@ from processing.fit import (
 )
 from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
+from processing.units import ARCSEC_RAD
 from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit
 from rig.analysis.result_rows import result_rows, withheld
 from rig.analysis.surroundings import limit_sentence

@@ -18,9 +18,9 @@ from processing.contact import (
     turning_points_of,
 )
 from processing.contact.laws import LAWS
+from processing.decay_summary import Periods, full_periods
 from processing.errors import DataError
 from processing.fit import FitMethod
-from processing.periods import Periods, full_periods
 from processing.swing import TurningPoints
 from rig.analysis.contact_results import Fit
 from rig.analysis.results import RunResults

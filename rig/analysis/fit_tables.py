@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from math import hypot, isnan, nan
 
-from processing.angle import ARCSEC_RAD
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import (
@@ -12,6 +11,7 @@ from processing.fit import (
 )
 from processing.quantity import quantities_of
 from processing.swing import ORDERS
+from processing.units import ARCSEC_RAD
 from rig.analysis.contact_results import (
     ComparedLaws,
     Fit,

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple, TypeVar
 import numpy as np
 
 from processing.contact import measured_losses
+from processing.decay_summary import mean_period
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -34,10 +35,9 @@ from processing.instruments import (
     with_release,
     with_shared,
 )
-from processing.periods import mean_period
 from processing.surroundings import Surroundings
 from processing.swing import Swing, SwingFlag, TurningPoints
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.analysis.instrument_results import (
     DampingResults,
     DecrementTable,

@@ -12,14 +12,14 @@ from processing.arrays import Floats, Ints
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.reference_beam import (
+from processing.reference_gain import gain_in_swings
+from processing.reference_spot import (
     LessReference,
     ReferenceVerdict,
     common_motion,
     less_reference,
     refused,
 )
-from processing.reference_gain import gain_in_swings
 from processing.spot import SPOT_DTYPE, Spot
 from rig.instrument import optics_of
 from rig.presentation import with_uncertainty

@@ -22,7 +22,7 @@ from processing.quantity import IN_UNIT, STATED, Quantity
 from processing.series import Combined, Disagreement
 from processing.surroundings import Surroundings
 from processing.swing import KnownMotion, Swing, TurningPoints
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.analysis.contact_results import Adhesion, ComparedLaws, Fit
 from rig.analysis.decay_values import AmplitudeDamping
 from rig.analysis.encoding import Beside, Entries, Floats, Integers, JsonObject, Pendulum

@@ -13,7 +13,7 @@ from processing.decay_summary import DecayMean
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.fit import FitMethod
 from processing.swing import SwingFlag, turning_points
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.analysis.compared_laws import chosen_laws
 from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table, waveform_table
 from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults, TableResults

@@ -11,12 +11,11 @@ import numpy as np
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import ENVIRONMENT, SPOT
 from acquisition.record.utc import utc
-from processing.air import humid_air
 from processing.arrays import Floats
 from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
-from processing.surroundings import Surroundings, doubtful_humidity
+from processing.surroundings import Surroundings, doubtful_humidity, humid_air
 from processing.swing import SwingHarmonics
 from rig.presentation import percent, quantity
 from rig.settings import Configuration

@@ -11,6 +11,7 @@ import numpy as np
 from acquisition.record import pixels_beside
 from acquisition.record.digest import known_sha256_of_any
 from calibration import Axes
+from processing.decay_summary import mean_period
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, RecordError
 from processing.fit import (
@@ -20,7 +21,6 @@ from processing.fit import (
     points_in_true_time,
 )
 from processing.instruments import SharedError
-from processing.periods import mean_period
 from processing.surroundings import Surroundings
 from processing.swing import Swing, TurningPoints
 from rig.analysis.contact_fits import WitnessAt, WitnessedWith, fit_decay, settled_swings

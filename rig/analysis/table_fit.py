@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.digest import known_sha256_of_any
-from processing.angle import ARCSEC_RAD
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
@@ -30,7 +29,7 @@ from processing.swing import (
     swings_of_blocks,
     turning_points,
 )
-from processing.ticks import seconds
+from processing.units import ARCSEC_RAD, seconds
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.contact_fits import of_source
 from rig.analysis.decay_values import amplitude_damping, decay_values

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from calibration import Axes
 from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of_swing, square, turned
+from processing.decay_summary import mean_period
 from processing.deflections import Deflections
-from processing.periods import mean_period
 from processing.swing import Swing, TurningPoints, swings_of_blocks, turning_points
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.presentation import with_uncertainty
 

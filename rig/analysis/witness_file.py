@@ -16,7 +16,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
 from processing.fit import Witness
-from processing.ticks import NS_PER_S, nanoseconds, seconds
+from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.intake import read_columns
 
 _SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from processing.errors import ConfigurationError, RecordError
-from rig.archive.columns import COLUMNS, SHORT_NAMES
+from rig.archive.session_rows import COLUMNS, SHORT_NAMES
 
 _TABLES: Final = f"""
 create table if not exists folders (folder varchar primary key);

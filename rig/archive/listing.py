@@ -13,7 +13,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Determinacy
 from rig.analysis import ResultRow
 from rig.archive.catalogue import duckdb_module, reading
-from rig.archive.columns import COLUMNS, IMPORTANT, IS_SIMULATED, SHOWN, of_row
+from rig.archive.session_rows import COLUMNS, IMPORTANT, IS_SIMULATED, SHOWN, of_row
 from rig.presentation import (
     NOT_KNOWN,
     Cell,

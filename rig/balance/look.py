@@ -13,7 +13,7 @@ from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 from rig.balance.learned_turns import BalanceMeasurement
 from rig.devices import Devices, LightWatch, ask_leave, wait_for_command
 from rig.instrument import (

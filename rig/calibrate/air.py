@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from acquisition.record.reader import RecordReader
-from processing.air import humid_air
 from processing.contact import PendulumOnBall, vane_drag_s_per_m2
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
-from processing.surroundings import Surroundings
+from processing.surroundings import Surroundings, humid_air
 from rig.analysis import analyse_record, expected_drag, stated_surroundings
 from rig.calibrate.filing import Filing, file_calibration
 from rig.calibrate.inputs import VaneFile, read_vanes

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration import CalibrationFile, read_calibration, toml_value
-from processing.angle import ARCSEC_RAD
+from processing.units import ARCSEC_RAD
 from rig.presentation import Table
 
 _ROUNDING_DN2 = 1.0 / 12.0

@@ -7,7 +7,6 @@ from math import isfinite, nan, sqrt
 
 import numpy as np
 
-from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
 from processing.contact import surface_energy
 from processing.errors import DataError
@@ -28,6 +27,7 @@ from processing.series import (
     sample_series,
 )
 from processing.surroundings import in_other_unit
+from processing.units import ARCSEC_RAD
 from rig.analysis import SURFACE_ENERGY, RunResults
 from rig.campaigns.likelihoods import FoundRun, compressed
 from rig.campaigns.results import (

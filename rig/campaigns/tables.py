@@ -3,9 +3,9 @@
 from math import isfinite, nan
 from typing import Final
 
-from processing.angle import ARCSEC_RAD
 from processing.estimate import Estimate
 from processing.series import ALIKE, POSITIVE, SeriesModel
+from processing.units import ARCSEC_RAD
 from rig.campaigns.results import CampaignEffect, CampaignResults
 from rig.campaigns.stated import StatedLevel
 from rig.presentation import SOURCES, Cell, Line, Table, plain, quantity, with_uncertainty

@@ -9,7 +9,7 @@ from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.recover import recover
 from acquisition.record.utc import utc_text
 from processing.errors import RigError
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.presentation import answer, print_line
 
 _HIDDEN = {"record"}

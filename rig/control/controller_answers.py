@@ -4,8 +4,8 @@ import math
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 
-from processing.air import is_possible
 from processing.errors import DeviceError
+from processing.surroundings import is_possible
 
 
 class Trip(StrEnum):

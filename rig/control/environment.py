@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
 from processing.errors import DeviceError
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.control.controller_answers import AirReading
 from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 from rig.control.settings import EnvironmentSettings

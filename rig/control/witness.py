@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from processing.errors import DeviceError
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
 from rig.control.settings import OWN_TIME, WitnessSettings
 from rig.control.worker import DeviceThread

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.topics import RecordedFittedPoint
-from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, joined
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.swing import Swing, residual_spectrum
-from processing.ticks import NS_PER_S, seconds
+from processing.units import ARCSEC_RAD, NS_PER_S, seconds
 from rig.settings import PendulumSettings
 
 _SWINGS_KEPT = 60

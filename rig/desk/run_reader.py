@@ -15,7 +15,7 @@ from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.estimate import Estimate
-from processing.ticks import NS_PER_S, seconds
+from processing.units import NS_PER_S, seconds
 from rig.desk.run_history import GroundNow, RunHistory, spectrum
 from rig.instrument import advice_for, balance_failures, recorded_configuration, told_in
 from rig.orders import PATH_S, thinned_path

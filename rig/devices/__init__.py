@@ -3,17 +3,17 @@
 from rig.devices import picture
 from rig.devices.audit import AUDIT_NAME, Audited, check_log
 from rig.devices.camera_features import feature_lines
-from rig.devices.clock_rate import ClockRate
-from rig.devices.doctor import examine
-from rig.devices.frame_stream import FrameStream
-from rig.devices.host_clock import (
+from rig.devices.clocks import (
     U_FREE_RUNNING,
     U_QUARTZ,
     U_SYNCHRONISED,
     ClockAnchors,
+    ClockRate,
     ntp_state,
     wrong_rate,
 )
+from rig.devices.doctor import examine
+from rig.devices.frame_stream import FrameStream
 from rig.devices.laser import STAYS_LIT, WIRE_IT, check_wiring, through_controller, wait_for_command
 from rig.devices.latest_frames import watch_latest
 from rig.devices.leave import TypedLeave, ask_leave, at_terminal

@@ -15,7 +15,7 @@ from acquisition.cameras.device_settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed, find_cameras
 from acquisition.frames.losses import FrameLosses
 from processing.errors import ConfigurationError, DeviceError, RigError
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.control import (
     ControllerSettings,
     LaserSettings,

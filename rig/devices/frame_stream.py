@@ -14,7 +14,7 @@ from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
 from rig.control import LightPermit, Stage
-from rig.devices.host_clock import wait_for_network_clock
+from rig.devices.clocks import wait_for_network_clock
 from rig.devices.standstill import Standstill
 from rig.instrument import setting_differences, with_read_back
 

@@ -12,7 +12,7 @@ from acquisition.record.topics import RecordedWitness
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.witness import SimulatedWitness
 from processing.errors import ConfigurationError, RigError
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 from rig.control import WitnessLines, WitnessSettings
 from rig.presentation import Verdict
 from rig.settings import Configuration

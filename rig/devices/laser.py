@@ -11,7 +11,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from processing.errors import ConfigurationError, DeviceError
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.control import (
     LASERS,
     LONGEST_JOB_S,

@@ -25,9 +25,9 @@ from rig.control import (
     make_laser,
     simulated_controller,
 )
+from rig.devices.clocks import wait_for_network_clock
 from rig.devices.frame_stream import FrameStream
 from rig.devices.ground_witness import GroundWitness, ground_witness
-from rig.devices.host_clock import wait_for_network_clock
 from rig.devices.lit_devices import LitDevices
 from rig.instrument import (
     camera_settings,

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from processing.errors import DeviceError
-from processing.ticks import seconds
+from processing.units import seconds
 
 _EVERY_S = 0.25
 _STOOD_NS = 2_000_000_000

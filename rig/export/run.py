@@ -17,8 +17,7 @@ from acquisition.record.topics import SPOT, SWING
 from acquisition.record.utc import utc
 from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
-from processing.ticks import NS_PER_S
-from processing.units import conversion, unit_of_name
+from processing.units import NS_PER_S, conversion, unit_of_name
 from rig.analysis import (
     RESULTS_NAME,
     JsonObject,

@@ -1,23 +1,20 @@
 """The configured instrument: calibration, pipeline from frames to swings, provenance, state of a run."""
 
 from rig.instrument.balance import (
+    BALANCE_CONDITIONS,
     DIRECTIONS,
+    PLANE_OF_SWING,
     WEIGHTS,
     advice_for,
+    balance_failures,
+    balance_verdicts,
     height_of,
     nominal_effects,
     sensor_room,
     turn_text,
 )
-from rig.instrument.balance_conditions import (
-    BALANCE_CONDITIONS,
-    PLANE_OF_SWING,
-    balance_failures,
-    balance_verdicts,
-)
 from rig.instrument.beam_verdict import beam_quality
 from rig.instrument.calibration import fill_from_files, judge_calibration
-from rig.instrument.camera_clock import CameraClock, rate_text
 from rig.instrument.configured_camera import (
     camera_settings,
     check_full_scale,
@@ -43,6 +40,6 @@ from rig.instrument.provenance import (
     session_metadata,
     versions,
 )
-from rig.instrument.run_now import Phase, RunNow, Told, told_in
+from rig.instrument.run_now import CameraClock, Phase, RunNow, Told, rate_text, told_in
 from rig.instrument.simulated_rig import complete
 from rig.instrument.wall import Wall

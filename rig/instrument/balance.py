@@ -1,16 +1,17 @@
 """Applies the configuration to a measured balance: effects of the weights, height, advice to the operator."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration import Axes, deflections
-from processing.angle import ARCSEC_RAD
 from processing.balance import (
     Balance,
+    BalanceLimits,
     Fault,
     Room,
     Turn,
@@ -21,10 +22,88 @@ from processing.balance import (
 )
 from processing.contact import frequency_drop, stiffness_ratio
 from processing.deflections import DeflectionUnit
+from processing.units import ARCSEC_RAD
 from rig.instrument.pendulum import pendulum_on_ball
 from rig.instrument.pipeline import Deflector
-from rig.presentation import with_uncertainty
+from rig.presentation import Verdict, percent, with_uncertainty
 from rig.settings import Configuration
+
+PLANE_OF_SWING: Final = "plane of swing"
+"""Name of the condition of the rotation."""
+_SURELY: Final = 2.0
+"""Standard uncertainties beyond a limit, where one period alone is judged."""
+
+
+class _Condition(NamedTuple):
+    """Name of a condition, what is wrong where it fails, and what to do."""
+
+    name: str
+    reason: str
+    remedy: str
+
+
+_OF_FAULTS: Final[Mapping[str, _Condition]] = {
+    "transverse motion": _Condition(
+        "transverse motion", "the start pushed it sideways", "release along Y; rig balance"
+    ),
+    "leakage": _Condition(
+        "ellipticity", "the slow mode draws an ellipse", "set the balance with rig balance"
+    ),
+    "spin": _Condition(
+        PLANE_OF_SWING,
+        "it turns about the vertical",
+        "let the pendulum settle before the release; rig balance shows the rotation",
+    ),
+    "rest position X": _Condition("tilt at rest, X", "it rests askew", "set the balance with rig balance"),
+    "rest position Y": _Condition("tilt at rest, Y", "it rests askew", "set the balance with rig balance"),
+}
+"""Faults of a balance that are conditions of a run. The direction of the line is the camera's."""
+
+BALANCE_CONDITIONS: Final = frozenset(one.name for one in _OF_FAULTS.values())
+"""Names of the conditions of a run that its balance decides."""
+
+
+def balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Verdict]:
+    """One verdict for each quantity that is known, which has a limit in the unit of the deflections."""
+    return [] if balance is None else _verdicts(balance, limits, 0.0)
+
+
+def balance_failures(balance: Balance, limits: BalanceLimits) -> list[str]:
+    """Name, value and limit of each condition that the balance of one moment surely does not meet."""
+    return [
+        f"{one.name} {one.measured}, limit {one.limit}"
+        for one in _verdicts(balance, limits, _SURELY)
+        if not one.ok
+    ]
+
+
+def _verdicts(balance: Balance, limits: BalanceLimits, beyond_u: float) -> list[Verdict]:
+    if balance.unit is not DeflectionUnit.RAD:
+        # ratios and angles need no lever; the limits of the rest position are in arcsec
+        balance = replace(balance, unit=DeflectionUnit.RAD, rest_x=math.nan, rest_y=math.nan)
+    return [
+        _verdict(_OF_FAULTS[fault.name], fault, beyond_u)
+        for fault in find_faults(balance, (math.nan, math.nan), limits)
+        if fault.is_known and fault.name in _OF_FAULTS
+    ]
+
+
+def _verdict(condition: _Condition, fault: Fault, beyond_u: float) -> Verdict:
+    ok = fault.ok or not abs(fault.value) - beyond_u * fault.u_value > fault.limit
+    if fault.unit:
+        measured = f"{with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit}"
+        limit = f"{fault.limit:g} {fault.unit}"
+    else:
+        measured, limit = percent(abs(fault.value)), f"{100 * fault.limit:g} %"
+    return Verdict(
+        condition.name,
+        ok,
+        "" if ok else condition.reason,
+        "" if ok else condition.remedy,
+        measured=measured,
+        limit=limit,
+    )
+
 
 Floats = NDArray[np.float64]
 _U_ACROSS = 0.3
@@ -120,11 +199,11 @@ def turn_text(turn: Turn | Unreachable | None, faults: Sequence[Fault]) -> str:
             else ""
         )
         return f"turn weight {turn.weight}: {parts} ({turn.why}){swing}"
-    verdict = _verdict(faults)
+    verdict = _faults_line(faults)
     return verdict if all(fault.ok for fault in faults) else f"the weights are right; still {verdict}"
 
 
-def _verdict(faults: Sequence[Fault]) -> str:
+def _faults_line(faults: Sequence[Fault]) -> str:
     rest = ", ".join(fault.name for fault in faults if not fault.ok)
     unknown = ", ".join(fault.name for fault in faults if not fault.is_known)
     verdict = f"out of limits: {rest}" if rest else "balanced: within all limits"
@@ -162,7 +241,7 @@ def advice_for(
     state = np.array([faults[0].value, faults[1].value, height_m[0]])
     effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}
     responses = learned or (WeightResponses(effects, config.balance) if effects else None)
-    head = _verdict(faults) if responses is None else turn_text(responses.advise(state, room), faults)
+    head = _faults_line(faults) if responses is None else turn_text(responses.advise(state, room), faults)
     lines = [
         f"{fault.name} {with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit} "
         f"(limit {fault.limit:g}): {fault.meaning}"

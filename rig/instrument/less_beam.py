@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from processing.arrays import Floats, Ints
-from processing.causal_reference import CausalReference
 from processing.deflections import Deflections
 from processing.estimate import Estimate
+from processing.reference_spot import CausalReference
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing, SwingDetector
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.instrument.pipeline import BesideThread, Block, Deflector
 
 _LOST_S = 0.5

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.decay_summary import DecaySummary, summarise_decay
+from processing.envelope import unsigned_period_s
 from processing.errors import ConfigurationError, DataError
 from processing.swing import Swing, turning_points
-from processing.ticks import seconds
-from processing.units import conversion
-from processing.unsigned import unsigned_period_s
+from processing.units import conversion, seconds
 from rig.intake.cell_text import MOMENT, is_missing
 from rig.intake.times import likely_units, number
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory

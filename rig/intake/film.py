@@ -19,8 +19,7 @@ from acquisition.frame import Image
 from processing.arrays import Floats
 from processing.errors import ConfigurationError, DataError
 from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker, fixed_light
-from processing.ticks import seconds
-from processing.units import conversion
+from processing.units import conversion, seconds
 from rig.intake.trajectory import ANGLES, Trajectory
 from rig.intake.units import known_unit
 

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.ticks import seconds
+from processing.units import seconds
 
 _FEWEST: Final = 64
 """Samples in which two oscillations are looked for."""

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
-from processing.ticks import seconds
-from processing.units import conversion
+from processing.units import conversion, seconds
 from rig.intake.cell_text import is_moment, moments_ns
 from rig.intake.cells import Cells, read_cells
 from rig.intake.columns import Columns, Run, runs_of

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
-from processing.ticks import seconds
-from processing.units import conversion
+from processing.units import conversion, seconds
 from rig.intake.cell_text import MOMENT, moments_ns
 from rig.intake.units import Named, known_unit
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from processing.angle import ARCSEC_RAD
 from processing.errors import DataError, RigError
+from processing.units import ARCSEC_RAD
 from rig.analysis import (
     Limit,
     RunResults,

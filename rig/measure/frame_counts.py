@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
 from processing.spot import BeamUse, SpotFlag, SpotModel
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 from rig.instrument import Block, Pipeline
 from rig.measure.recorder import Entry, cut_window
 

@@ -11,11 +11,10 @@ import numpy as np
 from acquisition.frame import Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedPhase
-from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError, RecordError
 from processing.robust import robust_scatter
-from processing.ticks import NS_PER_S, nanoseconds
+from processing.units import ARCSEC_RAD, NS_PER_S, nanoseconds
 from rig.devices import Audited, Devices, FrameStream, OpenCamera, through_controller, wait_for_command
 from rig.instrument import Optics, Phase
 from rig.measure.end_of_run import StopRequest

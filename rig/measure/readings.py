@@ -25,7 +25,7 @@ from acquisition.record.topics import (
     RecordedWitness,
 )
 from processing.errors import DeviceError
-from processing.ticks import nanoseconds
+from processing.units import nanoseconds
 from rig.devices import ClockAnchors, ClockRate, FrameStream
 from rig.instrument import CameraClock, Wall
 from rig.measure.run_parts import RunParts, features_json

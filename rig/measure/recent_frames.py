@@ -12,7 +12,7 @@ from acquisition.record.topics import RecordedPhase
 from processing.deflections import Deflections, joined
 from processing.errors import DataError
 from processing.spot import Spot
-from processing.ticks import NS_PER_S, nanoseconds, seconds
+from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.devices import FrameStream
 from rig.instrument import Deflector, Optics, Phase
 from rig.measure.end_of_run import StopRequest

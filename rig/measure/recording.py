@@ -14,7 +14,7 @@ from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
 from processing.spot import SpotFlag
 from processing.step_watch import KickWatch, StepWatch
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 from rig.instrument import Block, LessBeam, Phase, Told, Wall
 from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.frame_counts import FrameCounts

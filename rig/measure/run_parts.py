@@ -10,15 +10,15 @@ from acquisition.camera import Camera, HasFeatures
 from acquisition.frame import Frame
 from acquisition.record import pixels_beside
 from acquisition.record.writer import RecordWriter
-from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError
+from processing.units import ARCSEC_RAD
 from rig.devices import Devices, FrameStream, OpenCamera, TypedLeave
 from rig.instrument import Optics, RunNow, configuration_attachments, session_metadata
 from rig.measure.end_of_run import EndLimits
-from rig.measure.notes import Notes
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run_status import Watcher
+from rig.measure.session_orders import Notes
 from rig.measure.start_judge import StartLimits, start_limits
 from rig.orders import SessionNews
 from rig.posterior import LivePosterior

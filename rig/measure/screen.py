@@ -18,7 +18,7 @@ from acquisition.record.events import EventKind
 from processing.balance import Balance
 from processing.decay_forecast import Forecast, forecast
 from processing.deflections import DeflectionUnit
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.instrument import Phase, RunNow, Told
 from rig.measure.end_of_run import BELOW_IN_A_ROW
 from rig.measure.run_panel import Rates, estimate_rows, run_panel

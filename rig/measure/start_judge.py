@@ -4,10 +4,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.swing import Swing
+from processing.units import ARCSEC_RAD
 from rig.instrument import Optics
 from rig.settings import Configuration
 

@@ -16,7 +16,7 @@ from acquisition.frame import Frame, Image
 from acquisition.record.events import Level
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from processing.ticks import NS_PER_S
+from processing.units import NS_PER_S
 from rig.instrument import Block
 from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration

@@ -19,12 +19,11 @@ from acquisition.simulation.settings import (
     SimulationSettings,
 )
 from acquisition.simulation.true_path import noisy, true_path, true_turning_points
-from processing.angle import ARCSEC_RAD
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
 from processing.fit import FitMethod, FitResult, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
 from processing.swing import TurningPoints, swings_of, swings_of_blocks, turning_points
-from processing.ticks import seconds
+from processing.units import ARCSEC_RAD, seconds
 from rig.analysis import RunResults, Series, combined_series, contact_values, settled_swings
 from rig.report import ShownTrajectory, ShownUnit
 from rig.settings import FitSettings

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from acquisition import atomic_write
-from processing.angle import ARCSEC_RAD
 from processing.contact import (
     MATERIALS,
     STANDARD_GRAVITY_M_PER_S2,
@@ -20,6 +19,7 @@ from processing.contact.laws import PAPER
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
+from processing.units import ARCSEC_RAD
 from rig.analysis import curves_of
 from rig.paper.simulation import (
     BALL,

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.angle import ARCSEC_RAD
 from processing.contact import DEFAULT_LAW, DRAG, PendulumOnBall
 from processing.deflections import slow_deflections
 from processing.errors import ConfigurationError, DataError
@@ -16,7 +15,7 @@ from processing.fit import LEAST_LEFT, Conditions, FitMethod, sine_covariance
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsWatch, swings_of_blocks, turning_points
-from processing.ticks import nanoseconds
+from processing.units import ARCSEC_RAD, nanoseconds
 from rig.analysis import AnalysedRun, SessionResults, known_drag, read_results, stated_surroundings
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from acquisition import atomic_write
-from processing.angle import ARCSEC_RAD
 from processing.contact import DRAG
 from processing.errors import DataError
 from processing.fit import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
+from processing.units import ARCSEC_RAD
 from rig.plan.expected import Expected
 from rig.presentation import Cell, Table, answer, palette, percent, plain, print_tables, quantity
 

@@ -9,11 +9,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from acquisition.record.topics import RecordedFittedPoint
+from processing.decay_summary import mean_period
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from processing.fit import Evidence, points_in_true_time
-from processing.periods import mean_period
 from processing.swing import HarmonicsWatch, Swing, SwingHarmonics
 from rig.analysis import clock_rate_of, evidence_of, known_drag, loss_of, stated_surroundings
 from rig.instrument import pendulum_on_ball

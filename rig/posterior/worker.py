@@ -18,6 +18,7 @@ from acquisition.record.topics import RecordedFittedPoint
 from calibration import Axes
 from processing.balance import Balance
 from processing.contact import AMPLITUDE, DEFAULT_LAW, TIME, PendulumOnBall, turning_points_of
+from processing.decay_summary import full_periods, mean_period
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -31,7 +32,6 @@ from processing.fit import (
     with_misfit,
 )
 from processing.least_squares import Loss
-from processing.periods import full_periods, mean_period
 from processing.swing import Swing, TurningPoints, turning_points
 from rig.analysis import PassingDeflections, PlaneBalances, follow_plane
 

@@ -17,8 +17,13 @@ from rig.presentation.json_object import answer, one_json_object
 from rig.presentation.keys import Keys
 from rig.presentation.latex import latex_rows, latex_table
 from rig.presentation.printing import (
+    Cell,
+    Line,
+    Table,
     TimeLeft,
     columns_of,
+    harmless_line,
+    harmless_text,
     loud,
     plain_values,
     print_json_line,
@@ -36,6 +41,5 @@ from rig.presentation.quantities import (
     quantity,
     unit_of,
 )
-from rig.presentation.table import Cell, Line, Table, harmless_line, harmless_text
 from rig.presentation.terminal import print_tables, screen_width
 from rig.presentation.verdict import Verdict, failures, print_verdicts, table_tree

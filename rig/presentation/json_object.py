@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from rig.presentation.printing import plain_values
-from rig.presentation.table import Table
+from rig.presentation.printing import Table, plain_values
 
 _FOUND: ContextVar[dict[str, Any] | None] = ContextVar("found", default=None)
 

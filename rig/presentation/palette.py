@@ -6,7 +6,7 @@ which are the same in every figure and panel.
 
 from typing import Final
 
-from processing.fit_method import FitMethod
+from processing.estimate import FitMethod
 
 ORANGE: Final = "#E69F00"
 SKY_BLUE: Final = "#56B4E9"

@@ -5,11 +5,10 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
-from processing.angle import ARCSEC_RAD
 from processing.number_text import with_uncertainty
 from processing.quantity import Quantity, quantities_of
 from processing.surroundings import Surroundings
-from processing.units import unit_of_name
+from processing.units import ARCSEC_RAD, unit_of_name
 from rig.presentation import palette
 
 if TYPE_CHECKING:

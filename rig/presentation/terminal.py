@@ -8,8 +8,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from rig.presentation.json_object import answer
-from rig.presentation.printing import columns_of, folded, print_line, unbroken_words
-from rig.presentation.table import Table
+from rig.presentation.printing import Table, columns_of, folded, print_line, unbroken_words
 
 _NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")
 _WIDE = 170

@@ -13,7 +13,7 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.spot import Spot
 from processing.swing import Swing
-from processing.ticks import NS_PER_S, seconds
+from processing.units import NS_PER_S, seconds
 from rig.analysis import JsonObject, RunResults, encoded
 
 _SAME_SWING = 0.25

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 from acquisition.record.events import Event
 from processing.spot import SpotFlag
-from processing.ticks import nanoseconds
+from processing.units import nanoseconds
 from rig.instrument import RunNow, Told
 from rig.presentation import Keys
 from rig.replay.replay import Replay, Replayed, ReplayStep

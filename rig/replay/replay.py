@@ -16,7 +16,7 @@ from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import Swing
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 from rig.devices import ClockRate
 from rig.instrument import Block, CameraClock, frame_shape, optics_of, recorded_configuration, shutter_of
 from rig.replay.comparison import ReplayComparison, ReplayDifferences

@@ -5,9 +5,9 @@ from dataclasses import asdict
 
 import numpy as np
 
-from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall, cycle_work, moment_loop, weight_moment
 from processing.fit import FitMethod
+from processing.units import ARCSEC_RAD
 from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, Correlation, ResultRow, Series
 from rig.presentation import palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, ReportFigure, canvas, three_columns

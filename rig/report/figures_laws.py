@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall, measured_losses, model_losses
 from processing.errors import DataError
 from processing.fit import FitMethod
 from processing.swing import TurningPoints
+from processing.units import ARCSEC_RAD
 from rig.analysis import ComparedLaws, Curves, MomentsWithoutLaw
 from rig.presentation import palette
 from rig.report.drawing import (

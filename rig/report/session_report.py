@@ -14,11 +14,10 @@ from processing.fit import FitMethod
 from rig.analysis import AnalysedTable, Curves, Series, SessionResults, curves_of, results_path
 from rig.intake import write_positions
 from rig.presentation import Table, latex_table, quantity
-from rig.report import figures_contact, figures_ground, figures_laws, figures_motion, html
+from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg
-from rig.report.figures_ground import witness_figure
 from rig.report.figures_instruments import instrument_figures
-from rig.report.figures_motion import damped_figure, place_figure
+from rig.report.figures_motion import damped_figure, place_figure, witness_figure
 from rig.report.source import ReportSource, RunData, read_source
 from rig.report.summary import notes_of, sentence, summary_of, title_of
 from rig.report.tables import run_tables, series_tables
@@ -188,7 +187,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         if run.spectrum is not None:
             unit = motion.unit
             drawings.append(
-                figures_ground.spectrum_figure(run.spectrum, unit.shown, unit.shown_size, fit.ground)
+                figures_motion.spectrum_figure(run.spectrum, unit.shown, unit.shown_size, fit.ground)
             )
         witness = run.results.witness
         if witness is not None and witness.spectra is not None:

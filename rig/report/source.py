@@ -19,8 +19,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
 from processing.instruments import DEGREE_RAD
 from processing.swing import ResidualSpectrum, TurningPoints, residual_spectrum
-from processing.ticks import NS_PER_S
-from processing.units import conversion
+from processing.units import NS_PER_S, conversion
 from rig.analysis import (
     JsonObject,
     RunResults,

@@ -3,10 +3,10 @@
 import math
 from collections.abc import Mapping
 
-from processing.angle import ARCSEC_RAD
 from processing.contact import ExpectedDrag, weight_moment
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Budget, FitMethod
+from processing.units import ARCSEC_RAD
 from rig.analysis import (
     AveragedCurves,
     Curves,

@@ -2,5 +2,12 @@
 
 from rig.campaigns import Campaign
 from rig.scripting.fits import campaign, curves, fit, fit_film, fit_table
-from rig.scripting.record import Record, open_record
-from rig.scripting.session import Session, figures, open_session, read_results, write_results
+from rig.scripting.session import (
+    Record,
+    Session,
+    figures,
+    open_record,
+    open_session,
+    read_results,
+    write_results,
+)

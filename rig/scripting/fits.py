@@ -23,8 +23,7 @@ from rig.analysis import (
 from rig.campaigns import Campaign, StatedCampaign, answer_of, read_campaign, runs_of_folders, save_campaign
 from rig.intake import FilmAsked, TableColumns, film_trajectory
 from rig.scripting.given import columns_of, overrides_of, path_of, several, text_of
-from rig.scripting.record import Record
-from rig.scripting.session import Session
+from rig.scripting.session import Record, Session
 from rig.settings import load_configuration
 
 Recorded = str | Path | Record | Session

@@ -22,8 +22,7 @@ from rig.settings.configuration_file import (
     validate_configuration,
 )
 from rig.settings.effect import Watched
-from rig.settings.instrument import InstrumentSettings
-from rig.settings.sections import BalanceSettings, PreflightSettings, TimebaseSettings
+from rig.settings.sections import BalanceSettings, InstrumentSettings, PreflightSettings, TimebaseSettings
 from rig.settings.stop_conditions import StopCondition
 from rig.settings.typed import number, optional, quantity
 from rig.settings.wording import in_words, validated, wanted

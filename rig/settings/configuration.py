@@ -11,16 +11,16 @@ from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from calibration import Axes, Lever, Shutter, deflection_unit
-from processing.air import POSSIBLE
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel
+from processing.surroundings import POSSIBLE
 from rig.control import LASERS, ControllerSettings, EnvironmentSettings, LaserSettings, WitnessSettings
 from rig.settings.camera import CameraSection
-from rig.settings.instrument import InstrumentSettings
 from rig.settings.sections import (
     BalanceSettings,
     CalibrationSettings,
+    InstrumentSettings,
     PhaseSettings,
     PreflightSettings,
     StartSettings,

@@ -9,9 +9,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from acquisition.record.events import Event, EventKind, Level
-from processing.angle import ARCSEC_RAD
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
+from processing.units import ARCSEC_RAD
 from rig.presentation import Shown, balance_drawn, balance_table, palette, quantity
 from rig.view import layout
 from rig.view.across import AcrossTheSwing

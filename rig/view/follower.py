@@ -29,7 +29,7 @@ from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.swing import Swing
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 from rig.instrument import Phase, RunNow, Told, advice_for, recorded_configuration, told_in
 from rig.presentation import balance_numbers
 from rig.settings import Configuration

@@ -16,7 +16,7 @@ from rig.control import rig_state_path, state_folder
 from rig.control.presses import Presses
 from rig.devices import leave
 from rig.measure import session_orders
-from rig.measure.notes import Notes
+from rig.measure.session_orders import Notes
 from tests.benchmarks.safety_world import (
     HEARD_WITHIN_S,
     PATHS,

@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.ladder import LadderSteps
 from calibration.lever_fit import fit_ladder
-from processing.angle import ARCSEC_RAD
+from processing.units import ARCSEC_RAD
 
 PITCH_M = 4.8e-6
 

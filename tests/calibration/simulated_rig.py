@@ -24,7 +24,7 @@ from calibration.lever_fit import LadderFit, fit_ladder
 from calibration.pointing import stability
 from calibration.sensor import SensorCalibration, photon_transfer
 from calibration.timebase import ClockRelation, relate_clocks
-from processing.angle import ARCSEC_RAD
+from processing.units import ARCSEC_RAD
 from tests.calibration.simulated_sensor import random_sensor, transfer_frames
 
 Floats = NDArray[np.float64]

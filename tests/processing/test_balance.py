@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.angle import ARCSEC_RAD
 from processing.balance import (
     Balance,
     BalanceEstimator,
@@ -20,6 +19,7 @@ from processing.balance import (
 )
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
+from processing.units import ARCSEC_RAD
 
 RATE, FAST_RATE, ANGLE, WIDTH, TURNING = 1.55, 7.5, 0.03, 0.01, 1e-4
 

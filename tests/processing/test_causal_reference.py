@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from processing.arrays import Floats
-from processing.causal_reference import CausalReference
 from processing.estimate import Estimate
+from processing.reference_spot import CausalReference
 
 U_PX = 0.01
 

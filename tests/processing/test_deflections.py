@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit, joined, no_deflections, slow_deflections
+from processing.units import ARCSEC_RAD
 
 
 def some(unit: DeflectionUnit, count: int = 5) -> Deflections:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
-from processing.ground_at_rest import ground_at_rest
+from processing.pendulum_at_rest import ground_at_rest
+from processing.units import ARCSEC_RAD
 
 PERIOD_S, FRAMES_PER_S, STEPS = 4.08, 25.0, 4
 Q = 2e-8

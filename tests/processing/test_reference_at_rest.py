@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from processing.reference_at_rest import ReferenceAtRest, reference_at_rest
+from processing.reference_gain import ReferenceAtRest, reference_at_rest
 
 RATE_HZ, PERIOD_S, NOISE_PX = 25.0, 4.1, 0.01
 

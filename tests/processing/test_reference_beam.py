@@ -9,7 +9,7 @@ import pytest
 from processing.arrays import Flags, Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.reference_beam import (
+from processing.reference_spot import (
     LessReference,
     ReferenceVerdict,
     common_motion,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 
 
 def test_numbers_and_arrays_agree_in_every_bit() -> None:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from processing.angle import ARCSEC_RAD
 from processing.errors import DataError
 from processing.fit import Witness
+from processing.units import ARCSEC_RAD
 from processing.witness_at_rest import WitnessAtRest, witness_at_rest
 
 PERIOD_S, FRAMES_PER_S, STEPS = 4.08, 25.0, 4

@@ -14,7 +14,7 @@ from processing.fit import WitnessSpectra
 from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_figure
 from rig.report import draw_run, styled
-from rig.report.figures_ground import witness_figure
+from rig.report.figures_motion import witness_figure
 from rig.settings import load_configuration
 from rig.view import LayoutName
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, model_validator
 
 from processing.errors import DeviceError
-from processing.ticks import NS_PER_S
+from processing.units import NS_PER_S
 
 Colour = Literal["refuse", "mean", "red", "green", "blue", "brightness"]
 

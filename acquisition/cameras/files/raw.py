@@ -18,7 +18,7 @@ from acquisition.cameras.files.frame_source import (
 )
 from acquisition.cameras.pixel_formats import BY_NAME
 from processing.errors import DeviceError
-from processing.ticks import NS_PER_S
+from processing.units import NS_PER_S
 
 _RAW: Final = (".raw", ".bin", ".gray", ".y8", ".y16")
 _COLOURED: Final = ("RGB8", "BGR8")

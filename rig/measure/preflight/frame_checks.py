@@ -12,7 +12,7 @@ from acquisition.frames.guard import MOST_PPM
 from calibration import relate_clocks
 from processing.errors import DataError
 from processing.spot import FixedLight, Spot, SpotFlag, fixed_light
-from processing.ticks import seconds
+from processing.units import seconds
 from rig.devices import wrong_rate
 from rig.instrument import beam_quality
 from rig.measure.preflight.rest_checks import TrialFrames, ground, plane_of_swing, rest_position, stillness

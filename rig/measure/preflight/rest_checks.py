@@ -12,7 +12,7 @@ from processing.arrays import Floats
 from processing.balance import BalanceEstimator, BalanceLimits
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
-from processing.ground_at_rest import ground_at_rest
+from processing.pendulum_at_rest import ground_at_rest
 from processing.spot import Spot, SpotModel
 from rig.analysis import base_motion, drive_text
 from rig.instrument import PLANE_OF_SWING, balance_verdicts

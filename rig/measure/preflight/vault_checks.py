@@ -13,13 +13,11 @@ from acquisition.record.topics import RecordedWitness
 from processing.arrays import Floats
 from processing.errors import DataError
 from processing.fit import Witness
-from processing.ground_at_rest import ground_at_rest
-from processing.reference_at_rest import ReferenceAtRest, reference_at_rest
-from processing.reference_beam import common_motion
-from processing.reference_gain import gain_in_swings
+from processing.pendulum_at_rest import ground_at_rest, swing_at_rest
+from processing.reference_gain import ReferenceAtRest, gain_in_swings, reference_at_rest
+from processing.reference_spot import common_motion
 from processing.spot import Spot, SpotFlag
-from processing.swing_at_rest import swing_at_rest
-from processing.ticks import seconds
+from processing.units import seconds
 from processing.witness_at_rest import WitnessAtRest, witness_at_rest
 from rig.analysis import taken
 from rig.control import WitnessSettings

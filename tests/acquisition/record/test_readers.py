@@ -20,8 +20,8 @@ from acquisition.record import pixels_beside
 from acquisition.record.chunk import messages_in
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import METADATA_COPY, PIXEL_TOPICS, PREVIEW_TOPIC, SPOT
-from processing.angle import ARCSEC_RAD
 from processing.swing import SwingFlag
+from processing.units import ARCSEC_RAD
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, write_sample
 from tests.rig.replay.replay_record import make_record
 

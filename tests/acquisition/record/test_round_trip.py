@@ -32,12 +32,12 @@ from acquisition.record.topics import (
     RecordedLog,
 )
 from acquisition.record.writer import RecordWriter
-from processing.angle import ARCSEC_RAD
 from processing.balance import names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
 from processing.swing import Swing
+from processing.units import ARCSEC_RAD
 from tests.acquisition.record.samples import (
     EPOCH_OFFSET_NS,
     FRAME_NS,

@@ -4,9 +4,9 @@ from math import pi, sqrt
 
 import pytest
 
-from processing.air import humid_air
 from processing.contact import bar_of, expected_drag_s, vane_drag_s_per_m2
 from processing.contact.air_drag import Bar
+from processing.surroundings import humid_air
 from tests.processing.fit.decays import paper_pair
 
 PENDULUM = paper_pair("glass_k8")[1]

@@ -11,13 +11,13 @@ import pytest
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path
 from acquisition.simulation.witness import SimulatedWitness
-from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
 from processing.estimate import Estimate
 from processing.fit import FitResult, Witness, fit_exact, fit_with_witness
 from processing.fit.exact_model import Errors, ExactModel
 from processing.fit.seismometer import WitnessVerdict
 from processing.swing import TurningPoints, swings_of, turning_points
+from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_path
 

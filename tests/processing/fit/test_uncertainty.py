@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from calibration.light_lever import Lever
-from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
@@ -21,6 +20,7 @@ from processing.fit.reported import (
 )
 from processing.fit.uncertainty import GROUND, budgets, standard_uncertainties
 from processing.swing import TurningPoints
+from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.driven import driven_decay
 

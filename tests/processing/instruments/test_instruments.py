@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from processing.angle import ARCSEC_RAD
 from processing.contact.hertz import Material, hertz_contact, material
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -19,6 +18,7 @@ from processing.instruments.hardness import herbert_hardness
 from processing.instruments.shared_uncertainty import Reading
 from processing.instruments.turning import refined
 from processing.swing import TurningPoints, swings_of
+from processing.units import ARCSEC_RAD
 from rig.settings import load_configuration
 from tests.processing.instruments.simulated_instruments import (
     CONFIGS,

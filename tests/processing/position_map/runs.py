@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.angle import ARCSEC_RAD
 from processing.contact import ContactParameters, PendulumOnBall
 from processing.deflections import Deflections, slow_deflections
 from processing.fit import fit_exact, known_motion
 from processing.position_map import PositionMap, PositionMapSearch
 from processing.swing import CycleWatch, Swing, swings_of_blocks, turning_points
+from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.angle import ARCSEC_RAD
+from processing.units import ARCSEC_RAD
 from tests.processing.position_map.runs import run, searched
 
 Floats = NDArray[np.float64]

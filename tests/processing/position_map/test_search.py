@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
 from processing.fit import fit_exact, known_motion
 from processing.position_map.normal_equations import Accumulator
 from processing.position_map.position_map import Splines
 from processing.swing import CycleWatch, turning_points
+from processing.units import ARCSEC_RAD
 from tests.processing.position_map.runs import NOISE, PX, Floats, fringes, nothing, run, searched
 
 

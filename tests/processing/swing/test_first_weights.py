@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
 from processing.arrays import Floats
 from processing.swing import Swing, SwingDetector, SwingFlag, with_learned_weights
+from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
 

@@ -13,8 +13,7 @@ from acquisition.camera import CameraSettings
 from processing.spot import SensorModel, SpotTracker
 from rig.align import align_camera
 from rig.align.aligning import half_blocks, histogram_line
-from rig.align.annotated_picture import annotated_picture
-from rig.align.look import AlignmentFrame, take_look
+from rig.align.look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
 from rig.instrument import camera_settings, make_camera
 from rig.presentation import palette

@@ -10,10 +10,10 @@ import numpy as np
 
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import TruePath, noisy, true_path
-from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.surroundings import Surroundings
 from processing.swing import swings_of_blocks
+from processing.units import ARCSEC_RAD
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults
 from rig.analysis.series import AnalysedRun

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import PLACE, fit_exact, known_motion, measured_again
 from processing.swing import HarmonicsWatch, turning_points
+from processing.units import ARCSEC_RAD
 from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swings
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results_file import read_results, write_results

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.swing import swings_of_blocks
+from processing.units import ARCSEC_RAD
 from rig.analysis import settled_swings
 from rig.settings import FitSettings
 from tests.processing.fit.decays import paper_pair

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.envelope import fit_envelope
+from processing.envelope import fit_envelope, unsigned_period_s
 from processing.errors import ConfigurationError, DataError
-from processing.unsigned import unsigned_period_s
 from rig.analysis.table_fit import analyse_envelope, analyse_table
 from rig.intake.table import TableColumns
 from rig.settings import Configuration

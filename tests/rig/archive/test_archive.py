@@ -15,7 +15,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
 from rig.archive import add_folders, check_archive, find_runs, list_runs, selected, update_archive
 from rig.archive.catalogue import write_sessions, writing
-from rig.archive.columns import COLUMNS, DERIVED, PARAMETERS, of_row
+from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, of_row
 from tests.rig.command_line import rig
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -8,9 +8,9 @@ import numpy as np
 from acquisition.simulation.settings import AxesTruth, SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path
 from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance, BalanceEstimator, BalanceLimits, WeightResponses, mass_centre_height_m
 from processing.deflections import Deflections, DeflectionUnit
+from processing.units import ARCSEC_RAD
 from rig.instrument import complete
 from rig.instrument.balance import elastic_drop, nominal_effects
 from rig.settings import Configuration

@@ -14,9 +14,9 @@ import numpy as np
 from acquisition.simulation.settings import AxesTruth, SensorTruth, SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path
 from acquisition.simulation.weights import TrimWeight
-from processing.angle import ARCSEC_RAD
 from processing.balance import BalanceEstimator, BalanceLimits, Turn, Unreachable
 from processing.deflections import Deflections, DeflectionUnit
+from processing.units import ARCSEC_RAD
 from rig.balance.balancing import SimulatedOperator
 from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
 from rig.instrument import complete

@@ -12,13 +12,13 @@ from acquisition.simulation.true_path import true_path
 from calibration.axes import deflections
 from calibration.lever_fit import lever_from_tilts
 from calibration.store import CalibrationFile, Kind, write_calibration
-from processing.angle import ARCSEC_RAD
 from processing.deflections import slow_deflections
 from processing.fit import points_in_true_time
 from processing.fit.exact import fit_exact
 from processing.fit.reported import fitted_contact
 from processing.fit.uncertainty import budgets
 from processing.swing import swings_of
+from processing.units import ARCSEC_RAD
 from rig.analysis import settled_swings
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.instrument import complete, pendulum_on_ball

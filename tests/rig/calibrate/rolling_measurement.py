@@ -20,13 +20,13 @@ from acquisition.simulation.true_path import true_turning_points
 from calibration.axes import Axes
 from calibration.light_lever import Lever
 from calibration.shutter import GLOBAL, Shutter, ShutterFit, fit_row_time
-from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall
 from processing.deflections import slow_deflections
 from processing.fit import points_in_true_time
 from processing.fit.exact import fit_exact
 from processing.spot import Spot
 from processing.swing import TurningPoints, swings_of_blocks
+from processing.units import ARCSEC_RAD
 from rig.analysis import settled_swings
 from rig.instrument import Deflector, complete, pendulum_on_ball
 from rig.settings import Configuration, FitSettings

@@ -94,7 +94,7 @@ def test_a_global_shutter_is_believed_only_where_the_swing_agrees(
         of_stretches_s=(row_time_s,) * 6,
         u_of_stretches_s=(abs(row_time_s) / 4,) * 6,
     )
-    monkeypatch.setattr("rig.calibrate.shutter.fit_row_time", lambda *_: fitted)
+    monkeypatch.setattr("rig.calibrate.frame_times.fit_row_time", lambda *_: fitted)
     found = read_calibration(calibrate_shutter(measured_series / "run-1.mcap", Filing(tmp_path)))
     assert found.values["row_time_s"] == filed_s
     assert any(said in note for note in found.notes) == (filed_s == 0.0)

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from processing.angle import ARCSEC_RAD
 from processing.contact import PendulumOnBall, surface_energy
 from processing.estimate import Estimate
 from processing.fit import Budget, FitMethod
 from processing.fit.uncertainty import BudgetSource
 from processing.surroundings import Surroundings
+from processing.units import ARCSEC_RAD
 from rig.analysis import Correlation, Fit, RunResults, SessionResults, StoredTurningPoints, write_results
 
 NAMES = ("b", "p", "c", "n", "period0_s", "gamma_pa")

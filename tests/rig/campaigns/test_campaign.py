@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
+from processing.units import ARCSEC_RAD
 from rig.analysis import read_results
 from rig.archive import selected
 from rig.archive.catalogue import write_sessions, writing

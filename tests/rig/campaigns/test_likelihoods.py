@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
 from processing.fit import AIR, drifts_of
 from processing.series import to_coordinates
+from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record
 from rig.campaigns import StatedCampaign, answer_of, runs_of_folders
 from rig.campaigns.likelihoods import FoundRun, compressed

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.control.spot_seen import SpotSeen
+from rig.control.light_permit import SpotSeen
 
 
 class Clock:

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.swing import Swing, SwingDetector
+from processing.units import ARCSEC_RAD
 from rig.desk.run_history import GroundNow
 from rig.settings import PendulumSettings
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from acquisition.record.topics import RecordedFittedPoint
-from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.swing import Swing
+from processing.units import ARCSEC_RAD
 from rig.desk.run_history import Extremes, RunHistory, spectrum
 
 SECOND_NS = 1_000_000_000

@@ -14,7 +14,7 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.swing import Swing
-from processing.ticks import nanoseconds, seconds
+from processing.units import nanoseconds, seconds
 from rig.desk.run_reader import RunReader, newest_first
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)

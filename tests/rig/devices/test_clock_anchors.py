@@ -8,7 +8,7 @@ import pytest
 from acquisition.frame import Frame
 from acquisition.record.events import EventKind
 from processing.errors import DeviceError
-from rig.devices.host_clock import ClockAnchors, HostClockReading, read_clocks
+from rig.devices.clocks import ClockAnchors, HostClockReading, read_clocks
 from rig.measure.run import utc_offset_ns
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from acquisition.frame import Frame
 from acquisition.record.topics import RecordedClockStep
-from rig.devices import clock_rate
-from rig.devices.clock_rate import ClockRate
+from rig.devices import clocks
+from rig.devices.clocks import ClockRate
 from rig.instrument import CameraClock
 
 IMAGE = np.zeros((2, 2), np.uint8)
@@ -67,7 +67,7 @@ def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: p
     def fails(*_: object) -> None:
         raise ValueError("no line")
 
-    monkeypatch.setattr(clock_rate, "relate_clocks", fails)
+    monkeypatch.setattr(clocks, "relate_clocks", fails)
     rate = ClockRate()
     for frame in frames(10.0, 0.0):
         rate.pair(frame.sequence, frame.device_time_ns, frame.host_time_ns)

@@ -25,8 +25,7 @@ from rig.devices import Devices, LightWatch
 from rig.devices.leave import TypedLeave
 from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
-from rig.measure.notes import Notes
-from rig.measure.session_orders import orders
+from rig.measure.session_orders import Notes, orders
 from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS, QUICK, figures_are_not_drawn
 from tests.rig.control.instruments import FakeCobolt
@@ -41,7 +40,7 @@ ASKS = {
     ("balance/look.py", "look"),
     ("desk/aligner.py", "_lit"),
     ("devices/leave.py", "_light"),
-    ("measure/preflight_alone.py", "preflight_rig"),
+    ("measure/without_session.py", "preflight_rig"),
     ("measure/run_setup.py", "_execute"),
     ("measure/session_orders.py", "relight"),
 }
@@ -188,7 +187,7 @@ def typed(config: Configuration, folder: Path) -> None:
 WALKS: dict[tuple[str, str], tuple[Callable[[Configuration, Path], None], ...]] = {
     ("balance/look.py", "look"): (balance,),
     ("devices/leave.py", "_light"): (typed,),
-    ("measure/preflight_alone.py", "preflight_rig"): (preflight,),
+    ("measure/without_session.py", "preflight_rig"): (preflight,),
     ("measure/run_setup.py", "_execute"): (run, calibrate),
     ("measure/session_orders.py", "relight"): (ordered,),
 }

@@ -7,7 +7,7 @@ import pytest
 
 from processing.balance import Balance, BalanceLimits
 from processing.deflections import DeflectionUnit
-from rig.instrument.balance_conditions import balance_failures, balance_verdicts
+from rig.instrument.balance import balance_failures, balance_verdicts
 
 LIMITS = BalanceLimits()
 LIMIT_RAD_PER_S = math.radians(LIMITS.spin_deg_per_min) / 60.0

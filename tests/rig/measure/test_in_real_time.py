@@ -7,7 +7,7 @@ import pytest
 
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
-from processing.angle import ARCSEC_RAD
+from processing.units import ARCSEC_RAD
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]

@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import RigError
-from rig.measure.notes import NOTES_NAME, Notes
+from rig.measure.session_orders import NOTES_NAME, Notes
 from rig.orders import Line, NoSession
 from rig.report.source import read_source
 from rig.view.show import write_rrd

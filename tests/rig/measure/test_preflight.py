@@ -11,9 +11,9 @@ from rich.console import Console
 from acquisition.frame import Frame
 from calibration import Axes, Shutter
 from calibration.pointing import stability
-from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
+from processing.units import ARCSEC_RAD
 from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.measure.preflight import TrialFrames, device_checks, frame_checks, rest_checks
 from rig.presentation import failures

@@ -9,10 +9,10 @@ import pytest
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import REFERENCE, SPOT
 from acquisition.simulation.true_path import true_path, true_turning_points
-from processing.angle import ARCSEC_RAD
 from processing.errors import ConfigurationError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing, swings_of_blocks
+from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record, read_results
 from rig.analysis.passing_deflections import less_beam_motion
 from rig.devices import FrameStream

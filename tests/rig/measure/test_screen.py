@@ -11,13 +11,12 @@ import pytest
 from rich.console import Console
 
 from acquisition.frames.losses import FrameLosses
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from processing.swing import Swing
-from rig.instrument.camera_clock import CameraClock
-from rig.instrument.run_now import Phase, RunNow, Told
+from processing.units import ARCSEC_RAD
+from rig.instrument.run_now import CameraClock, Phase, RunNow, Told
 from rig.measure.run_panel import estimate_rows, estimate_texts
 from rig.measure.screen import RunDisplay
 

@@ -6,11 +6,11 @@ import pytest
 
 from calibration.axes import Axes
 from calibration.light_lever import Lever
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel
 from processing.swing import Swing
+from processing.units import ARCSEC_RAD
 from rig.instrument import Optics
 from rig.measure.start_judge import StartJudge, start_limits
 from rig.settings import Configuration

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from acquisition.record.events import EventKind
-from processing.angle import ARCSEC_RAD
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.swing import Swing
+from processing.units import ARCSEC_RAD
 from rig.instrument import Block
 from rig.measure.recording import StepEvents
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from calibration import Axes
-from processing.angle import ARCSEC_RAD
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit, slow_deflections
 from processing.fit import FitOfSwings, FitResult, Linearised, with_misfit
 from processing.swing import HarmonicsWatch, Swing, SwingDetector
+from processing.units import ARCSEC_RAD
 from rig.analysis import evidence_of, settled_swings
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.surroundings import OPEN_DRAG

@@ -21,9 +21,8 @@ from rig.instrument.run_now import RunNow
 from rig.presentation.keys import KeyParser, Keys
 from rig.replay.comparison import parameter_changes
 from rig.replay.player import Player
-from rig.replay.record_replay import replay_record, speed_of
+from rig.replay.record_replay import ReplayLine, replay_record, speed_of
 from rig.replay.replay import Replay
-from rig.replay.screen import ReplayLine
 from tests.rig.replay.replay_record import GAP_FRAME, LOST_FRAME, RATE_HZ, make_record
 
 SECONDS = 100.0

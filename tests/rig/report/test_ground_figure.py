@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
 from processing.estimate import Estimate
 from processing.fit import BaseMotion, Ground
 from processing.noise_models import density_of_db, nlnm_db
 from processing.swing import ResidualSpectrum
-from rig.report.figures_ground import spectrum_figure
+from processing.units import ARCSEC_RAD
+from rig.report.figures_motion import spectrum_figure
 
 PENDULUM_HZ, PER_DRIVE = 0.25, 60.0
 FREQUENCY_HZ = np.arange(0.6, 12.5, 0.0125)

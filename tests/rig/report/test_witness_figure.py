@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from processing.fit import WitnessSpectra
-from rig.report.figures_ground import witness_figure
+from rig.report.figures_motion import witness_figure
 
 FREQUENCY_HZ = (0.20, 0.22, 0.24, 0.26, 0.28)
 SPECTRA = WitnessSpectra(

@@ -17,7 +17,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from acquisition.record.events import Event, EventKind
-from processing.angle import ARCSEC_RAD
+from processing.units import ARCSEC_RAD
 from rig.view import layout
 from rig.view.analysis import draw_fits
 from rig.view.drawing import Drawing

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from processing.angle import ARCSEC_RAD
+from processing.units import ARCSEC_RAD
 from rig.view.across import AcrossTheSwing
 
 PERIOD_S, TURNING = 4.07, 5e-4

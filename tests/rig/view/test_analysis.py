@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
+from processing.units import ARCSEC_RAD
 from rig.instrument import advice_for, complete
 from rig.replay import replay_record
 from rig.settings import load_configuration

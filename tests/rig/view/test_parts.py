@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.contact import LAWS
 from processing.deflections import DeflectionUnit
 from processing.fit import Derived, FitQuality, Work
 from processing.quantity import quantities_of
 from processing.surroundings import Surroundings
+from processing.units import ARCSEC_RAD
 from rig.presentation import palette
 from rig.presentation.quantities import (
     BALANCE,

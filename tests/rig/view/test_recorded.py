@@ -11,12 +11,12 @@ import pytest
 from acquisition.frame import Frame
 from acquisition.record.events import WARNING_KINDS
 from acquisition.record.writer import RecordWriter
-from processing.angle import ARCSEC_RAD
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import Swing
+from processing.units import ARCSEC_RAD
 from rig.view.show import run_names, show_records, write_rrd
 from tests.rig.view import scene as view_scene
 from tests.rig.view.rrd_contents import column, entities, measured, scalars

@@ -18,8 +18,8 @@ from acquisition.cameras.device_settings import AravisSettings
 from acquisition.frame import Frame
 from acquisition.frames.losses import BlockNumbers, Place
 from processing.errors import DeviceError
+from rig.devices.clocks import wait_for_network_clock
 from rig.devices.frame_stream import FrameStream
-from rig.devices.host_clock import wait_for_network_clock
 from tests.acquisition.cameras.aravis.fake_camera import SERIAL, FakeCamera
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 
