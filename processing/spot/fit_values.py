@@ -133,7 +133,7 @@ LAST = 1
 """Index of the first of the PARAMETERS of the last frame's spot; positions are in sensor coordinates."""
 STEP_X, STEP_Y = LAST + PARAMETERS, LAST + PARAMETERS + 1
 """Displacement of the spot between the last two frames, px."""
-TILTED, TWO = LAST + PARAMETERS + 2, LAST + PARAMETERS + 3
+IS_TILTED, TWO = LAST + PARAMETERS + 2, LAST + PARAMETERS + 3
 """1.0 if the last spot was fitted as tilted, and with a second spot, respectively."""
 TILT_HINTS = LAST + PARAMETERS + 4
 """Number of consecutive frames in which the upright fit found a significant tilt."""
@@ -190,7 +190,7 @@ def remember(memory: Floats, place: Place, p: Floats, fitted: Fitted, followed: 
     memory[LAST + SECOND_X] = p[SECOND_X] + place.origin_x
     memory[LAST + SECOND_Y] = p[SECOND_Y] + place.origin_y
     memory[FOLLOWS] = 1.0
-    memory[TILTED] = 1.0 if fitted.tilted else 0.0
+    memory[IS_TILTED] = 1.0 if fitted.tilted else 0.0
     memory[TWO] = 1.0 if fitted.two else 0.0
 
 

@@ -12,6 +12,7 @@ from processing.spot.clean_fit import TILT_EVIDENCE, fit_clean, moved
 from processing.spot.fit_values import (
     AMPLITUDE,
     COVARIANCE,
+    IS_TILTED,
     LAST,
     REACH,
     SIGMA_X,
@@ -29,7 +30,6 @@ from processing.spot.fit_values import (
     nothing_hidden,
     workspace_of,
 )
-from processing.spot.fit_values import TILTED as TILTED_PARAMETERS
 from processing.spot.general_fit import fit_general
 from processing.spot.outcome import Result, finish, significant, without_spot
 from processing.spot.sensor_model import PixelNoise, pixel_noise_of
@@ -94,7 +94,7 @@ def follow(
     tilted = two = False
     if start == EXPECTED:
         expect(memory, place, work.parameters)
-        tilted = memory[TILTED] > 0.0
+        tilted = memory[IS_TILTED] > 0.0
         two = memory[TWO] > 0.0
     if not two:
         clean = fit_clean(image, work, start == NEAR, tilted, noise, tables)
@@ -150,9 +150,9 @@ def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
     p = work.parameters
     fitted = fit_general(image, work, True, False, noise, REACH, nothing_hidden())
     tilted = False
-    if fitted.done and cholesky(work.information, TILTED_PARAMETERS, work.factor):
-        u_c = math.sqrt(inverse_diagonal(work.factor, TILTED_PARAMETERS, COVARIANCE))
-        u_c *= math.sqrt(max(1.0, fitted.chi2 / max(fitted.pixels - TILTED_PARAMETERS, 1)))
+    if fitted.done and cholesky(work.information, TILTED, work.factor):
+        u_c = math.sqrt(inverse_diagonal(work.factor, TILTED, COVARIANCE))
+        u_c *= math.sqrt(max(1.0, fitted.chi2 / max(fitted.pixels - TILTED, 1)))
         tilted = abs(p[COVARIANCE]) > 5.0 * u_c
     if fitted.done and not tilted:
         p[COVARIANCE] = 0.0

@@ -10,13 +10,13 @@ from processing.spot.fit_values import (
     BACKGROUND,
     COVARIANCE,
     FOLLOWS,
+    IS_TILTED,
     LAST,
     POOR_FRAMES,
     SIGMA_X,
     SIGMA_Y,
     STEP_X,
     STEP_Y,
-    TILTED,
     TWO,
     Place,
     X,
@@ -72,7 +72,7 @@ class ProfileFollower:
         memory[LAST + AMPLITUDE], memory[LAST + BACKGROUND] = fit.p[LIGHT], fit.p[LEVEL]
         memory[LAST + SIGMA_X], memory[LAST + SIGMA_Y] = self._sigma_x, self._sigma_y
         memory[LAST + COVARIANCE] = self._profile.shape.xy
-        memory[TILTED] = 1.0 if self._axes[2] else 0.0
+        memory[IS_TILTED] = 1.0 if self._axes[2] else 0.0
         memory[TWO] = 0.0
         memory[POOR_FRAMES] = memory[POOR_FRAMES] + 1.0 if spot.flags & SpotFlag.POOR_FIT else 0.0
         return spot
