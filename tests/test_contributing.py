@@ -8,9 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from acquisition.record.reader import RecordReader
 from processing.units import ARCSEC_RAD
 from tests.rig.command_line import SMALL, set_words
 from tests.rig.view.rrd_contents import measured
@@ -110,10 +110,27 @@ def test_a_quantity_of_the_results_stands_in_every_file(tree: Path) -> None:
     assert line.endswith('"Pa"')
 
 
+RECORDED = """
+from pathlib import Path
+from acquisition.record.reader import RecordReader
+with RecordReader(Path("balance.mcap")) as record:
+    print(*record.table("/balance")["rest_distance_rad"].tolist())
+"""
+"""Who reads a record has the fields of the version that wrote it."""
+
+
 def test_a_quantity_of_the_balance_is_recorded_and_drawn(tree: Path) -> None:
     run_all(tree, "Adding a quantity of the balance")
-    with RecordReader(tree / "balance.mcap") as record:
-        recorded = record.table("/balance")["rest_distance_rad"]
+    said = subprocess.run(
+        [sys.executable, "-c", RECORDED],
+        cwd=tree,
+        env={**os.environ, "PYTHONPATH": str(tree)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    recorded = np.array([float(word) for word in said.stdout.split()])
     times_s, shown, _ = measured(tree / "balance.rrd", "/balance/rest_distance")
     assert len(times_s) == len(recorded) > 3
     assert shown == pytest.approx(recorded / ARCSEC_RAD)
