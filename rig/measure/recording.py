@@ -145,7 +145,7 @@ class Recording:
             self._wall.past(_LIVE_FIT, None, parts.posterior.begin)
         events = [
             *before,
-            *(Event(first_ns, EventKind.PLAN, text) for text in parts.plan.planned),
+            *(Event(first_ns, EventKind.WAITED, text) for text in parts.plan.waited),
             Event(first_ns, EventKind.START, "first frame"),
         ]
         self._recorder.put(Entry(events=events))

@@ -34,7 +34,7 @@ class RunPlan:
 
     `start_rejected` is called with the new path of the record of each rejected start, and the reason;
     `watchers` are told what the record is told, beside its display, `session_news` tells those who watch from
-    outside, `notes` are what operators note meanwhile, `planned` what a plan says of the run. `fitted`:
+    outside, `notes` are what operators note meanwhile, `waited` what the run has waited for. `fitted`:
     parameters are fitted while it is measured. `is_last`: no other run follows, for which the laser would
     stay lit.
     """
@@ -51,7 +51,7 @@ class RunPlan:
     watchers: Sequence[Watcher] = ()
     session_news: SessionNews | None = None
     notes: Notes | None = None
-    planned: Sequence[str] = ()
+    waited: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

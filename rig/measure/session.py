@@ -152,7 +152,7 @@ def _make_runs(
             watchers=[options.notices],
             session_news=session_news,
             notes=notes,
-            planned=options.waiting.said(),
+            waited=options.waiting.said(),
         )
         try:
             devices.lights_again = True

@@ -259,11 +259,8 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
         aligner.close()
 
 
-@pytest.mark.parametrize("asked", [False, True])
-def test_lighting_that_still_waits_for_a_device_is_outdated_by_light_off(
-    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, asked: bool
-) -> None:
-    """A device is waited for by seconds; who acknowledges meanwhile has not asked for light."""
+def a_slow_laser(monkeypatch: pytest.MonkeyPatch) -> tuple[Event, Event]:
+    """A laser that takes its power only when it may: set when it is waited for, and to be set to let it go on."""
     began, answers = Event(), Event()
     usual = ControlService.set_laser_power_w
 
@@ -273,6 +270,15 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_light_off(
         return usual(service, power_w)
 
     monkeypatch.setattr(ControlService, "set_laser_power_w", slow)
+    return began, answers
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_lighting_that_still_waits_for_a_device_is_outdated_by_light_off(
+    config: Configuration, monkeypatch: pytest.MonkeyPatch, lit: Lit, asked: bool
+) -> None:
+    """A device is waited for by seconds; who acknowledges meanwhile has not asked for light."""
+    began, answers = a_slow_laser(monkeypatch)
     said: list[str] = []
 
     def ask() -> None:
@@ -305,15 +311,7 @@ def test_lighting_that_still_waits_for_a_device_is_outdated_by_the_end_of_the_ru
     config: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lit: Lit
 ) -> None:
     """Somebody at a desk asks for light just when a run that has waited in the dark comes to its end."""
-    began, answers = Event(), Event()
-    usual = ControlService.set_laser_power_w
-
-    def slow(service: ControlService, power_w: float) -> object:
-        began.set()
-        answers.wait(20.0)
-        return usual(service, power_w)
-
-    monkeypatch.setattr(ControlService, "set_laser_power_w", slow)
+    began, answers = a_slow_laser(monkeypatch)
     said: list[str] = []
 
     def ask() -> None:
