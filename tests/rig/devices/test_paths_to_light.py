@@ -260,7 +260,7 @@ def test_light_that_was_asked_for_before_light_off_does_not_come_after_it(
 
 
 def a_slow_laser(monkeypatch: pytest.MonkeyPatch) -> tuple[Event, Event]:
-    """A laser that takes its power only when it may: set when it is waited for, and to be set to let it go on."""
+    """A laser that takes its power when it may; set once it is waited for, and to be set to let it go on."""
     began, answers = Event(), Event()
     usual = ControlService.set_laser_power_w
 
