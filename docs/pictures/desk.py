@@ -115,22 +115,20 @@ def photograph(page: Page) -> None:
     page.wait_text("rig fit: done", 200.0)
     save(page, "sessions")
     page.key("4")
-    for count, answer in enumerate(("tilt", "arcsec", "4.8 um", "0.05", "1e-3", *ladder(), "", "1"), 1):
-        if count > 2:
-            page.fill("answer", answer)
-        page.click("Answer" if count > 2 else answer)
-        page.wait(f"document.querySelectorAll('[aria-label=\"answers so far\"] tr').length == {count}")
+    page.wait_text("Lever: from px to radians")
+    page.fill("lever list", ladder())
     page.click("File it")
     page.wait_text("lever-001.toml")
     save(page, "calibrate")
 
 
-def ladder() -> list[str]:
+def ladder() -> str:
     """Readings of an autocollimator in arcsec, and where the spot was, some hundredths of a px off."""
-    answers = []
+    steps = ["kind = 'tilt'", "unit = 'arcsec'", "u_reference = 0.05", "pixel_pitch_m = 4.8e-6"]
     for reading, off_px in ((-60, 0.02), (-30, -0.03), (0, 0.01), (30, 0.04), (60, -0.02), (0, -0.01)):
-        answers += [f"{reading}", f"160.01 {320 - 2.0201 * reading + off_px:.2f} 0.02"]
-    return answers
+        y_px = 320 - 2.0201 * reading + off_px
+        steps += ["[[step]]", f"reference = {reading}", "x_px = 160.01", f"y_px = {y_px:.2f}", "u_px = 0.02"]
+    return "\n".join(steps) + "\n"
 
 
 def save(page: Page, panel: str) -> None:
