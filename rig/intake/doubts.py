@@ -130,6 +130,26 @@ def judge_begin(
         )
 
 
+def judge_clock_digits(path: Path, title: str, times: NDArray[np.float64]) -> None:
+    """Refuse the digits of a clock that are read as one number: 235959.95 (HHMMSS), 59.5995 (MM.SS).
+
+    `times` are as the column holds them, shape (n,). At the end of each minute such a number jumps by 40.
+    """
+    for minute, form in ((100.0, "HHMMSS"), (1.0, "MM.SS")):
+        whole, part = np.divmod(times / minute, 1.0)
+        step = float(np.median(np.diff(times))) / minute
+        border = np.flatnonzero(np.diff(whole))
+        if not len(border) or step > 0.01 or part.max() >= 0.6 + 1e-9:
+            continue
+        if np.all(part[border] > 0.58) and np.all(part[border + 1] < 0.02):
+            before, after = times[border[0] : border[0] + 2]
+            raise ConfigurationError(
+                f"{path}: {title!r} goes from {before:.10g} to {after:.10g} as the digits of a clock do "
+                f"({form}), and is no time in s; write it with colons, or state the rate of the rows "
+                "instead: --rate HZ --position COLUMN"
+            )
+
+
 def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -> None:
     """Refuse moments of which some have a zone, and a local clock that is put forward an hour."""
     found = [match for cell in cells if (match := MOMENT.fullmatch(cell.strip())) and match["date"]]

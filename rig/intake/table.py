@@ -16,6 +16,7 @@ from rig.intake.columns import Columns, Run, runs_of
 from rig.intake.doubts import (
     SPREADSHEET_ZERO_NS,
     judge_begin,
+    judge_clock_digits,
     judge_size,
     judge_time_unit,
     judge_words,
@@ -209,6 +210,8 @@ class _Reading:
         times_ns, good, first_ns = read_times(self._path, cells, unit, remedy)
         self._time_is_assumed = source == NOT_STATED_TIME
         judge_begin(self._path, self._names[column], unit, source, first_ns, times_ns)
+        if unit == "s":
+            judge_clock_digits(self._path, self._names[column], seconds(times_ns + first_ns))
         self._said.append(f"time: {self._names[column]}, in {unit} ({source})")
         if unit == "d" and of_spreadsheet(first_ns):
             first_ns -= SPREADSHEET_ZERO_NS

@@ -429,7 +429,19 @@ def clocks() -> list[TableCase]:
             _case(f"days: {day}", since(day, 1 / 86_400), refused="days, or seconds")
             for day in (738_000.5, 60_700.5, 2_460_000.5)
         ),
+        *(
+            _case(f"digits of a clock, {form}", _clock_digits(form), refused="as the digits of a clock do")
+            for form in ("%H%M%S.%f", "%d%H%M%S.%f", "%M%S.%f", "%M.%S%f")
+        ),
     ]
+
+
+def _clock_digits(form: str) -> str:
+    """Moments of day before and behind a full minute, without marks between hours, minutes and seconds."""
+    start = datetime(2024, 5, 1, 10, 20, 53)
+    moments = (start + timedelta(milliseconds=ms) for ms in true_ms())
+    rows = zip(moments, true_values(), strict=True)
+    return "UTC,x\n" + "".join(f"{moment.strftime(form)[:-3]},{x}\n" for moment, x in rows)
 
 
 def _moments(form: Callable[[datetime], str], start: datetime) -> Cell:
