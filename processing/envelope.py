@@ -109,15 +109,17 @@ _CLOSE: Final = 0.04
 _ZERO: Final = 0.1
 """Of the largest, the smallest values that are zero but for the sampling."""
 _FALLEN: Final = 0.75
+_STANDS: Final = 0.1
+"""Of what the other side falls by, what turning points that stand move by at most."""
 _AT_ZERO: Final = 0.35
 """Of the samples, that are near zero at most; of a sensor that sees one side of the swing half are."""
 
 
 def unsigned_period_s(times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> float:
-    """The period of a swing x where the values are |x|, x² or their negatives, with any zero; NaN elsewhere.
+    """The period of a swing x where the values are |x|, x² or another even function of x; NaN elsewhere.
 
-    |x| has cusps where x is zero; the lower turning points of both stay where they are while the upper ones
-    fall.
+    |x| has cusps where x is zero; the turning points of one side stay where they are, those of the other
+    come to them.
     """
     good = np.isfinite(values)
     times_s, values = seconds(times_ns[good]), values[good]
@@ -138,8 +140,11 @@ def unsigned_period_s(times_ns: NDArray[np.int64], values: NDArray[np.float64]) 
     parts = [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a >= _FEWEST]
     if len(parts) < _FEWEST:
         return np.nan
-    is_unsigned = _stands_at_zero([values[part] for part in parts]) or _has_cusps(
-        [(times_s[part] / period_s, values[part]) for part in parts]
+    each = [values[part] for part in parts]
+    is_unsigned = (
+        _stands_at_zero(each)
+        or _one_side_stands(each)
+        or _has_cusps([(times_s[part] / period_s, values[part]) for part in parts])
     )
     return 2.0 * period_s if is_unsigned else np.nan
 
@@ -154,6 +159,23 @@ def _stands_at_zero(parts: list[NDArray[np.float64]]) -> bool:
     stands = abs(first_low) < _ZERO * first and abs(last_low) < _ZERO * last and 0 < last < _FALLEN * first
     at_zero = np.mean([np.mean(np.abs(part) < _ZERO * np.abs(part).max()) for part in parts[:third]])
     return bool(stands and at_zero < _AT_ZERO)
+
+
+def _one_side_stands(parts: list[NDArray[np.float64]]) -> bool:
+    """Whether the turning points of one side stand anywhere while those of the other come to them.
+
+    So do cos x of an angle, a distance to a point beside the swing, and light behind a slit.
+    """
+    ends = np.array([(part.min(), part.max()) for part in parts])
+    third = len(ends) // 3
+    first, last = np.median(ends[:third], axis=0), np.median(ends[-third:], axis=0)
+    span, fell = np.ptp(first), np.ptp(first) - np.ptp(last)
+    if not fell > (1.0 - _FALLEN) * span:
+        return False
+    moved = np.abs(last - first)
+    side = int(np.argmin(moved))
+    near = np.mean([np.mean(np.abs(part - first[side]) < _ZERO * span) for part in parts[:third]])
+    return bool(moved[side] < _STANDS * fell and near < _AT_ZERO)
 
 
 def _has_cusps(parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> bool:

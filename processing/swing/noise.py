@@ -93,6 +93,10 @@ _BINS = 8
 """Of speeds, over which the scatter is compared."""
 _FEWEST = 24
 """Differences in a bin."""
+_LEAST = 1e-3
+"""Of the scatter of the differences, squared, that expected of a bin at least."""
+_SAME_SPEED = 0.99
+"""Of the mean square speed of the fastest differences, that of the slowest where they do not differ."""
 _ORDER = 5
 """Order of the differences; of a sinusoid sampled 20 times per period they leave less than 1e-3."""
 
@@ -128,15 +132,20 @@ def estimate_scatter(times_ns: ArrayLike, deflection: ArrayLike) -> SampleScatte
     alternates = float(np.median(np.sign(left[fast] * left[fast + 1])))
     found2 = np.array([robust_scatter(left[part], middle=0.0) ** 2 for part in bins])
     speed2 = np.array([np.mean(speed[part] ** 2) for part in bins])
+    # that of a sensor with few digits is zero in some of the bins
+    least2 = _LEAST * float(np.median(found2))
+    if not (least2 > 0 and speed2[0] < _SAME_SPEED * speed2[-1]):
+        # a sensor that stands still, a motion without swings
+        return none
     size = np.array([len(part) for part in bins])
     terms = np.column_stack([np.ones(_BINS), speed2 / speed2[-1]])
-    expected = found2
+    expected = np.maximum(found2, least2)
     for _ in range(3):
         # of neighbouring differences one in six is new
         weight = np.sqrt(size / 6.0 / 2.0) / expected
         covariance = np.linalg.inv((terms * weight[:, None]).T @ (terms * weight[:, None]))
         line = covariance @ (terms.T @ (weight**2 * found2))
-        expected = np.maximum(terms @ line, 1e-3 * found2)
+        expected = np.maximum(terms @ line, np.maximum(_LEAST * found2, least2))
     steady2, moving2 = float(max(line[0], 0.0)), float(line[1])
     if alternates > 0 or not moving2 > _SIGNIFICANT * float(np.sqrt(covariance[1, 1])):
         return none

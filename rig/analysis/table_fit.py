@@ -54,6 +54,7 @@ from rig.intake import (
     Trajectory,
     along_and_across,
     changes_in,
+    cut_off,
     direction_warning,
     fast_oscillation,
     fast_part,
@@ -304,6 +305,11 @@ def _analyse(
                 *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
                 *filter(None, [oscillation]),
                 *changes_in(summary),
+                *(
+                    line
+                    for name, values in zip(trajectory.names, trajectory.positions, strict=True)
+                    for line in cut_off(name, values[inside])
+                ),
             ),
         }
     )

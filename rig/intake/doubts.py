@@ -36,6 +36,8 @@ _HOUR_S: Final = 3600.0
 _JUMP: Final = 0.7
 """Of the range of a position, that no swing goes from one sample to the next while others are far smaller."""
 _FEWEST_JUMPS: Final = 4
+_FEWEST_CUT: Final = 3
+"""Rows that stay at the largest value where a sensor cuts it off."""
 _COUNTED_DAYS: Final = 1e7
 """Since any day from which days are counted; a number beyond is one of seconds."""
 _LAST_S: Final = 253_402_300_800.0
@@ -246,6 +248,32 @@ def changes_in(summary: DecaySummary) -> list[str]:
             said.append(
                 f"the {name} is not constant (χ²/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
                 "uncertainty of its mean allows for it"
+            )
+    return said
+
+
+def cut_off(name: str, values: NDArray[np.float64]) -> list[str]:
+    """What is to be said of a position, shape (n,), of which a sensor has cut off the largest values.
+
+    It stays at one value for so many rows that a swing which turned there would be larger by more than two
+    steps of its digits.
+    """
+    values = values[np.isfinite(values)]
+    middle, steps = float(np.median(values)), np.diff(np.unique(values))
+    said = []
+    for extreme, what in ((values.max(), "largest"), (values.min(), "smallest")):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], values == extreme, [0]]).astype(np.int8)))
+        begins, rows = edges[::2], np.diff(edges)[::2]
+        stays = rows >= _FEWEST_CUT
+        if np.count_nonzero(stays) < _FEWEST_JUMPS:
+            continue
+        period = float(np.median(np.diff(begins[stays])))
+        level, phase = abs(extreme - middle), math.pi * float(np.median(rows[stays])) / period
+        if phase < 0.5 * math.pi and level / math.cos(phase) - level > 2.0 * steps.min():
+            said.append(
+                f"{name} stays at its {what} value, {extreme:.6g}, for up to {rows.max()} rows, "
+                f"{np.count_nonzero(stays)} times: its sensor cuts the swings off, and amplitudes and "
+                "damping are not those of the pendulum there; use a later stretch (--from)"
             )
     return said
 

@@ -198,6 +198,9 @@ def test_times_of_no_unit_that_would_be_slow_in_seconds_are_asked_for(tmp_path: 
         pytest.param(np.abs, id="|x|"),
         pytest.param(lambda x: 50.0 - np.abs(x), id="a distance that grows as |x| falls"),
         pytest.param(np.square, id="x²"),
+        pytest.param(lambda x: 1e3 * np.cos(np.radians(x)), id="the cosine of an angle"),
+        pytest.param(lambda x: np.hypot(50.0, x), id="the distance to a point beside the swing"),
+        pytest.param(lambda x: np.exp(-((x / 10.0) ** 2)), id="light behind a slit"),
     ],
 )
 def test_a_position_without_its_sign_is_refused_with_the_pendulums_period(
@@ -218,6 +221,9 @@ def test_a_position_without_its_sign_is_refused_with_the_pendulums_period(
         pytest.param(lambda t, x: x + 0.3 * t, id="with a drift"),
         pytest.param(lambda t, x: np.clip(x, -15.0, 8.0), id="cut off by its sensor"),
         pytest.param(lambda t, x: np.maximum(x, 0.0), id="of which a sensor sees one side"),
+        pytest.param(lambda t, x: np.minimum(x, 12.0), id="cut off on one side"),
+        pytest.param(lambda t, x: x + 0.01 * x**2, id="by a sensor that is not linear"),
+        pytest.param(lambda t, x: x + 4.0 * np.exp(-t / 50.0), id="about a middle that settles"),
     ],
 )
 def test_other_shapes_have_a_sign(signed: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
@@ -244,6 +250,33 @@ def test_an_angle_that_was_counted_round_a_turn_goes_on(
         ConfigurationError, match=r"jumps by .* against its motion.*state its unit with --unit"
     ):
         analyse_table(path, None, TableColumns())
+
+
+@pytest.mark.parametrize(
+    ("seen", "is_cut"),
+    [
+        pytest.param(lambda x: np.clip(x, -15.0, 12.0), True, id="cut off"),
+        pytest.param(lambda x: np.minimum(np.round(x), 12.0), True, id="cut off, of whole numbers"),
+        pytest.param(np.round, False, id="of whole numbers"),
+        pytest.param(lambda x: np.round(x / 4.0), False, id="of few digits"),
+    ],
+)
+def test_a_position_that_its_sensor_cuts_off_is_said(
+    tmp_path: Path, seen: Callable[[np.ndarray], np.ndarray], is_cut: bool
+) -> None:
+    t, x = _decaying()
+    found = analyse_table(write(tmp_path / "t.csv", t, seen(x)), None, TableColumns(unit="V"))
+    assert any("cuts the swings off" in line for line in found.results.warnings) == is_cut
+
+
+@pytest.mark.parametrize("motion", [lambda t, x: np.maximum(x, 0.0), lambda t, x: t])
+def test_what_is_no_decay_is_refused_without_warnings(
+    tmp_path: Path, motion: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> None:
+    """A sensor that sees one side, and a ramp; warnings are errors here."""
+    t, x = _decaying()
+    with pytest.raises(DataError, match="0 usable half-cycles"):
+        analyse_table(write(tmp_path / "t.csv", t, motion(t, x)), None, TableColumns(unit="V"))
 
 
 def test_a_note_on_growth_states_it(tmp_path: Path) -> None:
