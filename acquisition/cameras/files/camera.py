@@ -69,10 +69,7 @@ class FilesCamera:
         if self._info is not None:
             return self._info
         path = self._settings.path
-        try:
-            source = open_source(path)
-        except DeviceError as error:
-            raise DeviceError(f"camera.files.path: {error}") from None
+        source = open_source(path)
         if source.lossy:
             _log.warning(
                 "%s: the codec %s is usually lossy, which makes positions less accurate", path, source.lossy
