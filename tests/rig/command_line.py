@@ -9,9 +9,10 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 from processing.errors import DataError
+from processing.fit import drag_verdict
 from rig.cli import main
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -98,9 +99,10 @@ def figures_are_not_drawn() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def drag_is_not_judged() -> Iterator[None]:
-    """Fits have no verdict on a drag, which takes most of a short run's time and is tested by itself."""
-    with patch("rig.analysis.contact_verdicts.drag_verdict", side_effect=DataError("left out here")):
+def drag_is_judged(judged: bool) -> Iterator[None]:
+    """Whether fits have a verdict on a drag, which takes most of a short run's time."""
+    left_out = Mock(side_effect=DataError("left out here"))
+    with patch("rig.analysis.contact_verdicts.drag_verdict", drag_verdict if judged else left_out):
         yield
 
 

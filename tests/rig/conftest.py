@@ -9,7 +9,7 @@ import pytest
 
 from rig.measure.session import measure_session
 from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, SMALL, drag_is_not_judged
+from tests.rig.command_line import CONFIGS, SMALL, drag_is_judged
 
 APPARATUS = (
     "lever.arm_m=1.0",
@@ -32,10 +32,17 @@ def rig_states(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
     return place
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True, scope="module")
 def no_drag_verdict() -> Iterator[None]:
-    """For a file whose fits are of interest and what they say of a drag is not."""
-    with drag_is_not_judged():
+    """What fits say of a drag is of interest where `drag_verdicts` is wanted."""
+    with drag_is_judged(False):
+        yield
+
+
+@pytest.fixture
+def drag_verdicts() -> Iterator[None]:
+    """For a test that looks at them."""
+    with drag_is_judged(True):
         yield
 
 
@@ -54,7 +61,8 @@ def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
             source = CONFIGS / "demo.toml"
             small = (f"{key}={value}" for key, value in SMALL.items())
             wanted = (*small, "session.max_duration_s=70", "session.runs=2", *APPARATUS)
-            assert measure_session(load_configuration(source, wanted), source, folder) == 0
+            with drag_is_judged(True):
+                assert measure_session(load_configuration(source, wanted), source, folder) == 0
             (shared / "series-is-whole").touch()
     return folder
 
