@@ -9,7 +9,7 @@ import pytest
 
 from rig.measure.session import measure_session
 from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, SMALL, drag_is_judged
+from tests.rig.command_line import CONFIGS, SMALL, drag_is_judged, figures_are_drawn
 
 APPARATUS = (
     "lever.arm_m=1.0",
@@ -33,9 +33,9 @@ def rig_states(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
 
 
 @pytest.fixture(autouse=True, scope="module")
-def no_drag_verdict() -> Iterator[None]:
-    """What fits say of a drag is of interest where `drag_verdicts` is wanted."""
-    with drag_is_judged(False):
+def what_nobody_looks_at() -> Iterator[None]:
+    """Verdicts on a drag and figures are made for tests that want `drag_verdicts` or `figures`."""
+    with drag_is_judged(False), figures_are_drawn(False):
         yield
 
 
@@ -43,6 +43,13 @@ def no_drag_verdict() -> Iterator[None]:
 def drag_verdicts() -> Iterator[None]:
     """For a test that looks at them."""
     with drag_is_judged(True):
+        yield
+
+
+@pytest.fixture
+def figures() -> Iterator[None]:
+    """For a test that looks at them."""
+    with figures_are_drawn(True):
         yield
 
 
@@ -61,7 +68,7 @@ def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
             source = CONFIGS / "demo.toml"
             small = (f"{key}={value}" for key, value in SMALL.items())
             wanted = (*small, "session.max_duration_s=70", "session.runs=2", *APPARATUS)
-            with drag_is_judged(True):
+            with drag_is_judged(True), figures_are_drawn(True):
                 assert measure_session(load_configuration(source, wanted), source, folder) == 0
             (shared / "series-is-whole").touch()
     return folder
