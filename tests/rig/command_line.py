@@ -12,7 +12,8 @@ from pathlib import Path
 from unittest.mock import Mock, patch
 
 from processing.errors import DataError
-from processing.fit import drag_verdict
+from processing.fit import drag_verdict, identifiability
+from rig.analysis import contact_verdicts
 from rig.cli import main
 from rig.report import session_report
 
@@ -101,10 +102,14 @@ def figures_are_drawn(drawn: bool) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def drag_is_judged(judged: bool) -> Iterator[None]:
-    """Whether fits have a verdict on a drag, which takes most of a short run's time."""
+def verdicts_are_made(made: bool) -> Iterator[None]:
+    """Whether fits say if a drag is seen and what is determined, which takes most of a short run's time."""
     left_out = Mock(side_effect=DataError("left out here"))
-    with patch("rig.analysis.contact_verdicts.drag_verdict", drag_verdict if judged else left_out):
+    with patch.multiple(
+        contact_verdicts,
+        drag_verdict=drag_verdict if made else left_out,
+        identifiability=identifiability if made else left_out,
+    ):
         yield
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from rig.measure.session import measure_session
 from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, SMALL, drag_is_judged, figures_are_drawn
+from tests.rig.command_line import CONFIGS, SMALL, figures_are_drawn, verdicts_are_made
 
 APPARATUS = (
     "lever.arm_m=1.0",
@@ -34,15 +34,15 @@ def rig_states(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
 
 @pytest.fixture(autouse=True, scope="module")
 def what_nobody_looks_at() -> Iterator[None]:
-    """Verdicts on a drag and figures are made for tests that want `drag_verdicts` or `figures`."""
-    with drag_is_judged(False), figures_are_drawn(False):
+    """A fit's verdicts, and figures, are made for tests that want `verdicts` or `figures`."""
+    with verdicts_are_made(False), figures_are_drawn(False):
         yield
 
 
 @pytest.fixture
-def drag_verdicts() -> Iterator[None]:
+def verdicts() -> Iterator[None]:
     """For a test that looks at them."""
-    with drag_is_judged(True):
+    with verdicts_are_made(True):
         yield
 
 
@@ -68,7 +68,7 @@ def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
             source = CONFIGS / "demo.toml"
             small = (f"{key}={value}" for key, value in SMALL.items())
             wanted = (*small, "session.max_duration_s=70", "session.runs=2", *APPARATUS)
-            with drag_is_judged(True), figures_are_drawn(True):
+            with verdicts_are_made(True), figures_are_drawn(True):
                 assert measure_session(load_configuration(source, wanted), source, folder) == 0
             (shared / "series-is-whole").touch()
     return folder

@@ -252,7 +252,7 @@ def test_compression_is_a_line_in_the_budget_of_a_films_laws(
     rng = np.random.default_rng(3)
     y, x = np.mgrid[:NY, :NX]
     pictures = []
-    _, _, path_rad = driven_path(*paper_pair("glass_k8"), q=0.0, seed=0, last_arcsec=70.0, frames_per_s=5.0)
+    _, _, path_rad = driven_path(*paper_pair("glass_k8"), q=0.0, seed=0, last_arcsec=40.0, frames_per_s=5.0)
     for deflection_rad in path_rad:
         at = 80.3 + 0.5 * deflection_rad / ARCSEC
         light = 180.0 * np.exp(-((x - at) ** 2 + (y - 47.8) ** 2) / 50.0) + 20.0

@@ -24,10 +24,10 @@ def test_wrong_times_steps_and_a_short_counter_cost_one_frame(tmp_path: Path) ->
     words = {
         **QUICK,
         "simulation.real_time": "true",
-        "session.max_duration_s": "12",
+        "session.max_duration_s": "8",
         "preflight.when": '"never"',
-        "faults.clock_zero_at_s": "5",
-        "faults.clock_steps_at_s": "8",
+        "faults.clock_zero_at_s": "3",
+        "faults.clock_steps_at_s": "5",
         "faults.clock_bits": "32",
     }
     config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in words.items()])

@@ -52,10 +52,14 @@ def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("lasts_s", "said"),
-    [("4", ""), ("90", "run 1: SPOT LOST SINCE 0:{}: laser on? beam on the sensor? rig camera align ")],
+    ("from_s", "lasts_s", "said"),
+    [
+        ("0", "90", "run 1: SPOT LOST SINCE 0:{}: laser on? beam on the sensor? rig camera align "),
+        ("4", "90", "run 1: SPOT LOST SINCE 0:{}: laser on? beam on the sensor? rig camera align "),
+        ("4", "4", ""),
+    ],
+    ids=["never seen", "lost", "back soon"],
 )
-@pytest.mark.parametrize("from_s", ["0", "4"], ids=["never seen", "lost"])
 def test_a_spot_that_stays_away_is_asked_for(tmp_path: Path, from_s: str, lasts_s: str, said: str) -> None:
     fades = {"faults__laser_fades_at_s": from_s, "faults__laser_fade_duration_s": lasts_s}
     # long enough for the display, which looks ten times a second, to see it
@@ -97,7 +101,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
     # a limit on the size of files stands for the disk's end
     script = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (1_500_000, 1_500_000)); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000)); "
         "from rig.cli import main; main()"
     )
     folder = tmp_path / "out"
