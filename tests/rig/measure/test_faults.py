@@ -101,7 +101,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
     # a limit on the size of files stands for the disk's end
     script = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000)); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4_500_000, 4_500_000)); "
         "from rig.cli import main; main()"
     )
     folder = tmp_path / "out"
