@@ -209,7 +209,7 @@ def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> N
 def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(tmp_path / "out")]
     endless = {
-        **SMALL,
+        **QUICK,
         "simulation.real_time": "false",
         "session.final_amplitude_arcsec": "0.001",
         "session.max_duration_s": "1000000",
@@ -226,9 +226,10 @@ def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None
     while time.monotonic() < deadline and not (record.exists() and record.stat().st_size > 700_000):
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    output, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=120)
     assert "stopped by the user" in errors
-    assert "exact" in output
+    (run,) = results_of(tmp_path / "out")["runs"]
+    assert run["half_cycles"] >= 10
     with RecordReader(record) as reader:
         assert not reader.truncated
         assert reader.events()[-1].text == "stopped by the user"
