@@ -68,15 +68,15 @@ def is_missing(cell: str) -> bool:
 
 def is_number(cell: str) -> bool:
     """Whether a cell is a number in any way of writing, or stands for a missing one."""
+    if _EASY.fullmatch(cell):
+        return True
     cell = _with_ascii_minus(cell)
-    return bool(_EASY.fullmatch(cell)) or any(
-        kind.fullmatch(cell) for kind in (_WHOLE, _POINT, _COMMA, _COMMAED, _POINTED, _SPACED, _NOT)
-    )
+    return any(kind.fullmatch(cell) for kind in (_WHOLE, _POINT, _COMMA, _COMMAED, _POINTED, _SPACED, _NOT))
 
 
 def is_moment(cell: str) -> bool:
     """Whether a cell is a date, a time of day, or both."""
-    found = MOMENT.fullmatch(cell)
+    found = None if _EASY.fullmatch(cell) else MOMENT.fullmatch(cell)
     return found is not None and bool(found["date"] or found["clock"])
 
 

@@ -85,10 +85,10 @@ def _separator(lines: Sequence[str]) -> tuple[str, Callable[[str], list[str]]]:
         partly: Counter[int] = Counter()
         for line in sample:
             cells = split(line)
-            values = [is_value(cell) for cell in cells]
-            if len(cells) > 1 and sum(values) > 1:
+            values = sum(map(is_value, cells)) if len(cells) > 1 else 0
+            if values > 1:
                 partly[len(cells)] += 1
-                whole[len(cells)] += all(values)
+                whole[len(cells)] += values == len(cells)
         rank = (max(whole.values(), default=0), max(partly.values(), default=0))
         if rank > best:
             best, found = rank, (name, split)

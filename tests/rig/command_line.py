@@ -9,10 +9,13 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 from processing.errors import DataError
+from processing.fit import drag_verdict, identifiability
+from rig.analysis import contact_verdicts
 from rig.cli import main
+from rig.report import session_report
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SMALL: dict[str, str] = {
@@ -62,7 +65,7 @@ def rig(
         _streams(typed, out, errors) if captured else contextlib.nullcontext(),
         contextlib.chdir(cwd or Path.cwd()),
         _logging_of_its_own(),
-        contextlib.nullcontext() if figures else figures_are_not_drawn(),
+        figures_are_drawn(figures),
     ):
         try:
             main()
@@ -86,21 +89,27 @@ def rig_process(*words: str | Path, cwd: Path | None = None) -> Done:
     return Done(done.returncode, done.stdout, done.stderr)
 
 
+REAL = {name: getattr(session_report, name) for name in ("_drawings", "svg", "png")}
+"""What draws a report."""
+
+
 @contextlib.contextmanager
-def figures_are_not_drawn() -> Iterator[None]:
-    """A report is made with everything but its figures."""
-    with (
-        patch("rig.report.session_report._drawings", return_value=[]),
-        patch("rig.report.session_report.svg", return_value=b"<svg/>"),
-        patch("rig.report.session_report.png", return_value=b""),
-    ):
+def figures_are_drawn(drawn: bool) -> Iterator[None]:
+    """Whether a report is made with its figures, or with everything else."""
+    left_out = {"_drawings": lambda *_: [], "svg": lambda *_: b"<svg/>", "png": lambda *_: b""}
+    with patch.multiple(session_report, **(REAL if drawn else left_out)):
         yield
 
 
 @contextlib.contextmanager
-def drag_is_not_judged() -> Iterator[None]:
-    """Fits have no verdict on a drag, which takes most of a short run's time and is tested by itself."""
-    with patch("rig.analysis.contact_verdicts.drag_verdict", side_effect=DataError("left out here")):
+def verdicts_are_made(made: bool) -> Iterator[None]:
+    """Whether fits say if a drag is seen and what is determined, which takes most of a short run's time."""
+    left_out = Mock(side_effect=DataError("left out here"))
+    with patch.multiple(
+        contact_verdicts,
+        drag_verdict=drag_verdict if made else left_out,
+        identifiability=identifiability if made else left_out,
+    ):
         yield
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from rig.measure.session import measure_session
 from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, SMALL, drag_is_not_judged
+from tests.rig.command_line import CONFIGS, SMALL, figures_are_drawn, verdicts_are_made
 
 APPARATUS = (
     "lever.arm_m=1.0",
@@ -32,10 +32,24 @@ def rig_states(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
     return place
 
 
+@pytest.fixture(autouse=True, scope="module")
+def what_nobody_looks_at() -> Iterator[None]:
+    """A fit's verdicts, and figures, are made for tests that want `verdicts` or `figures`."""
+    with verdicts_are_made(False), figures_are_drawn(False):
+        yield
+
+
 @pytest.fixture
-def no_drag_verdict() -> Iterator[None]:
-    """For a file whose fits are of interest and what they say of a drag is not."""
-    with drag_is_not_judged():
+def verdicts() -> Iterator[None]:
+    """For a test that looks at them."""
+    with verdicts_are_made(True):
+        yield
+
+
+@pytest.fixture
+def figures() -> Iterator[None]:
+    """For a test that looks at them."""
+    with figures_are_drawn(True):
         yield
 
 
@@ -54,7 +68,8 @@ def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
             source = CONFIGS / "demo.toml"
             small = (f"{key}={value}" for key, value in SMALL.items())
             wanted = (*small, "session.max_duration_s=70", "session.runs=2", *APPARATUS)
-            assert measure_session(load_configuration(source, wanted), source, folder) == 0
+            with verdicts_are_made(True), figures_are_drawn(True):
+                assert measure_session(load_configuration(source, wanted), source, folder) == 0
             (shared / "series-is-whole").touch()
     return folder
 

@@ -25,6 +25,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.usefixtures("figures")
 def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blocks = re.findall(
         r"^```python\n(.*?)^```$", (ROOT / "docs" / "scripts.md").read_text("utf-8"), re.M | re.S
@@ -54,6 +55,7 @@ def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert reread.runs[0].fits["exact"].parameters == names["again"].runs[0].fits["exact"].parameters
 
 
+@pytest.mark.usefixtures("figures")
 def test_a_session_is_a_series(folder: Path) -> None:
     session = rig.open_session(folder / "runs" / "first")
     (run,) = rig.fit(session).runs

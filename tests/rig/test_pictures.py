@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from tests.rig.drawn_pictures import CONFIGURATION, DRAWN, PICTURES, drawn_now
 
 OTHERS = {
@@ -11,6 +13,7 @@ OTHERS = {
 """Pages of the desk: docs/pictures/desk.py photographs them."""
 
 
+@pytest.mark.usefixtures("figures")
 def test_the_pictures_show_what_is_drawn_now() -> None:
     stated, now = json.loads(DRAWN.read_text(encoding="utf-8")), drawn_now()
     older = sorted(name for name in {*stated, *now} if stated.get(name) != now.get(name))

@@ -1,11 +1,13 @@
 """Drag verdict, profile likelihood, and remarks on parameters that the data do not determine."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.special import stdtrit
 
+from processing.contact import ContactParameters, PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -15,8 +17,20 @@ from processing.fit.drag import DragFinding, drag_verdict
 from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact, fit_exact_with
 from processing.fit.exact_model import ExactModel
+from processing.fit.result import FitResult
+from processing.swing import TurningPoints
 from tests.processing.fit.decays import decay, first_of, paper_pair
 from tests.processing.fit.driven import driven_decay
+
+
+@cache
+def in_vacuum(
+    flat: str, noise_arcsec: float, seed: int, last_arcsec: float = 2.0
+) -> tuple[ContactParameters, PendulumOnBall, TurningPoints, FitResult]:
+    """A decay without drag, and its fit."""
+    parameters, pendulum = paper_pair(flat)
+    points = decay(parameters, pendulum, noise_arcsec=noise_arcsec, seed=seed, last_arcsec=last_arcsec)
+    return parameters, pendulum, points, fit_exact(points, pendulum)
 
 
 @pytest.mark.slow
@@ -104,9 +118,8 @@ def test_the_uncertainty_of_a_drag_agrees_with_its_test_along_a_curved_valley() 
 
 
 def test_in_vacuum_none_is_seen_only_where_it_could_not_move_the_b_that_is_printed() -> None:
-    parameters, pendulum = paper_pair("silicon")
-    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2)
-    vacuum, free = fit_exact(points, pendulum), fit_exact(points, pendulum, drag=True)
+    _, pendulum, points, vacuum = in_vacuum("silicon", 0.005, 2)
+    free = fit_exact(points, pendulum, drag=True)
     assert free.estimate("b").standard_uncertainty > 2 * vacuum.estimate("b").standard_uncertainty
     assert drag_verdict(points, pendulum, vacuum).finding is DragFinding.OPEN
 
@@ -147,9 +160,7 @@ def test_held_parameters_have_the_right_derivatives(drag_s: float) -> None:
 
 
 def test_profile_of_a_well_determined_parameter_is_its_symmetric_interval() -> None:
-    parameters, pendulum = paper_pair("silicon")
-    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2)
-    result = fit_exact(points, pendulum)
+    _, pendulum, points, result = in_vacuum("silicon", 0.005, 2)
     for name in PAPER.names():
         lower, upper = result.interval(name)
         profile = profile_likelihood(points, pendulum, result, name)
@@ -206,9 +217,7 @@ def test_a_profile_is_followed_although_the_law_allows_less_than_the_uncertainty
 
     There is no bound: up to 27 times the fitted c chi2 rises by 1.2, of the 4 that it takes.
     """
-    parameters, pendulum = paper_pair("glass_k8")
-    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=4, last_arcsec=110)
-    result = fit_exact(points, pendulum)
+    _, pendulum, points, result = in_vacuum("glass_k8", 0.05, 4, 110)
     value, u = result.estimate("c")
     profile = profile_likelihood(points, pendulum, result, "c")
     far = profile.trace[profile.trace[:, 0] > value]
@@ -249,9 +258,8 @@ def test_a_refit_that_has_not_converged_sets_no_limit() -> None:
 
 def test_where_only_such_a_refit_would_bound_a_parameter_it_is_undetermined() -> None:
     """At c = 2.4e-6 chi2 seemed to rise by 15: it rises by 1.4, and by 1.9 at five times as much."""
-    parameters, pendulum = paper_pair("glass_k8")
-    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=4, last_arcsec=110)
-    (c,) = [one for one in identifiability(points, pendulum, fit_exact(points, pendulum)) if one.name == "c"]
+    _, pendulum, points, result = in_vacuum("glass_k8", 0.05, 4, 110)
+    (c,) = [one for one in identifiability(points, pendulum, result) if one.name == "c"]
     assert not c.upper_95 < 1.2e-5
 
 

@@ -12,7 +12,7 @@ from rig.commands.fitting import fit_records
 from rig.instrument import recorded_configuration
 from rig.replay.record_replay import replay_record
 from rig.report import make_report
-from tests.rig.command_line import figures_are_not_drawn, rig
+from tests.rig.command_line import rig
 from tests.rig.replay.replay_record import make_record
 
 MASS, OTHER = b"0.406", b"0.606"
@@ -53,9 +53,8 @@ def test_without_an_intact_copy_the_record_is_refused(record: Path, tmp_path: Pa
 def test_the_chain_from_record_to_report(record: Path, tmp_path: Path) -> None:
     path = tmp_path / "run-1.mcap"
     path.write_bytes(record.read_bytes())
-    with figures_are_not_drawn():
-        fit_records([path], tmp_path, [])
-        page = make_report(tmp_path)
+    fit_records([path], tmp_path, [])
+    page = make_report(tmp_path)
     (run,) = read_results(tmp_path).runs
     assert "configuration.json" in run.inputs_sha256
     shown = page.read_text(encoding="utf-8")

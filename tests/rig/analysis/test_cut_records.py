@@ -11,7 +11,6 @@ from rig.commands.fitting import fit_records
 from rig.measure import resume_session
 from rig.replay.record_replay import replay_record
 from rig.view.show import write_rrd
-from tests.rig.command_line import figures_are_not_drawn
 from tests.rig.replay.replay_record import make_record
 
 
@@ -36,8 +35,7 @@ READERS: dict[str, Callable[[Path, Path], object]] = {
 def test_a_cut_record_is_named_with_its_remedy(
     name: str, cut: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with figures_are_not_drawn():
-        READERS[name](cut, tmp_path)
+    READERS[name](cut, tmp_path)
     said = capsys.readouterr()
     joined = " ".join((said.out + said.err).split())
     assert f"was cut short (it has no ending); its complete part is used, rig record recover {cut}" in joined
@@ -60,8 +58,7 @@ def test_resume_looks_at_the_records_that_were_complete(
     shutil.copytree(measured_series, folder)
     record = folder / "run-2.mcap"
     record.write_bytes(record.read_bytes()[:-1000])
-    with figures_are_not_drawn():
-        assert resume_session(folder) == 0
+    assert resume_session(folder) == 0
     said = capsys.readouterr().err
     (line,) = (line for line in said.splitlines() if "cut short" in line)
     assert line.startswith(f"{record}: ")

@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from rig.intake import TableColumns
 from rig.measure.session import measure_session, simulate_record
 from rig.presentation import with_uncertainty
 from rig.settings import load_configuration
-from tests.rig.command_line import figures_are_not_drawn
+from tests.rig.command_line import figures_are_drawn
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 FAST_DECAY = ["simulation.contact.b=0.04", "view.mode=none", "view.file=false"]
@@ -29,7 +28,7 @@ FAST_DECAY = ["simulation.contact.b=0.04", "view.mode=none", "view.file=false"]
 
 def measure(name: str, folder: Path, *overrides: str, figures: bool = False) -> tuple[int, dict[str, Any]]:
     source = CONFIGS / "instruments" / f"{name}.toml"
-    with nullcontext() if figures else figures_are_not_drawn():
+    with figures_are_drawn(figures):
         status = measure_session(load_configuration(source, overrides), source, folder)
     return status, json.loads((folder / "results.json").read_text())
 

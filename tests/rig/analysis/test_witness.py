@@ -119,6 +119,7 @@ def test_the_python_interface_takes_a_witness_of_a_table_as_the_terminal_does(de
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("figures")
 def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_path: Path) -> None:
     table = analysed(decay, "east", "north")
     write_results(tmp_path / RESULTS_NAME, table.results)

@@ -48,6 +48,7 @@ def vanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("verdicts")
 def test_the_drag_is_measured_filed_and_used(
     vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

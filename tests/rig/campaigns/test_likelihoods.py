@@ -17,6 +17,7 @@ REFERENCE_RAD = 60 * ARCSEC_RAD
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("verdicts")
 def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     run = analyse_record(measured_series / "run-1.mcap", ["fit.u_ageing=0.01"])
     fit, pendulum = run.fits["exact"], run.results.pendulum

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
+from tests.rig.desk.desk_page import SIZE, DeskProcess, Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 INTERLOCK = """
@@ -115,6 +115,15 @@ def tab_to(page: Page, words: str) -> None:
     raise AssertionError(f"no Tab leads to {words!r}")
 
 
+def fits_a_phone(page: Page) -> None:
+    """What is shown is no wider than a phone, where it is shown as wide as that."""
+    page.browser.call(
+        "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True
+    )
+    page.wait("document.documentElement.scrollWidth <= 391", 10.0)
+    page.browser.call("Emulation.setDeviceMetricsOverride", **SIZE)
+
+
 def hold_enter(page: Page, until: str) -> None:
     """Hold Enter until an expression is true."""
     enter = {"key": "Enter", "code": "Enter", "windowsVirtualKeyCode": 13}
@@ -141,6 +150,7 @@ def test_a_session_by_keyboard_alone(
         assert "session is starting" not in page.text(), "a key that is only pressed starts nothing"
         hold_enter(page, "document.querySelector('.q-dialog [data-deliberate]') === null")
         page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
+        fits_a_phone(page)
         tab_to(page, "Stop the session")
         page.type("\r")
         page.wait_text("nothing is lost")
@@ -148,6 +158,11 @@ def test_a_session_by_keyboard_alone(
         page.type("\r")
         page.wait(HANDED_OVER, 120.0)
         page.wait_text("stopped")
+        fits_a_phone(page)
+        for panel in ("Balance", "Calibrate", "Runs", "Rig"):
+            page.click(panel)
+            fits_a_phone(page)
+        page.click("Measure")
         tab_to(page, "Report")
 
 
@@ -207,28 +222,3 @@ def process_of(folder: Path) -> int:
 def states(folder: Path) -> list[str]:
     """Of the runs of a session, in their order."""
     return [entry["state"] for entry in json.loads((folder / "session.json").read_text())["entries"]]
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_a_session_on_a_phone(desk_configuration: Callable[[str], Path], browser: HeadlessBrowser) -> None:
-    with desk_page(browser, desk_configuration(INTERLOCK)) as (_, page):
-        page.browser.call(
-            "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True
-        )
-        fits = "document.documentElement.scrollWidth <= 391"
-        for panel in ("Balance", "Calibrate", "Runs", "Rig"):
-            page.click(panel)
-            page.wait(fits, 10.0)
-        page.click("Live picture")
-        page.wait_text("100 µs, gain")
-        page.click("Measure")
-        page.click("Start …")
-        page.in_dialog()
-        page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
-        page.wait(fits)
-        page.click("Stop")
-        page.click("Stop it")
-        page.wait(HANDED_OVER, 120.0)
-        page.wait(fits)
-        page.wait_text("stopped")

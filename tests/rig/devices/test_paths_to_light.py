@@ -27,7 +27,7 @@ from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
 from rig.measure.session_orders import Notes, orders
 from rig.settings import Configuration, load_configuration
-from tests.rig.command_line import CONFIGS, QUICK, figures_are_not_drawn
+from tests.rig.command_line import CONFIGS, QUICK
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
 from tests.waiting import until
@@ -143,8 +143,7 @@ def tripped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run(config: Configuration, folder: Path) -> None:
-    with figures_are_not_drawn():
-        measure_session(config, LIVE, folder / "session")
+    measure_session(config, LIVE, folder / "session")
 
 
 def resume(config: Configuration, folder: Path) -> None:

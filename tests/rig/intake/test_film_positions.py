@@ -5,6 +5,7 @@ import json
 import re
 from dataclasses import replace
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ PERIOD_S, TAU_S, RATE_HZ = 1.7, 6.0, 30
 DECREMENT = PERIOD_S / TAU_S
 
 
+@cache
 def swing(dark: bool = False, count: int = 450) -> list[np.ndarray]:
     """Pictures of a swing that dies away, with noise."""
     rng = np.random.default_rng(2)

@@ -52,10 +52,14 @@ def test_a_laser_that_fades_loses_spots_and_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("lasts_s", "said"),
-    [("4", ""), ("90", "run 1: SPOT LOST SINCE 0:{}: laser on? beam on the sensor? rig camera align ")],
+    ("from_s", "lasts_s", "said"),
+    [
+        ("0", "90", "run 1: SPOT LOST SINCE 0:{}: laser on? beam on the sensor? rig camera align "),
+        ("4", "90", "run 1: SPOT LOST SINCE 0:{}: laser on? beam on the sensor? rig camera align "),
+        ("4", "4", ""),
+    ],
+    ids=["never seen", "lost", "back soon"],
 )
-@pytest.mark.parametrize("from_s", ["0", "4"], ids=["never seen", "lost"])
 def test_a_spot_that_stays_away_is_asked_for(tmp_path: Path, from_s: str, lasts_s: str, said: str) -> None:
     fades = {"faults__laser_fades_at_s": from_s, "faults__laser_fade_duration_s": lasts_s}
     # long enough for the display, which looks ten times a second, to see it

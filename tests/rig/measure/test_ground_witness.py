@@ -21,7 +21,7 @@ from rig.analysis.recorded_witness import recorded_witness
 from rig.instrument import recorded_configuration
 from rig.measure import measure_session
 from rig.settings import load_configuration
-from tests.rig.command_line import QUICK, figures_are_not_drawn
+from tests.rig.command_line import QUICK
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 
 GROUND = (
@@ -42,8 +42,7 @@ def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("vault") / "run"
     source = CONFIGS / "demo.toml"
     wanted = (*(f"{key}={value}" for key, value in SMALL.items()), *APPARATUS, *GROUND)
-    with figures_are_not_drawn():
-        assert measure_session(load_configuration(source, wanted), source, folder) == 0
+    assert measure_session(load_configuration(source, wanted), source, folder) == 0
     return folder
 
 
@@ -152,8 +151,7 @@ def test_a_serial_witness_is_recorded_beside_frames_that_come_in_real_time(tmp_p
     )
     source, folder = CONFIGS / "demo.toml", tmp_path / "run"
     try:
-        with figures_are_not_drawn():
-            measure_session(load_configuration(source, wanted), source, folder)
+        measure_session(load_configuration(source, wanted), source, folder)
     finally:
         over.set()
         writing.join()

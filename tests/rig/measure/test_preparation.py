@@ -138,7 +138,7 @@ def test_a_series_that_was_killed_goes_on(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     command = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(folder)]
     process = subprocess.Popen(
-        [*command, "--runs", "3", *set_words({**QUICK, "session.max_duration_s": "40"})],
+        [*command, "--runs", "3", *set_words(QUICK)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

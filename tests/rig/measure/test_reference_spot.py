@@ -32,7 +32,6 @@ from rig.measure.recent_frames import RecentFrames
 from rig.measure.session import simulate_record
 from rig.replay import analyse_replayed
 from rig.settings import Configuration, ReferenceSettings, load_configuration
-from tests.rig.command_line import figures_are_not_drawn
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 
 ROW = 646
@@ -61,8 +60,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, source = tmp_path_factory.mktemp("reference") / "run", CONFIGS / "demo.toml"
     small = SMALL | {"simulation.sensor.height_px": "720"}
     wanted = (*(f"{key}={value}" for key, value in small.items()), *APPARATUS, *AIRY)
-    with figures_are_not_drawn():
-        assert measure_session(load_configuration(source, wanted), source, folder) == 0
+    assert measure_session(load_configuration(source, wanted), source, folder) == 0
     return folder / "run-1.mcap"
 
 
@@ -102,7 +100,6 @@ def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: 
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_drag_verdict")
 def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
     (run,) = read_results(recorded.parent).runs
     assert "reference spot: x used, y used" in run.notes

@@ -24,7 +24,7 @@ from rig.measure import session as session_module
 from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.settings import load_configuration
 from rig.terminal import Terminated
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, figures_are_not_drawn, rig
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig
 from tests.rig.measure.test_preparation import BY_HAND
 
 
@@ -91,14 +91,13 @@ def test_a_session_waits_for_its_conditions_and_is_left_out_without_them(
     written(
         tmp_path / "silicon.toml", {**BY_HAND, **quiet, "simulation.disturbances.microphonics": trembling}
     )
-    with figures_are_not_drawn():
-        status = measure_sessions(
-            [tmp_path / "steel.toml", tmp_path / "silicon.toml"],
-            (),
-            tmp_path / "out",
-            now_s=lambda: night.now_s,
-            sleep=night.sleep,
-        )
+    status = measure_sessions(
+        [tmp_path / "steel.toml", tmp_path / "silicon.toml"],
+        (),
+        tmp_path / "out",
+        now_s=lambda: night.now_s,
+        sleep=night.sleep,
+    )
     assert status == 1
     said = capsys.readouterr().err
     # three times for the temperature, twice for quiet
@@ -115,8 +114,7 @@ def test_a_failure_ends_the_list(tmp_path: Path, capsys: pytest.CaptureFixture[s
     stalled = {"frames_stalled_at_s": "1", "frames_stalled_duration_s": "60"}
     written(tmp_path / "one.toml", SMALL | {f"faults.{key}": value for key, value in stalled.items()})
     written(tmp_path / "two.toml", SMALL)
-    with figures_are_not_drawn():
-        assert measure_sessions([tmp_path / "one.toml", tmp_path / "two.toml"], (), tmp_path / "out") == 1
+    assert measure_sessions([tmp_path / "one.toml", tmp_path / "two.toml"], (), tmp_path / "out") == 1
     assert not (tmp_path / "out" / "two").exists()
     assert "no frame within 5 s; the list ends here" in capsys.readouterr().err
 
@@ -128,16 +126,15 @@ def test_a_run_that_was_made_after_the_last_results_is_fitted(
     """The program was killed while it fitted; results of other runs were there from before."""
     written(tmp_path / "a.toml", QUICK | {"session.max_duration_s": "8", "session.runs": "2"})
     out = tmp_path / "out"
-    with figures_are_not_drawn():
-        measure_session(load_configuration(tmp_path / "a.toml"), tmp_path / "a.toml", out)
-        state = json.loads((out / "session.json").read_text())
-        state["runs_wanted"] = 3
-        (out / "session.json").write_text(json.dumps(state))
-        with monkeypatch.context() as killed:
-            killed.setattr(resuming_module, "report", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
-            with pytest.raises(KeyboardInterrupt):
-                resume_session(out)
-        resume_session(out)
+    measure_session(load_configuration(tmp_path / "a.toml"), tmp_path / "a.toml", out)
+    state = json.loads((out / "session.json").read_text())
+    state["runs_wanted"] = 3
+    (out / "session.json").write_text(json.dumps(state))
+    with monkeypatch.context() as killed:
+        killed.setattr(resuming_module, "report", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            resume_session(out)
+    resume_session(out)
     assert [run.record for run in read_results(out).runs] == ["run-1.mcap", "run-2.mcap", "run-3.mcap"]
 
 
@@ -145,8 +142,7 @@ def test_sessions_of_the_simulated_rig_are_different_runs(tmp_path: Path) -> Non
     sources = [tmp_path / "one.toml", tmp_path / "two.toml"]
     for source in sources:
         written(source, QUICK | {"session.max_duration_s": "3"})
-    with figures_are_not_drawn():
-        measure_sessions(sources, (), tmp_path / "out")
+    measure_sessions(sources, (), tmp_path / "out")
     seen = []
     for name in ("one", "two"):
         with RecordReader(tmp_path / "out" / name / "run-1.mcap") as reader:
@@ -198,16 +194,15 @@ def test_a_list_that_is_resumed_tells_no_end_twice(tmp_path: Path) -> None:
     command = json.dumps([sys.executable, str(tell)])
     written(tmp_path / "one.toml", QUICK | {"session.notify_command": command})
     sources = [tmp_path / "one.toml"]
-    with figures_are_not_drawn():
-        assert measure_sessions(sources, (), out) == 0
-        assert told.read_text() == "end "
-        assert measure_sessions(sources, (), out) == 0
-        assert resume_session(out / "one") == 0
-        assert told.read_text() == "end "
-        state = json.loads((out / "one" / "session.json").read_text())
-        assert state["told"].startswith("end: ")
-        (out / "one" / "session.json").write_text(json.dumps({**state, "told": ""}))
-        assert measure_sessions(sources, (), out) == 0
+    assert measure_sessions(sources, (), out) == 0
+    assert told.read_text() == "end "
+    assert measure_sessions(sources, (), out) == 0
+    assert resume_session(out / "one") == 0
+    assert told.read_text() == "end "
+    state = json.loads((out / "one" / "session.json").read_text())
+    assert state["told"].startswith("end: ")
+    (out / "one" / "session.json").write_text(json.dumps({**state, "told": ""}))
+    assert measure_sessions(sources, (), out) == 0
     assert told.read_text() == "end end "
 
 
@@ -224,12 +219,11 @@ def test_a_list_that_is_ended_before_a_run_has_begun_says_so_of_that_run(
             raise Terminated("terminated: the terminal was closed")
         return measure_run(made, devices)
 
-    with figures_are_not_drawn():
-        with monkeypatch.context() as closed:
-            closed.setattr(session_module, "measure_run", ended)
-            with pytest.raises(Terminated):
-                measure_sessions(sources, (), out)
-        _, second = entries(out / "one")
-        assert (second["state"], second["reason"]) == ("stopped", "terminated: the terminal was closed")
-        measure_sessions(sources, (), out)
+    with monkeypatch.context() as closed:
+        closed.setattr(session_module, "measure_run", ended)
+        with pytest.raises(Terminated):
+            measure_sessions(sources, (), out)
+    _, second = entries(out / "one")
+    assert (second["state"], second["reason"]) == ("stopped", "terminated: the terminal was closed")
+    measure_sessions(sources, (), out)
     assert [one["state"] for one in entries(out / "one")] == ["complete", "stopped", "complete"]

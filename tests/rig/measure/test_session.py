@@ -22,11 +22,7 @@ from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 from tests.rig.view.rrd_contents import column
 
-TRUTH = {
-    "glass": {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "n": 0.092, "period0_s": 4.071, "gamma_pa": 28.97e6},
-    "silicon": {"b": 7.06e-4, "p": 0.815, "c": 3.84e-9, "n": 0.552, "period0_s": 4.072, "gamma_pa": 290.69e6},
-    "steel": {"b": 7.961e-4, "p": 0.85, "c": 6.601e-9, "n": 0.461, "period0_s": 4.049, "gamma_pa": 95.46e6},
-}
+TRUTH = {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "n": 0.092, "period0_s": 4.071, "gamma_pa": 28.97e6}
 LIMITS = {"b": 0.05, "p": 0.01, "c": 0.03, "n": 0.005, "period0_s": 0.005, "gamma_pa": 0.005}
 """In air, whose drag the waveform tells from friction: at 10 frames a second b is known to 2 %."""
 
@@ -62,7 +58,7 @@ def test_a_session_leaves_records_a_view_and_results(short_session: Path) -> Non
             run["initial_amplitude_arcsec"],
         )
         for fit in run["fits"].values():
-            for name in TRUTH["glass"]:
+            for name in TRUTH:
                 assert fit[name]["standard_uncertainty"] > 0
         rrd = (short_session / run["record"]).with_suffix(".rrd")
         assert rrd.stat().st_size > 10_000
@@ -213,7 +209,7 @@ def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> N
 def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(tmp_path / "out")]
     endless = {
-        **SMALL,
+        **QUICK,
         "simulation.real_time": "false",
         "session.final_amplitude_arcsec": "0.001",
         "session.max_duration_s": "1000000",
@@ -230,25 +226,25 @@ def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None
     while time.monotonic() < deadline and not (record.exists() and record.stat().st_size > 700_000):
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    output, errors = process.communicate(timeout=120)
+    _, errors = process.communicate(timeout=120)
     assert "stopped by the user" in errors
-    assert "exact" in output
+    (run,) = results_of(tmp_path / "out")["runs"]
+    assert run["half_cycles"] >= 10
     with RecordReader(record) as reader:
         assert not reader.truncated
         assert reader.events()[-1].text == "stopped by the user"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pair", list(TRUTH))
-def test_the_demonstration_finds_the_truth(pair: str, tmp_path: Path) -> None:
+def test_the_demonstration_finds_the_truth(tmp_path: Path) -> None:
     # a fiftieth of the pixels: every pixel of the demonstration is seen where README is executed
     less = {**SMALL, "camera.frame_rate_hz": "10"}
-    done = rig("run", CONFIGS / f"{pair}.toml", "-o", tmp_path / "out", "--runs", "1", *set_words(less))
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", "--runs", "1", *set_words(less))
     assert done.returncode == 0, done.stderr
     run = results_of(tmp_path / "out")["runs"][0]
     assert run["dropped_frames"] == 0
     assert run["final_amplitude_arcsec"] < 2.0
-    for name, truth in TRUTH[pair].items():
+    for name, truth in TRUTH.items():
         found = run["fits"]["exact"][name]
         assert found["value"] == pytest.approx(truth, rel=LIMITS[name]), name
         assert abs(found["value"] - truth) < 3 * found["standard_uncertainty"], name

@@ -29,7 +29,7 @@ from rig.measure.run import Run
 from rig.measure.run_parts import RunOutcome
 from rig.presentation import plain_values
 from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, SMALL, figures_are_not_drawn
+from tests.rig.command_line import CONFIGS, SMALL
 
 
 def read_again(record: Path) -> RunNow:
@@ -56,8 +56,7 @@ def test_a_record_says_how_its_session_stood(tmp_path: Path, monkeypatch: pytest
     # without a limit that holds the fits are made all the same, and waited for: the run repeats exactly
     stated = {**SMALL, "session.max_duration_s": "88", "session.stop_when": '["u(b)/b < 1e-9"]'}
     config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in stated.items()])
-    with figures_are_not_drawn():
-        measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
+    measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
     record = tmp_path / "out" / "run-1.mcap"
     # who reads the record sees what the screen has shown; that it is closed it cannot say
     last = replace(outcomes[0].last, phase=Phase.CLOSING)

@@ -65,6 +65,7 @@ def test_table_4_has_no_printed_number_and_says_so(glass: PairSeries) -> None:
     assert work["4A"] == pytest.approx(work["4Aₜ"] + internal, rel=1e-3)
 
 
+@pytest.mark.usefixtures("figures")
 def test_page_figures_and_tables_are_written(glass: PairSeries, tmp_path: Path) -> None:
     page = write_paper(tmp_path, [glass], [table1(), table2([glass], -4)])
     text = page.read_text(encoding="utf-8")

@@ -27,6 +27,7 @@ def at_humidities(folder: Path, percent: list[float | None]) -> Path:
     return made
 
 
+@pytest.mark.usefixtures("figures")
 def test_what_depends_on_the_humidity_is_seen(tmp_path: Path) -> None:
     folders = [
         at_humidities(tmp_path / "a", [35.0, 40.0, 45.0]),

@@ -88,6 +88,7 @@ def test_a_single_run_scatters_as_those_of_the_series_it_is_compared_with(tmp_pa
     assert float(row[5]) == pytest.approx(2 * stats.t.sf(0.05e-8 / float(row[4]), 2), rel=1e-6)
 
 
+@pytest.mark.usefixtures("figures")
 def test_table_and_plot_of_three_series(tmp_path: Path) -> None:
     folders = [session(tmp_path / name) for name in ("a", "b", "c")]
     values, differences = compare(folders, tmp_path / "page.html")

@@ -56,6 +56,7 @@ def session_in_pixels(folder: Path, *, lost: bool) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("figures")
 def test_without_calibration_the_report_is_in_pixels_and_says_so(tmp_path: Path) -> None:
     page = make_report(session_in_pixels(tmp_path / "px", lost=False)).read_text(encoding="utf-8")
     assert "No fit: the record has no calibration (no [lever]): amplitudes are in px" in page
