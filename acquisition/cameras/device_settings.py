@@ -43,12 +43,9 @@ class V4l2Settings(BaseModel, frozen=True, extra="forbid"):
     """Choice of the camera, and options of this driver."""
 
     device: str | None = Field(
-        default=None, description="/dev/video2, or a number for OpenCV; needed only where there are several"
+        default=None, description="/dev/video2, or its number; needed only where there are several"
     )
     serial: str | None = Field(default=None, description="instead of the device, where the camera has one")
-    reading: Literal["auto", "kernel", "opencv"] = Field(
-        default="auto", description="kernel: calls of Linux, which count losses; opencv: on all systems"
-    )
     gain: int | None = Field(default=None, description="in the camera's own steps, which are not decibels")
     buffers: int | None = Field(
         default=None,

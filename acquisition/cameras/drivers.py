@@ -63,7 +63,7 @@ DRIVERS: dict[str, Driver] = {
         settings=("acquisition.cameras.device_settings:Usb3VisionSettings",),
         find="acquisition.cameras.usb3vision.discovery:list_cameras",
     ),
-    # UVC and other Video4Linux cameras; on Windows and macOS through OpenCV
+    # UVC and other Video4Linux cameras, on Linux
     "v4l2": Driver(
         camera="acquisition.cameras.v4l2.camera:V4l2Camera",
         settings=("acquisition.cameras.device_settings:V4l2Settings",),

@@ -1,12 +1,10 @@
 """`rig camera`: set up the camera."""
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from rig.commands.arguments import Config, Set, in_json
-from rig.commands.outputs import new_file, output_option
 from rig.commands.pictures import align, expose, focus, frames, opened_camera, record, snap
 
 
@@ -15,7 +13,7 @@ def register(app: typer.Typer) -> None:
     camera = typer.Typer(help="Show, set and test the camera.", no_args_is_help=True)
     camera.command("show")(in_json(show))
     camera.command("set")(in_json(set_features))
-    for command in (snap, record, frames, focus, align, expose, dump):
+    for command in (snap, record, frames, focus, align, expose):
         camera.command()(in_json(command))
     app.add_typer(camera, name="camera")
 
@@ -83,31 +81,3 @@ def set_features(
             else:
                 known = ", ".join(CameraSettings.model_fields)
                 raise ConfigurationError(f"{name}: this camera has no such setting; there are {known}")
-
-
-def dump(
-    config: Config,
-    output: Annotated[Path, output_option("ZIP file to write.", new_file(".zip"))] = Path("camera.zip"),
-    set_: Set = None,
-) -> None:
-    """Write the behaviour of a USB3 Vision camera to one file.
-
-    Without serial numbers, to send as evidence.
-    """
-    import zipfile
-
-    from processing.errors import ConfigurationError
-    from rig.presentation import answer, print_line
-
-    with opened_camera(config, set_) as (camera, info, _):
-        if not hasattr(camera, "dump"):
-            raise ConfigurationError(
-                f"camera.driver = {info.driver!r}: only usb3vision cameras can be dumped"
-            )
-        files: dict[str, bytes] = camera.dump()
-    with zipfile.ZipFile(output, "x", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in files.items():
-            archive.writestr(name, data)
-            print_line(f"{name}: {len(data)} bytes")
-    answer(written=[output])
-    typer.echo(str(output))

@@ -13,7 +13,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from acquisition.record import records_of
 from processing.errors import ConfigurationError, RigError
 from rig.calibrate import next_free
 from rig.desk.jobs import Job
@@ -25,7 +24,6 @@ SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
 _STATE = "session.json"
-_IN_RERUN = ("view", "replay")
 _LEAST_WAIT_S, _WAIT_OF_WORK = 1.0, 15.0
 """A large folder is looked through less often: one part in fifteen of a core at most."""
 _TOLD_AFTER = 500
@@ -255,10 +253,9 @@ class LookingAgain:
 
     def start(self, name: str, words: Sequence[str]) -> None:
         """Start a command; raises ConfigurationError while the last one of this name runs."""
-        for other in _IN_RERUN if name in _IN_RERUN else (name,):
-            before = self.jobs.get(other)
-            if before is not None and before.running:
-                raise ConfigurationError(f"rig {other} still runs; wait, or end it")
+        before = self.jobs.get(name)
+        if before is not None and before.running:
+            raise ConfigurationError(f"rig {name} still runs; wait, or end it")
         self.jobs[name] = Job([name, *words])
 
     def report(self, folder: Path) -> None:
@@ -268,13 +265,6 @@ class LookingAgain:
     def view(self, folders: Sequence[Path]) -> None:
         """Show runs in Rerun."""
         self.start("view", [*map(str, folders), "--view", "web"])
-
-    def replay(self, folder: Path) -> None:
-        """Show the last run of a session in Rerun as it went, ten times as fast."""
-        records = records_of(folder, "run-*.mcap")
-        if not records:
-            raise ConfigurationError(f"{folder}: holds no record")
-        self.start("replay", [str(records[-1]), "--speed", "10", "--view", "web"])
 
     def fit(self, folder: Path) -> None:
         """Fit the runs of a session again, into a folder of their own."""

@@ -19,7 +19,6 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot, SpotFlag
-from processing.swing import Swing
 from rig.instrument import Block
 from rig.presentation import say
 from rig.view.launch import RunningView
@@ -91,20 +90,14 @@ class ScratchView:
             deflection_unit=head.unit,
         )
 
-    def block(
-        self,
-        block: Block,
-        frames: Sequence[Frame] = (),
-        shift_ns: int = 0,
-        sequences: Sequence[int] | None = None,
-    ) -> None:
+    def block(self, block: Block, frames: Sequence[Frame] = (), shift_ns: int = 0) -> None:
         """Spots, half-cycles and balances, and a picture now and then; `shift_ns` is taken off all times.
 
-        Frames are numbered as they come unless their `sequences` are given.
+        Frames are numbered as they come.
         """
         found = replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns)
         times_ns = found.times_ns.tolist()
-        numbers = sequences or range(self._sequence, self._sequence + len(times_ns))
+        numbers = range(self._sequence, self._sequence + len(times_ns))
         self._sequence = numbers[-1] + 1 if times_ns else self._sequence
         self._last_ns = times_ns[-1] if times_ns else self._last_ns
 
@@ -120,20 +113,13 @@ class ScratchView:
             writer.flush_if_due()
 
         self._written(write)
-        for frame in frames if sequences else frames[-1:]:
-            number = frame.sequence if sequences else self._sequence - 1
-            self._picture(Frame(frame.image, number, frame.time_ns - shift_ns, 0))
+        for frame in frames[-1:]:
+            self._picture(Frame(frame.image, self._sequence - 1, frame.time_ns - shift_ns, 0))
 
     def _picture(self, frame: Frame) -> None:
         if frame.time_ns >= self._picture_due_ns:
             self._picture_due_ns = frame.time_ns + _PICTURE_NS
             self._written(lambda writer: writer.write_preview(frame))
-
-    def half_cycles(self, swings: list[Swing]) -> None:
-        """Half-cycles that are complete only at the end."""
-        none = np.empty(0)
-        nothing = Deflections(np.empty(0, dtype=np.int64), none, none, none, none, self._unit)
-        self.block(Block([], nothing, swings, []))
 
     def look(self, frame: Frame, spot: Spot) -> None:
         """A frame and the spot in it, where no deflection is measured."""

@@ -109,10 +109,6 @@ def cable() -> dict[str, Any]:
     return Run().goes_and_comes(unbind, bind)
 
 
-def cable_opencv() -> dict[str, Any]:
-    return Run(reading="opencv").goes_and_comes(unbind, bind)
-
-
 def settings() -> dict[str, Any]:
     """Nothing is asked for: the format that another program has set is that of the whole run."""
     handle = kernel.open_device(path())
@@ -145,7 +141,6 @@ def other_number() -> dict[str, Any]:
 def main() -> None:
     scenarios = {
         "cable": cable,
-        "cable_opencv": cable_opencv,
         "settings": settings,
         "module": module,
         "other_number": other_number,

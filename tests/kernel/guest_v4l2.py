@@ -34,8 +34,8 @@ def device() -> str:
     return next(found.path for found in list_devices() if "vivid" in found.name and "GREY" in found.formats)
 
 
-def make(reading: str = "kernel", **more: Any) -> V4l2Camera:
-    return V4l2Camera(V4l2Settings.model_validate({"device": device(), "reading": reading, **more}))
+def make(**more: Any) -> V4l2Camera:
+    return V4l2Camera(V4l2Settings.model_validate({"device": device(), **more}))
 
 
 class TestKernelReading(CameraConformance):
@@ -50,14 +50,6 @@ class TestKernelReading(CameraConformance):
         camera.open()
         camera.configure(SMALL)
         camera.close()
-        yield camera
-        camera.close()
-
-
-class TestOpenCvReading(TestKernelReading):
-    @pytest.fixture
-    def camera(self) -> Iterator[Camera]:
-        camera = make("opencv")
         yield camera
         camera.close()
 
@@ -195,9 +187,9 @@ def damaged() -> dict[str, Any]:
     return {"numbers": numbers, "error_status": status.error_status, "dropped": status.dropped}
 
 
-def stale(reading: str) -> dict[str, Any]:
+def stale() -> dict[str, Any]:
     """After a second in which nobody read: is the first frame of the next start older than it?"""
-    camera = make(reading)
+    camera = make()
     camera.open()
     camera.configure(SMALL)
     camera.start()
@@ -264,9 +256,9 @@ def automatic() -> dict[str, Any]:
     return said
 
 
-def unplugged(reading: str) -> dict[str, Any]:
+def unplugged() -> dict[str, Any]:
     """vivid's button 'Disconnect' while frames run."""
-    camera = make(reading)
+    camera = make()
     name = device()
     camera.open()
     camera.configure(SMALL)
@@ -325,17 +317,15 @@ def main() -> None:
     scenarios: dict[str, Callable[[], dict[str, Any]]] = {
         "devices": devices,
         "kernel": lambda: suite("TestKernelReading"),
-        "opencv": lambda: suite("TestOpenCvReading"),
         "dropped": dropped,
         "late": late,
         "damaged": damaged,
         "region": region,
-        "stale_kernel": lambda: stale("kernel"),
-        "stale_opencv": lambda: stale("opencv"),
+        "stale": stale,
         "refused": refused,
         "automatic": automatic,
         "mosaic": mosaic,
-        "unplugged": lambda: unplugged("kernel"),
+        "unplugged": unplugged,
     }
     run_scenarios(scenarios, sys.argv[1:])
 

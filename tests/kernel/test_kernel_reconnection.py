@@ -27,7 +27,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         pytest.skip(str(missing))
 
 
-@pytest.mark.parametrize("name", ["cable", "cable_opencv", "settings", "module", "other_number"])
+@pytest.mark.parametrize("name", ["cable", "settings", "module", "other_number"])
 def test_a_run_goes_on_when_its_camera_comes_back(results: dict[str, Any], name: str) -> None:
     seen = scenario(results, name)
     assert seen["failure"] == ""

@@ -18,7 +18,6 @@ from acquisition.camera import (
 )
 from acquisition.cameras.device_settings import Usb3VisionSettings
 from acquisition.cameras.usb3vision.discovery import find_camera
-from acquisition.cameras.usb3vision.dump import dump
 from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.link import UsbLink
@@ -247,14 +246,6 @@ class Usb3VisionCamera:
             features.nodes.forget()
             value: FeatureValue | None = features.get_if_readable(name)
             return value
-
-    def dump(self) -> dict[str, bytes]:
-        """Files by name that show how this camera behaves, for ``rig camera dump``; it must be stopped."""
-        values = self.feature_values()
-        with self._lock, self._noticing_loss():
-            if self._running():
-                raise DeviceError(f"{self._name}: is running; stop it before its dump")
-            return dump(self._opened(), values)
 
     # ---- inside
 

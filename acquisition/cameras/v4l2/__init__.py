@@ -1,1 +1,1 @@
-"""UVC and other Video4Linux cameras; on systems without Video4Linux, OpenCV's VideoCapture."""
+"""UVC and other Video4Linux cameras."""

@@ -15,37 +15,31 @@ from acquisition.camera import (
 )
 from acquisition.cameras.device_settings import V4l2Settings
 from acquisition.cameras.reading import Reading
-from acquisition.cameras.v4l2.opencv import OpenCvSource
-from acquisition.cameras.v4l2.source import FrameDevice, RawFrame
 from acquisition.frame import Frame
-from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError
 
 if TYPE_CHECKING:
     # Linux alone has its calls
     from acquisition.cameras.v4l2.devices import VideoDevice
+    from acquisition.cameras.v4l2.linux import LinuxSource
 
-_QUEUED_FRAMES = 64
-"""Kept for a reader that is late, where OpenCV reads."""
 _STOP_S = 0.4
 
 
 class V4l2Camera:
-    """A UVC or other Video4Linux camera; with OpenCV also what Windows and macOS offer.
+    """A UVC or other Video4Linux camera, on Linux.
 
     Notes
     -----
-    If the driver numbers frames, its numbers are used. Gaps count as lost by the host if all buffers were
-    full, else as lost on the bus; frames that the driver marks as damaged have an error status. OpenCV
-    provides none of this: frames are numbered in order of arrival, and what is lost before is not known.
-    A camera that is opened again is the same one, although its device may have another number; OpenCV knows
-    the number alone.
+    The driver numbers frames. Gaps count as lost by the host if all buffers were full, else as lost on the
+    bus; frames that the driver marks as damaged have an error status. A camera that is opened again is the
+    same one, although its device may have another number.
     """
 
     def __init__(self, settings: V4l2Settings | None = None) -> None:
         self._settings = settings or V4l2Settings()
         self._lock = threading.RLock()
-        self._source: FrameDevice | None = None
+        self._source: LinuxSource | None = None
         self._known: VideoDevice | None = None
         self._run: _Run | None = None
         self._before = CameraStatus()
@@ -56,7 +50,7 @@ class V4l2Camera:
         with self._lock:
             source = _make_source(self._settings, self._known)
             info = source.open()
-            self._source, self._known = source, getattr(source, "found", None)
+            self._source, self._known = source, source.found
             return info
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -115,15 +109,14 @@ class V4l2Camera:
         return self._before if run is None else self._before + run.status
 
     def feature_values(self) -> dict[str, FeatureValue]:
-        """All controls of the device that can be read now; OpenCV does not list them."""
-        read = getattr(self._opened(), "feature_values", dict)
-        return dict(read())
+        """All controls of the device that can be read now."""
+        return self._opened().feature_values()
 
     def feature_value(self, name: str) -> FeatureValue | None:
         """Value of one control; None if it cannot be read now."""
         return self.feature_values().get(name)
 
-    def _opened(self) -> FrameDevice:
+    def _opened(self) -> "LinuxSource":
         if self._source is None:
             raise DeviceError("video camera: is not open; call open first")
         return self._source
@@ -136,7 +129,7 @@ class V4l2Camera:
 class _Run:
     """The frames from one start to the next stop, numbered from 0, and their counts."""
 
-    def __init__(self, source: FrameDevice) -> None:
+    def __init__(self, source: "LinuxSource") -> None:
         self._source = source
         self._last = self._number = -1
         self._lost = CameraStatus()
@@ -164,87 +157,9 @@ class _Run:
         return Frame(raw.image, self._number, raw.device_time_ns, raw.host_time_ns)
 
 
-def _make_source(settings: V4l2Settings, known: "VideoDevice | None") -> FrameDevice:
-    reading = settings.reading
-    if reading == "auto":
-        reading = "kernel" if sys.platform == "linux" else "opencv"
-    if reading == "kernel":
-        if sys.platform != "linux":
-            raise DeviceError("camera.v4l2.reading = 'kernel' works on Linux only; use 'opencv'")
-        from acquisition.cameras.v4l2.linux import LinuxSource
+def _make_source(settings: V4l2Settings, known: "VideoDevice | None") -> "LinuxSource":
+    if sys.platform != "linux":
+        raise DeviceError("camera.driver = 'v4l2' reads cameras on Linux only; use 'usb3vision' or 'files'")
+    from acquisition.cameras.v4l2.linux import LinuxSource
 
-        return LinuxSource(settings, known)
-    return ReadAhead(OpenCvSource(settings))
-
-
-class ReadAhead:
-    """See `source.FrameDevice`. The only driver with a thread of its own.
-
-    A read through OpenCV waits as long as it likes for a silent camera, and the device must not be closed
-    under it: `next` could then keep no timeout. Frames are numbered in order of arrival.
-    """
-
-    def __init__(self, source: OpenCvSource) -> None:
-        self._source = source
-        self.open, self.configure = source.open, source.configure
-        self._halt = threading.Event()
-        self._queue = FrameQueue(_QUEUED_FRAMES, "every")
-        self._thread: threading.Thread | None = None
-        self._error: DeviceError | None = None
-        self._handover = threading.Lock()
-        self._in_use = self._close = False
-
-    def start(self) -> None:
-        if self._in_use:
-            raise DeviceError("video camera: still waits for a frame of the last run; close and open it")
-        self._source.start()
-        self._halt.clear()
-        self._queue, self._error = FrameQueue(_QUEUED_FRAMES, "every"), None
-        self._in_use = True
-        self._thread = threading.Thread(target=self._run, name="OpenCV", daemon=True)
-        self._thread.start()
-
-    def next(self, timeout_s: float) -> RawFrame | None:
-        """The oldest frame that was not taken; what is missing before it came when the queue was full."""
-        frames = self._queue.take(1, timeout_s)
-        if frames:
-            image, sequence, device_time_ns, host_time_ns = frames[0]
-            return RawFrame(image, sequence, device_time_ns, host_time_ns, late=True)
-        if self._error is not None and self._queue.drained:
-            raise self._error
-        return None
-
-    def stop(self) -> None:
-        """End the thread; waits for it a moment."""
-        self._halt.set()
-        self._queue.close()
-        if self._thread is not None:
-            self._thread.join(_STOP_S)
-
-    def close(self) -> None:
-        """Close the device, or have the thread do so after the read that it waits in."""
-        self.stop()
-        with self._handover:
-            self._close = self._in_use
-        if not self._close:
-            self._source.close()
-
-    def _run(self) -> None:
-        number = 0
-        try:
-            while not self._halt.is_set():
-                raw = self._source.next()
-                if raw is not None and raw.image is not None:
-                    self._queue.put(Frame(raw.image, number, raw.device_time_ns, raw.host_time_ns))
-                    number += 1
-        except DeviceError as error:
-            self._error = error
-        except Exception as error:
-            # whatever else goes wrong in this thread must reach the reader, never end in silence
-            self._error = DeviceError(f"video camera: {type(error).__name__}: {error}")
-        finally:
-            self._queue.close()
-            with self._handover:
-                self._in_use = False
-            if self._close:
-                self._source.close()
+    return LinuxSource(settings, known)

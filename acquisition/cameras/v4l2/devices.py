@@ -45,7 +45,7 @@ def list_devices() -> list[VideoDevice]:
 def list_cameras() -> list[PluggedCamera]:
     """The same for ``rig doctor``; DeviceError on systems without Video4Linux."""
     if sys.platform != "linux":
-        raise DeviceError("v4l2: OpenCV cannot list devices; try camera.v4l2.device = '0', '1', ...")
+        raise DeviceError("v4l2: there are such cameras on Linux only")
     cameras = []
     for found in list_devices():
         problem = found.problem

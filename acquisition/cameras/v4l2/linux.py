@@ -8,6 +8,7 @@ import os
 import re
 import select
 import time
+from typing import NamedTuple
 
 from acquisition.camera import (
     BITS_OF_FORMAT,
@@ -24,15 +25,29 @@ from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import VideoDevice, find_again, find_device, refusal
 from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
-from acquisition.cameras.v4l2.source import RawFrame
+from acquisition.frame import Image
 from processing.errors import DeviceError
 
 _FEWEST_BUFFERS, _MOST_BUFFERS = 4, 32
 _EXPOSURE_STEP_US = 100.0  # the kernel's unit of V4L2_CID_EXPOSURE_ABSOLUTE
 
 
+class RawFrame(NamedTuple):
+    """One frame; `host_time_ns` is on the host's monotonic clock.
+
+    `image` is None if the driver reports a damaged frame. `late`: frames that are missing before this one
+    were lost because earlier ones were not fetched in time.
+    """
+
+    image: Image | None
+    sequence: int
+    device_time_ns: int
+    host_time_ns: int
+    late: bool = False
+
+
 class LinuxSource:
-    """See `source.Source`. Timestamps are the driver's, on the host's monotonic clock.
+    """A device, used by one thread at a time. Timestamps are the driver's, on the host's monotonic clock.
 
     `found` is the device; one that is `known` from before is looked for by what it is, not by its number.
     """

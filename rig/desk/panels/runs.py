@@ -1,4 +1,4 @@
-"""Runs: the sessions made so far and the archive; find, report, Rerun, replay, compare, fit again, resume."""
+"""Runs: the sessions made so far and the archive; find, report, Rerun, compare, fit again, resume."""
 
 import json
 import time
@@ -158,7 +158,6 @@ class Actions:
             for name, do, words in (
                 ("Report", self.report, "open the report, key o"),
                 ("Rerun", self.view, "show the marked sessions in Rerun, key v"),
-                ("Replay", self._replay, "replay the last run in Rerun, ten times as fast"),
                 ("Compare", self._compare, "compare the marked sessions"),
                 ("Fit again", self._fit, "refit all runs into a new folder"),
                 ("Resume …", self._ask_resume, "make the missing runs"),
@@ -196,10 +195,6 @@ class Actions:
     def view(self) -> None:
         """Show those that are marked in Rerun."""
         self._desk.looking_again.view(self._chosen(most=20))
-
-    def _replay(self) -> None:
-        (folder,) = self._chosen()
-        self._desk.looking_again.replay(folder)
 
     def _fit(self) -> None:
         (folder,) = self._chosen()

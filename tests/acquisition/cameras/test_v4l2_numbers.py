@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from acquisition.cameras.v4l2.camera import _Run
-from acquisition.cameras.v4l2.source import RawFrame
+from acquisition.cameras.v4l2.linux import RawFrame
 from acquisition.frame import Frame
 
 

@@ -56,7 +56,6 @@ NOT_RUN = {
     "run": "its lines are tested in tests/rig/measure",
     "demo": "is run",
     "paper": "takes minutes; test_paper.py",
-    "camera dump": "needs a USB3 Vision camera",
     "light audit": "needs a log of a laser; test_light.py",
     "light acknowledge": "needs a trip; test_light.py",
     **{

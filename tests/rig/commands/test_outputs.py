@@ -15,9 +15,7 @@ DEMO = str(CONFIGS / "demo.toml")
 NEW_FILES = {
     ("archive", "list"): ("out.csv", "-o"),
     ("camera", "snap", DEMO): ("out.png", "-o"),
-    ("camera", "dump", DEMO): ("out.zip", "-o"),
     ("camera", "align", DEMO): ("out.rrd", "--rrd"),
-    ("replay", "no.mcap"): ("out.rrd", "--rrd"),
     ("view", "no.mcap"): ("out.rrd", "--rrd"),
     ("run", DEMO, "--record-only"): ("out.mcap", "-o"),
     ("record", "recover", "no.mcap"): ("out.mcap", "-o"),

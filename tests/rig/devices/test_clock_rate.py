@@ -25,11 +25,13 @@ def frames(seconds: float, drift_ppm: float, *, seed: int = 3, clock: bool = Tru
 
 
 def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...] = ()) -> list[CameraClock]:
-    rate = ClockRate(beside=False)
-    return [
+    rate, found = ClockRate(), []
+    for first in range(0, len(given), size):
         rate.take(given[first : first + size], steps if not first else ())
-        for first in range(0, len(given), size)
-    ]
+        if rate._thread is not None:
+            rate._thread.join()
+        found.append(rate.now)
+    return found
 
 
 @pytest.mark.slow
