@@ -2,12 +2,10 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.pixels import decode_window
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import IMAGE, REFERENCE
 from processing.arrays import Floats, Ints
@@ -286,8 +284,7 @@ class WithoutFixedLight:
 def without_fixed_light(reader: RecordReader, config: Configuration) -> WithoutFixedLight | None:
     """Light that stays in the whole frames of a record, taken off; None where there is none."""
     every = max(1, reader.counts.get(IMAGE.topic, 0) // _PICTURES)
-    chosen = islice(reader.messages(IMAGE.topic), 0, None, every)
-    images = {one.sequence: one.image for one in (decode_window(IMAGE, each.data) for each in chosen)}
+    images = {one.sequence: one.image for one in reader.images(every=every)}
     pictures = []
     for block in reader.spot_blocks(fields=("sequence", *Spot._fields)) if images else ():
         for row in np.flatnonzero(np.isin(block["sequence"], list(images))):
