@@ -3,6 +3,7 @@
 import datetime
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Sized
+from itertools import islice
 from pathlib import Path
 from typing import Any, Self, TypeAlias, TypeVar
 
@@ -366,12 +367,12 @@ class RecordReader:
         for message in self.messages(WINDOW.topic, start_ns):
             yield decode_window(WINDOW, message.data)
 
-    def images(self, start_ns: int | None = None) -> Iterator[Frame]:
-        """Whole frames, in order of time, one at a time; `start_ns` as in `spot_blocks`.
+    def images(self, start_ns: int | None = None, every: int = 1) -> Iterator[Frame]:
+        """Whole frames, in order of time, one at a time, or every so many; `start_ns` as in `spot_blocks`.
 
         Their device time and host time are both the time of the frame: a record has no other time for them.
         """
-        for message in self.messages(IMAGE.topic, start_ns):
+        for message in islice(self.messages(IMAGE.topic, start_ns), 0, None, every):
             sequence, time_ns, image, _ = decode_window(IMAGE, message.data)
             yield Frame(image, sequence, time_ns, time_ns)
 

@@ -160,7 +160,8 @@ class BalanceEstimator:
         x, y, u_x, u_y = self._columns[:, self._head : last]
         good = np.isfinite(x) & np.isfinite(y)
         if np.count_nonzero(good) < 3:
-            return last > self._head
+            # of so few samples lost spots are told from a low frame rate by their number
+            return last - self._head >= 3
         chi2 = 0.0
         for value, u in ((x[good], u_x[good]), (y[good], u_y[good])):
             weight = u**-2.0

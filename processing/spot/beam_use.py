@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from processing.arrays import Floats, Ints
+from processing.arrays import Flags, Floats, Ints
 from processing.spot.model_choice import LONGEST_CHOICE_FRAMES, SpotModel
 from processing.spot.spot import Image, Spot, SpotFlag
 
@@ -121,6 +121,11 @@ _CLEAR = 5.0
 """Shift, in standard uncertainties that the pictures leave, from which on it is none by chance."""
 _WORTH = 1.0
 """Shift, in standard uncertainties of a position, from which on it matters."""
+_REACH_SIGMAS = 5.5
+"""From the spot's middle, within which light pulls its fit: its window, and half a pixel of its own."""
+_LIT = 6.0
+"""Standard deviations of the mean picture, from which on a pixel is lit."""
+_MAD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +134,11 @@ class FixedLight:
 
     The brightest of it near the spot's way is at (`x_px`, `y_px`), `part` of the spot's own height.
     `shift_px` is the largest shift of the spot that follows, `in_u` the same in uncertainties of a position.
+    `sigma_px` is that of the spot.
     """
 
     light_dn: Floats
+    sigma_px: float
     x_px: int
     y_px: int
     part: float
@@ -146,6 +153,32 @@ class FixedLight:
             f"y {self.y_px} px (a reflection, a lamp): shifts the spot by up to {self.shift_px:.2g} px, "
             f"{self.in_u:.2g} times the uncertainty of a position"
         )
+
+    @cached_property
+    def lit(self) -> Flags:
+        """Pixels (ny, nx) that it lights beyond doubt."""
+        from scipy.ndimage import gaussian_filter
+
+        # a third of the spot's size, over which nothing of it varies much
+        smooth = gaussian_filter(self.light_dn, self.sigma_px / 3.0)
+        seen = smooth[self.light_dn != 0.0]
+        return np.asarray(smooth > _LIT * _MAD * float(np.median(np.abs(seen - np.median(seen)))))
+
+    @cached_property
+    def taken_off_dn(self) -> Floats:
+        """What is taken off pictures (ny, nx): light where it is lit and around it, no noise elsewhere."""
+        from scipy.ndimage import binary_dilation
+
+        return np.where(binary_dilation(self.lit, iterations=round(self.sigma_px) or 1), self.light_dn, 0.0)
+
+    def pulls(self, x_px: Floats, y_px: Floats) -> Flags:
+        """Whether spots at these places (n,) have some of it among the pixels that are fitted."""
+        from scipy.ndimage import distance_transform_edt
+
+        near = distance_transform_edt(~self.lit) <= _REACH_SIGMAS * self.sigma_px
+        ny, nx = near.shape
+        at_x, at_y = (np.nan_to_num(np.rint(place)).astype(np.int64) for place in (x_px, y_px))
+        return np.asarray(near[np.clip(at_y, 0, ny - 1), np.clip(at_x, 0, nx - 1)] & np.isfinite(x_px))
 
 
 def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
@@ -178,7 +211,7 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     smooth = 2.0 * gaussian_filter(light, sigma)
     near = reduce(np.minimum, (_distance(shape, spot) for spot in found)) < 4.0 * sigma
     y, x = np.unravel_index(int(np.argmax(np.where(near, smooth, -np.inf))), shape)
-    return FixedLight(light, int(x), int(y), float(smooth[y, x]) / height, shift_px, shift_px / u_px)
+    return FixedLight(light, sigma, int(x), int(y), float(smooth[y, x]) / height, shift_px, shift_px / u_px)
 
 
 def _distance(shape: tuple[int, ...], spot: Spot) -> Floats:

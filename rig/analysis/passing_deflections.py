@@ -1,13 +1,13 @@
 """Deflections of a run while they pass, and those of a record less what its reference spot shares."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import REFERENCE
+from acquisition.record.topics import IMAGE, REFERENCE
 from processing.arrays import Floats, Ints
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
@@ -20,9 +20,9 @@ from processing.reference_spot import (
     less_reference,
     refused,
 )
-from processing.spot import SPOT_DTYPE, Spot
-from rig.instrument import optics_of
-from rig.presentation import with_uncertainty
+from processing.spot import SPOT_DTYPE, FixedLight, Spot, SpotFlag, SpotTracker, fixed_light
+from rig.instrument import NO_STRAY_LIGHT, optics_of, sensor_model
+from rig.presentation import Verdict, percent, with_uncertainty
 from rig.settings import Configuration
 
 _SHORT = 300_000
@@ -122,7 +122,8 @@ def _finite(blocks: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 _SEEN = 4.0
 """Standard uncertainties by which a gain that is not stated has to differ from none."""
-_FIELDS = ("sequence", "flags", "x_px", "y_px", "u_x_px", "u_y_px")
+_PLACES = ("x_px", "y_px", "u_x_px", "u_y_px")
+_FIELDS = ("sequence", "flags", *_PLACES)
 
 
 def less_beam_motion(reader: RecordReader, config: Configuration) -> "WithoutBeamMotion | None":
@@ -166,13 +167,7 @@ class WithoutBeamMotion:
                 less = less_reference(ours_px, u_ours_px, common, stated, quiet)
             self.found = {**self.found, name: less}
             moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
-        deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
-        before, after = (deflector(spots["time_ns"], _spots(table)) for table in (spots, moved))
-        self._times_ns = spots["time_ns"]
-        self._moved = np.nan_to_num(np.stack([after.x - before.x, after.y - before.y]))
-        self._variance = np.nan_to_num(
-            np.stack([after.u_x**2 - before.u_x**2, after.u_y**2 - before.u_y**2]), nan=0.0
-        )
+        self._change = _Change(config, spots, moved)
 
     @property
     def used(self) -> bool:
@@ -194,6 +189,23 @@ class WithoutBeamMotion:
 
     def __call__(self, deflections: Deflections) -> Deflections:
         """Deflections of some of the record's frames without the beam's motion."""
+        return self._change(deflections)
+
+
+class _Change:
+    """What other places of some spots add to the deflections of their frames, and to the variances."""
+
+    def __init__(self, config: Configuration, spots: np.ndarray, moved: np.ndarray) -> None:
+        deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
+        before, after = (deflector(spots["time_ns"], _spots(table)) for table in (spots, moved))
+        self._times_ns = spots["time_ns"]
+        self._moved = np.nan_to_num(np.stack([after.x - before.x, after.y - before.y]))
+        self._variance = np.nan_to_num(
+            np.stack([after.u_x**2 - before.u_x**2, after.u_y**2 - before.u_y**2]), nan=0.0
+        )
+
+    def __call__(self, deflections: Deflections) -> Deflections:
+        """Deflections of any frames, as the spots' other places make them."""
         after = np.clip(np.searchsorted(self._times_ns, deflections.times_ns), 1, len(self._times_ns) - 1)
         nearer = (
             deflections.times_ns - self._times_ns[after - 1] < self._times_ns[after] - deflections.times_ns
@@ -209,14 +221,105 @@ class WithoutBeamMotion:
         )
 
 
-class LessBeamMotion:
-    """Deflections without the beam's motion, each time they are asked for."""
+class Changed:
+    """Deflections without the beam's motion or a fixed light's pull, each time they are asked for."""
 
-    def __init__(self, blocks: Iterable[Deflections], less: WithoutBeamMotion) -> None:
+    def __init__(self, blocks: Iterable[Deflections], less: Callable[[Deflections], Deflections]) -> None:
         self._blocks, self._less = blocks, less
 
     def __iter__(self) -> Iterator[Deflections]:
         return map(self._less, self._blocks)
+
+
+_PICTURES = 48
+"""Whole frames of a record in which light is looked for that stays where it is."""
+_FINER = 16
+"""Steps of a picture's level, of which the light that is taken off is a whole number."""
+_MOST_LOST = 0.1
+"""Of the frames that the light pulls, which are not found again without it."""
+_DEEPEST = 4095
+"""Full scale up to which so many steps fit into 16 bits."""
+
+
+class WithoutFixedLight:
+    """The frames of a record that light pulls which stays where it is, tracked again without it.
+
+    Attributes
+    ----------
+    used
+        Whether they were: not where the record has not the pixels around the spot.
+    """
+
+    def __init__(self, reader: RecordReader, config: Configuration, light: FixedLight) -> None:
+        self._light = light
+        spots = np.concatenate(list(reader.spot_blocks(fields=_FIELDS)))
+        pulled = light.pulls(spots["x_px"], spots["y_px"])
+        self._frames, self._pulled = len(spots), int(np.count_nonzero(pulled))
+        # a profile is learned of all frames
+        again = pulled | bool(np.any(spots["flags"] & SpotFlag.LEARNED))
+        found = _tracked_again(reader, config, light, spots["sequence"][again])
+        moved, rows = spots.copy(), np.flatnonzero(pulled)
+        kept = [found.get(number) for number in spots["sequence"][rows].tolist()]
+        for name in _PLACES:
+            moved[name][rows] = [np.nan if spot is None else getattr(spot, name) for spot in kept]
+        lost = np.flatnonzero(pulled & ~np.isfinite(moved["x_px"]))
+        self.used = len(lost) < _MOST_LOST * max(len(rows), 1)
+        # where it was and how far that may be wrong, so that nothing is made of it
+        for name in _PLACES:
+            moved[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
+        self._change = _Change(config, spots, moved)
+
+    def __call__(self, deflections: Deflections) -> Deflections:
+        """Deflections of some of the record's frames, without what the light does to them."""
+        return self._change(deflections)
+
+    @property
+    def verdict(self) -> Verdict:
+        """A warning where it is taken off; where it cannot be, the condition is not met."""
+        part = f"pulls {self._pulled} of {self._frames} ({percent(self._pulled / self._frames)})"
+        done = "taken off" if self.used else "not taken off, as the record has no pixels of the spot"
+        return Verdict("fixed light", self.used, self._light.text, NO_STRAY_LIGHT, f"{part}, {done}", "none")
+
+
+def without_fixed_light(reader: RecordReader, config: Configuration) -> WithoutFixedLight | None:
+    """Light that stays in the whole frames of a record, taken off; None where there is none."""
+    every = max(1, reader.counts.get(IMAGE.topic, 0) // _PICTURES)
+    images = {one.sequence: one.image for one in reader.images(every=every)}
+    pictures = []
+    for block in reader.spot_blocks(fields=("sequence", *Spot._fields)) if images else ():
+        for row in np.flatnonzero(np.isin(block["sequence"], list(images))):
+            spot = Spot(*(block[name][row].item() for name in Spot._fields))
+            pictures.append((images[int(block["sequence"][row])], spot))
+    light = fixed_light(pictures)
+    return None if light is None else WithoutFixedLight(reader, config, light)
+
+
+def _tracked_again(
+    reader: RecordReader, config: Configuration, light: FixedLight, sequences: Ints
+) -> dict[int, Spot]:
+    """The spots of some frames, tracked again in their pixels less the light; without those lost."""
+    fine = _FINER if reader.full_scale_dn <= _DEEPEST else 1
+    stated = sensor_model(config, reader.full_scale_dn)
+    full, less = fine * int(stated.full_scale_dn), np.rint(fine * light.taken_off_dn).astype(np.int64)
+    tracker = SpotTracker(
+        replace(
+            stated,
+            gain_e_per_dn=stated.gain_e_per_dn / fine,
+            full_scale_dn=full,
+            pedestal_dn=stated.pedestal_dn * fine,
+        )
+    )
+    asked, found = set(sequences.tolist()), {}
+    for window in reader.windows():
+        if window.sequence not in asked:
+            continue
+        (x0, y0), (ny, nx) = window.origin_px, window.image.shape
+        pixels = fine * window.image.astype(np.int64)
+        left = np.where(pixels >= full, full, np.maximum(pixels - less[y0 : y0 + ny, x0 : x0 + nx], 0))
+        spot = tracker.track(left.astype(np.uint16), window.origin_px, less.shape)
+        if not spot.flags & SpotFlag.LOST:
+            found[window.sequence] = spot
+    return found
 
 
 def _fitted(
@@ -230,6 +333,6 @@ def _fitted(
 
 def _spots(table: np.ndarray) -> list[Spot]:
     whole = np.zeros(len(table), dtype=SPOT_DTYPE)
-    for name in ("x_px", "y_px", "u_x_px", "u_y_px"):
+    for name in _PLACES:
         whole[name] = table[name]
     return [Spot(*row) for row in whole.tolist()]

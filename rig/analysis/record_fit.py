@@ -19,7 +19,12 @@ from processing.fit import (
 from processing.spot import BeamUse
 from processing.swing import Swing, swings_of_blocks
 from rig.analysis.contact_fits import of_source
-from rig.analysis.passing_deflections import LessBeamMotion, PassingDeflections, less_beam_motion
+from rig.analysis.passing_deflections import (
+    Changed,
+    PassingDeflections,
+    less_beam_motion,
+    without_fixed_light,
+)
 from rig.analysis.recorded_witness import recorded_witness
 from rig.analysis.run_conditions import Beam, run_clock, run_conditions
 from rig.analysis.series import AnalysedRun
@@ -27,11 +32,11 @@ from rig.analysis.surroundings import doubts_of, recorded_surroundings
 from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.witness_file import Begin, WitnessRecord
 from rig.instrument import (
-    balance_verdicts,
     inputs_sha256,
     judge_calibration,
     optics_of,
     recorded_configuration,
+    run_balance_verdicts,
 )
 from rig.settings import Configuration, Watched
 
@@ -109,7 +114,11 @@ def analyse_run(
     """
     less = less_beam_motion(reader, config)
     if less is not None and less.used:
-        blocks = LessBeamMotion(blocks, less)
+        blocks = Changed(blocks, less)
+        swings = swings_of_blocks(blocks)
+    pulled = without_fixed_light(reader, config)
+    if pulled is not None and pulled.used:
+        blocks = Changed(blocks, pulled)
         swings = swings_of_blocks(blocks)
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config)
@@ -133,6 +142,8 @@ def analyse_run(
     end = end_of(reader.events())
     frames, judged = deflections.frames, Beam.of(beam, noise_is_known=config.sensor is not None)
     dropped_frames, exact = dropped(frames), run.results.fits.get(FitMethod.EXACT)
+    if pulled is not None and judged.poor_fit_frames:
+        judged = replace(judged, likely_cause=pulled.verdict.reason, remedy=pulled.verdict.remedy)
     of_contact = config.instrument.description().report == "contact"
     results = replace(
         run.results,
@@ -159,9 +170,14 @@ def analyse_run(
             run.results.half_cycles,
             judged,
             clock,
-            balance_verdicts(balance_of_run(run.decay_balances, run.plane), config.balance)
-            if of_contact
-            else (),
+            (
+                *([] if pulled is None else [pulled.verdict]),
+                *(
+                    run_balance_verdicts(balance_of_run(run.decay_balances, run.plane), config.balance)
+                    if of_contact
+                    else ()
+                ),
+            ),
         ),
     )
     return replace(run, results=results)

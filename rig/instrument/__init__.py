@@ -10,10 +10,11 @@ from rig.instrument.balance import (
     balance_verdicts,
     height_of,
     nominal_effects,
+    run_balance_verdicts,
     sensor_room,
     turn_text,
 )
-from rig.instrument.beam_verdict import beam_quality
+from rig.instrument.beam_verdict import NO_STRAY_LIGHT, beam_quality
 from rig.instrument.calibration import fill_from_files, judge_calibration
 from rig.instrument.configured_camera import (
     camera_settings,

@@ -68,6 +68,15 @@ def balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Ver
     return [] if balance is None else _verdicts(balance, limits, 0.0)
 
 
+def run_balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Verdict]:
+    """Those of a whole run, with a warning where its plane of swing is not known: it may have turned."""
+    found = balance_verdicts(balance, limits)
+    if any(one.name == PLANE_OF_SWING for one in found):
+        return found
+    remedy = "measure longer, with at least 20 frames in two periods and both axes on the sensor"
+    return [*found, Verdict(PLANE_OF_SWING, True, "whether it turned is not known: too few periods", remedy)]
+
+
 def balance_failures(balance: Balance, limits: BalanceLimits) -> list[str]:
     """Name, value and limit of each condition that the balance of one moment surely does not meet."""
     return [

@@ -20,7 +20,7 @@ _BAD_CHI2 = 4.0
 """Uncertainties are doubled then, and what no model fits moves with the spot in ways they do not know."""
 _PICTURES = 16
 _CLEAN = "clean laser window, lenses and mirrors; a spatial filter"
-_NO_STRAY_LIGHT = "block it, or tilt what reflects: window, filter, cover glass"
+NO_STRAY_LIGHT = "block it, or tilt what reflects: window, filter, cover glass"
 _MIDDLE_SIGMAS, _FLANK_SIGMAS = 0.5, 1.3
 
 
@@ -75,7 +75,7 @@ def beam_quality(
         *_cuts(edge > limits.max_lost_fraction, is_cut, shape),
         *_bad_fit(poor > limits.max_poor_fit_fraction, chi2, model, noise_is_known=noise_is_known),
         *([] if is_cut else _other_shapes(shape)),
-        *([] if light is None else [_Fault(True, light.text, _NO_STRAY_LIGHT)]),
+        *([] if light is None else [_Fault(True, light.text, NO_STRAY_LIGHT)]),
     ]
     # the worst first; what is seen of the shape is the likely cause of a bad fit
     faults.sort(key=lambda fault: fault.ok)

@@ -120,6 +120,15 @@ def test_high_frame_rate_is_as_good() -> None:
     assert np.abs(np.array([deviations(b)[:4] for b in found])).max() < 5.0
 
 
+@pytest.mark.parametrize("frames_per_s", [5.0, 8.0, 10.0, 12.5, 15.0, 25.0])
+def test_a_low_frame_rate_shows_that_the_plane_turns(frames_per_s: float) -> None:
+    """In the first look of half a second are fewer frames than tell a swing from rest."""
+    found = estimates(motion(8, 120.0, frames_per_s, fast=0.0))
+    assert len(found) > 20
+    for b in found[4:]:
+        assert abs(b.rotation_rad_per_s - TURNING) < 4.0 * b.u_rotation_rad_per_s < 0.5 * TURNING
+
+
 def test_rest_then_swing_then_rest() -> None:
     swinging = motion(5, 60.0)
     still = np.arange(len(swinging)) % 6000

@@ -1,0 +1,55 @@
+"""A reflection that stays where it is while the spot swings past it, from frames to parameters."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.rig.analysis.spinning import DEMONSTRATION
+from tests.rig.command_line import rig, set_words
+
+TRUE = {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "period0_s": 4.071}
+REFLECTION = {
+    "session.max_duration_s": "300",
+    "camera.frame_rate_hz": "25",
+    "simulation.reference.relative": "0.03",
+    # the spot swings along x 159.5, past y 400
+    "simulation.reference.y_px": "400",
+}
+
+
+def fitted(folder: Path, **words: str) -> dict[str, Any]:
+    rig("run", DEMONSTRATION, "-o", folder, *set_words(REFLECTION | words))
+    run: dict[str, Any] = json.loads((folder / "results.json").read_text())["runs"][0]
+    return run
+
+
+def condition(run: dict[str, Any]) -> dict[str, Any]:
+    (found,) = [one for one in run["conditions"] if one["name"] == "fixed light"]
+    return dict(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("x_px", ["163.5", "173.5"])
+def test_the_parameters_know_nothing_of_a_reflection_of_three_percent(x_px: str, tmp_path: Path) -> None:
+    run = fitted(tmp_path / "run", **{"simulation.reference.x_px": x_px})
+    exact = run["fits"]["exact"]
+    for name, true in TRUE.items():
+        assert abs(exact[name]["value"] - true) < 2.5 * exact[name]["standard_uncertainty"], name
+    assert exact["c"]["standard_uncertainty"] < 0.06 * TRUE["c"]
+    # as without the light: none is left out, and u is as large
+    assert run["half_cycles"] > 143
+    said = condition(run)
+    assert said["ok"]
+    assert "taken off" in said["measured"]
+    assert "light that stays where it is, 3" in said["reason"]
+
+
+@pytest.mark.slow
+def test_without_pixels_the_run_does_not_meet_its_conditions(tmp_path: Path) -> None:
+    run = fitted(tmp_path / "run", **{"simulation.reference.x_px": "163.5", "record.windows": "false"})
+    said = condition(run)
+    assert not said["ok"]
+    assert "not taken off" in said["measured"]
+    assert "block it" in said["remedy"]
