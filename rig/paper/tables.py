@@ -371,7 +371,6 @@ def _drawings(series: PairSeries) -> list[ReportFigure]:
         drawings += [
             figures_laws.decay_figure(points, curves, motion.unit),
             figures_laws.period_figure(curves),
-            figures_laws.smooth_figure(curves),
         ]
     loop = figures_contact.loop_figure(exact.contact(), series.pendulum, _LOOP_AMPLITUDE_ARCSEC, sees_c=True)
     return [*drawings, loop]

@@ -1,4 +1,4 @@
-"""`rig report`: a session's HTML page, its figures as SVG and PNG, its tables as CSV."""
+"""`rig report`: a session's HTML page, its figures as SVG, its tables as CSV."""
 
 import math
 import re
@@ -103,10 +103,9 @@ _ORDER = (
     "parameters",
     ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
-    "fig13-period", "fig14-smoother", "residuals", "position-errors",
+    "fig13-period", "residuals", "position-errors",
     "spectrum", "witness", "table4-loops", "work", "losses", "laws", "waveform", "moments",
-    ("drag", "identifiability"),
-    "correlation", "budget",
+ "correlation", "budget",
 )  # fmt: skip
 """Tables and figures of a run as they follow one another; small tables stand side by side."""
 
@@ -175,10 +174,8 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         exact = fit.contact()
         drawings += [
             figures_laws.period_figure(curves),
-            figures_laws.smooth_figure(curves),
             figures_laws.residual_figure(points, curves, fit.outliers),
             figures_laws.loss_figure(points, exact, pendulum),
-            figures_contact.correlation_figure(fit.correlation),
         ]
         # a negative power has no moment at rest: it is no friction, and its loop no loop
         for work in run.results.work_per_cycle[:1] if exact.p >= 0 else ():
@@ -204,23 +201,19 @@ def _period(run: RunData) -> float:
 
 
 def _pictures(drawings: Sequence[ReportFigure], files: Path) -> list[tuple[ReportFigure, str]]:
-    """Write SVG and PNG of every figure; each with its HTML.
-
-    A frame is pixels, and goes into the page as PNG; everything else is lines, as SVG.
-    """
+    """Write every figure, drawn once, and its HTML: a frame is pixels, and PNG, all else lines, and SVG."""
     atomic_write.take_away_leftovers(files)
     found = []
     for drawing in drawings:
-        vector, pixels = svg(drawing), png(drawing)
-        atomic_write.replace(files / f"{drawing.name}.svg", vector)
-        atomic_write.replace(files / f"{drawing.name}.png", pixels)
-        inside = (pixels, "image/png") if drawing.name.endswith("frame") else (vector, "image/svg+xml")
-        found.append((drawing, html.picture(drawing, *inside)))
+        is_frame = drawing.name.endswith("frame")
+        data = png(drawing) if is_frame else svg(drawing)
+        atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
+        found.append((drawing, html.picture(drawing, data, "image/png" if is_frame else "image/svg+xml")))
     return found
 
 
 def save_figures(drawings: Sequence[ReportFigure], files: Path) -> list[str]:
-    """Write figures as SVG and PNG; returns their HTML in order."""
+    """Write figures as files; returns their HTML in order."""
     return [text for _, text in _pictures(drawings, files)]
 
 
