@@ -23,6 +23,7 @@ from rig.report.source import ReportSource, RunData
 from rig.report.tables_instruments import headline
 
 _NOT_STATED = "not stated"
+_PAPER = "I. Gilavdary, S. Mekid, N. Riznookaya, Lubricants 2023, 11(2), 88, doi:10.3390/lubricants11020088"
 
 
 def title_of(source: ReportSource) -> tuple[str, str]:
@@ -129,6 +130,7 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
         driver = first.provenance.get("camera", {}).get("driver", "")
         stored = "a film or a folder of images" if driver == "files" else "a camera"
         rows.append(("frames from", "the simulated rig" if first.simulated else stored))
+    rows += [("laws of the contact", _PAPER)] if first.results.fits else []
     return [(name, text) for name, text in rows if text]
 
 
