@@ -127,3 +127,14 @@ class Derived:
     ]
     contact_depth_m: Annotated[Floats, Quantity("depth a²/R", "depth of the contact", "µm")]
     contact_angle_rad: Annotated[Floats, Quantity("contact angle a/R", "angle of the contact", "arcmin")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfDecay:
+    """What every decay has, whether or not a law is fitted, and the theories of adhesion."""
+
+    log_decrement: Annotated[float, Quantity("log decrement", "log decrement", unit="1")]
+    quality_factor: Annotated[float, Quantity("quality factor", "quality factor", unit="1")]
+    initial_amplitude: Annotated[float, Quantity("first amplitude", "first amplitude", unit="1")]
+    final_amplitude: Annotated[float, Quantity("last amplitude", "last amplitude", unit="1")]
+    tabor: Annotated[float, Quantity("Tabor parameter", "Tabor parameter", unit="1")]

@@ -27,14 +27,12 @@ from rig.analysis.results import (
     SessionResults,
     StoredTurningPoints,
     TableDecay,
-    TableResults,
 )
 from rig.analysis.results_file import (
     RESULTS_NAME,
     decoded,
     encoded,
     free_path,
-    read_any_results,
     read_results,
     recorded_results,
     results_path,

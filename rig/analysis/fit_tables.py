@@ -33,7 +33,7 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     others = [method for method in _in_order(run.fits) if method != FitMethod.EXACT] if full else []
     named = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
     lines = []
-    for row in (row for row in run.table if full or row.quantity in named):
+    for row in (row for row in run.contact if full or row.quantity in named):
         found = [
             run.fits[method].estimate(row.quantity) if row.determined else NOT_DETERMINED for method in others
         ]
@@ -79,7 +79,7 @@ def _of_whole(run: RunResults) -> str:
 
 def combined_table(results: SessionResults) -> Table | None:
     """The rows of several runs beside each other, and of the series; None where fewer are fitted."""
-    runs = [(number, run) for number, run in zip(results.numbers, results.runs, strict=True) if run.table]
+    runs = [(number, run) for number, run in zip(results.numbers, results.runs, strict=True) if run.contact]
     series = results.series
     if len(runs) < 2 or series is None or not series.table:
         return None

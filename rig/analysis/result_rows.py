@@ -7,8 +7,8 @@ from typing import Annotated, Final, NamedTuple
 
 from processing.contact import DRAG, PendulumOnBall, surface_energy
 from processing.errors import ConfigurationError
-from processing.estimate import WELL_DETERMINED, Determinacy, Estimate
-from processing.fit import Budget, Determination, FitResult
+from processing.estimate import NOT_DETERMINED, WELL_DETERMINED, Determinacy, Estimate
+from processing.fit import Budget, Determination, FitMethod, FitResult
 from processing.quantity import OF, Quantity
 from processing.series import Combined
 from rig.presentation import Shown, interval, law_parameters, plain, quantity, unit_of
@@ -32,6 +32,8 @@ _OWN = Quantity("", "", unit=OF + "quantity")
 class ResultRow:
     """One quantity of a run or a series.
 
+    `fit` says by what it is known: the exact fit, the decay alone, a theory of adhesion.
+
     `value`, `u` and `u_total` are NaN unless the data determine the quantity: then `lower` and `upper` say
     all that is known. `u` is the standard uncertainty of the swings alone, `u_total` that of swings and
     apparatus together, `lower` to `upper` the 95 % interval, of both together; a limit that the data do not
@@ -42,6 +44,7 @@ class ResultRow:
     """
 
     quantity: str
+    fit: str = FitMethod.EXACT.value
     value: Annotated[float, _OWN] = nan
     u: Annotated[float, _OWN] = nan
     u_total: Annotated[float, _OWN] = nan
@@ -106,6 +109,12 @@ def named(key: str) -> str:
     """The label of a quantity where it is met first: a surface energy by its name."""
     label = quantity(key).label
     return f"surface energy {label}" if key in ENERGIES else label
+
+
+def plain_row(name: str, found: Estimate | float, run: str, fit: str, unit: str = "") -> ResultRow:
+    """The row of a number, or of a value with its standard uncertainty as it is."""
+    value, u = found if isinstance(found, Estimate) else (found, nan)
+    return ResultRow(quantity=name, fit=fit, value=value, u=u, u_total=u, unit=unit or unit_of(name), run=run)
 
 
 def result_rows(
@@ -245,8 +254,18 @@ class WithRows:
 
     @property
     def rows(self) -> Mapping[str, ResultRow]:
-        """The rows by quantity."""
-        return {row.quantity: row for row in self.table}
+        """The rows by quantity; of one that is there by several fits the first."""
+        return {row.quantity: row for row in reversed(self.table)}
+
+    @property
+    def contact(self) -> Sequence[ResultRow]:
+        """The rows of the exact fit and of what follows from it; none where no law was fitted."""
+        return [row for row in self.table if row.fit == FitMethod.EXACT]
+
+    def number(self, name: str) -> Estimate:
+        """Value and whole uncertainty of a quantity; NaN where there is no such row."""
+        row = self.rows.get(name)
+        return NOT_DETERMINED if row is None else Estimate(*row)
 
     def __getitem__(self, name: str) -> ResultRow:
         found = self.rows.get(_SHORT_NAMES.get(name, name))

@@ -96,7 +96,7 @@ def series_in(source: Path) -> Series | None:
 
 
 def _name(run: RunResults, decay: int | None) -> str:
-    if not isinstance(run, TableDecay):
+    if run.decay is None:
         return Path(run.record).stem
     return run.source_name if decay is None else f"{run.source_name}-decay-{decay}"
 
@@ -191,23 +191,23 @@ def exported_series(
     return ExportedResults(SERIES_NAME, cast(JsonObject, tree["series"]), units, about, notes)
 
 
-def read_table_decay(folder: Path, decay: TableDecay, name: str) -> ExportedRun:
+def read_table_decay(folder: Path, decay: RunResults, name: str) -> ExportedRun:
     """A decay of which a folder holds the results; angles in rad, other positions in the table's own unit.
 
     Raises RecordError where the positions beside the results cannot be read.
     """
-    stored = decay.turning_points or StoredTurningPoints()
+    stored, place = decay.turning_points or StoredTurningPoints(), decay.decay or TableDecay()
     own = decay.amplitude_unit or "unit"
     of_angle = stored.unit is DeflectionUnit.RAD
     unit, size = ("rad", conversion(own, "rad")) if of_angle else (own, 1.0)
     time_s, positions = read_positions(folder)
-    inside = (time_s >= decay.began_s) & (time_s <= decay.ended_s)
+    inside = (time_s >= place.began_s) & (time_s <= place.ended_s)
     suffix = re.sub(r"\W", "_", unit)
     columns = {"time_s": time_s[inside]}
     columns |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
     found = encoded(decay)
     provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
-    provenance |= {f"session.{name}": text for name, text in decay.session.items()}
+    provenance |= {f"session.{name}": text for name, text in place.session.items()}
     air = {} if decay.surroundings is None else decay.surroundings.known()
     provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
     swings = {

@@ -10,7 +10,7 @@ from pyarrow import csv, parquet
 
 from acquisition.atomic_write import being_written, write_new
 from processing.errors import ConfigurationError, RecordError
-from rig.analysis import ResultRow, TableDecay
+from rig.analysis import ResultRow
 from rig.export.nexus import item_name, write_nexus
 from rig.export.run import (
     SERIES_NAME,
@@ -58,7 +58,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     folder = source if source.is_dir() else source.parent
     runs = [
         read_table_decay(folder, results, name)
-        if isinstance(results, TableDecay)
+        if results is not None and results.decay is not None
         else read_run(path, results)
         for name, path, results in found
     ]

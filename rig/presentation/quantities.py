@@ -85,10 +85,13 @@ def _of_balances() -> Mapping[str, Quantity]:
 def _of_fits() -> Mapping[str, Quantity]:
     """Imported only here, because the viewer's process does not need the fits and should start fast."""
     from processing.fit import Derived, FitQuality, Work
+    from processing.quantity import OfDecay
 
     parameters = {key: parameter.quantity for key, parameter in law_parameters().items()}
     return parameters | {
-        name: one for kind in (Derived, FitQuality, Work) for name, one in quantities_of(kind).items()
+        name: one
+        for kind in (Derived, FitQuality, Work, OfDecay)
+        for name, one in quantities_of(kind).items()
     }
 
 

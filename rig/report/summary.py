@@ -8,7 +8,6 @@ from processing.fit import Budget
 from processing.instruments import INSTRUMENTS
 from rig.analysis import (
     SURFACE_ENERGY,
-    TableDecay,
     WithRows,
     decay_lines,
     dominant_text,
@@ -31,8 +30,9 @@ def title_of(source: ReportSource) -> tuple[str, str]:
     first = source.runs[0]
     session = first.provenance.get("session", {})
     name = source.folder.resolve().name
-    if isinstance(first.results, TableDecay):
-        name = Path(first.results.record).name + (f", run {first.results.run}" if first.results.run else "")
+    if first.results.decay is not None:
+        run = first.results.decay.run
+        name = Path(first.results.record).name + (f", run {run}" if run else "")
     title = session.get("sample") or name
     counted = "decay" if first.of_table else "run"
     words = [f"{len(source.runs)} {counted}{'s' if len(source.runs) > 1 else ''}"]
@@ -59,7 +59,7 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
         )
     first = [html.verdict(_verdict(source))]
     found = series if series is not None and series.table else run
-    if found.table:
+    if found.contact:
         first.append(html.key_values(_key_results(found, found.budget)))
         what = "combined over the runs" if found is series else "of the run"
         first.append(

@@ -173,24 +173,24 @@ def _judged(item: Verdict) -> str:
     return "warning" if item.remedy else "ok"
 
 
+_THEORIES = ("JKR", "Maugis-Dugdale", "DMT")
+
+
 def adhesion_table(results: RunResults) -> Table:
     """The contact with adhesion, where c is determined; Hertz's is in the table of results."""
-    lines = []
-    note = ""
-    if results.adhesion is not None:
-        for theory, spot in results.adhesion.spots().items():
-            for key, value in (
-                ("contact_radius_m", spot.radius_m),
-                ("surface_energy_table2_j_per_m2", spot.surface_energy_j_per_m2),
-            ):
-                form = quantity(key)
-                shown = [f"{form.symbol}, {theory}", form.text(*value), form.unit]
-                lines.append(Line([f"{key} ({theory})", *value], shown))
-        note = (
-            "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor "
-            f"parameter of {results.adhesion.tabor:.2g} (equilibrium separation 0.3 nm) selects "
-            f"{results.adhesion.holds}; all other values follow the paper, with Hertz's theory."
+    rows = [row for row in results.table if row.fit in _THEORIES]
+    lines = [
+        Line(
+            [f"{row.quantity} ({row.fit})", *row],
+            [f"{row.shown.symbol}, {row.fit}", row.text, row.shown.unit],
         )
+        for row in rows
+    ]
+    note = (
+        "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor parameter "
+        f"of {results.number('tabor').value:.2g} (equilibrium separation 0.3 nm) selects {results.adhesion}; "
+        "all other values follow the paper, with Hertz's theory."
+    )
     columns = "quantity value standard_uncertainty"
     return Table.of("adhesion", "Contact with adhesion", columns, ("", "value", "unit"), lines, note)
 

@@ -36,9 +36,9 @@ def run(quick: bool = False) -> dict[str, Any]:
                     path = write_film(Path(folder) / f"{len(rows)}.{ending}", pictures(swing, noise_dn), film)
                     found = analyse_trajectory(path, film_trajectory(path, FilmAsked()), None)
                     true = swing[1] / swing[2]
-                    value, u = found.results.log_decrement
+                    value, u = found.longest.results.number("log_decrement")
                     pulls.append((value - true) / u)
-                    period_s, u_s = found.results.period_s
+                    period_s, u_s = found.longest.results.number("mean_period_s")
                     of_period.append((period_s - swing[1]) / u_s)
                     name = f"{codec} {options.get('crf', '')}".strip()
                     error, of_u = 100.0 * (value / true - 1.0), 100.0 * u / true

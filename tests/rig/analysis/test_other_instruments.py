@@ -262,7 +262,7 @@ def test_a_reference_measured_elsewhere_and_a_clock_that_is_wrong(tmp_path: Path
     config = f'kind = "koenig"\nreference_time_s = 250\nu_reference_time_s = 0.5\n{clock}'
     found = fitted(tmp_path, table, config)
     true_s = 1.01 * 110.0 * math.log(2)
-    value, u = found["instrument"]["damping"]["time_s"].values()
+    value, u = found["runs"][0]["instrument"]["damping"]["time_s"].values()
     assert value == pytest.approx(true_s, rel=1e-3)
     assert u == pytest.approx(2e-3 * true_s, rel=0.05)
     ratio = found["series"]["instrument"]["ratio"]
@@ -277,9 +277,9 @@ def test_a_plane_that_turns_in_a_table_of_two_axes(tmp_path: Path, kind: str, ra
     table = "\n".join(["time_s,x_deg,y_deg", *decaying(60.0, turning_rad_per_s=rate_rad_per_s)])
     config = f'kind = "{kind}"\nstart_amplitude_deg = 6.0\nend_amplitude_deg = 3.0\nreference_time_s = 40'
     found = fitted(tmp_path, table, config, "x_deg", "y_deg")
-    value, u = found["instrument"]["damping"]["time_s"].values()
+    value, u = found["runs"][0]["instrument"]["damping"]["time_s"].values()
     assert abs(value - 60.0 * math.log(2)) < 4 * u < 0.1
-    rate = found["instrument"]["swing_plane"]["rate_deg_per_min"]
+    rate = found["runs"][0]["instrument"]["swing_plane"]["rate_deg_per_min"]
     away = abs(rate["value"]) - math.degrees(60 * abs(rate_rad_per_s))
     assert abs(away) < 4 * rate["standard_uncertainty"]
 
