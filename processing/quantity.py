@@ -1,12 +1,11 @@
 """What a number is, declared once: on the field that holds it, or here for what is derived from a fit."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Annotated, Any, Final, get_type_hints
+from typing import Annotated, Final, get_type_hints
 
 from processing.arrays import Floats
-from processing.estimate import Estimate
 from processing.units import conversion, unit_of_name
 
 OWN: Final = "that of the quantity"
@@ -61,51 +60,6 @@ def quantities_of(kind: type) -> Mapping[str, Quantity]:
         for declared in getattr(hint, "__metadata__", ())
         if isinstance(declared, Quantity)
     }
-
-
-def with_units(
-    value: Any, unit_of: Callable[[str], str], path: tuple[str | int, ...] = (), own: str = ""
-) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:
-    """Every plain value below `value`, with its path and its unit; arrays are one value.
-
-    Parameters
-    ----------
-    value
-        A dataclass, a mapping or a sequence, nested.
-    unit_of
-        Unit of a quantity by its key, for the entries of mappings and what is named beside a number.
-    own
-        Unit of the quantity to which the value belongs.
-    """
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from with_units(item, unit_of, (*path, key), own or unit_of(str(key)))
-    elif isinstance(value, list | tuple):
-        for place, item in enumerate(value):
-            yield from with_units(item, unit_of, (*path, place), own)
-    elif isinstance(value, Estimate) or not is_dataclass(value):
-        if isinstance(value, Estimate):
-            yield (*path, "value"), value.value, own
-            yield (*path, "standard_uncertainty"), value.standard_uncertainty, own
-        else:
-            yield path, value, "" if isinstance(value, str | bool | None) else own
-    else:
-        kind: Any = type(value)
-        declared = quantities_of(kind)
-        for name in (item.name for item in fields(value)):
-            unit = declared[name].unit if name in declared else unit_of_name(name)
-            above, per, below = (_resolved(part, value, unit_of, own) for part in unit.partition(PER))
-            unit = f"{above}/({below})" if per and above and below else above
-            yield from with_units(getattr(value, name), unit_of, (*path, name), unit)
-
-
-def _resolved(unit: str, value: Any, unit_of: Callable[[str], str], own: str) -> str:
-    """A unit that may be that of something beside the number or above it."""
-    if unit == OWN:
-        return own
-    if unit.startswith(STATED):
-        return str(getattr(value, unit.removeprefix(STATED)) or "")
-    return unit_of(getattr(value, unit.removeprefix(OF))) if unit.startswith(OF) else unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

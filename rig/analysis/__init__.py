@@ -5,7 +5,7 @@ from rig.analysis.contact_fits import loss_of, settled_swings
 from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, MomentsWithoutLaw
 from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, contact_values
 from rig.analysis.curves import Curves, ModelCurve, curves_of, model_curves
-from rig.analysis.encoding import JsonObject, units_of
+from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table, waveform_table
 from rig.analysis.instrument_results import (
     DampingResults,

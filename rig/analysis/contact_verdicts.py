@@ -172,12 +172,18 @@ def contact_values(
     adhesion, spots = "", tuple[ResultRow, ...]()
     if rig is not None and rig.contact_radius_m is None and sees_c:
         adhesion, spots = _adhesion(name, exact.estimate("c"), pendulum, tables["contact_radius_m"])
+    others = [
+        plain_row(key, found, name, method)
+        for method, fit in fits.items()
+        if method != FitMethod.EXACT
+        for key, found in fit.estimates().items()
+    ]
     return {
         "fits": {method: fit_results(fit, stated) for method, fit in fits.items()},
         "pendulum": pendulum,
         "adhesion": adhesion,
         "drag": drag,
-        "table": (*rows, *spots),
+        "table": (*rows, *spots, *others),
         "budget": withheld(tables, rows),
         "work_per_cycle": tuple(
             _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)

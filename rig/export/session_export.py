@@ -1,9 +1,10 @@
 """The command `rig export`: writes spots, half-cycles and results, each file with its provenance."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, Literal, get_type_hints
+from typing import Final, Literal, get_type_hints
 
 import pyarrow as pa
 from pyarrow import csv, parquet
@@ -18,7 +19,6 @@ from rig.export.run import (
     ExportedRun,
     columns_of,
     exported_series,
-    flat_results,
     read_run,
     read_table_decay,
     runs_in,
@@ -33,8 +33,8 @@ Format = Literal["csv", "parquet", "hdf5", "latex"]
 def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """Export a session's folder, that of a table's results, or one record; returns the files made.
 
-    What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, four
-    files a run, and two with what the runs say together. HDF5: `output` is the file, one NXentry a run and
+    What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
+    files a run, and one with what the runs say together. HDF5: `output` is the file, one NXentry a run and
     one for the series. LaTeX: a folder with the tables of the report. Nothing that exists is written over.
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists.
@@ -48,7 +48,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     made = [table_path(output, name, what, suffix) for name in names for what in TABLES]
     if series is not None:
         names.append(SERIES_NAME)
-        made += [table_path(output, SERIES_NAME, what, suffix) for what in ("results", "table")]
+        made.append(table_path(output, SERIES_NAME, "table", suffix))
     if len(set(made)) < len(made) or (kind == "hdf5" and len(set(map(item_name, names))) < len(names)):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
     for path in [output] if kind == "hdf5" else made:
@@ -101,7 +101,7 @@ def _export_latex(source: Path, output: Path) -> list[Path]:
     return made
 
 
-TABLES = ("spots", "swings", "results", "table")
+TABLES = ("spots", "swings", "table")
 
 
 def write_csv(folder: Path, run: ExportedResults) -> list[Path]:
@@ -155,27 +155,12 @@ def _tables(
                 table_path(folder, run.name, name, suffix),
                 pa.table(list(columns.values()), schema=pa.schema(fields)),
             )
-    if run.results:
-        rows = flat_results(run.results)
-        yield (
-            table_path(folder, run.name, "results", suffix),
-            pa.table(
-                {
-                    "name": [text_of(name) for name, _ in rows],
-                    "value": pa.array([v if isinstance(v, float) else None for _, v in rows], pa.float64()),
-                    "text": [text_of(v) if isinstance(v, str) else "" for _, v in rows],
-                    "unit": [text_of(_unit(name, run.units)) for name, _ in rows],
-                }
-            ),
-        )
-        # a list of rows, each an object of the same keys
-        listed: Any = run.results.get("table", [])
-        named = [
-            {key: text_of(cell) if isinstance(cell, str) else cell for key, cell in row.items()}
-            for row in listed
+    if run.rows:
+        rows = [
+            {key: text_of(cell) if isinstance(cell, str) else cell for key, cell in asdict(row).items()}
+            for row in run.rows
         ]
-        if named:
-            yield table_path(folder, run.name, "table", suffix), pa.Table.from_pylist(named, schema=_ROWS)
+        yield table_path(folder, run.name, "table", suffix), pa.Table.from_pylist(rows, schema=_ROWS)
 
 
 _ROWS: Final = pa.schema(
@@ -189,8 +174,3 @@ _ROWS: Final = pa.schema(
 def table_path(folder: Path, run: str, what: str, suffix: str) -> Path:
     """The file of one of `TABLES` of a run."""
     return folder / f"{run}-{what}.{suffix}"
-
-
-def _unit(name: str, units: Mapping[str, str]) -> str:
-    """Of a number, or of the list in which it stands."""
-    return units.get(name) or units.get(name.rpartition(".")[0], "")
