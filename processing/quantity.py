@@ -92,3 +92,38 @@ class OfDecay:
     initial_amplitude: Annotated[float, Quantity("first amplitude", "first amplitude", unit="1")]
     final_amplitude: Annotated[float, Quantity("last amplitude", "last amplitude", unit="1")]
     tabor: Annotated[float, Quantity("Tabor parameter", "Tabor parameter", unit="1")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfInstrument:
+    """What other kinds of pendulum are made to measure, first things first, and what belongs to it."""
+
+    time_hardness_s: Annotated[float, Quantity("time hardness", "time hardness, ten single swings", "s")]
+    scale_hardness: Annotated[float, Quantity("scale hardness", "scale hardness, first swing", unit="1")]
+    time_hardness_first_swing_s: Annotated[
+        float, Quantity("time hardness × 10", "time hardness, first swing × 10", "s")
+    ]
+    damping_time_s: Annotated[float, Quantity("damping time", "damping time", "s")]
+    damping_swings: Annotated[float, Quantity("swings", "swings", unit="1")]
+    rolling_friction_coefficient: Annotated[float, Quantity("f", "coefficient of rolling friction", unit="1")]
+    log_decrement: Annotated[float, Quantity("Λ", "log decrement of a whole swing", unit="1")]
+    period0_s: Annotated[float, Quantity("T₀", "period at vanishing amplitude", "s")]
+    circular_factor: Annotated[
+        float, Quantity("circular factor", "circular error over the ideal pendulum's", unit="1")
+    ]
+    plane_rate_deg_per_min: Annotated[
+        float, Quantity("turning", "turning of the swing plane", "deg/min", "deg/min")
+    ]
+    first_amplitude_deg: Annotated[float, Quantity("first amplitude", "first amplitude", "deg", "deg")]
+    missing_half_cycles: Annotated[float, Quantity("missing", "half-cycles missing in it", unit="1")]
+    damping_start_deg: Annotated[float, Quantity("from", "from", "deg", "deg")]
+    damping_end_deg: Annotated[float, Quantity("to", "to", "deg", "deg")]
+    friction_exponent: Annotated[
+        float, Quantity("exponent", "power of the amplitude of the friction", unit="1")
+    ]
+    friction_moment: Annotated[float, Quantity("M/(m g d)", "frictional moment over m g d", unit="1")]
+    chi2_per_dof: Annotated[float, Quantity("χ²/dof", "χ² per degree of freedom", unit="1")]
+    plane_turned_deg: Annotated[float, Quantity("turned", "turned in all", "deg", "deg")]
+    plane_width_ratio: Annotated[float, Quantity("width", "width of the swing over its length", unit="1")]
+    inferred_half_cycles: Annotated[float, Quantity("inferred", "turning points off the sensor", unit="1")]
+    mean_period_s: Annotated[float, Quantity("T", "mean period", "s")]

@@ -7,14 +7,7 @@ from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, 
 from rig.analysis.curves import Curves, ModelCurve, curves_of, model_curves
 from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table, waveform_table
-from rig.analysis.instrument_results import (
-    DampingResults,
-    DecrementTable,
-    InstrumentResults,
-    InstrumentSeries,
-    PeriodTable,
-    SwingPlane,
-)
+from rig.analysis.instrument_results import INSTRUMENT, InstrumentResults, InstrumentSeries
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.record_fit import analyse_record, analyse_run
 from rig.analysis.recorded_witness import taken

@@ -67,15 +67,6 @@ def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
     }
 
 
-def headline(rows: Mapping[str, ResultRow], budget: Mapping[str, Budget]) -> str:
-    """The surface energy with the whole budget, and what dominates; empty without a type B uncertainty."""
-    row, item = rows.get(SURFACE_ENERGY), budget.get(SURFACE_ENERGY)
-    if row is None or item is None or not (row.determined and has_apparatus(item)):
-        return ""
-    sources = f"main sources of its variance: {dominant_text(item)}"
-    return f"{row.equation} with the whole budget, swings and apparatus; {sources}."
-
-
 _SHOWN_SHARE = 0.02
 _LIMITS_FROM = 0.25
 _DO: Final[Mapping[str, str]] = {
@@ -160,11 +151,11 @@ _MUCH = 1.5
 
 
 def remarks(run: RunResults) -> list[str]:
-    """The headline, sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
+    """Sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
     exact = run.fits.get(FitMethod.EXACT)
     parameters = {} if exact is None else exact.parameters
     of_drag = drag_headline(run.drag, run.rows, fitted=DRAG.key in parameters) if parameters else ""
-    lines = list(filter(None, [headline(run.rows, run.budget), of_drag]))
+    lines = [of_drag] if of_drag else []
     lines += [] if run.beam is None else [run.beam.sentence]
     lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []

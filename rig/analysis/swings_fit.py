@@ -163,10 +163,13 @@ def _reduced(
 ) -> AnalysedRun:
     """A run of a pendulum that is not described by the contact's laws."""
     clock_rate, unit = clock_rate_of(config), DeflectionUnit.RAD
-    reduction = reduce_run(config.instrument, followed, air, errors, clock_rate)
+    reduction = reduce_run(config.instrument, followed, air, errors, clock_rate, path.stem)
     results = RunResults(
         **_head(path, reduction.points, unit),
-        table=amplitude_rows(reduction.points, unit.shown, unit.shown_size, path.stem),
+        table=(
+            *reduction.rows,
+            *amplitude_rows(reduction.points, unit.shown, unit.shown_size, path.stem),
+        ),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
         instrument=reduction.values,

@@ -390,7 +390,7 @@ def _direction_warning(
     """What is to be said of a direction that no fit has followed, or could not; empty: nothing."""
     if followed.problem:
         return "" if run.problem == followed.problem else followed.problem
-    of_instrument = run.instrument is not None and run.instrument.swing_plane is not None
+    of_instrument = run.instrument is not None and "plane" in run.instrument.curves
     if followed.is_turned or of_instrument:
         return ""
     return direction_warning(trajectory.positions, inside)

@@ -30,7 +30,7 @@ OF_INSTRUMENTS: Final = (
     "log_decrement",
     "rolling_friction_coefficient",
 )
-"""Of other kinds of pendulum: names of `InstrumentResults` that hold a value with its uncertainty."""
+"""Of other kinds of pendulum."""
 
 
 def _typed(text: str) -> dict[str, str]:
@@ -229,9 +229,9 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
             yield f"verdict_{name}", row.verdict.value
     if run.instrument is not None:
         yield "instrument", run.instrument.kind
-        for name in OF_INSTRUMENTS:
-            if (value := getattr(run.instrument, name)) is not None:
-                yield from _estimate(name, value)
+        for row in run.table:
+            if row.quantity in OF_INSTRUMENTS:
+                yield from _estimate(row.quantity, Estimate(*row))
 
 
 def _estimate(name: str, item: Estimate) -> Iterator[tuple[str, float | None]]:

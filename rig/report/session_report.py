@@ -166,7 +166,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             for each in drawings
         ]
     if run.results.instrument is not None:
-        drawings += instrument_figures(run.results.instrument, points)
+        drawings += instrument_figures(run.results, points)
     if run.results.laws is not None and run.results.laws.without_law is not None:
         drawings.append(figures_laws.moments_figure(run.results.laws, run.results.laws.without_law))
     pendulum = run.results.pendulum

@@ -70,7 +70,7 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
             )
         )
     if run.instrument is not None:
-        values = headline(run.instrument, None if series is None else series.instrument)
+        values = headline(run, None if series is None else series.instrument)
         first.append(html.key_values(values))
         first.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
     body.append(html.first_screen(first, [decay]))
