@@ -31,7 +31,6 @@ from rig.analysis.contact_results import (
     MomentsWithoutLaw,
     WaveformClass,
 )
-from rig.analysis.result_rows import plain_row
 from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"
@@ -82,15 +81,8 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
 
 
 def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
-    """The run with these laws compared, and their parameters in its table."""
-    found = laws_of(run, laws)
-    rows = [
-        plain_row(key, value, run.record.stem, name)
-        for name, fit in ({} if found is None else found.laws).items()
-        for key, value in fit.parameters.items()
-    ]
-    table = (*run.results.table, *rows)
-    return replace(run, results=replace(run.results, laws=found, table=table))
+    """The run with these laws compared."""
+    return replace(run, results=replace(run.results, laws=laws_of(run, laws)))
 
 
 def _remedy(free: MomentsWithoutLaw, one: str, other: str) -> str:

@@ -172,11 +172,14 @@ def contact_values(
     adhesion, spots = "", tuple[ResultRow, ...]()
     if rig is not None and rig.contact_radius_m is None and sees_c:
         adhesion, spots = _adhesion(name, exact.estimate("c"), pendulum, tables["contact_radius_m"])
+    # what the data leave open has no value by any method
+    left_open = {row.quantity for row in rows if not row.determined}
     others = [
         plain_row(key, found, name, method)
         for method, fit in fits.items()
         if method != FitMethod.EXACT
         for key, found in fit.estimates().items()
+        if key not in left_open
     ]
     return {
         "fits": {method: fit_results(fit, stated) for method, fit in fits.items()},
