@@ -13,7 +13,7 @@ from acquisition import atomic_write
 from processing.errors import RecordError, require_schema
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults
-from rig.presentation import plain_values
+from rig.presentation import plain_values, written
 from rig.settings import wanted
 
 RESULTS_NAME = "results.json"
@@ -33,14 +33,9 @@ def encoded(values: object) -> JsonObject:
 
 
 def write_results(path: str | Path, results: SessionResults | EnvelopeResults) -> None:
-    """Write results.json; never over an existing one. Raises RecordError."""
-    path = Path(path)
-    try:
-        atomic_write.write_new(path, (_text(encoded(results)) + "\n").encode())
-    except FileExistsError:
-        raise RecordError(f"{path}: exists already and is not overwritten; choose another folder") from None
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+    """Write results.json; never over an existing one. Raises ConfigurationError or RecordError."""
+    with written(Path(path)):
+        atomic_write.write_new(Path(path), (_text(encoded(results)) + "\n").encode())
 
 
 def _text(value: object, indent: str = "") -> str:

@@ -12,12 +12,11 @@ from matplotlib.ticker import MaxNLocator
 from acquisition import atomic_write
 from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
-from processing.errors import RecordError
 from processing.series import ORDER, POSITIVE, CompressedRun, Effect, Form, Level
 from rig.analysis import encoded
 from rig.campaigns.answer import Campaign
 from rig.campaigns.tables import contacts_table, covariate_words, scaled, tables_of
-from rig.presentation import Table, latex_table, palette, plain_values, quantity
+from rig.presentation import Table, latex_table, palette, plain_values, quantity, written
 from rig.report import INK, ReportFigure, canvas, html, save_figures, save_tables, styled
 
 _POINTS = 60
@@ -170,10 +169,10 @@ def campaign_tables(campaign: Campaign) -> list[Table]:
 def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
     """Write all files of a campaign into a folder, which is made; returns the first ones to look at.
 
-    Raises RecordError where one exists or cannot be written.
+    Raises ConfigurationError where one exists, RecordError where one cannot be written.
     """
     files, path, target = folder / "campaign", folder / _NAME, folder / "campaign.html"
-    try:
+    with written(folder):
         files.mkdir(parents=True, exist_ok=True)
         text = json.dumps(plain_values(encoded(campaign.results)), indent=1, allow_nan=False) + "\n"
         atomic_write.write_new(path, text.encode())
@@ -183,12 +182,6 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
         with styled():
             figures = save_figures(figures_of(campaign), files)
         atomic_write.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
-    except FileExistsError as error:
-        raise RecordError(
-            f"{error.filename or path}: exists already and is not overwritten; choose another folder"
-        ) from None
-    except OSError as error:
-        raise RecordError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return [path, target]
 
 

@@ -24,7 +24,7 @@ from rig.export.run import (
     runs_in,
     series_in,
 )
-from rig.presentation import harmless_line, harmless_text, say
+from rig.presentation import harmless_line, harmless_text, say, written
 from rig.report import latex_tables
 
 Format = Literal["csv", "parquet", "hdf5", "latex"]
@@ -67,7 +67,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
             say(f"{run.name}: {note}" if source.is_dir() else note)
     fitted = [(run, results) for run, (_, _, results) in zip(runs, found, strict=True) if results]
     together = None if series is None else exported_series(source, series, fitted)
-    try:
+    with written(output, "name" if kind == "hdf5" else "folder"):
         if kind == "hdf5":
             output.parent.mkdir(parents=True, exist_ok=True)
             write_nexus(output, runs, together)
@@ -76,8 +76,6 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
         write = write_csv if kind == "csv" else write_parquet
         everything = runs if together is None else [*runs, together]
         return [path for run in everything for path in write(output, run)]
-    except OSError as error:
-        raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
 
 
 def _export_latex(source: Path, output: Path) -> list[Path]:
@@ -88,15 +86,9 @@ def _export_latex(source: Path, output: Path) -> list[Path]:
         raise RecordError(f"{source}: its results have no tables; rig fit makes some where a run is fitted")
     for name, text in tables.items():
         path = output / name
-        try:
+        with written(path):
             output.mkdir(parents=True, exist_ok=True)
             write_new(path, text.encode())
-        except FileExistsError:
-            raise ConfigurationError(
-                f"{path}: exists already and is not overwritten; choose another folder"
-            ) from None
-        except OSError as error:
-            raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
         made.append(path)
     return made
 

@@ -16,7 +16,6 @@ from processing.contact import (
     surface_energy,
 )
 from processing.contact.laws import PAPER
-from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.units import ARCSEC_RAD
@@ -41,6 +40,7 @@ from rig.presentation import (
     print_line,
     print_tables,
     with_uncertainty,
+    written,
 )
 from rig.report import (
     ReportFigure,
@@ -311,7 +311,7 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
         html.notes(CONTRADICTIONS),
         *(html.table(content) for content in tables),
     ]
-    try:
+    with written(output):
         files.mkdir(parents=True, exist_ok=True)
         save_tables(tables, files)
         for series in found:
@@ -325,8 +325,6 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
         page = html.page("Tables and figures of Lubricants 2023, 11(2), 88", "made again", body)
         atomic_write.take_away_leftovers(target.parent, target.name)
         atomic_write.write_new(target, page.encode())
-    except OSError as error:
-        raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
     return target
 
 

@@ -29,6 +29,7 @@ from rig.presentation.printing import (
     print_json_line,
     print_line,
     say,
+    written,
 )
 from rig.presentation.quantities import (
     SOURCES,

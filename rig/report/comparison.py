@@ -18,6 +18,7 @@ from rig.presentation import (
     Table,
     plain,
     quantity,
+    written,
 )
 from rig.report import html
 from rig.report.against import against_figure, against_table, chosen_surrounding, seen_runs
@@ -63,7 +64,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         files = output.parent / output.stem
         compared = (*DEFAULT_LAW.names(), *_OF_ANY_DECAY)
         names = [name for name in compared if all(name in known for known in rows.values())]
-        try:
+        with written(output, "name"):
             files.mkdir(parents=True, exist_ok=True)
             save_tables(tables, files)
             with styled():
@@ -73,8 +74,6 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
             page = html.page("Series compared", ", ".join(series), body)
             atomic_write.take_away_leftovers(output.parent, output.name)
             atomic_write.write_new(output, page.encode())
-        except OSError as error:
-            raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
     return tables
 
 

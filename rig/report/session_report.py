@@ -13,7 +13,7 @@ from processing.errors import RecordError
 from processing.fit import FitMethod
 from rig.analysis import AnalysedTable, Curves, Series, SessionResults, curves_of, results_path
 from rig.intake import write_positions
-from rig.presentation import Table, latex_table, quantity
+from rig.presentation import Table, latex_table, quantity, written
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
@@ -39,7 +39,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     name = results_path(folder).stem.replace("results", "report", 1)
     target = output or source.folder / f"{name}.html"
     files = target.parent / target.stem
-    try:
+    with written(target):
         files.mkdir(parents=True, exist_ok=True)
         atomic_write.take_away_leftovers(target.parent, target.name)
         series = [] if source.series is None else _series(source, source.series, files)
@@ -54,8 +54,6 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
         atomic_write.replace(
             target, html.page(title, subtitle, body, results_sha256=source.results[1]).encode()
         )
-    except OSError as error:
-        raise RecordError(f"{target}: cannot be written: {error.strerror or error}") from None
     return target
 
 
