@@ -245,7 +245,10 @@ class WithRows:
     @property
     def rows(self) -> Mapping[str, ResultRow]:
         """The rows by quantity; of one that is there by several fits the first."""
-        return {row.quantity: row for row in reversed(self.table)}
+        found = dict[str, ResultRow]()
+        for row in self.table:
+            found.setdefault(row.quantity, row)
+        return found
 
     @property
     def contact(self) -> Sequence[ResultRow]:
@@ -266,4 +269,4 @@ class WithRows:
 
     def _summary(self, head: str) -> str:
         """A head and a line a row, for a person."""
-        return "\n".join([head, *(f"  {row}" for row in self.table)])
+        return "\n".join([head, *(f"  {row}" for row in self.contact or self.table)])
