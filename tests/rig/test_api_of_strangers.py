@@ -67,7 +67,7 @@ def test_columns_are_named_as_a_text_or_a_number_and_tables_by_their_file(tmp_pa
     table[:, 1] += 0.01 * np.random.default_rng(1).standard_normal(len(table))
     np.savetxt(tmp_path / "decay.csv", table, delimiter=",", header="time_s,x", comments="")
     periods = {
-        rig.fit_table(tmp_path / "decay.csv", "mm", time=time, positions=positions).period_s
+        rig.fit_table(tmp_path / "decay.csv", "mm", time=time, positions=positions)["mean_period_s"].value
         for time, positions in (
             (None, ()),
             ("time_s", "x"),
