@@ -1,12 +1,11 @@
 """What a number is, declared once: on the field that holds it, or here for what is derived from a fit."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Annotated, Any, Final, get_type_hints
+from typing import Annotated, Final, get_type_hints
 
 from processing.arrays import Floats
-from processing.estimate import Estimate
 from processing.units import conversion, unit_of_name
 
 OWN: Final = "that of the quantity"
@@ -63,51 +62,6 @@ def quantities_of(kind: type) -> Mapping[str, Quantity]:
     }
 
 
-def with_units(
-    value: Any, unit_of: Callable[[str], str], path: tuple[str | int, ...] = (), own: str = ""
-) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:
-    """Every plain value below `value`, with its path and its unit; arrays are one value.
-
-    Parameters
-    ----------
-    value
-        A dataclass, a mapping or a sequence, nested.
-    unit_of
-        Unit of a quantity by its key, for the entries of mappings and what is named beside a number.
-    own
-        Unit of the quantity to which the value belongs.
-    """
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from with_units(item, unit_of, (*path, key), own or unit_of(str(key)))
-    elif isinstance(value, list | tuple):
-        for place, item in enumerate(value):
-            yield from with_units(item, unit_of, (*path, place), own)
-    elif isinstance(value, Estimate) or not is_dataclass(value):
-        if isinstance(value, Estimate):
-            yield (*path, "value"), value.value, own
-            yield (*path, "standard_uncertainty"), value.standard_uncertainty, own
-        else:
-            yield path, value, "" if isinstance(value, str | bool | None) else own
-    else:
-        kind: Any = type(value)
-        declared = quantities_of(kind)
-        for name in (item.name for item in fields(value)):
-            unit = declared[name].unit if name in declared else unit_of_name(name)
-            above, per, below = (_resolved(part, value, unit_of, own) for part in unit.partition(PER))
-            unit = f"{above}/({below})" if per and above and below else above
-            yield from with_units(getattr(value, name), unit_of, (*path, name), unit)
-
-
-def _resolved(unit: str, value: Any, unit_of: Callable[[str], str], own: str) -> str:
-    """A unit that may be that of something beside the number or above it."""
-    if unit == OWN:
-        return own
-    if unit.startswith(STATED):
-        return str(getattr(value, unit.removeprefix(STATED)) or "")
-    return unit_of(getattr(value, unit.removeprefix(OF))) if unit.startswith(OF) else unit
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Derived:
     """What follows from the parameters of the paper's law and the rig's input quantities.
@@ -127,3 +81,49 @@ class Derived:
     ]
     contact_depth_m: Annotated[Floats, Quantity("depth a²/R", "depth of the contact", "µm")]
     contact_angle_rad: Annotated[Floats, Quantity("contact angle a/R", "angle of the contact", "arcmin")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfDecay:
+    """What every decay has, whether or not a law is fitted, and the theories of adhesion."""
+
+    log_decrement: Annotated[float, Quantity("log decrement", "log decrement", unit="1")]
+    quality_factor: Annotated[float, Quantity("quality factor", "quality factor", unit="1")]
+    initial_amplitude: Annotated[float, Quantity("first amplitude", "first amplitude", unit="1")]
+    final_amplitude: Annotated[float, Quantity("last amplitude", "last amplitude", unit="1")]
+    tabor: Annotated[float, Quantity("Tabor parameter", "Tabor parameter", unit="1")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfInstrument:
+    """What other kinds of pendulum are made to measure, first things first, and what belongs to it."""
+
+    time_hardness_s: Annotated[float, Quantity("time hardness", "time hardness, ten single swings", "s")]
+    scale_hardness: Annotated[float, Quantity("scale hardness", "scale hardness, first swing", unit="1")]
+    time_hardness_first_swing_s: Annotated[
+        float, Quantity("time hardness × 10", "time hardness, first swing × 10", "s")
+    ]
+    damping_time_s: Annotated[float, Quantity("damping time", "damping time", "s")]
+    damping_swings: Annotated[float, Quantity("swings", "swings", unit="1")]
+    rolling_friction_coefficient: Annotated[float, Quantity("f", "coefficient of rolling friction", unit="1")]
+    log_decrement: Annotated[float, Quantity("Λ", "log decrement of a whole swing", unit="1")]
+    period0_s: Annotated[float, Quantity("T₀", "period at vanishing amplitude", "s")]
+    circular_factor: Annotated[
+        float, Quantity("circular factor", "circular error over the ideal pendulum's", unit="1")
+    ]
+    plane_rate_deg_per_min: Annotated[
+        float, Quantity("turning", "turning of the swing plane", "deg/min", "deg/min")
+    ]
+    first_amplitude_deg: Annotated[float, Quantity("first amplitude", "first amplitude", "deg", "deg")]
+    missing_half_cycles: Annotated[float, Quantity("missing", "half-cycles missing in it", unit="1")]
+    damping_start_deg: Annotated[float, Quantity("from", "from", "deg", "deg")]
+    damping_end_deg: Annotated[float, Quantity("to", "to", "deg", "deg")]
+    friction_exponent: Annotated[
+        float, Quantity("exponent", "power of the amplitude of the friction", unit="1")
+    ]
+    friction_moment: Annotated[float, Quantity("M/(m g d)", "frictional moment over m g d", unit="1")]
+    chi2_per_dof: Annotated[float, Quantity("χ²/dof", "χ² per degree of freedom", unit="1")]
+    plane_turned_deg: Annotated[float, Quantity("turned", "turned in all", "deg", "deg")]
+    plane_width_ratio: Annotated[float, Quantity("width", "width of the swing over its length", unit="1")]
+    inferred_half_cycles: Annotated[float, Quantity("inferred", "turning points off the sensor", unit="1")]
+    mean_period_s: Annotated[float, Quantity("T", "mean period", "s")]

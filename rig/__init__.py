@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from processing.deflections import Deflections
     from processing.errors import RigError
-    from rig.analysis import SessionResults, TableResults
+    from rig.analysis import SessionResults
     from rig.scripting import (
         Campaign,
         Record,
@@ -35,7 +35,6 @@ __all__ = [
     "RigError",
     "Session",
     "SessionResults",
-    "TableResults",
     "campaign",
     "curves",
     "figures",
@@ -51,7 +50,6 @@ _PLACES = {
     "Deflections": "processing.deflections",
     "RigError": "processing.errors",
     "SessionResults": "rig.analysis",
-    "TableResults": "rig.analysis",
 }
 """Modules of the names; those that are not listed are in rig.scripting."""
 

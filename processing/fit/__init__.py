@@ -4,7 +4,7 @@ from processing.estimate import FitMethod
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.changes import DRIFTS, drift_term, drifts_of, with_changes
 from processing.fit.checks import domain_warnings
-from processing.fit.determination import Determination, identifiability, strong_correlations
+from processing.fit.determination import Determination, identifiability
 from processing.fit.drag import (
     Drag,
     DragFinding,

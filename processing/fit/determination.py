@@ -37,7 +37,6 @@ _ALIKE = 0.15
 """Part of a half-width by which the ends of both intervals may differ where value and uncertainty stand."""
 _NAMED = Quantity("", "", unit=OF + "name")
 
-STRONG_CORRELATION = 0.99
 """Each uncertainty is seven times what it would be if the other parameter were known: 1/sqrt(1 - 0.99^2)."""
 
 
@@ -365,17 +364,3 @@ def _determination(
         profile_likelihood=by_profile,
         text=texts[verdict],
     )
-
-
-def strong_correlations(
-    result: FitResult, limit: float = STRONG_CORRELATION
-) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of strongly correlated parameters, strongest correlation first."""
-    matrix = result.correlation
-    pairs = [
-        (result.names[i], result.names[j], float(matrix[i, j]))
-        for i in range(len(matrix))
-        for j in range(i)
-        if abs(matrix[i, j]) >= limit
-    ]
-    return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))

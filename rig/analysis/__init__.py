@@ -5,16 +5,9 @@ from rig.analysis.contact_fits import loss_of, settled_swings
 from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, MomentsWithoutLaw
 from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, contact_values
 from rig.analysis.curves import Curves, ModelCurve, curves_of, model_curves
-from rig.analysis.encoding import JsonObject, units_of
+from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table, waveform_table
-from rig.analysis.instrument_results import (
-    DampingResults,
-    DecrementTable,
-    InstrumentResults,
-    InstrumentSeries,
-    PeriodTable,
-    SwingPlane,
-)
+from rig.analysis.instrument_results import INSTRUMENT, InstrumentResults, InstrumentSeries
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.record_fit import analyse_record, analyse_run
 from rig.analysis.recorded_witness import taken
@@ -27,14 +20,12 @@ from rig.analysis.results import (
     SessionResults,
     StoredTurningPoints,
     TableDecay,
-    TableResults,
 )
 from rig.analysis.results_file import (
     RESULTS_NAME,
     decoded,
     encoded,
     free_path,
-    read_any_results,
     read_results,
     recorded_results,
     results_path,

@@ -16,6 +16,8 @@ from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import FitQuality
 from rig.analysis.encoding import Entries, Floats
 
+_STRONG = 0.99
+
 
 @dataclass(frozen=True, slots=True)
 class Correlation:
@@ -23,6 +25,17 @@ class Correlation:
 
     names: tuple[str, ...] = ()
     matrix: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def strong(self) -> list[tuple[str, str, float]]:
+        """Pairs of parameters that the data hardly distinguish, strongest correlation first."""
+        pairs = [
+            (self.names[i], self.names[j], self.matrix[i][j])
+            for i in range(len(self.matrix))
+            for j in range(i)
+            if abs(self.matrix[i][j]) >= _STRONG
+        ]
+        return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,30 +59,6 @@ class Fit(FitQuality):
         values = {name: self.estimate(name).value for name in DEFAULT_LAW.names()}
         drag = self.parameters.get(DRAG.key)
         return ContactParameters(**values, drag_s=0.0 if drag is None else drag.value)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AdhesiveSpot:
-    """Radius of the contact spot with adhesion, and the surface energy (Table 2's form) of that radius."""
-
-    radius_m: Estimate = NOT_DETERMINED
-    surface_energy_j_per_m2: Estimate = NOT_DETERMINED
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Adhesion:
-    """The contact spot in three theories of adhesion; `holds` names the one that the Tabor parameter selects.
-    All other values follow the paper, with Hertz's radius."""
-
-    tabor: float = nan
-    holds: str = ""
-    jkr: AdhesiveSpot = AdhesiveSpot()
-    dmt: AdhesiveSpot = AdhesiveSpot()
-    maugis_dugdale: AdhesiveSpot = AdhesiveSpot()
-
-    def spots(self) -> dict[str, AdhesiveSpot]:
-        """By the name of the theory."""
-        return {"JKR": self.jkr, "Maugis-Dugdale": self.maugis_dugdale, "DMT": self.dmt}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

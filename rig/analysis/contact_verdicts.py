@@ -10,7 +10,6 @@ import numpy as np
 from calibration import Axes, Lever
 from processing.arrays import Floats
 from processing.contact import (
-    AdhesiveContact,
     ExpectedDrag,
     Material,
     PendulumOnBall,
@@ -43,14 +42,13 @@ from processing.fit import (
     identifiability,
     reported_quantities,
     standard_uncertainties,
-    strong_correlations,
     work_per_cycle_j,
 )
 from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
-from rig.analysis.contact_results import Adhesion, AdhesiveSpot, Correlation, Fit
-from rig.analysis.result_rows import result_rows, withheld
+from rig.analysis.contact_results import Correlation, Fit
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row, result_rows, withheld
 from rig.analysis.surroundings import limit_sentence
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
@@ -171,16 +169,24 @@ def contact_values(
             )
     rows = result_rows(name, exact, determinations, tables, pendulum)
     sees_c = any(row.quantity == "c" and row.determined for row in rows)
-    adhesion = None
+    adhesion, spots = "", tuple[ResultRow, ...]()
     if rig is not None and rig.contact_radius_m is None and sees_c:
-        adhesion = _adhesion(exact.estimate("c"), pendulum, tables["contact_radius_m"])
+        adhesion, spots = _adhesion(name, exact.estimate("c"), pendulum, tables["contact_radius_m"])
+    # what the data leave open has no value by any method
+    left_open = {row.quantity for row in rows if not row.determined}
+    others = [
+        plain_row(key, found, name, method)
+        for method, fit in fits.items()
+        if method != FitMethod.EXACT
+        for key, found in fit.estimates().items()
+        if key not in left_open
+    ]
     return {
         "fits": {method: fit_results(fit, stated) for method, fit in fits.items()},
         "pendulum": pendulum,
         "adhesion": adhesion,
         "drag": drag,
-        "table": rows,
-        "strong_correlations": tuple(strong_correlations(exact)),
+        "table": (*rows, *spots, *others),
         "budget": withheld(tables, rows),
         "work_per_cycle": tuple(
             _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)
@@ -215,27 +221,20 @@ def _widening(fit: FitResult) -> dict[str, float]:
     return {name: known[name] for name in fit.contact_names}
 
 
-def _adhesion(c: Estimate, pendulum: PendulumOnBall, radius: Budget) -> Adhesion | None:
-    """The spot with adhesion, for a c that is determined and Hertz's radius of the spot."""
+def _adhesion(
+    run: str, c: Estimate, pendulum: PendulumOnBall, radius: Budget
+) -> tuple[str, tuple[ResultRow, ...]]:
+    """The theory that holds, and radius and energy of the spot by each, for a c and Hertz's radius of it."""
     if not c.value > 0:
-        return None
+        return "", ()
     found = adhesive_contacts(c.value, pendulum)
     u_radius, u_c = radius.standard_uncertainty / radius.value, c.standard_uncertainty / c.value
-
-    def spot(contact: AdhesiveContact) -> AdhesiveSpot:
-        radius_m, energy = contact.radius_m, contact.surface_energy_j_per_m2
-        return AdhesiveSpot(
-            radius_m=Estimate(radius_m, u_radius * radius_m),
-            surface_energy_j_per_m2=Estimate(energy, u_c * energy),
-        )
-
-    return Adhesion(
-        tabor=found.tabor,
-        holds=found.holds,
-        jkr=spot(found.jkr),
-        dmt=spot(found.dmt),
-        maugis_dugdale=spot(found.maugis),
-    )
+    rows = [plain_row("tabor", found.tabor, run, "adhesion")]
+    for theory, spot in (("JKR", found.jkr), ("Maugis-Dugdale", found.maugis), ("DMT", found.dmt)):
+        radius_m, energy = spot.radius_m, spot.surface_energy_j_per_m2
+        rows.append(plain_row("contact_radius_m", Estimate(radius_m, u_radius * radius_m), run, theory))
+        rows.append(plain_row(SURFACE_ENERGY, Estimate(energy, u_c * energy), run, theory))
+    return found.holds, tuple(rows)
 
 
 def _shown_amplitudes(points: TurningPoints) -> Sequence[float]:

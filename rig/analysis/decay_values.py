@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from math import hypot, pi
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.quantity import OWN, PART, PER, Quantity
 from processing.swing import TurningPoints
+from rig.analysis.result_rows import ResultRow, plain_row
 
 _SHOWN = 9
 """Amplitudes at which the curve is kept; it is smooth."""
@@ -73,6 +74,31 @@ def amplitude_damping(
     )
 
 
+class DecayValues(NamedTuple):
+    """What every decay has, and the damping against amplitude, None for too few half-cycles."""
+
+    mean_period_s: Estimate
+    log_decrement: Estimate
+    quality_factor: Estimate | None
+    damping: AmplitudeDamping | None
+
+    def rows(self, run: str) -> tuple[ResultRow, ...]:
+        """The rows of the table of results."""
+        found = [(name, getattr(self, name)) for name in self._fields[:3]]
+        return tuple(plain_row(name, one, run, DECAY) for name, one in found if one is not None)
+
+
+DECAY: Final = "decay"
+"""Of a row that no law was needed for."""
+
+
+def amplitude_rows(points: TurningPoints, unit: str, unit_size: float, run: str) -> tuple[ResultRow, ...]:
+    """The rows of the first and the last amplitude."""
+    ends = points.amplitude[[0, -1]] / unit_size if len(points) else np.full(2, np.nan)
+    names = ("initial_amplitude", "final_amplitude")
+    return tuple(plain_row(name, float(end), run, DECAY, unit) for name, end in zip(names, ends, strict=True))
+
+
 def decay_values(
     points: TurningPoints,
     summary: DecaySummary,
@@ -80,39 +106,39 @@ def decay_values(
     *,
     u_clock: float = 0.0,
     u_common: float = 0.0,
-) -> dict[str, Any]:
-    """Fields of `RunResults`; amplitudes in a unit that is `unit_size` in that of the points.
+) -> DecayValues:
+    """Period, decrement, damping; amplitudes in a unit that is `unit_size` in that of the points.
 
     `u_clock` is what the second of the times is uncertain by, relative; `u_common` the standard uncertainty
     of an error that all half-cycles share, in the unit of the points: of their amplitudes, and as a lag of
     the position where the swing turns, of their times. What it would change is in the uncertainties.
     """
     found = _of(points, summary, unit_size)
-    period_s, u_s = found["period_s"]
-    found["period_s"] = Estimate(period_s, hypot(u_s, u_clock * period_s))
+    period_s, u_s = found.mean_period_s
+    found = found._replace(mean_period_s=Estimate(period_s, hypot(u_s, u_clock * period_s)))
     if not u_common > 0:
         return found
     lag_s = u_common * period_s / (2.0 * pi * points.amplitude)
     moved = replace(points, amplitude=points.amplitude + u_common, time_s=points.time_s + lag_s)
     other = _of(moved, summarise_decay(moved), unit_size)
-    return {name: _wider(value, other[name]) for name, value in found.items()}
+    return DecayValues(*map(_wider, found, other))
 
 
-def _of(points: TurningPoints, summary: DecaySummary, unit_size: float) -> dict[str, Any]:
-    return {
-        "period_s": Estimate(summary.period_s.value, summary.period_s.u),
-        "log_decrement": Estimate(summary.decrement.value, summary.decrement.u),
-        "quality_factor": summary.quality_factor,
-        "damping": _damping(points, summary, unit_size),
-    }
+def _of(points: TurningPoints, summary: DecaySummary, unit_size: float) -> DecayValues:
+    return DecayValues(
+        Estimate(summary.period_s.value, summary.period_s.u),
+        Estimate(summary.decrement.value, summary.decrement.u),
+        summary.quality_factor,
+        _damping(points, summary, unit_size),
+    )
 
 
-def values_of_points(points: TurningPoints, unit_size: float, u_clock: float = 0.0) -> dict[str, Any]:
-    """The same of turning points alone; nothing where there are too few of them."""
+def values_of_points(points: TurningPoints, unit_size: float, u_clock: float = 0.0) -> DecayValues | None:
+    """The same of turning points alone; None where there are too few of them."""
     try:
         return decay_values(points, summarise_decay(points), unit_size, u_clock=u_clock)
     except DataError:
-        return {}
+        return None
 
 
 def _wider(found: Any, other: Any) -> Any:

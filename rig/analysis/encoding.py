@@ -14,8 +14,7 @@ from pydantic import AfterValidator, Field, GetCoreSchemaHandler, JsonValue, Typ
 from pydantic_core import CoreSchema, PydanticCustomError, SchemaSerializer, SchemaValidator, core_schema
 
 from processing.contact import PendulumOnBall
-from processing.quantity import quantities_of, with_units
-from rig.presentation import unit_of
+from processing.quantity import quantities_of
 
 JsonObject: TypeAlias = Mapping[str, JsonValue]
 """A JSON object of no fixed keys."""
@@ -84,25 +83,6 @@ def _as_stored(schema: Any) -> Any:
 
 def _is_none(value: object) -> bool:
     return value is None
-
-
-def units_of(values: object, tree: JsonObject) -> dict[str, str]:
-    """SI unit of every number of results by its dotted name in `tree`, their form in the file.
-
-    A list of numbers has one entry. A number without a unit has "1" where that is declared, else none.
-    """
-    found = {}
-    for path, _, unit in with_units(values, unit_of):
-        place: Any = tree
-        name = []
-        for part in path:
-            if isinstance(place, Mapping) and part not in place:
-                continue  # a mapping whose entries stand beside the keys of its dataclass
-            name.append(str(part))
-            place = place[part] if isinstance(place, Mapping) or isinstance(part, int) else None
-        if unit:
-            found[".".join(name)] = unit
-    return found
 
 
 class _Array:

@@ -19,10 +19,7 @@ from rig.analysis.contact_results import (
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.run_remarks import dominant_text, has_apparatus
-from rig.presentation import Cell, Line, Table, decimals, plain, quantity, signed_percent
-
-_LARGEST_BIAS = 0.3
-"""Of a parameter, as a fraction of it."""
+from rig.presentation import Cell, Line, Table, decimals, plain, quantity
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
@@ -33,7 +30,7 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     others = [method for method in _in_order(run.fits) if method != FitMethod.EXACT] if full else []
     named = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
     lines = []
-    for row in (row for row in run.table if full or row.quantity in named):
+    for row in (row for row in run.contact if full or row.quantity in named):
         found = [
             run.fits[method].estimate(row.quantity) if row.determined else NOT_DETERMINED for method in others
         ]
@@ -59,7 +56,7 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
     return Table.of(
         "parameters", "Parameters of the contact, exact fit",
         (*_COLUMNS, *(column for method in others for column in (method, f"u_{method}"))),
-        tuple(head), lines, _of_whole(run) + (f" {_of_bias(run.fits)}" if others else ""),
+        tuple(head), lines, _of_whole(run),
     )  # fmt: skip
 
 
@@ -79,7 +76,7 @@ def _of_whole(run: RunResults) -> str:
 
 def combined_table(results: SessionResults) -> Table | None:
     """The rows of several runs beside each other, and of the series; None where fewer are fitted."""
-    runs = [(number, run) for number, run in zip(results.numbers, results.runs, strict=True) if run.table]
+    runs = [(number, run) for number, run in zip(results.numbers, results.runs, strict=True) if run.contact]
     series = results.series
     if len(runs) < 2 or series is None or not series.table:
         return None
@@ -96,19 +93,6 @@ def combined_table(results: SessionResults) -> Table | None:
         ("", *heads, "together", "unit"), lines,
         f"{_of_whole(runs[0][1])} Together, also of what scatters between the runs.",
     )  # fmt: skip
-
-
-def _of_bias(fits: Mapping[str, Fit]) -> str:
-    asymptotic, exact = fits.get(FitMethod.ASYMPTOTIC), fits.get(FitMethod.EXACT)
-    if asymptotic is None or exact is None or not asymptotic.bias:
-        return "Eqs. 5 and 6 are asymptotic and biased by some per cent; the exact map is not."
-    # of a parameter that the data hardly determine, a bias in per cent says nothing
-    listed = ", ".join(
-        f"{quantity(name).symbol} {signed_percent(moved / exact.parameters[name].value)}"
-        for name, moved in asymptotic.bias.items()
-        if abs(moved) < _LARGEST_BIAS * abs(exact.parameters[name].value)
-    )
-    return f"Eqs. 5 and 6 are asymptotic; their bias here: {listed}."
 
 
 def quality_table(fits: Mapping[str, Fit]) -> Table:

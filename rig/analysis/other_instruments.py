@@ -7,6 +7,7 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
+from processing.arrays import Floats as Array
 from processing.contact import measured_losses
 from processing.decay_summary import mean_period
 from processing.deflections import Deflections, DeflectionUnit, joined
@@ -38,14 +39,8 @@ from processing.instruments import (
 from processing.surroundings import Surroundings
 from processing.swing import Swing, SwingFlag, TurningPoints
 from processing.units import seconds
-from rig.analysis.instrument_results import (
-    DampingResults,
-    DecrementTable,
-    FrictionLawResults,
-    InstrumentResults,
-    PeriodTable,
-    SwingPlane,
-)
+from rig.analysis.instrument_results import INSTRUMENT, InstrumentResults
+from rig.analysis.result_rows import ResultRow, plain_row
 from rig.analysis.turning_plane import FollowedPlane
 from rig.presentation import with_uncertainty
 from rig.settings import InstrumentSettings
@@ -53,38 +48,72 @@ from rig.settings import InstrumentSettings
 Found = TypeVar("Found", bound=NamedTuple)
 
 
+class Report:
+    """What is found of one run, while it is found: rows, curves, lines of text."""
+
+    def __init__(self, description: Description, run: str) -> None:
+        self.kind, self._run = description.kind, run
+        self.lines = [f"{description.kind}: {description.sentence}"]
+        self.rows: list[ResultRow] = []
+        self.curves: dict[str, dict[str, Array]] = {}
+
+    def add(self, part: str = "", **numbers: Estimate | float | None) -> None:
+        """Add rows, of a part of the decay where one is named; None is no row."""
+        fit = f"{INSTRUMENT}, {part}" if part else INSTRUMENT
+        self.rows += [
+            plain_row(key, value if isinstance(value, Estimate) else float(value), self._run, fit)
+            for key, value in numbers.items()
+            if value is not None
+        ]
+
+    def results(self, checks: Sequence[Check]) -> InstrumentResults:
+        """As results.json has it beside the rows."""
+        return InstrumentResults(
+            kind=self.kind, curves=self.curves, checks=tuple(checks), text=tuple(self.lines)
+        )
+
+
 def report_of_kind(
     description: Description,
     settings: InstrumentSettings,
     points: TurningPoints,
-    values: InstrumentResults,
-    lines: list[str],
+    report: Report,
     errors: Sequence[SharedError],
-) -> tuple[InstrumentResults, Mapping[str, Reading]]:
-    """The values with what this kind reports, and what a series takes of them; lines are added.
+) -> Mapping[str, Reading]:
+    """Add what this kind reports; returns what a series takes of it.
 
     `errors` are those that runs may share. Raises DataError where a report cannot be had.
     """
     if description.report == "hardness":
-        return _hardness(settings, points, values, lines, errors), {}
+        _hardness(settings, points, report, errors)
+        return {}
     if description.report == "circular":
-        return _circular(points, values, lines, errors), {}
+        _circular(points, report, errors)
+        return {}
     if description.report == "rolling":
-        return _rolling(description, settings, points, values, lines, errors), {}
+        _rolling(description, settings, points, report, errors)
+        return {}
     if description.report == "decay":
-        values = _decrements(points, values, lines)
+        _decrements(points, report)
     found, readings = _evaluated(
         lambda at: damping(at, description.start_amplitude_rad, description.end_amplitude_rad),
         points,
         errors,
     )
     start_deg, end_deg = found.start_rad / DEGREE_RAD, found.end_rad / DEGREE_RAD
-    lines.append(
+    report.lines.append(
         f"from {start_deg:g} to {end_deg:g} degrees: damping time "
         f"{with_uncertainty(*found.time_s)} s, {with_uncertainty(*found.swings)} swings"
     )
-    reported = DampingResults(start_deg, end_deg, found.time_s, found.swings, found.missing)
-    return replace(values, damping=reported), readings
+    report.add(
+        f"{start_deg:g}° to {end_deg:g}°",
+        damping_time_s=found.time_s,
+        damping_swings=found.swings,
+        missing_half_cycles=found.missing,
+        damping_start_deg=start_deg,
+        damping_end_deg=end_deg,
+    )
+    return readings
 
 
 def _evaluated(
@@ -95,81 +124,63 @@ def _evaluated(
 
 
 def _hardness(
-    settings: InstrumentSettings,
-    points: TurningPoints,
-    values: InstrumentResults,
-    lines: list[str],
-    errors: Sequence[SharedError],
-) -> InstrumentResults:
+    settings: InstrumentSettings, points: TurningPoints, report: Report, errors: Sequence[SharedError]
+) -> None:
     hardness, _ = _evaluated(lambda at: herbert_hardness(at, settings.scale_divisions), points, errors)
     if hardness.ten_swings_s is not None:
-        lines.append(f"time hardness (ten single swings) {with_uncertainty(*hardness.ten_swings_s)} s")
+        report.lines.append(f"time hardness (ten single swings) {with_uncertainty(*hardness.ten_swings_s)} s")
     else:
-        lines.append(hardness.missing)
-    lines.append(
+        report.lines.append(hardness.missing)
+    report.lines.append(
         f"time hardness (first swing x 10) {with_uncertainty(*hardness.first_swing_times_ten_s)} s, "
         f"scale hardness {with_uncertainty(*hardness.scale_hardness)} of {settings.scale_divisions:g}"
     )
-    return replace(
-        values,
-        first_amplitude_deg=hardness.first_amplitude_rad / DEGREE_RAD,
-        time_hardness_first_swing_s=hardness.first_swing_times_ten_s,
-        scale_hardness=hardness.scale_hardness,
+    report.add(
         time_hardness_s=hardness.ten_swings_s,
-        problem=hardness.missing if hardness.ten_swings_s is None else None,
+        scale_hardness=hardness.scale_hardness,
+        time_hardness_first_swing_s=hardness.first_swing_times_ten_s,
+        first_amplitude_deg=hardness.first_amplitude_rad / DEGREE_RAD,
     )
 
 
-def _circular(
-    points: TurningPoints, values: InstrumentResults, lines: list[str], errors: Sequence[SharedError]
-) -> InstrumentResults:
+def _circular(points: TurningPoints, report: Report, errors: Sequence[SharedError]) -> None:
     law, _ = _evaluated(circular_error, points, errors)
-    lines += [f"period at vanishing amplitude {with_uncertainty(*law.period0_s)} s", law.sentence]
-    return replace(
-        values,
-        period0_s=law.period0_s,
-        circular_factor=law.factor,
-        chi2_per_dof=law.chi2_per_dof,
-        table=PeriodTable(
-            law.amplitude_rad / DEGREE_RAD, law.period_s, law.u_period_s, law.law_s, law.sixteenth_s
-        ),
-    )
+    report.lines += [f"period at vanishing amplitude {with_uncertainty(*law.period0_s)} s", law.sentence]
+    report.add(period0_s=law.period0_s, circular_factor=law.factor, chi2_per_dof=law.chi2_per_dof)
+    report.curves["period"] = {
+        "amplitude_deg": law.amplitude_rad / DEGREE_RAD,
+        "period_s": law.period_s,
+        "u_period_s": law.u_period_s,
+        "circular_law_s": law.law_s,
+        "alpha_squared_over_16_s": law.sixteenth_s,
+    }
 
 
 def _rolling(
     description: Description,
     settings: InstrumentSettings,
     points: TurningPoints,
-    values: InstrumentResults,
-    lines: list[str],
+    report: Report,
     errors: Sequence[SharedError],
-) -> InstrumentResults:
+) -> None:
     lever = description.lever_m and Estimate(description.lever_m, settings.u_lever_m)
     radius = description.support_radius_m and Estimate(
         description.support_radius_m, settings.u_support_radius_m
     )
     found, _ = _evaluated(lambda at: rolling_friction(at, lever or None, radius or None), points, errors)
     at = found.law.reference_rad / DEGREE_RAD
-    lines.append(f"log decrement at {at:.4g} degrees {with_uncertainty(*found.decrement)}")
-    problem = None
+    report.lines.append(f"log decrement at {at:.4g} degrees {with_uncertainty(*found.decrement)}")
     if found.coefficient is not None:
-        lines.append(
+        report.lines.append(
             f"rolling-friction coefficient at {at:.4g} degrees {with_uncertainty(*found.coefficient)}"
         )
+        report.add(f"at {at:.3g}°", rolling_friction_coefficient=found.coefficient)
     else:
-        problem = "no rolling-friction coefficient: state instrument.lever_m and instrument.support_radius_m"
-        lines.append(problem)
-    lines += found.sentences
-    return replace(
-        values,
-        friction_law=_law(found.law),
-        log_decrement=found.decrement,
-        constant_decrement=found.constant_decrement,
-        independent_of_speed=found.independent_of_speed,
-        rolling_friction_coefficient=found.coefficient,
-        problem=problem,
-        decrement_against_amplitude=_losses(points),
-    )
+        report.lines.append(
+            "no rolling-friction coefficient: state instrument.lever_m and instrument.support_radius_m"
+        )
+    report.lines += found.sentences
+    _law(found.law, found.decrement, points, report)
 
 
 class _Friction(NamedTuple):
@@ -184,41 +195,41 @@ def _friction(points: TurningPoints) -> _Friction:
     return _Friction(law.decrement(law.reference_rad), law.moment, law.exponent, law)
 
 
-def _decrements(points: TurningPoints, values: InstrumentResults, lines: list[str]) -> InstrumentResults:
+def _decrements(points: TurningPoints, report: Report) -> None:
     decrement, moment, exponent, law = with_drive(_friction, points)
     law = replace(law, moment=moment, exponent=exponent)
-    lines.append(
+    report.lines.append(
         f"log decrement at {law.reference_rad / DEGREE_RAD:.4g} degrees {with_uncertainty(*decrement)}, "
         f"friction goes as amplitude^({with_uncertainty(*law.exponent)})"
     )
-    return replace(
-        values,
-        friction_law=_law(law),
-        log_decrement=decrement,
-        decrement_against_amplitude=_losses(points),
+    _law(law, decrement, points, report)
+
+
+def _law(law: FrictionLaw, decrement: Estimate, points: TurningPoints, report: Report) -> None:
+    """Decrement at the reference amplitude and against amplitude, moment and power of the friction."""
+    report.add(
+        f"at {law.reference_rad / DEGREE_RAD:.3g}°", log_decrement=decrement, friction_moment=law.moment
     )
-
-
-def _law(law: FrictionLaw) -> FrictionLawResults:
-    return FrictionLawResults(law.reference_rad / DEGREE_RAD, law.moment, law.exponent, law.chi2_per_dof)
-
-
-def _losses(points: TurningPoints) -> DecrementTable:
+    report.add(friction_exponent=law.exponent, chi2_per_dof=law.chi2_per_dof)
     cycles = max(1, int(points.index[-1] - points.index[0]) // 40)
     losses = measured_losses(points, cycles=cycles)
-    return DecrementTable(losses.amplitude_rad / DEGREE_RAD, losses.log_decrement, losses.u_log_decrement)
+    report.curves["decrement"] = {
+        "amplitude_deg": losses.amplitude_rad / DEGREE_RAD,
+        "log_decrement": losses.log_decrement,
+        "u_log_decrement": losses.u_log_decrement,
+    }
 
 
-def range_and_period(points: TurningPoints, values: InstrumentResults, lines: list[str]) -> InstrumentResults:
+def range_and_period(points: TurningPoints, report: Report) -> None:
     """Range and period, which may be had where the quantity asked for cannot."""
     if len(points) < 2:
-        return values
+        return
     first, last = (float(points.amplitude[at]) / DEGREE_RAD for at in (0, -1))
-    lines.append(
+    report.lines.append(
         f"what there is: {len(points)} half-cycles from {first:.4g} to {last:.4g} degrees, "
         f"mean period {mean_period(points):.6g} s"
     )
-    return replace(values, amplitude_deg=(first, last), mean_period_s=mean_period(points))
+    report.add(mean_period_s=mean_period(points))
 
 
 _FELT: Final = 0.01
@@ -235,6 +246,7 @@ class Reduction:
 
     settings: InstrumentSettings
     values: InstrumentResults
+    rows: Sequence[ResultRow]
     points: TurningPoints
     swings: Sequence[Swing]
     problem: str = ""
@@ -247,6 +259,7 @@ def reduce_run(
     air: Surroundings,
     errors: Sequence[SharedError] = (),
     clock_rate: float = 1.0,
+    run: str = "",
 ) -> Reduction:
     """Reduce the half-cycles of one run of a pendulum that swings by degrees.
 
@@ -259,20 +272,22 @@ def reduce_run(
         That all turning points of the run have alike, and other runs perhaps as well.
     clock_rate
         True seconds in one of the deflections' clock.
+    run
+        The name of the run in its rows.
     """
     description = settings.description()
-    values = InstrumentResults(kind=description.kind)
-    lines = [f"{description.kind}: {description.sentence}"]
+    report = Report(description, run)
+    lines = report.lines
     problems = [followed.problem] if followed.problem else []
     if description.turning_plane or followed.is_turned:
-        values = replace(values, swing_plane=_swing_plane(followed, lines))
+        _swing_plane(followed, report)
     swings = followed.swings
     deflections = joined(followed.deflections, DeflectionUnit.RAD)
     if len(deflections):
         if len(swings) > 1:
             swings = refined(deflections.times_ns, deflections.y, deflections.u_y, swings)
         swings, inferred = _with_inferred(swings, deflections, lines)
-        values = replace(values, inferred_half_cycles=inferred)
+        report.add(inferred_half_cycles=inferred)
         if description.report == "hardness":
             swings = _from_the_release(swings, deflections, lines)
     points = points_in_true_time(swings, clock_rate)
@@ -281,39 +296,39 @@ def reduce_run(
     try:
         if followed.problem:
             raise DataError(followed.problem)
-        values, readings = report_of_kind(description, settings, points, values, lines, errors)
+        readings = report_of_kind(description, settings, points, report, errors)
     except DataError as error:
         problems.append(str(error))
-        values = range_and_period(points, values, lines)
-    checks = _held_against_air(description, air, lines)
-    values = replace(
-        values, environment=checks or None, apparatus=_check_mass(settings, lines), text=tuple(lines)
-    )
-    return Reduction(settings, values, points, swings, "; ".join(dict.fromkeys(problems)), readings)
+        range_and_period(points, report)
+    checks = [*_held_against_air(description, air, lines), *_check_mass(settings, lines)]
+    problem = "; ".join(dict.fromkeys(problems))
+    return Reduction(settings, report.results(checks), report.rows, points, swings, problem, readings)
 
 
-def _swing_plane(followed: FollowedPlane, lines: list[str]) -> SwingPlane | None:
+def _swing_plane(followed: FollowedPlane, report: Report) -> None:
     plane = followed.plane
     if plane is None:
-        lines.append("the plane of swing is not known: too few periods were seen along both axes")
-        return None
+        report.lines.append("the plane of swing is not known: too few periods were seen along both axes")
+        return
     rate = Estimate(plane.mean_rate(), plane.u_mean_rate())
     per_minute, turned_deg = (
         Estimate(*(factor / DEGREE_RAD * value for value in rate))
         for factor in (60.0, seconds(followed.swings[-1].turn_time_ns - plane.start_ns))
     )
-    lines.append(
+    report.lines.append(
         f"the swing plane turns by {with_uncertainty(*per_minute)} degrees/min, "
         f"{turned_deg.value:.3g} degrees in all"
     )
     angles = np.unwrap([one.line_angle_rad for one in followed.balances], period=math.pi)
     times_ns = np.array([one.time_ns for one in followed.balances])
-    return SwingPlane(
-        angles / DEGREE_RAD,
-        seconds(times_ns - plane.start_ns),
-        per_minute,
-        turned_deg,
-        max(one.width_ratio for one in followed.balances),
+    report.curves["plane"] = {
+        "direction_deg": angles / DEGREE_RAD,
+        "time_s": seconds(times_ns - plane.start_ns),
+    }
+    report.add(
+        plane_rate_deg_per_min=per_minute,
+        plane_turned_deg=turned_deg,
+        plane_width_ratio=max(one.width_ratio for one in followed.balances),
     )
 
 
@@ -379,11 +394,11 @@ def _held_against_air(description: Description, air: Surroundings, lines: list[s
     return tuple(found)
 
 
-def _check_mass(settings: InstrumentSettings, lines: list[str]) -> tuple[Check, ...] | None:
+def _check_mass(settings: InstrumentSettings, lines: list[str]) -> tuple[Check, ...]:
     """The stated mass of the pendulum against the standard's, where the standard limits it."""
     standard = INSTRUMENTS[settings.kind]
     if settings.mass_kg is None or standard.mass_kg is None or standard.mass_tolerance_kg is None:
-        return None
+        return ()
     limits = Limits(standard.mass_kg, standard.mass_tolerance_kg)
     item = check("mass of the pendulum", Estimate(settings.mass_kg, 0.0), limits, "kg")
     lines.append(item.text)

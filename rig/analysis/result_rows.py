@@ -1,14 +1,14 @@
 """The table of results: what is known of every quantity, made once, and read by every output."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, floor, hypot, inf, isfinite, log, log10, nan
-from typing import Annotated, Final, NamedTuple
+from typing import Annotated, Final
 
 from processing.contact import DRAG, PendulumOnBall, surface_energy
 from processing.errors import ConfigurationError
-from processing.estimate import WELL_DETERMINED, Determinacy, Estimate
-from processing.fit import Budget, Determination, FitResult
+from processing.estimate import NOT_DETERMINED, WELL_DETERMINED, Determinacy, Estimate
+from processing.fit import Budget, Determination, FitMethod, FitResult
 from processing.quantity import OF, Quantity
 from processing.series import Combined
 from rig.presentation import Shown, interval, law_parameters, plain, quantity, unit_of
@@ -32,6 +32,8 @@ _OWN = Quantity("", "", unit=OF + "quantity")
 class ResultRow:
     """One quantity of a run or a series.
 
+    `fit` says by what it is known: the exact fit, the decay alone, a theory of adhesion.
+
     `value`, `u` and `u_total` are NaN unless the data determine the quantity: then `lower` and `upper` say
     all that is known. `u` is the standard uncertainty of the swings alone, `u_total` that of swings and
     apparatus together, `lower` to `upper` the 95 % interval, of both together; a limit that the data do not
@@ -42,6 +44,7 @@ class ResultRow:
     """
 
     quantity: str
+    fit: str = FitMethod.EXACT.value
     value: Annotated[float, _OWN] = nan
     u: Annotated[float, _OWN] = nan
     u_total: Annotated[float, _OWN] = nan
@@ -108,6 +111,12 @@ def named(key: str) -> str:
     return f"surface energy {label}" if key in ENERGIES else label
 
 
+def plain_row(name: str, found: Estimate | float, run: str, fit: str, unit: str = "") -> ResultRow:
+    """The row of a number, or of a value with its standard uncertainty as it is."""
+    value, u = found if isinstance(found, Estimate) else (found, nan)
+    return ResultRow(quantity=name, fit=fit, value=value, u=u, u_total=u, unit=unit or unit_of(name), run=run)
+
+
 def result_rows(
     run: str,
     fit: FitResult,
@@ -131,8 +140,8 @@ def result_rows(
         else:
             ends, verdict = (nan, nan), Determinacy.UNDETERMINED
         by_profile = found is not None and found.profile_likelihood
-        rows.append(_Known(name, value, u, *ends, verdict, by_profile))
-    return _rows(run, rows, budget, pendulum)
+        rows.append(_of_swings(run, name, (value, u, *ends), verdict, by_profile=by_profile))
+    return _rows(rows, budget, pendulum)
 
 
 def series_rows(
@@ -148,67 +157,57 @@ def series_rows(
             verdict = Determinacy.INTERVAL
             if lower <= 0 and law_parameters()[name].lower == 0:
                 verdict, lower = Determinacy.UPPER_BOUND, 0.0
-        rows.append(_Known(name, item.value, item.standard_uncertainty, lower, upper, verdict))
-    return _rows("series", rows, budget, pendulum)
+        numbers = (item.value, item.standard_uncertainty, lower, upper)
+        rows.append(_of_swings("series", name, numbers, verdict))
+    return _rows(rows, budget, pendulum)
 
 
-class _Known(NamedTuple):
-    """What the swings say of a quantity."""
-
-    quantity: str
-    value: float
-    u: float
-    lower: float
-    upper: float
-    verdict: Determinacy = Determinacy.DETERMINED
-    by_profile: bool = False
+def _of_swings(
+    run: str,
+    name: str,
+    numbers: Sequence[float],
+    verdict: Determinacy = Determinacy.DETERMINED,
+    *,
+    by_profile: bool = False,
+) -> ResultRow:
+    """What the swings alone say: value, u, and both ends of the interval."""
+    value, u, lower, upper = numbers
+    return ResultRow(
+        quantity=name, value=value, u=u, u_total=u, lower=lower, upper=upper, verdict=verdict,
+        unit=unit_of(name), run=run, by_profile=by_profile,
+    )  # fmt: skip
 
 
 def _rows(
-    run: str, fitted: Sequence[_Known], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+    fitted: Sequence[ResultRow], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
     """The rows of what was fitted, of the surface energies, and of what the apparatus alone gives."""
-    rows = list(fitted)
+    rows, run = list(fitted), fitted[0].run if fitted else ""
     for c in (one for one in fitted if one.quantity == "c"):
         # each surface energy is c times what is known of the apparatus
         per_c = surface_energy(Estimate(1.0, 0.0), pendulum)
         for name, factor in zip(ENERGIES, (per_c.table2.value, per_c.eq2.value), strict=True):
-            value, u, lower, upper = (factor * number for number in (c.value, c.u, c.lower, c.upper))
-            rows.append(_Known(name, value, u, lower, upper, c.verdict, c.by_profile))
+            numbers = [factor * number for number in (c.value, c.u, c.lower, c.upper)]
+            rows.append(_of_swings(run, name, numbers, c.verdict, by_profile=c.by_profile))
     names = {one.quantity for one in rows}
     for name, item in budget.items():
         if name not in names:
-            rows.append(_Known(name, item.value, 0.0, item.value, item.value))
-    return tuple(_row(run, one, budget.get(one.quantity)) for one in rows)
+            rows.append(_of_swings(run, name, (item.value, 0.0, item.value, item.value)))
+    return tuple(_with_apparatus(one, budget.get(one.quantity)) for one in rows)
 
 
-def _row(run: str, known: _Known, item: Budget | None) -> ResultRow:
+def _with_apparatus(row: ResultRow, item: Budget | None) -> ResultRow:
     """With what the apparatus adds to the uncertainty, and to both sides of the interval.
 
     Without value and uncertainty where they would not describe what is known.
     """
-    name, value, u, lower, upper, verdict, by_profile = known
-    part = 0.0
-    if item is not None and item.of_apparatus > 0:
-        part = item.of_apparatus
-        lower, upper = _wider_ends(known, item.coverage_factor_95 * part)
-    if verdict is not Determinacy.DETERMINED:
-        value = u = part = nan
-    return ResultRow(
-        quantity=name,
-        value=value,
-        u=u,
-        u_total=hypot(u, part),
-        lower=lower,
-        upper=upper,
-        verdict=verdict,
-        unit=unit_of(name),
-        run=run,
-        by_profile=by_profile,
-    )
+    if item is not None and (part := item.of_apparatus) > 0:
+        lower, upper = _wider_ends(row, item.coverage_factor_95 * part)
+        row = replace(row, u_total=hypot(row.u, part), lower=lower, upper=upper)
+    return row if row.determined else replace(row, value=nan, u=nan, u_total=nan)
 
 
-def _wider_ends(known: _Known, expanded: float) -> tuple[float, float]:
+def _wider_ends(known: ResultRow, expanded: float) -> tuple[float, float]:
     """The ends of an interval with what the apparatus adds to both sides of it."""
     value, ends = known.value, (known.lower, known.upper)
     parameter = law_parameters().get(known.quantity)
@@ -245,8 +244,21 @@ class WithRows:
 
     @property
     def rows(self) -> Mapping[str, ResultRow]:
-        """The rows by quantity."""
-        return {row.quantity: row for row in self.table}
+        """The rows by quantity; of one that is there by several fits the first."""
+        found = dict[str, ResultRow]()
+        for row in self.table:
+            found.setdefault(row.quantity, row)
+        return found
+
+    @property
+    def contact(self) -> Sequence[ResultRow]:
+        """The rows of the exact fit and of what follows from it; none where no law was fitted."""
+        return [row for row in self.table if row.fit == FitMethod.EXACT]
+
+    def number(self, name: str) -> Estimate:
+        """Value and whole uncertainty of a quantity; NaN where there is no such row."""
+        row = self.rows.get(name)
+        return NOT_DETERMINED if row is None else Estimate(*row)
 
     def __getitem__(self, name: str) -> ResultRow:
         found = self.rows.get(_SHORT_NAMES.get(name, name))
@@ -257,4 +269,4 @@ class WithRows:
 
     def _summary(self, head: str) -> str:
         """A head and a line a row, for a person."""
-        return "\n".join([head, *(f"  {row}" for row in self.table)])
+        return "\n".join([head, *(f"  {row}" for row in self.contact or self.table)])

@@ -15,7 +15,7 @@ import numpy as np
 
 from acquisition.frames.losses import FrameLosses
 from processing.deflections import DeflectionUnit
-from processing.estimate import NOT_DETERMINED, Estimate
+from processing.estimate import Estimate
 from processing.fit import Budget, Drag, WitnessUse, Work
 from processing.position_map import PositionMap
 from processing.quantity import IN_UNIT, STATED, Quantity
@@ -23,7 +23,7 @@ from processing.series import Combined, Disagreement
 from processing.surroundings import Surroundings
 from processing.swing import KnownMotion, Swing, TurningPoints
 from processing.units import seconds
-from rig.analysis.contact_results import Adhesion, ComparedLaws, Fit
+from rig.analysis.contact_results import ComparedLaws, Fit
 from rig.analysis.decay_values import AmplitudeDamping
 from rig.analysis.encoding import Beside, Entries, Floats, Integers, JsonObject, Pendulum
 from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
@@ -158,35 +158,49 @@ class PositionErrors:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableDecay:
+    """Where in a table a decay lies: times of its first and last turning point, from the table's first row.
+
+    `run` is the name of its run, if the file contains several. `session` is what the configuration states of
+    the sample, its history and the operator.
+    """
+
+    began_s: float = nan
+    ended_s: float = nan
+    run: str = ""
+    session: Mapping[str, str] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class RunResults(WithRows):
-    """Results of one run; `problem` says in one line why a fit is missing.
+    """Results of one run, or of one decay of a table; `problem` says in one line why a fit is missing.
 
     `record` is relative to the folder of the file where possible. `sha256` is its hash, `inputs_sha256` those
-    of the configuration and the calibrations in it. `simulated`: its frames are those of the simulated rig;
-    None for a table. `losses` counts the missing frames by cause; None if the record does not say. `beam`
-    names the model fitted to the spots and counts their flags.
+    of the configuration, the calibrations and the pixels that belong to it. `simulated`: its frames are those
+    of the simulated rig; None for a table. `losses` counts the missing frames by cause; None if the record
+    does not say. `beam` names the model fitted to the spots and counts their flags.
+    `table` has a row for every number that is reported: what the exact fit and the apparatus give, then what
+    every decay has, whether or not a law is fitted: period and decrement (means over the decay), quality
+    factor (none where the decrement changes, is not told from nought, or is larger than pi), first and last
+    amplitude, in arcsec, or in px for a record without a lever, or in the unit of a table.
     `measured_again_on` is the motion on which the fitted turning points were measured again (see
     `processing.fit.remeasure`); None: they are as detected. `position_errors` were subtracted from the
     deflections before that; None if the run shows none. `laws` compares several laws, if requested.
-    `adhesion` is the contact spot with adhesion, if c is determined and the spot's radius is Hertz's.
-    `initial_amplitude` and `final_amplitude` are in `amplitude_unit`: arcsec, or px for a record without a
-    lever; those in arcsec are then not determined. `ended` is why the run ended, as its record says. `clock`
-    compares the camera's clock with the computer's; None for frames made on demand.
-    `surroundings` are the air and the history of the contact; `conditions` judges them together with light,
-    losses and what else the record shows. `witness` is the result of a witness of the ground, if there was
-    one. What follows from a fit (`pendulum` to `notes`) is empty without one. `period_s` and `log_decrement`
-    are means over the decay, whether or not a law is fitted. A decrement that changes or is not told from
-    nought, and a decay faster than a swing, have no `quality_factor`. `damping` describes how the damping
-    depends on the amplitude; None for fewer than twelve half-cycles, and for amplitudes that do not fall.
+    `adhesion` names the theory that the Tabor parameter selects for the contact spot, if c is determined and
+    the spot's radius is Hertz's; the rows have the spot by every theory. `ended` is why the run ended, as its
+    record says. `clock` compares the camera's clock
+    with the computer's; None for frames made on demand. `surroundings` are the air and the history of the
+    contact; `conditions` judges them together with light, losses and what else the record shows. `witness` is
+    the result of a witness of the ground, if there was one. What follows from a fit (`pendulum` to `notes`)
+    is empty without one. `damping` describes how the damping depends on the amplitude, in `amplitude_unit`;
+    None for fewer than twelve half-cycles, and for amplitudes that do not fall. `decay` is there for a table.
     """
 
     record: str
     sha256: str = ""
     simulated: bool | None = None
     inputs_sha256: Mapping[str, str] = field(default_factory=dict)
-    record_bytes: int | None = None
-    pixels_sha256: str = ""
     frames: int = 0
     dropped_frames: int = 0
     losses: FrameLosses | None = None
@@ -194,10 +208,6 @@ class RunResults(WithRows):
     half_cycles: int = 0
     measured_again_on: KnownMotion | None = None
     amplitude_unit: str | None = None
-    initial_amplitude: Annotated[float, _IN_AMPLITUDE_UNIT] = nan
-    final_amplitude: Annotated[float, _IN_AMPLITUDE_UNIT] = nan
-    initial_amplitude_arcsec: float = nan
-    final_amplitude_arcsec: float = nan
     table: tuple[ResultRow, ...] = ()
     fits: Mapping[str, Annotated[Fit, Beside("parameters")]] = field(default_factory=dict)
     problem: str = ""
@@ -205,9 +215,8 @@ class RunResults(WithRows):
     settings: JsonObject = field(default_factory=dict)
     calibration: JsonObject = field(default_factory=dict)
     pendulum: Pendulum | None = None
-    adhesion: Adhesion | None = None
+    adhesion: str = ""
     drag: Drag | None = None
-    strong_correlations: tuple[tuple[str, str, float], ...] = ()
     budget: Mapping[str, Budget] = field(default_factory=dict)
     work_per_cycle: tuple[Work, ...] = ()
     notes: tuple[str, ...] = ()
@@ -220,10 +229,13 @@ class RunResults(WithRows):
     surroundings: Surroundings | None = None
     clock: RunClock | None = None
     witness: WitnessUse | None = None
-    period_s: Estimate = NOT_DETERMINED
-    log_decrement: Estimate = NOT_DETERMINED
-    quality_factor: Estimate | None = None
     damping: Annotated[AmplitudeDamping | None, _IN_AMPLITUDE_UNIT] = None
+    decay: TableDecay | None = None
+
+    @property
+    def amplitudes(self) -> tuple[float, float]:
+        """The first and the last one, in `amplitude_unit`; NaN where there is none."""
+        return self.number("initial_amplitude").value, self.number("final_amplitude").value
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
         """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.
@@ -231,13 +243,19 @@ class RunResults(WithRows):
         `unit` is that of the record's deflections as shown. A pendulum that swings by degrees has its
         amplitudes in them.
         """
-        if not self.half_cycles or not isfinite(self.initial_amplitude + self.final_amplitude):
+        first, last = self.amplitudes
+        if not self.half_cycles or not isfinite(first + last):
             return f"{self.half_cycles or 'no'} half-cycles"
-        first, last = self.initial_amplitude, self.final_amplitude
         if self.instrument is not None and self.amplitude_unit == "arcsec":
             text = f"{first / 3600:.4f} to {last / 3600:.4f} deg"
             return f"{self.half_cycles} half-cycles{before_amplitudes}{text}"
         return f"{self.half_cycles} half-cycles{before_amplitudes}{first:.2f} to {last:.2f} {unit}"
+
+    @property
+    def source_name(self) -> str:
+        """Name of the file without its ending, and of the run in it."""
+        run = "" if self.decay is None else self.decay.run
+        return f"{Path(self.record).stem}{f'-run-{run}' if run else ''}"
 
     def __repr__(self) -> str:
         unit = self.amplitude_unit or ""
@@ -280,12 +298,17 @@ class Series(WithRows):
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SessionResults(WithRows):
-    """results.json of one or more records.
+    """results.json of one or more records, or of the decays of a table of positions of any instrument.
 
-    By name it has the rows of its series, or of its one run: ``results["b"]``.
+    By name it has the rows of its series, or of its first run with a fit: ``results["b"]``. Of a table
+    `trajectory` is the file, `unit` that of its positions, and `understood` says in lines what the file was
+    taken for, and which of its rows were left out.
     """
 
     schema: int = SCHEMA
+    trajectory: str = ""
+    unit: str = ""
+    understood: tuple[str, ...] = ()
     runs: tuple[RunResults, ...]
     series: Annotated[Series, Beside("fits")] | None = None
 
@@ -299,51 +322,13 @@ class SessionResults(WithRows):
 
     @property
     def table(self) -> Sequence[ResultRow]:
-        """The rows of its series, or of its one run."""
+        """The rows of its series, or of its first run with a fit."""
         if self.series is not None and self.series.table:
             return self.series.table
-        return next((run.table for run in self.runs if run.table), ())
+        return next((run.table for run in self.runs if run.contact), self.runs[0].table if self.runs else ())
 
     def __repr__(self) -> str:
         return self._summary("\n".join(repr(run).partition("\n")[0] for run in self.runs))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class TableDecay(RunResults):
-    """One decay of a table, with the results of a run of the rig.
-
-    `initial_amplitude` and `final_amplitude` are in the table's own unit, `amplitude_unit`; `began_s` and
-    `ended_s` are the times of the first and last turning point, from the table's first row. `run` is the name
-    of its run, if the file contains several. `session` is what the configuration states of the sample, its
-    history and the operator.
-    """
-
-    began_s: float = nan
-    ended_s: float = nan
-    run: str = ""
-    session: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def source_name(self) -> str:
-        """Name of the file without its ending, and of the run in it."""
-        return f"{Path(self.record).stem}{f'-run-{self.run}' if self.run else ''}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class TableResults(TableDecay):
-    """results.json of a table of positions of any instrument.
-
-    `decays` are all that were found, the values beside them those of the longest one. `understood` says in
-    lines what the file was taken for, and which of its rows were left out. `series` compares decays of
-    another kind of pendulum with the reference.
-    """
-
-    schema: int = SCHEMA
-    trajectory: str
-    unit: str
-    understood: tuple[str, ...] = ()
-    decays: tuple[TableDecay, ...] = ()
-    series: Annotated[Series, Beside("fits")] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,8 +12,8 @@ from pydantic_core import ErrorDetails
 from acquisition import atomic_write
 from processing.errors import RecordError, require_schema
 from rig.analysis.encoding import Codec, JsonObject, file_schema
-from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults, TableResults
-from rig.presentation import plain_values
+from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults
+from rig.presentation import plain_values, written
 from rig.settings import wanted
 
 RESULTS_NAME = "results.json"
@@ -32,15 +32,10 @@ def encoded(values: object) -> JsonObject:
     return tree
 
 
-def write_results(path: str | Path, results: SessionResults | TableResults | EnvelopeResults) -> None:
-    """Write results.json; never over an existing one. Raises RecordError."""
-    path = Path(path)
-    try:
-        atomic_write.write_new(path, (_text(encoded(results)) + "\n").encode())
-    except FileExistsError:
-        raise RecordError(f"{path}: exists already and is not overwritten; choose another folder") from None
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
+def write_results(path: str | Path, results: SessionResults | EnvelopeResults) -> None:
+    """Write results.json; never over an existing one. Raises ConfigurationError or RecordError."""
+    with written(Path(path)):
+        atomic_write.write_new(Path(path), (_text(encoded(results)) + "\n").encode())
 
 
 def _text(value: object, indent: str = "") -> str:
@@ -67,11 +62,7 @@ def read_results(source: str | Path) -> SessionResults:
 
     Raises RecordError with one line: no such file, or the key that cannot be understood.
     """
-    return runs_of(read_any_results(Path(source)))
-
-
-def read_any_results(source: Path) -> SessionResults | TableResults:
-    """The same, with what a table's results say of the table."""
+    source = Path(source)
     path = results_path(source)
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
@@ -86,33 +77,21 @@ def read_any_results(source: Path) -> SessionResults | TableResults:
         raise RecordError(f"{path}: is not a results file; name {RESULTS_NAME} or its folder") from None
     except (ValueError, RecursionError) as error:
         raise RecordError(f"{path}: cannot be read: it is not JSON ({error}); {_REMEDY}") from None
-    return _decoded(tree, path)
+    return decoded(tree, path)
 
 
 def decoded(tree: Any, path: Path) -> SessionResults:
     """Results from what `encoded` gives of them; RecordError names the file and the key at fault."""
-    return runs_of(_decoded(tree, path))
-
-
-def runs_of(results: SessionResults | TableResults) -> SessionResults:
-    """Results of a table with every decay of it as a run."""
-    if isinstance(results, SessionResults):
-        return results
-    return SessionResults(schema=results.schema, runs=results.decays, series=results.series)
-
-
-def _decoded(tree: Any, path: Path) -> SessionResults | TableResults:
     if isinstance(tree, dict) and "envelope" in tree:
         raise RecordError(
             f"{path}: describes an envelope, which has no half-cycles; use the table it was made from"
         )
-    kind = TableResults if isinstance(tree, dict) and "trajectory" in tree else SessionResults
-    runs = tree.get("runs" if kind is SessionResults else "decays") if isinstance(tree, dict) else None
+    runs = tree.get("runs") if isinstance(tree, dict) else None
     if not isinstance(runs, list) or not runs:
         raise RecordError(f"{path}: names no runs; it was not made by rig run or rig fit")
     require_schema(str(path), tree.get("schema"), SCHEMA, RecordError)
     try:
-        found: SessionResults | TableResults = _codec(kind).read(tree)
+        found: SessionResults = _codec(SessionResults).read(tree)
     except ValidationError as error:
         raise RecordError(f"{path}: {_one_line(error.errors()[0])}; {_REMEDY}") from None
     return found
@@ -168,6 +147,6 @@ def results_schema() -> str:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": RESULTS_NAME,
         "description": f"Version {SCHEMA}: of records, or of a table of positions of any instrument.",
-        **file_schema(SessionResults | TableResults | EnvelopeResults),
+        **file_schema(SessionResults | EnvelopeResults),
     }
     return _text(plain_values(tree)) + "\n"

@@ -19,9 +19,7 @@ from processing.fit import (
     Response,
     WitnessUse,
 )
-from rig.analysis.decay_values import (
-    AmplitudeDamping,
-)
+from rig.analysis.decay_values import DECAY, AmplitudeDamping
 from rig.analysis.recorded_witness import CLOCK_SET
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import RunResults, Series
@@ -67,15 +65,6 @@ def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
         for name, shift in (("b", drag.relative_shift_b), ("c", drag.relative_shift_c))
         if name not in rows or rows[name].determined
     }
-
-
-def headline(rows: Mapping[str, ResultRow], budget: Mapping[str, Budget]) -> str:
-    """The surface energy with the whole budget, and what dominates; empty without a type B uncertainty."""
-    row, item = rows.get(SURFACE_ENERGY), budget.get(SURFACE_ENERGY)
-    if row is None or item is None or not (row.determined and has_apparatus(item)):
-        return ""
-    sources = f"main sources of its variance: {dominant_text(item)}"
-    return f"{row.equation} with the whole budget, swings and apparatus; {sources}."
 
 
 _SHOWN_SHARE = 0.02
@@ -134,7 +123,7 @@ def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
     if run.instrument is not None:
         return WholeResult(run.instrument.text[0] if run.instrument.text else "", "the swings")
     found = series if series is not None and series.table else run
-    if not found.table:
+    if not found.contact:
         return WholeResult()
     rows = found.rows
     names = (name for name in (SURFACE_ENERGY, *DEFAULT_LAW.names(drag=False)) if name in rows)
@@ -162,11 +151,11 @@ _MUCH = 1.5
 
 
 def remarks(run: RunResults) -> list[str]:
-    """The headline, sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
+    """Sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
     exact = run.fits.get(FitMethod.EXACT)
     parameters = {} if exact is None else exact.parameters
     of_drag = drag_headline(run.drag, run.rows, fitted=DRAG.key in parameters) if parameters else ""
-    lines = list(filter(None, [headline(run.rows, run.budget), of_drag]))
+    lines = [of_drag] if of_drag else []
     lines += [] if run.beam is None else [run.beam.sentence]
     lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
     lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
@@ -176,13 +165,12 @@ def remarks(run: RunResults) -> list[str]:
     if run.drag is not None and not (run.drag.significant and is_withheld):
         lines.append(_drag_sentence(run.drag, run.rows))
     lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
-    if run.strong_correlations:
-        pairs = run.strong_correlations
+    if exact is not None and (pairs := exact.correlation.strong):
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
         lines.append(f"Strongly correlated in this run: {names}.".replace("-", "−"))
     lines += [
         f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip() + "."
-        for row in run.table
+        for row in run.contact
         if not row.determined and row.quantity not in ENERGIES
     ]
     return [*lines, *run.notes]
@@ -297,14 +285,12 @@ def _by_the_data(drag: Drag) -> bool:
 
 def decay_lines(results: RunResults) -> list[str]:
     """Lines for a person; none of a run without them."""
-    if not results.period_s.value > 0:
-        return []
+    names = ("mean_period_s", "log_decrement", "quality_factor")
+    rows = [row for row in results.table if row.fit == DECAY and row.quantity in names]
+    said = {"mean_period_s": "period"}
     lines = [
-        f"period {with_uncertainty(*results.period_s)} s",
-        f"log decrement {with_uncertainty(*results.log_decrement)}",
+        f"{said.get(row.quantity, row.shown.symbol)} {row.text} {row.shown.unit}".rstrip() for row in rows
     ]
-    if results.quality_factor is not None:
-        lines.append(f"quality factor {with_uncertainty(*results.quality_factor)}")
     if results.damping is not None:
         lines += damping_lines(results.damping, results.amplitude_unit or "")
     return lines

@@ -15,8 +15,9 @@ from processing.fit import FitMethod
 from processing.swing import SwingFlag, turning_points
 from processing.units import seconds
 from rig.analysis.compared_laws import chosen_laws
+from rig.analysis.decay_values import DECAY
 from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table, waveform_table
-from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults, TableResults
+from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults, TableDecay
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
 from rig.analysis.run_remarks import brief_remarks, damping_lines, decay_lines, remarks
 from rig.analysis.table_fit import (
@@ -187,12 +188,12 @@ def _fit(
         stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
         watched = Watched(stated, wanted.overrides, "a table holds neither frames nor spots")
         table = analyse_trajectory(path, trajectory, fill_from_files(watched.config), compared, ground)
-        if not table.results.problem:
+        if not table.longest.results.problem:
             watched.refuse_unread()
     else:
         table = analyse_trajectory(path, trajectory, None)
-    if laws and table.results.problem:
-        raise ConfigurationError(f"--law {laws[0]}: {table.results.problem}")
+    if laws and table.longest.results.problem:
+        raise ConfigurationError(f"--law {laws[0]}: {table.longest.results.problem}")
     if not alone:
         # what they say together is another result
         table = replace(table, results=replace(table.results, series=None))
@@ -234,13 +235,12 @@ def fit_envelope_table(
     return 0
 
 
-def _write(path: Path, output: Path | None, results: TableResults | EnvelopeResults) -> None:
+def _write(path: Path, output: Path | None, results: SessionResults | EnvelopeResults) -> None:
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        if isinstance(results, TableResults):
+        if isinstance(results, SessionResults):
             record = relative_record(path, output)
-            decays = tuple(replace(decay, record=record) for decay in results.decays)
-            results = replace(results, record=record, decays=decays)
+            results = replace(results, runs=tuple(replace(run, record=record) for run in results.runs))
         write_results(output / RESULTS_NAME, results)
         answer(written=[output / RESULTS_NAME])
         print(f"results      {output / RESULTS_NAME}")
@@ -278,14 +278,15 @@ def _print_series(series: Series | None) -> None:
 def _print_decay(number: int, decay: FoundDecay) -> None:
     results, summary = decay.results, decay.summary
     flagged = len(decay.swings) - summary.half_cycles
+    rows = {row.quantity: row for row in results.table if row.fit == DECAY}
     lines = [
-        f"period {_mean_text(summary.period_s, ' s', results.period_s.standard_uncertainty)}",
-        f"log decrement {_mean_text(summary.decrement, '', results.log_decrement.standard_uncertainty)}",
+        f"period {_mean_text(summary.period_s, ' s', rows['mean_period_s'].u)}",
+        f"log decrement {_mean_text(summary.decrement, '', rows['log_decrement'].u)}",
     ]
     if summary.decrement.value > math.pi:
         lines.append("the decay is faster than a swing: no quality factor")
-    elif results.quality_factor is not None:
-        lines.append(f"quality factor {with_uncertainty(*results.quality_factor)}")
+    elif "quality_factor" in rows:
+        lines.append(f"quality factor {rows['quality_factor'].text}")
     if results.damping is not None:
         lines += damping_lines(results.damping, results.amplitude_unit or "")
     if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
@@ -293,11 +294,11 @@ def _print_decay(number: int, decay: FoundDecay) -> None:
             "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "
             "a swing that estimate is too large): the uncertainties are upper limits"
         )
+    place, (first, last) = results.decay or TableDecay(), results.amplitudes
     head = (
-        f"decay {number}, {results.began_s:.4g} to {results.ended_s:.4g} s: {summary.half_cycles} "
+        f"decay {number}, {place.began_s:.4g} to {place.ended_s:.4g} s: {summary.half_cycles} "
         f"half-cycles ({flagged} more flagged and left out{_reasons(decay)}), "
-        f"amplitude {results.initial_amplitude:.4g} to "
-        f"{results.final_amplitude:.4g} {results.amplitude_unit}"
+        f"amplitude {first:.4g} to {last:.4g} {results.amplitude_unit}"
     )
     print_run(results, head, lines)
 

@@ -25,7 +25,7 @@ from processing.surroundings import Surroundings
 from processing.swing import Swing, TurningPoints
 from rig.analysis.contact_fits import WitnessAt, WitnessedWith, fit_decay, settled_swings
 from rig.analysis.contact_verdicts import contact_values, rig_quantities
-from rig.analysis.decay_values import values_of_points
+from rig.analysis.decay_values import amplitude_rows, values_of_points
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import PositionErrors, RunResults, StoredTurningPoints
@@ -119,10 +119,14 @@ def analyse_swings(
             path.stem, points, pendulum, fits, rig, plane_errors, of_air, stated=config.pendulum
         )
     said = [*contact.pop("notes", ()), followed.text, "" if errors is None else errors.text]
+    values = values_of_points(points, unit.shown_size, _u_second(config, u_clock))
+    rows = () if values is None else values.rows(path.stem)
+    rows = (*contact.pop("table", ()), *rows, *amplitude_rows(points, unit.shown, unit.shown_size, path.stem))
     results = RunResults(
         **_head(path, points, unit),
-        **values_of_points(points, unit.shown_size, _u_second(config, u_clock)),
         **contact,
+        table=rows,
+        damping=None if values is None else values.damping,
         measured_again_on=settled.motion,
         position_errors=errors,
         problem=across or problem,
@@ -159,9 +163,13 @@ def _reduced(
 ) -> AnalysedRun:
     """A run of a pendulum that is not described by the contact's laws."""
     clock_rate, unit = clock_rate_of(config), DeflectionUnit.RAD
-    reduction = reduce_run(config.instrument, followed, air, errors, clock_rate)
+    reduction = reduce_run(config.instrument, followed, air, errors, clock_rate, path.stem)
     results = RunResults(
         **_head(path, reduction.points, unit),
+        table=(
+            *reduction.rows,
+            *amplitude_rows(reduction.points, unit.shown, unit.shown_size, path.stem),
+        ),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
         instrument=reduction.values,
@@ -185,21 +193,14 @@ def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -
 
 
 def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, Any]:
-    """Which file the results are of, how many half-cycles were used, and over which amplitudes."""
-    found = points.amplitude / unit.shown_size
-    initial, final = (float(found[0]), float(found[-1])) if len(found) else (math.nan, math.nan)
-    in_arcsec = unit is DeflectionUnit.RAD
+    """Which file the results are of, and how many half-cycles were used."""
+    pixels = pixels_beside(path)
     return dict[str, Any](
         record=path.name,
         sha256=_sha256_if_readable(path),
-        record_bytes=path.stat().st_size,
-        pixels_sha256=_sha256_if_readable(pixels) if (pixels := pixels_beside(path)).is_file() else "",
+        inputs_sha256={pixels.name: _sha256_if_readable(pixels)} if pixels.is_file() else {},
         half_cycles=len(points),
         amplitude_unit=unit.shown,
-        initial_amplitude=initial,
-        final_amplitude=final,
-        initial_amplitude_arcsec=initial if in_arcsec else math.nan,
-        final_amplitude_arcsec=final if in_arcsec else math.nan,
     )
 
 

@@ -2,10 +2,9 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from math import hypot
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,15 +31,15 @@ from processing.swing import (
 from processing.units import ARCSEC_RAD, seconds
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.contact_fits import of_source
-from rig.analysis.decay_values import amplitude_damping, decay_values
+from rig.analysis.decay_values import DECAY, amplitude_damping, amplitude_rows, decay_values
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import (
     EnvelopeResults,
     RunResults,
     Series,
+    SessionResults,
     StoredTurningPoints,
     TableDecay,
-    TableResults,
     TableUnit,
 )
 from rig.analysis.results_file import relative_record
@@ -86,7 +85,7 @@ class FoundDecay:
 
     swings: Sequence[Swing]
     summary: DecaySummary
-    results: TableDecay
+    results: RunResults
     fitted: AnalysedRun | None = None
 
 
@@ -98,7 +97,12 @@ class AnalysedTable:
     noise: float
     decays: Sequence[FoundDecay]
     passed_over: Sequence[Sequence[Swing]]
-    results: TableResults
+    results: SessionResults
+
+    @property
+    def longest(self) -> FoundDecay:
+        """The decay with most half-cycles."""
+        return max(self.decays, key=lambda decay: decay.summary.half_cycles)
 
 
 def analyse_table(
@@ -153,13 +157,11 @@ def analyse_trajectory(
     judge_time_unit(path, trajectory, usable)
     both = _in_both(trajectory.times_ns, across, deflection, scatter)
     decays = [_analyse(path, part, trajectory, both, scatter, config, laws, witness) for part in usable]
-    longest = max(decays, key=lambda decay: decay.summary.half_cycles)
-    results = TableResults(
-        **_values(longest.results),
+    results = SessionResults(
         trajectory=path.as_posix(),
         unit=trajectory.unit,
         understood=trajectory.understood,
-        decays=tuple(decay.results for decay in decays),
+        runs=tuple(decay.results for decay in decays),
         series=_series(decays, trajectory.run),
     )
     passed_over = [part for part in parts if part not in usable]
@@ -172,7 +174,7 @@ def _series(decays: Sequence[FoundDecay], run: str) -> Series | None:
     return instrument_series(fitted, [int(run)] * len(fitted) if run.isdecimal() else ())
 
 
-def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> TableResults | None:
+def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionResults | None:
     """Results of several runs, by name, with what they say together; None where they say nothing.
 
     `reference_runs` names runs by their numbers: their names where all are numbers, else their places.
@@ -188,9 +190,9 @@ def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> TableResu
     series = instrument_series(runs, numbers)
     if series is None:
         return None
-    longest = max((table.results for table in tables.values()), key=lambda results: results.half_cycles)
-    decays = tuple(decay for table in tables.values() for decay in table.results.decays)
-    return replace(longest, trajectory=path.as_posix(), decays=decays, series=series)
+    first = next(iter(tables.values())).results
+    decays = tuple(decay for table in tables.values() for decay in table.results.runs)
+    return replace(first, trajectory=path.as_posix(), runs=decays, series=series)
 
 
 def analyse_envelope(
@@ -291,55 +293,55 @@ def _analyse(
     oscillation = fast_oscillation(
         trajectory.times_ns[inside][free], deflection[free], summary.period_s.value
     )
-    values = (
-        _values(run)
-        | decay_values(points, summary, scale, u_common=u_common)
-        | {
-            "frames": int(np.count_nonzero(inside)),
-            "half_cycles": run.half_cycles or summary.half_cycles,
-            "amplitude_unit": trajectory.unit,
-            "initial_amplitude": summary.initial_amplitude / scale,
-            "final_amplitude": summary.final_amplitude / scale,
-            "warnings": (
-                *run.warnings,
-                *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
-                *filter(None, [oscillation]),
-                *changes_in(summary),
-                *(
-                    line
-                    for name, values in zip(trajectory.names, trajectory.positions, strict=True)
-                    for line in cut_off(name, values[inside])
-                ),
-            ),
-        }
-    )
+    decay = decay_values(points, summary, scale, u_common=u_common)
+    name = run.table[0].run if run.table else path.stem
+    warnings = [
+        *run.warnings,
+        *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
+        *filter(None, [oscillation]),
+        *changes_in(summary),
+        *(
+            line
+            for name, values in zip(trajectory.names, trajectory.positions, strict=True)
+            for line in cut_off(name, values[inside])
+        ),
+    ]
     notes = [followed.text if followed.text not in run.notes and run.instrument is None else ""]
     if scatter.jitter_s > 0:
         notes.append(
             f"the times jitter by {1e3 * scatter.jitter_s:.2g} ms, as stamps of a host do: what that moves "
             "the samples by is in their uncertainties"
         )
-    values["notes"] = (*run.notes, *filter(None, notes))
-    if run.turning_points is None:
-        unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
-        values["turning_points"] = StoredTurningPoints.of(points, swings, unit, 1.0)
+    unit = TableUnit.OWN if trajectory.scale_rad is None else DeflectionUnit.RAD
+    session: dict[str, str] = {}
     if config is not None:
         began_s = seconds(trajectory.first_ns)
         found = surroundings_of_table(config, began_s if began_s > FIRST_UTC_S else None)
-        values["surroundings"] = found
-        values["session"] = {name: text for name in _STATED if (text := getattr(config.session, name))}
-        values["warnings"] = (
-            *values["warnings"],
-            *doubts_of(found),
-            *strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config),
-        )
-    if config is not None and run.budget:
-        values["notes"] = (*values["notes"], *_taken_as_exact(config))
-    results = TableDecay(
-        **values,
-        began_s=seconds(unflagged[0]),
-        ended_s=seconds(unflagged[-1]),
-        run=trajectory.run,
+        run = replace(run, surroundings=found)
+        session = {key: text for key in _STATED if (text := getattr(config.session, key))}
+        warnings += doubts_of(found)
+        warnings += strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config)
+        notes += _taken_as_exact(config) if run.budget else []
+    results = replace(
+        run,
+        table=(
+            *(row for row in run.table if row.fit != DECAY),
+            *decay.rows(name),
+            *amplitude_rows(points, trajectory.unit, scale, name),
+        ),
+        frames=int(np.count_nonzero(inside)),
+        half_cycles=run.half_cycles or summary.half_cycles,
+        amplitude_unit=trajectory.unit,
+        damping=decay.damping,
+        warnings=tuple(warnings),
+        notes=(*run.notes, *filter(None, notes)),
+        turning_points=run.turning_points or StoredTurningPoints.of(points, swings, unit, 1.0),
+        decay=TableDecay(
+            began_s=seconds(unflagged[0]),
+            ended_s=seconds(unflagged[-1]),
+            run=trajectory.run,
+            session=session,
+        ),
     )
     return FoundDecay(swings, summary, results, fitted)
 
@@ -394,14 +396,10 @@ def _direction_warning(
     """What is to be said of a direction that no fit has followed, or could not; empty: nothing."""
     if followed.problem:
         return "" if run.problem == followed.problem else followed.problem
-    of_instrument = run.instrument is not None and run.instrument.swing_plane is not None
+    of_instrument = run.instrument is not None and "plane" in run.instrument.curves
     if followed.is_turned or of_instrument:
         return ""
     return direction_warning(trajectory.positions, inside)
-
-
-def _values(results: RunResults) -> dict[str, Any]:
-    return {field.name: getattr(results, field.name) for field in fields(results)}
 
 
 def separate_decays(swings: Sequence[Swing]) -> list[list[Swing]]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from acquisition import atomic_write
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import ConfigurationError
 from processing.estimate import Determinacy
 from rig.analysis import ResultRow
 from rig.archive.catalogue import duckdb_module, reading
@@ -23,6 +23,7 @@ from rig.presentation import (
     print_tables,
     screen_width,
     with_uncertainty,
+    written,
 )
 
 _SIMULATED = "SIMULATED: "
@@ -74,12 +75,8 @@ def list_runs(
         more = "" if columns or shown is SHOWN else "; a wider window, --columns, --json and -o show more"
         print_tables([replace(table, note=f"{table.note}{more}")])
         return
-    try:
+    with written(output, "name"):
         atomic_write.write_new(output, f"{table.csv().rstrip()}\n".encode())
-    except FileExistsError:
-        raise RecordError(f"{output}: exists already and is not overwritten; choose another name") from None
-    except OSError as error:
-        raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
 
 
 def show_runs(archive: Path, names: Sequence[str]) -> None:

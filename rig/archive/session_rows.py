@@ -30,7 +30,7 @@ OF_INSTRUMENTS: Final = (
     "log_decrement",
     "rolling_friction_coefficient",
 )
-"""Of other kinds of pendulum: names of `InstrumentResults` that hold a value with its uncertainty."""
+"""Of other kinds of pendulum."""
 
 
 def _typed(text: str) -> dict[str, str]:
@@ -100,7 +100,7 @@ def session_rows(folder: Path) -> SessionRows:
             results = list(read_results(source).runs)
         except RecordError as error:
             flaws.append(str(error))
-    by_record = {folder / run.record: run for run in results if not isinstance(run, TableDecay)}
+    by_record = {folder / run.record: run for run in results if run.decay is None}
     found = set(records_of(folder))
     # of a record and its recovered copy the copy
     kept = {path for path in found if recovered_beside(path) not in found}
@@ -119,7 +119,7 @@ def session_rows(folder: Path) -> SessionRows:
         elif run is not None:
             row |= row_of_results(run)
         rows.append(row | of_source | {"results": source.name if run is not None else None})
-    decays = [run for run in results if isinstance(run, TableDecay)]
+    decays = [run for run in results if run.decay is not None]
     for number, decay in enumerate(decays, start=1):
         rows.append(_of_table(folder, decay, number) | of_source | {"results": source.name})
     flaws += [f"{folder / row['record']}: {row['state']}: {row['flaw']}" for row in rows if row["flaw"]]
@@ -127,25 +127,25 @@ def session_rows(folder: Path) -> SessionRows:
     return SessionRows([row | {"session": session} for row in rows], flaws)
 
 
-def _of_table(folder: Path, decay: TableDecay, number: int) -> Row:
+def _of_table(folder: Path, decay: RunResults, number: int) -> Row:
     """The row of a decay, counted from 1, of a table or a film.
 
     The first is known by the table's hash, the others, and those of a table with several runs, by one that
     follows from it.
     """
-    path, name = folder / decay.record, decay.source_name
-    of_one = (f" run {decay.run}" if decay.run else "") + (f" decay {number}" if number > 1 else "")
+    path, name, place = folder / decay.record, decay.source_name, decay.decay or TableDecay()
+    of_one = (f" run {place.run}" if place.run else "") + (f" decay {number}" if number > 1 else "")
     of_both = hashlib.sha256(f"{decay.sha256}{of_one}".encode()).hexdigest()
     row: Row = {
         "run": name if number == 1 else f"{name}-decay-{number}",
         "record": decay.record,
         "sha256": of_both if of_one else decay.sha256,
         "record_bytes": path.stat().st_size if path.is_file() else None,
-        "duration_s": _number(decay.ended_s - decay.began_s),
+        "duration_s": _number(place.ended_s - place.began_s),
         "state": "whole",
         "flaw": "",
     }
-    row |= {name: text for name, text in decay.session.items() if name != "notes"}
+    row |= {name: text for name, text in place.session.items() if name != "notes"}
     row |= decay.surroundings.known() if decay.surroundings is not None else {}
     if not path.exists():
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
@@ -158,7 +158,7 @@ def _of_record(path: Path, run: RunResults | None) -> Row:
     """What a record says of itself, and the state it is in."""
     if run is not None and not path.exists():
         flaw = "results name a record that is not there"
-        return {"sha256": run.sha256, "record_bytes": run.record_bytes, "state": "missing", "flaw": flaw}
+        return {"sha256": run.sha256, "state": "missing", "flaw": flaw}
     row: Row = {"sha256": sha256_of(path), "record_bytes": path.stat().st_size, "state": "whole"}
     try:
         with RecordReader(path) as reader:
@@ -202,16 +202,17 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
     for name in ("frames", "dropped_frames", "half_cycles", "amplitude_unit", "problem"):
         yield name, getattr(run, name)
     for name in ("initial_amplitude", "final_amplitude"):
-        yield name, _number(getattr(run, name))
+        yield name, _number(run.number(name).value)
     yield "configuration_sha256", run.inputs_sha256.get("configuration.json")
     yield "conditions_met", all(item.ok for item in run.conditions) if run.conditions else None
     if run.pendulum is not None:
         yield "mass_kg", run.pendulum.mass_kg
         yield "ball_radius_m", run.pendulum.ball_radius_m
     fit = run.fits.get(FitMethod.EXACT)
-    if fit is None and run.period_s.value > 0:
-        yield from _estimate("mean_period_s", run.period_s)
-        yield from _estimate("log_decrement", run.log_decrement)
+    if fit is None:
+        for name in ("mean_period_s", "log_decrement"):
+            if (found := run.number(name)).value > 0:
+                yield from _estimate(name, found)
     if fit is not None:
         yield "law", fit.law
         yield "chi2_per_dof", _number(fit.chi2_per_dof)
@@ -220,7 +221,7 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
     if run.witness is not None:
         yield "witness", run.witness.verdict.value
         yield "witness_explained", _number(run.witness.explained)
-    for row in run.table:
+    for row in run.contact:
         name = row.quantity
         if name in PARAMETERS or name in DERIVED:
             numbers = (row.value, row.u, row.u_total, row.lower, row.upper)
@@ -228,9 +229,9 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
             yield f"verdict_{name}", row.verdict.value
     if run.instrument is not None:
         yield "instrument", run.instrument.kind
-        for name in OF_INSTRUMENTS:
-            if (value := getattr(run.instrument, name)) is not None:
-                yield from _estimate(name, value)
+        for row in run.table:
+            if row.quantity in OF_INSTRUMENTS:
+                yield from _estimate(row.quantity, Estimate(*row))
 
 
 def _estimate(name: str, item: Estimate) -> Iterator[tuple[str, float | None]]:

@@ -12,13 +12,11 @@ from matplotlib.ticker import MaxNLocator
 from acquisition import atomic_write
 from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
-from processing.errors import RecordError
 from processing.series import ORDER, POSITIVE, CompressedRun, Effect, Form, Level
 from rig.analysis import encoded
 from rig.campaigns.answer import Campaign
-from rig.campaigns.results import CampaignResults
-from rig.campaigns.tables import contacts_table, covariate_words, scaled, source_words, tables_of
-from rig.presentation import Table, latex_table, palette, plain_values, quantity
+from rig.campaigns.tables import contacts_table, covariate_words, scaled, tables_of
+from rig.presentation import Table, latex_table, palette, plain_values, quantity, written
 from rig.report import INK, ReportFigure, canvas, html, save_figures, save_tables, styled
 
 _POINTS = 60
@@ -121,44 +119,6 @@ def _covariate(run: CompressedRun, runs: Sequence[CompressedRun], effect: Effect
     return None if found is None else found.value
 
 
-def _shrinkage_figure(campaign: Campaign) -> ReportFigure:
-    """Each run alone beside what the campaign says of it."""
-    found, results = campaign.posterior, campaign.results
-    names = found.model.names
-    figure, panels = _grid(len(names), 2.0)
-    together, u_together = found.of_runs
-    colours = _colours(list(results.contacts))
-    for place, (axes, name) in enumerate(zip(panels, names, strict=True)):
-        own = [row for row, run in enumerate(found.runs) if name in run.names]
-        if not own:
-            axes.set_visible(False)
-            continue
-        values = np.array([found.runs[row].values[found.runs[row].names.index(name)] for row in own])
-        middle = float(np.median(values))
-        scale = scaled(name)[1]
-        for row, value in zip(own, values.tolist(), strict=True):
-            x = row + 1
-            colour = colours[found.runs[row].contact]
-            pair = _shown(name, np.array([value, together[row, place]]), middle)
-            axes.errorbar(
-                x - 0.17, pair[0], scale * found.runs[row].u(name), fmt="o", ms=2.5, mfc="white",
-                color=colour, elinewidth=0.6,
-            )  # fmt: skip
-            axes.errorbar(
-                x + 0.17, pair[1], scale * u_together[row, place], fmt="o", ms=2.5, color=colour,
-                elinewidth=1.2,
-            )  # fmt: skip
-            axes.plot([x - 0.17, x + 0.17], pair, color=colour, lw=0.5)
-        axes.set_xlim(0.4, len(found.runs) + 0.6)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        _title(axes, name, results.reference_arcsec)
-        axes.set_xlabel("run")
-    return ReportFigure(
-        "shrinkage", "Each run alone and in the campaign",
-        "Open: the run alone. Filled: with all that the other runs say. Colours are contacts.", figure,
-    )  # fmt: skip
-
-
 def _residual_figure(campaign: Campaign) -> ReportFigure:
     """Deviations of the runs from the model, by run; bad runs are ringed."""
     results = campaign.results
@@ -190,44 +150,11 @@ def _residual_figure(campaign: Campaign) -> ReportFigure:
     )  # fmt: skip
 
 
-def _budget_figure(results: CampaignResults) -> ReportFigure:
-    """Shares of the variance of each level of the first contact."""
-    contact, budgets = next(iter(results.budgets.items()))
-    sources = sorted(
-        {one.source for parts in budgets.values() for one in parts if one.share > 0.01},
-        key=lambda source: (
-            -sum(one.share for parts in budgets.values() for one in parts if one.source == source)
-        ),
-    )
-    figure = canvas(0.9 + 0.28 * len(budgets))
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.08, right=0.66, bottom=0.2, top=0.97)
-    left = np.zeros(len(budgets))
-    for place, source in enumerate(sources):
-        share = np.array(
-            [sum(one.share for one in parts if one.source == source) for parts in budgets.values()]
-        )
-        axes.barh(
-            np.arange(len(budgets)), share, left=left, label=source_words(source),
-            color=palette.SEQUENCE[place % len(palette.SEQUENCE)],
-        )  # fmt: skip
-        left += share
-    axes.set_yticks(range(len(budgets)), [quantity(name).symbol for name in budgets])
-    axes.invert_yaxis()
-    axes.set_xlim(0, 1)
-    axes.set_xlabel("share of the variance")
-    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=7)
-    return ReportFigure(
-        "budget", f"What limits {contact} now", "Shares of the variance of each level.", figure
-    )
-
-
 def figures_of(campaign: Campaign) -> list[ReportFigure]:
     """All of them, in the page's order."""
     over = _covariate_figure(campaign)
     return [
-        *([] if over is None else [over]), _shrinkage_figure(campaign), _residual_figure(campaign),
-        _budget_figure(campaign.results),
+        *([] if over is None else [over]), _residual_figure(campaign),
     ]  # fmt: skip
 
 
@@ -242,10 +169,10 @@ def campaign_tables(campaign: Campaign) -> list[Table]:
 def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
     """Write all files of a campaign into a folder, which is made; returns the first ones to look at.
 
-    Raises RecordError where one exists or cannot be written.
+    Raises ConfigurationError where one exists, RecordError where one cannot be written.
     """
     files, path, target = folder / "campaign", folder / _NAME, folder / "campaign.html"
-    try:
+    with written(folder):
         files.mkdir(parents=True, exist_ok=True)
         text = json.dumps(plain_values(encoded(campaign.results)), indent=1, allow_nan=False) + "\n"
         atomic_write.write_new(path, text.encode())
@@ -255,12 +182,6 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
         with styled():
             figures = save_figures(figures_of(campaign), files)
         atomic_write.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
-    except FileExistsError as error:
-        raise RecordError(
-            f"{error.filename or path}: exists already and is not overwritten; choose another folder"
-        ) from None
-    except OSError as error:
-        raise RecordError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return [path, target]
 
 

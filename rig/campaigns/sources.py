@@ -7,7 +7,7 @@ from pathlib import Path
 
 from acquisition.record.digest import sha256_of
 from processing.errors import ConfigurationError, RecordError
-from rig.analysis import TableDecay, read_results, results_path
+from rig.analysis import read_results, results_path
 from rig.campaigns.likelihoods import FoundRun
 
 _SESSION = "session.json"
@@ -75,7 +75,8 @@ def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list
 
 def _sample(folder: Path) -> str:
     """The sample that the configuration of a session, or of a table's fit, states."""
-    of_table = [run.session for run in read_results(results_path(folder)).runs if isinstance(run, TableDecay)]
+    runs = read_results(results_path(folder)).runs
+    of_table = [run.decay.session for run in runs if run.decay is not None]
     place = folder if folder.is_dir() else folder.parent
     path = results_path(folder) if of_table else place / _SESSION
     try:

@@ -163,20 +163,6 @@ def _runs_table(results: CampaignResults) -> Table:
     )  # fmt: skip
 
 
-def _scatter_table(results: CampaignResults) -> Table:
-    """How runs and contacts scatter."""
-    rows = []
-    for what in ("between runs", "between contacts"):
-        found = results.between_runs if what == "between runs" else results.between_contacts
-        for name, one in found.items():
-            label, factor = scaled(name)
-            rows.append(Line([what, name, *one], [what, label, _text(one, factor)]))
-    return Table.of(
-        "scatter", "Scatter", "between quantity standard_deviation u", ("", "", "deviation"), rows,
-        f"Standard deviations, of b and γ at {results.reference_arcsec:g} arcsec.",
-    )  # fmt: skip
-
-
 def _budget_table(results: CampaignResults) -> Table:
     """What limits every level now: the largest parts of its variance."""
     rows = []
@@ -251,8 +237,7 @@ def _priors_table(results: CampaignResults, model: SeriesModel, stated: dict[str
 def tables_of(results: CampaignResults, model: SeriesModel, stated: dict[str, StatedLevel]) -> list[Table]:
     """All of them, in the page's order."""
     found = [
-        contacts_table(results), _differences_table(results), effects_table(results),
-        _changes_table(results), _scatter_table(results),
+        contacts_table(results), _differences_table(results), effects_table(results), _changes_table(results),
         _budget_table(results), _runs_table(results), _priors_table(results, model, stated),
     ]  # fmt: skip
     return [one for one in found if one is not None]

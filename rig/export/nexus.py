@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from acquisition.atomic_write import write_new
 from processing.errors import MissingPackage
 from processing.units import in_ascii
+from rig.analysis import ResultRow
 from rig.export.run import ExportedResults, ExportedRun, columns_of
 
 _NEXUS_UNITS = {"px": "pixel", "DN": "count", "1": "", "°C": "degC", "%": "percent"}
@@ -79,7 +80,7 @@ def _described(file: Any, run: ExportedResults) -> Any:
     if run.results:
         results = _group(entry, "results", "NXcollection")
         results["json"] = json.dumps(run.results)
-        _tree(_group(results, "values", "NXcollection"), run.results, run.units)
+        _rows(_group(results, "values", "NXcollection"), run.rows)
     return entry
 
 
@@ -125,18 +126,17 @@ def _data(entry: Any, name: str, table: NDArray[Any], signals: tuple[str, ...], 
             group[f"{key[2:]}_errors"] = group[key]
 
 
-def _tree(group: Any, values: Any, units: Mapping[str, str], above: str = "") -> None:
-    """Nested results as groups and fields; null, not determined, is NaN, and items of a list are numbered."""
-    items = values.items() if isinstance(values, Mapping) else enumerate(values)
-    for key, value in items:
-        name, path = item_name(str(key)), f"{above}{key}"
-        if isinstance(value, Mapping | list | tuple):
-            _tree(_group(group, name, "NXcollection"), value, units, f"{path}.")
-        elif isinstance(value, str):
-            group[name] = value
-        else:
-            group[name] = float("nan") if value is None else float(value)
-            _with_unit(group[name], units.get(path) or units.get(above.removesuffix("."), ""))
+def _rows(group: Any, rows: Sequence[ResultRow]) -> None:
+    """The table of results: a group for each fit, and in it fields for every quantity."""
+    for row in rows:
+        fit = item_name(row.fit)
+        inside = group[fit] if fit in group else _group(group, fit, "NXcollection")
+        name = item_name(row.quantity)
+        numbers = {"": row.value, "_errors": row.u_total, "_lower_95": row.lower, "_upper_95": row.upper}
+        for suffix, number in numbers.items():
+            inside[f"{name}{suffix}"] = number
+            _with_unit(inside[f"{name}{suffix}"], row.unit)
+        inside[name].attrs["verdict"] = row.verdict.value
 
 
 def _with_unit(field: Any, unit: str) -> None:

@@ -1,7 +1,6 @@
 """Reads what is exported of a record, a table or a series: spots, half-cycles, results, with units."""
 
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from processing.units import NS_PER_S, conversion, unit_of_name
 from rig.analysis import (
     RESULTS_NAME,
     JsonObject,
+    ResultRow,
     RunResults,
     Series,
     SessionResults,
@@ -29,7 +29,6 @@ from rig.analysis import (
     encoded,
     read_results,
     results_path,
-    units_of,
 )
 from rig.instrument import CONFIGURATION_NAME
 from rig.intake import read_positions
@@ -39,15 +38,15 @@ SERIES_NAME = "series"
 
 @dataclass(frozen=True)
 class ExportedResults:
-    """Results of a run or of a series, as they stand in results.json.
+    """Results of a run or of a series: the rows of their table, and all that results.json has of them.
 
-    `units` are those of their numbers by dotted name. `provenance` maps names to texts. `notes` say what the
-    records lack: that one was cut short, what is damaged.
+    `provenance` maps names to texts. `notes` say what the records lack: that one was cut short, what is
+    damaged.
     """
 
     name: str
+    rows: Sequence[ResultRow]
     results: JsonObject
-    units: Mapping[str, str]
     provenance: Mapping[str, str]
     notes: tuple[str, ...] = ()
 
@@ -96,7 +95,7 @@ def series_in(source: Path) -> Series | None:
 
 
 def _name(run: RunResults, decay: int | None) -> str:
-    if not isinstance(run, TableDecay):
+    if run.decay is None:
         return Path(run.record).stem
     return run.source_name if decay is None else f"{run.source_name}-decay-{decay}"
 
@@ -121,15 +120,10 @@ def read_run(path: Path, results: RunResults | None) -> ExportedRun:
             f"{path}: differs from the record from which {RESULTS_NAME} was made (other hash); "
             "run rig fit again"
         )
-    found = {} if results is None else encoded(results)
-    units = {}
-    if results is not None:
-        units = units_of(results, found)
-        units |= {f"settings.{key}": unit for key in results.settings if (unit := unit_of_name(key))}
     return ExportedRun(
         path.stem,
-        found,
-        units,
+        () if results is None else results.table,
+        {} if results is None else encoded(results),
         provenance,
         notes,
         spots=spots,
@@ -145,22 +139,6 @@ def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
         return reader.contents.start_ns, reader.contents.end_ns
     first_ns, last_ns = int(spots["time_ns"][0]), int(spots["time_ns"][-1])
     return first_ns + reader.epoch_offset_ns, last_ns + reader.epoch_offset_ns
-
-
-def flat_results(tree: JsonObject, above: str = "") -> list[tuple[str, float | str]]:
-    """Results as dotted names and values; undetermined values are NaN, list items are numbered from 0."""
-    rows: list[tuple[str, float | str]] = []
-    for key, value in tree.items():
-        name = f"{above}{key}"
-        if isinstance(value, Mapping):
-            rows += flat_results(value, f"{name}.")
-        elif isinstance(value, Sequence) and not isinstance(value, str):
-            rows += flat_results({str(place): item for place, item in enumerate(value)}, f"{name}.")
-        elif value is None:
-            rows.append((name, math.nan))
-        else:
-            rows.append((name, value if isinstance(value, str) else float(value)))
-    return rows
 
 
 def columns_of(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
@@ -185,29 +163,27 @@ def exported_series(
     if simulated:
         about["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
     alone = SessionResults(runs=(), series=series)
-    tree = encoded(alone)
-    units = {name.removeprefix("series."): unit for name, unit in units_of(alone, tree).items()}
     notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
-    return ExportedResults(SERIES_NAME, cast(JsonObject, tree["series"]), units, about, notes)
+    tree = cast(JsonObject, encoded(alone)["series"])
+    return ExportedResults(SERIES_NAME, series.table, tree, about, notes)
 
 
-def read_table_decay(folder: Path, decay: TableDecay, name: str) -> ExportedRun:
+def read_table_decay(folder: Path, decay: RunResults, name: str) -> ExportedRun:
     """A decay of which a folder holds the results; angles in rad, other positions in the table's own unit.
 
     Raises RecordError where the positions beside the results cannot be read.
     """
-    stored = decay.turning_points or StoredTurningPoints()
+    stored, place = decay.turning_points or StoredTurningPoints(), decay.decay or TableDecay()
     own = decay.amplitude_unit or "unit"
     of_angle = stored.unit is DeflectionUnit.RAD
     unit, size = ("rad", conversion(own, "rad")) if of_angle else (own, 1.0)
     time_s, positions = read_positions(folder)
-    inside = (time_s >= decay.began_s) & (time_s <= decay.ended_s)
+    inside = (time_s >= place.began_s) & (time_s <= place.ended_s)
     suffix = re.sub(r"\W", "_", unit)
     columns = {"time_s": time_s[inside]}
     columns |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
-    found = encoded(decay)
     provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
-    provenance |= {f"session.{name}": text for name, text in decay.session.items()}
+    provenance |= {f"session.{name}": text for name, text in place.session.items()}
     air = {} if decay.surroundings is None else decay.surroundings.known()
     provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
     swings = {
@@ -219,8 +195,8 @@ def read_table_decay(folder: Path, decay: TableDecay, name: str) -> ExportedRun:
     }
     return ExportedRun(
         name,
-        found,
-        units_of(decay, found),
+        decay.table,
+        encoded(decay),
         provenance,
         spots=_table(columns),
         swings=_table(swings),

@@ -1,16 +1,17 @@
 """The command `rig export`: writes spots, half-cycles and results, each file with its provenance."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, Literal, get_type_hints
+from typing import Final, Literal, get_type_hints
 
 import pyarrow as pa
 from pyarrow import csv, parquet
 
 from acquisition.atomic_write import being_written, write_new
 from processing.errors import ConfigurationError, RecordError
-from rig.analysis import ResultRow, TableDecay
+from rig.analysis import ResultRow
 from rig.export.nexus import item_name, write_nexus
 from rig.export.run import (
     SERIES_NAME,
@@ -18,13 +19,12 @@ from rig.export.run import (
     ExportedRun,
     columns_of,
     exported_series,
-    flat_results,
     read_run,
     read_table_decay,
     runs_in,
     series_in,
 )
-from rig.presentation import harmless_line, harmless_text, say
+from rig.presentation import harmless_line, harmless_text, say, written
 from rig.report import latex_tables
 
 Format = Literal["csv", "parquet", "hdf5", "latex"]
@@ -33,8 +33,8 @@ Format = Literal["csv", "parquet", "hdf5", "latex"]
 def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """Export a session's folder, that of a table's results, or one record; returns the files made.
 
-    What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, four
-    files a run, and two with what the runs say together. HDF5: `output` is the file, one NXentry a run and
+    What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
+    files a run, and one with what the runs say together. HDF5: `output` is the file, one NXentry a run and
     one for the series. LaTeX: a folder with the tables of the report. Nothing that exists is written over.
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists.
@@ -48,7 +48,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     made = [table_path(output, name, what, suffix) for name in names for what in TABLES]
     if series is not None:
         names.append(SERIES_NAME)
-        made += [table_path(output, SERIES_NAME, what, suffix) for what in ("results", "table")]
+        made.append(table_path(output, SERIES_NAME, "table", suffix))
     if len(set(made)) < len(made) or (kind == "hdf5" and len(set(map(item_name, names))) < len(names)):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
     for path in [output] if kind == "hdf5" else made:
@@ -58,7 +58,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     folder = source if source.is_dir() else source.parent
     runs = [
         read_table_decay(folder, results, name)
-        if isinstance(results, TableDecay)
+        if results is not None and results.decay is not None
         else read_run(path, results)
         for name, path, results in found
     ]
@@ -67,7 +67,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
             say(f"{run.name}: {note}" if source.is_dir() else note)
     fitted = [(run, results) for run, (_, _, results) in zip(runs, found, strict=True) if results]
     together = None if series is None else exported_series(source, series, fitted)
-    try:
+    with written(output, "name" if kind == "hdf5" else "folder"):
         if kind == "hdf5":
             output.parent.mkdir(parents=True, exist_ok=True)
             write_nexus(output, runs, together)
@@ -76,8 +76,6 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
         write = write_csv if kind == "csv" else write_parquet
         everything = runs if together is None else [*runs, together]
         return [path for run in everything for path in write(output, run)]
-    except OSError as error:
-        raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
 
 
 def _export_latex(source: Path, output: Path) -> list[Path]:
@@ -88,20 +86,14 @@ def _export_latex(source: Path, output: Path) -> list[Path]:
         raise RecordError(f"{source}: its results have no tables; rig fit makes some where a run is fitted")
     for name, text in tables.items():
         path = output / name
-        try:
+        with written(path):
             output.mkdir(parents=True, exist_ok=True)
             write_new(path, text.encode())
-        except FileExistsError:
-            raise ConfigurationError(
-                f"{path}: exists already and is not overwritten; choose another folder"
-            ) from None
-        except OSError as error:
-            raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
         made.append(path)
     return made
 
 
-TABLES = ("spots", "swings", "results", "table")
+TABLES = ("spots", "swings", "table")
 
 
 def write_csv(folder: Path, run: ExportedResults) -> list[Path]:
@@ -155,27 +147,12 @@ def _tables(
                 table_path(folder, run.name, name, suffix),
                 pa.table(list(columns.values()), schema=pa.schema(fields)),
             )
-    if run.results:
-        rows = flat_results(run.results)
-        yield (
-            table_path(folder, run.name, "results", suffix),
-            pa.table(
-                {
-                    "name": [text_of(name) for name, _ in rows],
-                    "value": pa.array([v if isinstance(v, float) else None for _, v in rows], pa.float64()),
-                    "text": [text_of(v) if isinstance(v, str) else "" for _, v in rows],
-                    "unit": [text_of(_unit(name, run.units)) for name, _ in rows],
-                }
-            ),
-        )
-        # a list of rows, each an object of the same keys
-        listed: Any = run.results.get("table", [])
-        named = [
-            {key: text_of(cell) if isinstance(cell, str) else cell for key, cell in row.items()}
-            for row in listed
+    if run.rows:
+        rows = [
+            {key: text_of(cell) if isinstance(cell, str) else cell for key, cell in asdict(row).items()}
+            for row in run.rows
         ]
-        if named:
-            yield table_path(folder, run.name, "table", suffix), pa.Table.from_pylist(named, schema=_ROWS)
+        yield table_path(folder, run.name, "table", suffix), pa.Table.from_pylist(rows, schema=_ROWS)
 
 
 _ROWS: Final = pa.schema(
@@ -189,8 +166,3 @@ _ROWS: Final = pa.schema(
 def table_path(folder: Path, run: str, what: str, suffix: str) -> Path:
     """The file of one of `TABLES` of a run."""
     return folder / f"{run}-{what}.{suffix}"
-
-
-def _unit(name: str, units: Mapping[str, str]) -> str:
-    """Of a number, or of the list in which it stands."""
-    return units.get(name) or units.get(name.rpartition(".")[0], "")

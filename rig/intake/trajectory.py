@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition import atomic_write
 from processing.errors import DataError, RecordError
+from rig.presentation import written
 
 ANGLES: Final = ("rad", "mrad", "urad", "nrad", "arcsec", "arcmin", "deg")
 NOT_STATED: Final = "unit"
@@ -142,10 +143,8 @@ def write_positions(trajectory: Trajectory, folder: Path) -> Path:
     for time_ns, *place in zip(trajectory.times_ns.tolist(), *trajectory.positions, strict=True):
         time_s = f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
         writer.writerow((time_s, *(f"{value:.10g}" for value in place)))
-    try:
+    with written(target):
         atomic_write.replace(target, rows.getvalue().encode())
-    except OSError as error:
-        raise RecordError(f"{target}: cannot be written: {error.strerror or error}") from None
     return target
 
 

@@ -119,7 +119,7 @@ def _steps_of_end(ended: RunState | None) -> list[str]:
 
 
 def _others(run: RunResults) -> list[tuple[str, str]]:
-    return [(row.shown.label, row.text) for row in run.table]
+    return [(row.shown.label, row.text) for row in run.contact]
 
 
 def _decay(run: RunResults) -> DecayDrawn | None:

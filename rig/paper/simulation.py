@@ -1,16 +1,12 @@
-"""What the paper prints, and its contact pairs simulated from the equations of motion to fits, on ground that
-stands still or moves.
+"""What the paper prints, and its contact pairs simulated from the equations of motion to fits.
 
 "Phenomenological Laws of Single Point Contact: Pre-Rolling Contact Resistance through Pendulum", Lubricants
 2023, 11(2), 88.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
-
-import numpy as np
 
 from acquisition.simulation.settings import (
     ContactTruth,
@@ -22,7 +18,7 @@ from acquisition.simulation.true_path import noisy, true_path, true_turning_poin
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
 from processing.fit import FitMethod, FitResult, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
-from processing.swing import TurningPoints, swings_of, swings_of_blocks, turning_points
+from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, seconds
 from rig.analysis import RunResults, Series, combined_series, contact_values, settled_swings
 from rig.report import ShownTrajectory, ShownUnit
@@ -37,13 +33,6 @@ NOISE_ARCSEC: Final = 0.0027
 _PERIOD_RATIO: Final = 5.0
 _FIRST_ARCSEC, _LAST_ARCSEC = 124.0, 2.0
 _RUNS: Final = 3
-_DRIVE: Final = {"glass_k8": 2.0e-7, "silicon": 6.5e-7, "steel": 5.5e-7}
-"""Angular acceleration of the pendulum by the ground, one-sided, in rad/s^2/sqrt(Hz): with it the mean over
-many runs of Eq. 8's relative error is the printed one; single runs differ by a factor of up to 2. For b with
-its power of ten at `_OF_EXPONENT`."""
-_OF_EXPONENT: Final = -4
-_MASS_CENTRE_HEIGHT_M: Final = 1e-3
-_FRAMES_PER_S: Final = 25.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,51 +157,3 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     run = RunResults(record="", **contact_values("", runs[0], pendulum, of_first, rig))
     series = combined_series(fits, runs, pendulum, rig)
     return PairSeries(pair, pair.parameters(b_exponent), pendulum, runs, shown[0], run, series)
-
-
-@dataclass(frozen=True)
-class ShakenPair:
-    """Runs of one pair on the ground that its printed residuals ask for.
-
-    Relative errors are means over the runs. `relative_u` is the standard uncertainty of each parameter from
-    one run, relative to its true value, as the exact fit with the ground in it states it; the median over
-    the runs.
-    """
-
-    pair: PrintedPair
-    drive: float
-    arae_decay: float
-    arae_period: float
-    relative_u: dict[str, float]
-
-
-def shaken_pair(pair: PrintedPair, b_exponent: int, seed: int, runs: int = _RUNS) -> ShakenPair:
-    """Simulate runs of a pair on its ground, each on other ground, and fit them."""
-    truth, pendulum, still = pair.parameters(b_exponent), pair.pendulum, pair.settings(b_exponent)
-    drive = _DRIVE[pair.flat]
-    if b_exponent != _OF_EXPONENT:
-        # amplitudes walk with the root of the time that the decay takes
-        drive *= math.sqrt(_end_s(pair.settings(_OF_EXPONENT)) / _end_s(still))
-    rest_of_acceleration = _MASS_CENTRE_HEIGHT_M / (still.contact.gravity_m_per_s2 * BALL_RADIUS_M)
-    ground = still.ground.model_copy(
-        update={
-            "model": "white",
-            "white_m_per_s2_per_sqrt_hz": drive / (2 * math.pi / truth.period0_s) ** 2 / rest_of_acceleration,
-            "mass_centre_height_m": _MASS_CENTRE_HEIGHT_M,
-        }
-    )
-    settings = still.model_copy(update={"seed": seed, "ground": ground})
-    noise_rad = NOISE_ARCSEC * ARCSEC_RAD
-    errors, relative = [], []
-    for run in range(runs):
-        motion = true_path(settings, _end_s(settings, run) + 0.6 * truth.period0_s, _FRAMES_PER_S, run)
-        seen = noisy(motion, noise_rad, noise_rad, seed + run)
-        points = turning_points(swings_of(seen.times_ns, seen.y_rad, np.full(len(seen.y_rad), noise_rad)))
-        asymptotic, exact = fit_asymptotic(points, pendulum), fit_exact(points, pendulum)
-        errors.append((asymptotic.arae_decay, asymptotic.arae_period))
-        relative.append(
-            [exact.estimate(name).standard_uncertainty / abs(getattr(truth, name)) for name in PARAMETERS]
-        )
-    decay, period = np.mean(errors, axis=0)
-    relative_u = dict(zip(PARAMETERS, np.median(relative, axis=0).tolist(), strict=True))
-    return ShakenPair(pair, drive, float(decay), float(period), relative_u)

@@ -16,7 +16,6 @@ from processing.contact import (
     surface_energy,
 )
 from processing.contact.laws import PAPER
-from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.units import ARCSEC_RAD
@@ -30,8 +29,6 @@ from rig.paper.simulation import (
     PARAMETERS,
     PairSeries,
     PrintedPair,
-    ShakenPair,
-    shaken_pair,
     simulate_pair,
 )
 from rig.presentation import (
@@ -43,6 +40,7 @@ from rig.presentation import (
     print_line,
     print_tables,
     with_uncertainty,
+    written,
 )
 from rig.report import (
     ReportFigure,
@@ -88,15 +86,14 @@ CONTRADICTIONS: Final = (
 
 def reproduce_paper(output: Path | None, b_exponent: int) -> None:
     """Simulate and analyse the three contact pairs, three runs each, and print Tables 1 to 4 with the paper's
-    values; and one more of the same pairs on a ground that makes the printed residuals.
+    values.
 
     With `output`, a page ``paper.html`` with Figs. 9 to 14 is written into that folder, and the figures (SVG,
     PNG) and tables (CSV) into its subfolder ``paper``.
     """
     seeds = {pair: _SEED + 1000 * place for place, pair in enumerate(PAIRS, start=1)}
     found = [simulate_pair(pair, b_exponent, seed) for pair, seed in seeds.items()]
-    shaken = [shaken_pair(pair, b_exponent, seed) for pair, seed in seeds.items()]
-    tables = [table1(), table2(found, b_exponent), table3(found), table4(found), table5(shaken)]
+    tables = [table1(), table2(found, b_exponent), table3(found), table4(found)]
     print_tables(tables)
     print_line("Known contradictions of the printed text:")
     for line in CONTRADICTIONS:
@@ -191,31 +188,6 @@ def table4(found: Sequence[PairSeries]) -> Table:
         "table4", f"Table 4: work over one cycle at {_LOOP_AMPLITUDE_ARCSEC:g} arcsec",
         ("pair", "quantity", "unit", "of_printed_parameters", _EXACT, _ASYMPTOTIC, *_DIFFERENCES), rows,
         ("", "", "of printed parameters", *_FITS_HEAD), shown,
-    )  # fmt: skip
-
-
-def table5(found: Sequence[ShakenPair]) -> Table:
-    """Relative errors beside the printed ones, and how well such a ground lets the parameters be known."""
-    rows: list[list[Cell]] = []
-    shown = []
-    for one in found:
-        errors = (one.pair.arae_decay, one.arae_decay), (one.pair.arae_period, one.arae_period)
-        rows.append([one.pair.name, one.drive, *errors[0], *errors[1], *one.relative_u.values()])
-        texts = [text for printed, here in errors for text in (f"{printed:g}", plain(here, 2))]
-        percents = [f"{plain(100 * u, 2)} %" if u < 1 else "> 100 %" for u in one.relative_u.values()]
-        shown.append([one.pair.flat_name, f"{1e9 * one.drive:.0f}", *texts, *percents])
-    return Table(
-        "table5", "On moving ground: the printed residuals, and what they leave of the parameters",
-        ("pair", "drive_rad_per_s2_per_sqrt_hz", "arae_decay_printed", "arae_decay", "arae_period_printed",
-         "arae_period", *(f"relative_u_{name}" for name in PARAMETERS)),
-        rows,
-        ("", "drive / nrad/s²/√Hz", "Eq. 8 printed", "here", "Eq. 9 printed", "here",
-         *(f"u({label})" for label in PARAMETERS.values())),
-        shown,
-        "Tables 2 to 4 are of a quiet world. If the ground alone made the printed residuals of the "
-        "amplitudes, it drove the pendulum as stated, and one run could know the parameters no better than u "
-        "(standard, relative; a series of three: 0.6 of it). The printed residuals of the periods are larger "
-        "than such a ground makes them: turning points were not timed as finely as here.",
     )  # fmt: skip
 
 
@@ -339,7 +311,7 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
         html.notes(CONTRADICTIONS),
         *(html.table(content) for content in tables),
     ]
-    try:
+    with written(output):
         files.mkdir(parents=True, exist_ok=True)
         save_tables(tables, files)
         for series in found:
@@ -353,8 +325,6 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
         page = html.page("Tables and figures of Lubricants 2023, 11(2), 88", "made again", body)
         atomic_write.take_away_leftovers(target.parent, target.name)
         atomic_write.write_new(target, page.encode())
-    except OSError as error:
-        raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
     return target
 
 
@@ -371,7 +341,6 @@ def _drawings(series: PairSeries) -> list[ReportFigure]:
         drawings += [
             figures_laws.decay_figure(points, curves, motion.unit),
             figures_laws.period_figure(curves),
-            figures_laws.smooth_figure(curves),
         ]
     loop = figures_contact.loop_figure(exact.contact(), series.pendulum, _LOOP_AMPLITUDE_ARCSEC, sees_c=True)
     return [*drawings, loop]

@@ -1,5 +1,6 @@
 """Tables and lines as they are printed on the terminal."""
 
+import contextlib
 import csv
 import io
 import json
@@ -9,9 +10,12 @@ import re
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
+
+from processing.errors import ConfigurationError, RecordError
 
 Cell = float | int | str
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
@@ -181,6 +185,22 @@ def folded(text: str, columns: int, indent: int = 0) -> str:
 def unbroken_words(text: str) -> list[str]:
     """The parts between which `folded` may break a text."""
     return [word.replace(_UNBROKEN, " ") for word in _WITHIN_NUMBER.sub(_UNBROKEN, text).split(" ") if word]
+
+
+@contextlib.contextmanager
+def written(path: Path, other: str = "folder") -> Iterator[None]:
+    """Files are written inside this: one that exists, and a disk that refuses, are said in a line.
+
+    Raises ConfigurationError where a file exists, for which `other` is to be chosen, RecordError otherwise.
+    """
+    try:
+        yield
+    except FileExistsError as error:
+        raise ConfigurationError(
+            f"{error.filename or path}: exists already and is not overwritten; choose another {other}"
+        ) from None
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def print_json_line(kind: str, values: Mapping[str, Any]) -> None:

@@ -85,11 +85,11 @@ def _of_balances() -> Mapping[str, Quantity]:
 def _of_fits() -> Mapping[str, Quantity]:
     """Imported only here, because the viewer's process does not need the fits and should start fast."""
     from processing.fit import Derived, FitQuality, Work
+    from processing.quantity import OfDecay, OfInstrument
 
     parameters = {key: parameter.quantity for key, parameter in law_parameters().items()}
-    return parameters | {
-        name: one for kind in (Derived, FitQuality, Work) for name, one in quantities_of(kind).items()
-    }
+    kinds = (OfInstrument, Derived, FitQuality, Work, OfDecay)
+    return {name: one for kind in kinds for name, one in quantities_of(kind).items()} | parameters
 
 
 @cache

@@ -1,7 +1,7 @@
 """Compares replayed with recorded spots, half-cycles and fitted parameters."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from processing.fit import FitMethod
 from processing.spot import Spot
 from processing.swing import Swing
 from processing.units import NS_PER_S, seconds
-from rig.analysis import JsonObject, RunResults, encoded
+from rig.analysis import RunResults
 
 _SAME_SWING = 0.25
 """Two turning points are the same if they differ by at most this fraction of a half period."""
@@ -141,7 +141,7 @@ class ReplayComparison:
 def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[Change]:
     """Fitted parameters that two results of a run have in common, in the order of the replayed one.
 
-    Contact parameters are named ``fits.exact.b`` and so on, those of other pendulums ``instrument...``.
+    Contact parameters are named ``fits.exact.b`` and so on, what other pendulums report as in the table.
     """
     old, new = ({**_contact(run), **_instrument(run)} for run in (recorded, replayed))
     return [Change(name, old[name], new[name]) for name in new if name in old]
@@ -158,18 +158,8 @@ def _contact(run: RunResults) -> dict[str, Estimate]:
 
 
 def _instrument(run: RunResults) -> dict[str, Estimate]:
-    return {} if run.instrument is None else dict(_estimates(encoded(run.instrument), "instrument."))
-
-
-def _estimates(tree: JsonObject, above: str) -> Iterator[tuple[str, Estimate]]:
-    for key, value in tree.items():
-        if not isinstance(value, dict):
-            continue
-        found, u = value.get("value"), value.get("standard_uncertainty")
-        if isinstance(found, int | float) and isinstance(u, int | float):
-            yield f"{above}{key}", Estimate(float(found), float(u))
-        else:
-            yield from _estimates(value, f"{above}{key}.")
+    rows = [] if run.instrument is None else [row for row in run.table if math.isfinite(row.u_total)]
+    return {row.quantity: Estimate(*row) for row in rows}
 
 
 def _reach_ns(swings: Sequence[Swing]) -> float:

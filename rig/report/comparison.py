@@ -18,6 +18,7 @@ from rig.presentation import (
     Table,
     plain,
     quantity,
+    written,
 )
 from rig.report import html
 from rig.report.against import against_figure, against_table, chosen_surrounding, seen_runs
@@ -25,8 +26,8 @@ from rig.report.drawing import styled
 from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
 
-_OF_ANY_DECAY = {"mean_period_s": "period_s", "log_decrement": "log_decrement"}
-"""What is compared where no run was fitted: names of quantities, and of fields of `RunResults`."""
+_OF_ANY_DECAY = ("mean_period_s", "log_decrement")
+"""What is compared where no run was fitted."""
 _FAR = 3.0
 """Uncertainties of the swings, beyond which a difference of two single runs is shown."""
 DIFFERENT = 0.05
@@ -63,7 +64,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         files = output.parent / output.stem
         compared = (*DEFAULT_LAW.names(), *_OF_ANY_DECAY)
         names = [name for name in compared if all(name in known for known in rows.values())]
-        try:
+        with written(output, "name"):
             files.mkdir(parents=True, exist_ok=True)
             save_tables(tables, files)
             with styled():
@@ -73,8 +74,6 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
             page = html.page("Series compared", ", ".join(series), body)
             atomic_write.take_away_leftovers(output.parent, output.name)
             atomic_write.write_new(output, page.encode())
-        except OSError as error:
-            raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
     return tables
 
 
@@ -112,14 +111,14 @@ def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
 
     Raises RecordError where it has no decay.
     """
-    runs = [run for run in session.runs if run.period_s.value > 0]
+    runs = [run for run in session.runs if run.number("mean_period_s").value > 0]
     if not runs:
         raise RecordError(f"{folder}: has no decay ({session.runs[0].problem})")
     parameters = {}
-    for name, field in _OF_ANY_DECAY.items():
-        values = [getattr(run, field) for run in runs]
+    for name in _OF_ANY_DECAY:
+        values = [run.number(name) for run in runs]
         # one clock times all runs: it does not fall in their mean
-        by_clock = [0.0 if run.clock is None else run.clock.u_rate * run.period_s.value for run in runs]
+        by_clock = [0.0 if run.clock is None else run.clock.u_rate * run.number(name).value for run in runs]
         shared = by_clock if name == "mean_period_s" else ()
         dof = max(runs[0].half_cycles - 2, 1)
         parameters[name] = _alone(values[0], dof) if len(values) == 1 else combine(name, values, shared)
@@ -128,8 +127,8 @@ def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
 
 def rows_of(session: SessionResults, series: Mapping[str, Combined]) -> Mapping[str, ResultRow]:
     """The table of results of a session: of its series, of its one fitted run, or of its mean decay."""
-    if session.rows:
-        return session.rows
+    if rows := {row.quantity: row for row in session.table if row.fit == FitMethod.EXACT}:
+        return rows
     return {
         name: ResultRow(
             quantity=name,

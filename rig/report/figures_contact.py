@@ -1,4 +1,4 @@
-"""Moments of the contact (Table 4), correlations of the fit, runs of a series beside each other."""
+"""Moments of the contact (Table 4), runs of a series beside each other."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -8,7 +8,7 @@ import numpy as np
 from processing.contact import ContactParameters, PendulumOnBall, cycle_work, moment_loop, weight_moment
 from processing.fit import FitMethod
 from processing.units import ARCSEC_RAD
-from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, Correlation, ResultRow, Series
+from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, ResultRow, Series
 from rig.presentation import palette, plain, quantity
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, INK, ReportFigure, canvas, three_columns
 
@@ -60,34 +60,6 @@ def loop_figure(
         "Shaded: 4A, the work lost in a cycle. "
         + ("Dashed: 4Aₜ, the part of adhesion (c). " if sees_c else "")
         + "The elastic moment is the skeletal curve about which the total makes its loop.",
-        figure,
-    )
-
-
-def correlation_figure(correlation: Correlation) -> ReportFigure:
-    """Correlation matrix of the exact fit as a map with its numbers."""
-    names = [quantity(name).symbol for name in correlation.names]
-    matrix = np.array(correlation.matrix, dtype=np.float64)
-    figure = canvas(3.0)
-    axes = figure.subplots()
-    figure.subplots_adjust(left=0.05, right=0.985, bottom=0.09, top=0.975)
-    axes.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
-    for i, row in enumerate(matrix):
-        for j, value in enumerate(row):
-            if np.isfinite(value):
-                strong = abs(value) > 0.6
-                text = f"{value:+.3f}" if abs(value) > 0.9 else f"{value:+.2f}"
-                axes.text(
-                    j, i, "1" if i == j else text.replace("-", "−"), ha="center", va="center",
-                    fontsize=7.5, color="white" if strong else INK,
-                )  # fmt: skip
-    axes.set_xticks(range(len(names)), names)
-    axes.set_yticks(range(len(names)), names)
-    axes.tick_params(length=0)
-    return ReportFigure(
-        "correlation",
-        "Correlations of the exact fit",
-        "What two parameters share: near ±1 the data hardly distinguish them, though each may be determined.",
         figure,
     )
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from processing.contact import ContactParameters, PendulumOnBall, measured_losses, model_losses
 from processing.errors import DataError
@@ -18,7 +17,6 @@ from rig.report.drawing import (
     EXACT,
     INK,
     SMOOTH,
-    Array,
     ReportFigure,
     amplitude_axis,
     canvas,
@@ -76,39 +74,12 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
 
 
 def period_figure(curves: Curves) -> ReportFigure:
-    """T(alpha), the paper's Fig. 13."""
-    return ReportFigure(
-        "fig13-period",
-        "Fig. 13: period against amplitude",
-        "Full periods about every half-cycle with Eq. 6 and the exact map. The bars are standard "
-        "uncertainties, which grow as the amplitude falls.",
-        _period(
-            curves,
-            {
-                "Eq. 6": (curves.asymptotic_period_s, ASYMPTOTIC, 2.0),
-                FitMethod.EXACT: (curves.exact_period_s, EXACT, 0.9),
-            },
-        ),
-    )
-
-
-def smooth_figure(curves: Curves) -> ReportFigure:
-    """T(alpha) with a smooth curve, the paper's Fig. 14."""
-    return ReportFigure(
-        "fig14-smoother",
-        "Fig. 14: period against amplitude, model-free",
-        "The smoothing spline assumes no physics: where Eq. 6 follows it, the data support the law.",
-        _period(
-            curves,
-            {
-                "smoothing spline": (curves.smooth_s, SMOOTH, 2.2),
-                "Eq. 6": (curves.asymptotic_period_s, INK, 0.9),
-            },
-        ),
-    )
-
-
-def _period(curves: Curves, models: dict[str, tuple[Array, str, float]]) -> Figure:
+    """T(alpha), the paper's Figs. 13 and 14."""
+    models = {
+        "smoothing spline": (curves.smooth_s, SMOOTH, 3.0),
+        "Eq. 6": (curves.asymptotic_period_s, ASYMPTOTIC, 1.8),
+        FitMethod.EXACT.value: (curves.exact_period_s, EXACT, 0.9),
+    }
     figure = canvas(4.0)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.0, 1.0])
     figure.subplots_adjust(left=0.105, right=0.985, bottom=0.105, top=0.98, hspace=0.06)
@@ -127,8 +98,7 @@ def _period(curves: Curves, models: dict[str, tuple[Array, str, float]]) -> Figu
     rough = u > 4 * np.median(u)
     for label, (values, colour, width) in models.items():
         top.plot(alpha, values[order], color=colour, lw=width, label=label)
-        residual = (period - values[order]) * 1e3
-        dots(bottom, alpha[shown], residual[shown], colour)
+        dots(bottom, alpha[shown], ((period - values[order]) * 1e3)[shown], colour)
     span(top, np.concatenate([period[~rough], *(values for values, _, _ in models.values())]))
     residuals = [(period - values[order])[~rough] * 1e3 for values, _, _ in models.values()]
     span(bottom, np.concatenate(residuals), 0.005, 0.25)
@@ -139,7 +109,14 @@ def _period(curves: Curves, models: dict[str, tuple[Array, str, float]]) -> Figu
     top.set_ylabel("T / s")
     top.ticklabel_format(axis="y", useOffset=False)
     top.legend(loc="best")
-    return figure
+    return ReportFigure(
+        "fig13-period",
+        "Figs. 13 and 14: period against amplitude",
+        "Full periods about every half-cycle with Eq. 6, the exact map and a smoothing spline, which assumes "
+        "no physics: where Eq. 6 follows it, the data support the law. The bars are standard uncertainties, "
+        "which grow as the amplitude falls.",
+        figure,
+    )
 
 
 def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[int]) -> ReportFigure:

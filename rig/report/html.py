@@ -10,7 +10,7 @@ from typing import Final
 from acquisition.record.check import Finding
 from acquisition.record.digest import sha256_of
 from processing.errors import RecordError
-from rig.presentation import Table, latex_table, palette
+from rig.presentation import Table, palette
 from rig.report.drawing import DATA, INK, ReportFigure
 
 RESULTS_SHA256 = "results-sha256"
@@ -46,7 +46,6 @@ h1 { font-size: 1.6rem; line-height: 1.2; margin: 0 0 .2rem; letter-spacing: -.0
 h2 { font-size: 1.3rem; margin: 2.6rem 0 .8rem; padding-top: .5rem; border-top: 1px solid var(--line); }
 h3 { font-size: 1.02rem; margin: 1.9rem 0 .5rem; }
 p { margin: .5rem 0; max-width: 46rem; }
-pre { background: var(--tint); padding: .5rem .8rem; font-size: .8rem; white-space: pre-wrap; }
 a { color: var(--accent); }
 .soft, figcaption, .note { color: var(--soft); font-size: .88rem; }
 .first { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 1.05fr); gap: 0 1.6rem; }
@@ -102,7 +101,6 @@ summary { cursor: pointer; font-weight: 600; padding: .2rem 0; }
   table.short { break-inside: avoid; }
   .scroll { overflow: visible; }
   thead { display: table-header-group; }
-  .download { display: none; }
   details::details-content { display: none; }
   details > :not(summary) { display: none; }
 }
@@ -139,11 +137,6 @@ def paragraph(text: str, kind: str = "") -> str:
     """A paragraph of plain text."""
     attribute = f' class="{kind}"' if kind else ""
     return f"<p{attribute}>{escape(text)}</p>"
-
-
-def preformatted(text: str) -> str:
-    """Lines to be copied as they are."""
-    return f"<pre>{escape(text)}</pre>"
 
 
 def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
@@ -184,17 +177,7 @@ def table(content: Table, level: int = 3) -> str:
     return (
         f"{heading(content.title, level)}\n"
         f'<div class="scroll" tabindex="0" role="group" aria-label="{escape(content.title)}">'
-        f"<table{short}>{header}<tbody>{''.join(lines)}</tbody></table></div>{note}{_download(content)}"
-    )
-
-
-def _download(content: Table) -> str:
-    """A link that holds the table for LaTeX itself, so that the page needs no file beside it."""
-    encoded = base64.b64encode(latex_table(content).encode()).decode("ascii")
-    return (
-        f'<p class="soft download"><a download="{content.name}.tex" '
-        f'aria-label="LaTeX of the table: {escape(content.title)}" '
-        f'href="data:application/x-tex;base64,{encoded}">LaTeX</a></p>'
+        f"<table{short}>{header}<tbody>{''.join(lines)}</tbody></table></div>{note}"
     )
 
 

@@ -1,4 +1,4 @@
-"""`rig report`: a session's HTML page, its figures as SVG and PNG, its tables as CSV."""
+"""`rig report`: a session's HTML page, its figures as SVG, its tables as CSV."""
 
 import math
 import re
@@ -13,7 +13,7 @@ from processing.errors import RecordError
 from processing.fit import FitMethod
 from rig.analysis import AnalysedTable, Curves, Series, SessionResults, curves_of, results_path
 from rig.intake import write_positions
-from rig.presentation import Table, latex_table, quantity
+from rig.presentation import Table, latex_table, quantity, written
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_instruments import instrument_figures
@@ -39,7 +39,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     name = results_path(folder).stem.replace("results", "report", 1)
     target = output or source.folder / f"{name}.html"
     files = target.parent / target.stem
-    try:
+    with written(target):
         files.mkdir(parents=True, exist_ok=True)
         atomic_write.take_away_leftovers(target.parent, target.name)
         series = [] if source.series is None else _series(source, source.series, files)
@@ -54,8 +54,6 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
         atomic_write.replace(
             target, html.page(title, subtitle, body, results_sha256=source.results[1]).encode()
         )
-    except OSError as error:
-        raise RecordError(f"{target}: cannot be written: {error.strerror or error}") from None
     return target
 
 
@@ -103,10 +101,9 @@ _ORDER = (
     "parameters",
     ("quality", "adhesion"),
     "conditions", "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "damping",
-    "fig13-period", "fig14-smoother", "residuals", "position-errors",
+    "fig13-period", "residuals", "position-errors",
     "spectrum", "witness", "table4-loops", "work", "losses", "laws", "waveform", "moments",
-    ("drag", "identifiability"),
-    "correlation", "budget",
+ "correlation", "budget",
 )  # fmt: skip
 """Tables and figures of a run as they follow one another; small tables stand side by side."""
 
@@ -167,7 +164,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             for each in drawings
         ]
     if run.results.instrument is not None:
-        drawings += instrument_figures(run.results.instrument, points)
+        drawings += instrument_figures(run.results, points)
     if run.results.laws is not None and run.results.laws.without_law is not None:
         drawings.append(figures_laws.moments_figure(run.results.laws, run.results.laws.without_law))
     pendulum = run.results.pendulum
@@ -175,10 +172,8 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         exact = fit.contact()
         drawings += [
             figures_laws.period_figure(curves),
-            figures_laws.smooth_figure(curves),
             figures_laws.residual_figure(points, curves, fit.outliers),
             figures_laws.loss_figure(points, exact, pendulum),
-            figures_contact.correlation_figure(fit.correlation),
         ]
         # a negative power has no moment at rest: it is no friction, and its loop no loop
         for work in run.results.work_per_cycle[:1] if exact.p >= 0 else ():
@@ -204,23 +199,19 @@ def _period(run: RunData) -> float:
 
 
 def _pictures(drawings: Sequence[ReportFigure], files: Path) -> list[tuple[ReportFigure, str]]:
-    """Write SVG and PNG of every figure; each with its HTML.
-
-    A frame is pixels, and goes into the page as PNG; everything else is lines, as SVG.
-    """
+    """Write every figure, drawn once, and its HTML: a frame is pixels, and PNG, all else lines, and SVG."""
     atomic_write.take_away_leftovers(files)
     found = []
     for drawing in drawings:
-        vector, pixels = svg(drawing), png(drawing)
-        atomic_write.replace(files / f"{drawing.name}.svg", vector)
-        atomic_write.replace(files / f"{drawing.name}.png", pixels)
-        inside = (pixels, "image/png") if drawing.name.endswith("frame") else (vector, "image/svg+xml")
-        found.append((drawing, html.picture(drawing, *inside)))
+        is_frame = drawing.name.endswith("frame")
+        data = png(drawing) if is_frame else svg(drawing)
+        atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
+        found.append((drawing, html.picture(drawing, data, "image/png" if is_frame else "image/svg+xml")))
     return found
 
 
 def save_figures(drawings: Sequence[ReportFigure], files: Path) -> list[str]:
-    """Write figures as SVG and PNG; returns their HTML in order."""
+    """Write figures as files; returns their HTML in order."""
     return [text for _, text in _pictures(drawings, files)]
 
 

@@ -27,8 +27,7 @@ from rig.analysis import (
     SessionResults,
     StoredTurningPoints,
     TableDecay,
-    TableResults,
-    read_any_results,
+    read_results,
     results_path,
 )
 from rig.instrument import CONFIGURATION_NAME, recorded_configuration
@@ -89,7 +88,7 @@ class RunData:
     @property
     def of_table(self) -> bool:
         """Whether it is a decay of a table or a film, which knows nothing of frames and cameras."""
-        return isinstance(self.results, TableDecay)
+        return self.results.decay is not None
 
     @property
     def points(self) -> TurningPoints:
@@ -126,15 +125,14 @@ def read_source(source: Path | SessionResults) -> ReportSource:
         folder = Path.cwd()
         runs = [_read_run(folder, run, number) for number, run in enumerate(source.runs, start=1)]
         return ReportSource(folder, ("results", ""), source.series, runs)
-    results = read_any_results(source)
+    results = read_results(source)
     folder, path = source if source.is_dir() else source.parent, results_path(source)
     name = path.name, known_sha256_of(path)
-    if isinstance(results, SessionResults):
-        numbered = zip(results.numbers, results.runs, strict=True)
-        runs = [_read_run(folder, run, number) for number, run in numbered]
-        return ReportSource(folder, name, results.series, runs)
-    decays = [decay_of_table(folder, results, number) for number in range(1, len(results.decays) + 1)]
-    return ReportSource(folder, name, results.series, decays)
+    runs = [
+        _read_run(folder, run, number) if run.decay is None else decay_of_table(folder, results, run, number)
+        for number, run in zip(results.numbers, results.runs, strict=True)
+    ]
+    return ReportSource(folder, name, results.series, runs)
 
 
 def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
@@ -243,18 +241,18 @@ def _flat(tree: JsonObject, above: str = "") -> dict[str, str]:
     return found
 
 
-def decay_of_table(folder: Path, table: TableResults, number: int) -> RunData:
+def decay_of_table(folder: Path, table: SessionResults, decay: RunResults, number: int) -> RunData:
     """A decay, counted from 1, of the table of which a folder holds the results.
 
     Its motion is that of positions.csv in the folder; empty where that is not there, with a note.
     """
-    decay = table.decays[number - 1]
+    place = decay.decay or TableDecay()
     stored = decay.turning_points or StoredTurningPoints()
     of_angle = stored.unit is DeflectionUnit.RAD
     unit = ShownUnit(table.unit, conversion(table.unit, "rad") if of_angle else 1.0)
     notes = [*table.understood]
     try:
-        motion = _motion(folder, decay, stored.first_ns / NS_PER_S, unit)
+        motion = _motion(folder, place, stored.first_ns / NS_PER_S, unit)
     except RigError as error:
         notes.append(f"no motion is drawn: {error}")
         motion = ShownTrajectory(np.empty(0), np.empty(0), np.empty(0), unit)
@@ -263,8 +261,8 @@ def decay_of_table(folder: Path, table: TableResults, number: int) -> RunData:
         "sha256": decay.sha256,
         **{f"sha256 of {name}": value for name, value in decay.inputs_sha256.items()},
     }
-    title = f"Decay {number}" if len(table.decays) > 1 else "Decay"
-    return RunData(title, decay, stored, motion, None, {"file": file, "session": decay.session}, None, notes)
+    title = f"Decay {number}" if len(table.runs) > 1 else "Decay"
+    return RunData(title, decay, stored, motion, None, {"file": file, "session": place.session}, None, notes)
 
 
 def _motion(folder: Path, decay: TableDecay, zero_s: float, unit: ShownUnit) -> ShownTrajectory:

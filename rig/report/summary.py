@@ -8,7 +8,6 @@ from processing.fit import Budget
 from processing.instruments import INSTRUMENTS
 from rig.analysis import (
     SURFACE_ENERGY,
-    TableDecay,
     WithRows,
     decay_lines,
     dominant_text,
@@ -17,14 +16,13 @@ from rig.analysis import (
     remarks,
     whole_result,
 )
-from rig.presentation import latex_rows, plain, quantity
+from rig.presentation import plain, quantity
 from rig.report import html
 from rig.report.source import ReportSource, RunData
 from rig.report.tables_instruments import headline
 
 _NOT_STATED = "not stated"
-PAPER = "I. Gilavdary, S. Mekid, N. Riznookaya, Lubricants 2023, 11(2), 88, doi:10.3390/lubricants11020088"
-"""Where the laws that are fitted were published."""
+_PAPER = "I. Gilavdary, S. Mekid, N. Riznookaya, Lubricants 2023, 11(2), 88, doi:10.3390/lubricants11020088"
 
 
 def title_of(source: ReportSource) -> tuple[str, str]:
@@ -32,8 +30,9 @@ def title_of(source: ReportSource) -> tuple[str, str]:
     first = source.runs[0]
     session = first.provenance.get("session", {})
     name = source.folder.resolve().name
-    if isinstance(first.results, TableDecay):
-        name = Path(first.results.record).name + (f", run {first.results.run}" if first.results.run else "")
+    if first.results.decay is not None:
+        run = first.results.decay.run
+        name = Path(first.results.record).name + (f", run {run}" if run else "")
     title = session.get("sample") or name
     counted = "decay" if first.of_table else "run"
     words = [f"{len(source.runs)} {counted}{'s' if len(source.runs) > 1 else ''}"]
@@ -60,7 +59,7 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
         )
     first = [html.verdict(_verdict(source))]
     found = series if series is not None and series.table else run
-    if found.table:
+    if found.contact:
         first.append(html.key_values(_key_results(found, found.budget)))
         what = "combined over the runs" if found is series else "of the run"
         first.append(
@@ -71,7 +70,7 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
             )
         )
     if run.instrument is not None:
-        values = headline(run.instrument, None if series is None else series.instrument)
+        values = headline(run, None if series is None else series.instrument)
         first.append(html.key_values(values))
         first.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
     body.append(html.first_screen(first, [decay]))
@@ -84,7 +83,7 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
             body.append(html.notes(decay_lines(data.results)))
     if len(source.runs) == 1:
         body.append(html.notes(notes_of(source.runs[0])))
-    return body + (_to_copy(source, found) if found.table else [])
+    return body
 
 
 def _verdict(source: ReportSource) -> list[tuple[str, str]]:
@@ -131,6 +130,7 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
         driver = first.provenance.get("camera", {}).get("driver", "")
         stored = "a film or a folder of images" if driver == "files" else "a camera"
         rows.append(("frames from", "the simulated rig" if first.simulated else stored))
+    rows += [("laws of the contact", _PAPER)] if first.results.fits else []
     return [(name, text) for name, text in rows if text]
 
 
@@ -160,28 +160,6 @@ def _key_results(found: WithRows, budget: Mapping[str, Budget]) -> list[tuple[st
             label = f"{label} (u: {dominant_text(item)})"
         shown.append((label, row.text))
     return shown
-
-
-def _to_copy(source: ReportSource, found: WithRows) -> list[str]:
-    """A sentence with the values and what to cite, and a row for a table in LaTeX."""
-    rows = [found.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in found.rows]
-    first = source.runs[0]
-    several = f"{len(source.runs)} runs" if len(source.runs) > 1 else "one run"
-    half_cycles = sum(data.results.half_cycles for data in source.runs)
-    version = first.provenance.get("versions", {}).get("optical-pendulum-rig", "")
-    simulated = "SIMULATED: " if any(data.simulated for data in source.runs) else ""
-    values = ", ".join(row.equation for row in rows)
-    text = (
-        f"{simulated}From {several} with {half_cycles} half-cycles: {values} (standard uncertainties of "
-        "swings and apparatus together, as far as they are stated, or 95 % limits; exact fit by "
-        f"optical-pendulum-rig{f' {version}' if version else ''} of the laws of {PAPER})."
-    )
-    head = [quantity(row.quantity).label for row in rows]
-    return [
-        html.heading("To copy", 3),
-        html.paragraph(text),
-        html.preformatted(latex_rows(head, [row.text for row in rows], title_of(source)[0])),
-    ]
 
 
 def sentence(run: RunData) -> str:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 
-from processing.contact import ExpectedDrag, weight_moment
+from processing.contact import weight_moment
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Budget, FitMethod
 from processing.units import ARCSEC_RAD
@@ -13,7 +13,6 @@ from rig.analysis import (
     ResultRow,
     RunResults,
     Series,
-    encoded,
     law_table,
     moments_table,
     parameter_table,
@@ -27,10 +26,9 @@ from rig.presentation import (
     Line,
     Table,
     Verdict,
-    law_parameters,
+    decimals,
     plain,
     quantity,
-    signed_percent,
     with_uncertainty,
 )
 from rig.report.source import RunData
@@ -38,21 +36,6 @@ from rig.report.tables_instruments import instrument_series_table, instrument_ta
 
 _NEGLIGIBLE = 0.005
 """Share of the variance below which a source is shown with others in one line."""
-
-
-def identifiability_table(results: RunResults) -> Table:
-    """Which quantities the data determine, and the interval in which each lies."""
-    lines = []
-    for row in (row for row in results.table if row.quantity in law_parameters()):
-        form = row.shown
-        by = "profile likelihood" if row.by_profile else "covariance"
-        cells: list[Cell] = [row.quantity, row.verdict, row.lower, row.upper, str(row.by_profile)]
-        lines.append(Line(cells, [form.symbol, row.verdict, row.interval_text, form.unit, by]))
-    return Table.of(
-        "identifiability", "What the data determine",
-        "parameter verdict lower_95 upper_95 profile_likelihood",
-        ("", "verdict", "95 % interval", "unit", "by"), lines,
-    )  # fmt: skip
 
 
 def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], name: str = "budget") -> Table:
@@ -156,8 +139,6 @@ def run_tables(run: RunData, curves: Curves | None) -> list[Table]:
             quality_table(results.fits),
             adhesion_table(results),
             work_table(results),
-            drag_table(results),
-            identifiability_table(results),
             budget_table(results.budget, results.rows),
             correlation_table(results),
             *tables,
@@ -192,24 +173,24 @@ def _judged(item: Verdict) -> str:
     return "warning" if item.remedy else "ok"
 
 
+_THEORIES = ("JKR", "Maugis-Dugdale", "DMT")
+
+
 def adhesion_table(results: RunResults) -> Table:
     """The contact with adhesion, where c is determined; Hertz's is in the table of results."""
-    lines = []
-    note = ""
-    if results.adhesion is not None:
-        for theory, spot in results.adhesion.spots().items():
-            for key, value in (
-                ("contact_radius_m", spot.radius_m),
-                ("surface_energy_table2_j_per_m2", spot.surface_energy_j_per_m2),
-            ):
-                form = quantity(key)
-                shown = [f"{form.symbol}, {theory}", form.text(*value), form.unit]
-                lines.append(Line([f"{key} ({theory})", *value], shown))
-        note = (
-            "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor "
-            f"parameter of {results.adhesion.tabor:.2g} (equilibrium separation 0.3 nm) selects "
-            f"{results.adhesion.holds}; all other values follow the paper, with Hertz's theory."
+    rows = [row for row in results.table if row.fit in _THEORIES]
+    lines = [
+        Line(
+            [f"{row.quantity} ({row.fit})", *row],
+            [f"{row.shown.symbol}, {row.fit}", row.text, row.shown.unit],
         )
+        for row in rows
+    ]
+    note = (
+        "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor parameter "
+        f"of {results.number('tabor').value:.2g} (equilibrium separation 0.3 nm) selects {results.adhesion}; "
+        "all other values follow the paper, with Hertz's theory."
+    )
     columns = "quantity value standard_uncertainty"
     return Table.of("adhesion", "Contact with adhesion", columns, ("", "value", "unit"), lines, note)
 
@@ -236,55 +217,18 @@ def work_table(results: RunResults) -> Table:
     )  # fmt: skip
 
 
-def drag_table(results: RunResults) -> Table:
-    """What the data and the air say of a linear drag, and what it does to b and c."""
-    drag = results.drag
-    if drag is None:
-        return Table("drag", "", (), ())
-    row = results.rows.get("drag_s")
-    keys = ("upper_95_s", "f_statistic", "p_value", "relative_shift_b", "relative_shift_c")
-    rows: list[list[Cell]] = [["drag_s", drag.drag_s.value], ["u_drag_s", drag.drag_s.standard_uncertainty]]
-    rows += [["of_data_s", drag.of_data_s.value], ["u_of_data_s", drag.of_data_s.standard_uncertainty]]
-    rows += [[key, getattr(drag, key)] for key in keys]
-    rows.append(["significant", str(drag.significant)])
-    shown = [
-        ["linear drag", f"{quantity('drag_s').text(*drag.drag_s) if row is None else row.text} s"],
-        ["by decay and waveform alone", f"{quantity('drag_s').text(*drag.of_data_s)} s"],
-        *_of_air(drag.of_air),
-        ["F-test", f"F = {plain(drag.f_statistic, 3)}, p-value without a drag {plain(drag.p_value, 2)}"],
-    ]
-    if math.isfinite(drag.relative_shift_b):
-        shown += [
-            ["b changes by", signed_percent(drag.relative_shift_b)],
-            ["c changes by", signed_percent(drag.relative_shift_c)],
-        ]
-    shown.append(["verdict", drag.finding])
-    note = ""
-    if drag.of_air is not None:
-        numbers = {name: value for name, value in encoded(drag.of_air).items() if name != "assumed"}
-        rows += [
-            [f"of_air_{name}", value if isinstance(value, int | float) else math.nan]
-            for name, value in numbers.items()
-        ]
-        note = "The estimate for air is an order of magnitude, for a bar of the pendulum's size" + (
-            f"; assumed: {', '.join(drag.of_air.assumed)}." if drag.of_air.assumed else "."
-        )
-    return Table("drag", "Is there a linear drag?", ("quantity", "value"), rows, ("", ""), shown, note)
-
-
-def _of_air(found: ExpectedDrag | None) -> list[list[str]]:
-    if found is None:
-        return []
-    bar = f"bar of {found.length_m:.2g} m × {found.width_m:.2g} m"
-    air = f"{found.air_density_kg_per_m3:.3f} kg/m³, {1e6 * found.air_viscosity_pa_s:.1f} µPa s"
-    return [["air would give", f"about {found.drag_s:.1g} s"], ["assumed for it", f"{bar} in {air}"]]
-
-
 def correlation_table(results: RunResults) -> Table:
-    """The correlation matrix of the exact fit, for the file; the report draws it."""
+    """The correlation matrix of the exact fit."""
     found = results.fits[FitMethod.EXACT].correlation
-    rows: list[list[Cell]] = [[name, *row] for name, row in zip(found.names, found.matrix, strict=True)]
-    return Table("correlation", "Correlation matrix", ("", *found.names), rows)
+    symbols = [quantity(name).symbol for name in found.names]
+    lines = [
+        Line([name, *row], [symbol, *(decimals(one, 3) for one in row)])
+        for name, symbol, row in zip(found.names, symbols, found.matrix, strict=True)
+    ]
+    return Table.of(
+        "correlation", "Correlations of the exact fit", ("", *found.names), ("", *symbols), lines,
+        "What two parameters share: near ±1 the data hardly distinguish them, though each may be determined.",
+    )  # fmt: skip
 
 
 def half_cycle_table(run: RunData, curves: Curves | None) -> Table:

@@ -1,159 +1,90 @@
 """What is reported of pendulums that swing by degrees: the result that is looked for first, and its table."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
+from dataclasses import fields
 from math import nan
-from typing import Any, Final, NamedTuple
+from typing import Final
 
-from pydantic import JsonValue
+from processing.quantity import OfInstrument
+from rig.analysis import INSTRUMENT, InstrumentSeries, ResultRow, RunResults
+from rig.presentation import Cell, Line, Table
 
-from processing.estimate import Estimate
-from rig.analysis import InstrumentResults, InstrumentSeries, RunResults, encoded
-from rig.presentation import Cell, Table, with_uncertainty
-
-_SHORT_LIST = 12
-"""Longer lists (a value for every half-cycle) stay in results.json."""
 _MOST_FIRST = 4
+_ORDER: Final = [field.name for field in fields(OfInstrument)]
 
 
-class Reported(NamedTuple):
-    """A number as a person reads it; the uncertainty of a count is NaN."""
-
-    name: str
-    value: Estimate
-    unit: str = ""
-
-    @property
-    def label(self) -> str:
-        """Name and unit."""
-        return f"{self.name} / ({self.unit})" if "/" in self.unit else " / ".join(filter(None, self[::2]))
-
-    @property
-    def text(self) -> str:
-        """Value and standard uncertainty."""
-        return with_uncertainty(*self.value)
+def _rows(results: RunResults) -> list[ResultRow]:
+    """The rows of what this kind of pendulum reports, first things first."""
+    hidden = ("damping_start_deg", "damping_end_deg")
+    found = [row for row in results.table if row.fit.startswith(INSTRUMENT) and row.quantity not in hidden]
+    return sorted(found, key=lambda row: _ORDER.index(row.quantity))
 
 
-def headline(values: InstrumentResults, series: InstrumentSeries | None) -> list[tuple[str, str]]:
+def _name(row: ResultRow) -> str:
+    """In words, with the part of the decay of which it is."""
+    return f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}"
+
+
+def _labelled(name: str, unit: str) -> str:
+    return f"{name} / ({unit})" if "/" in unit else " / ".join(filter(None, (name, unit)))
+
+
+def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple[str, str]]:
     """Labels and texts of what is looked for first.
 
     They are those of the series where it has several places, else of the run; the ratio to a reference is the
     series'.
     """
-    found = list(_reported(values, _RESULTS))
+    found = [(_labelled(_name(row), row.shown.unit), row.text) for row in _rows(results)]
     if series is not None:
         many = series.time_s is not None and series.time_s.places > 1
-        found = [*_ratios(series), *(_of_places(series) if many else found)]
-    return [(item.label, item.text) for item in found[:_MOST_FIRST]]
+        of_series = [*_ratios(series), *(_of_places(series) if many else ())]
+        of_series_text = [(_labelled(name, row.shown.unit), row.text) for name, row in of_series]
+        found = [*of_series_text, *([] if many else found)]
+    return found[:_MOST_FIRST]
 
 
 def instrument_table(results: RunResults) -> Table:
-    """Every number with its unit; in the file under its name of results.json."""
-    values = results.instrument
-    if values is None:
-        return Table("instrument", "", (), ())
-    shown = [[item.name, item.text, item.unit, ""] for item in _reported(values, (*_RESULTS, *_MORE))]
-    for check in (*(values.environment or ()), *(values.apparatus or ())):
+    """Every number with its unit, and what the standard wants of environment and apparatus."""
+    checks = () if results.instrument is None else results.instrument.checks
+    more = [""] if checks else []
+    lines = [_line(row.quantity, _name(row), row, more) for row in _rows(results)]
+    for check in checks:
         limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
-        shown.append([check.name, f"{check.value:.5g}", check.unit, limits])
-    if not any(row[-1] for row in shown):
-        shown = [row[:-1] for row in shown]
-    rows: list[list[Cell]] = [[*row] for row in _numbers(encoded(values))]
-    head = ("", "value ± u", "unit", "standard")[: len(shown[0]) if shown else 0]
-    return Table(
-        "instrument", "What this kind of pendulum reports",
-        ("quantity", "value", "standard_uncertainty"), rows, head, shown,
-    )  # fmt: skip
+        cells: list[Cell] = [check.name, check.value, check.standard_uncertainty]
+        lines.append(Line(cells, [check.name, f"{check.value:.5g}", check.unit, limits]))
+    head = ("", "value ± u", "unit", *(["standard"] if checks else []))
+    return Table.of("instrument", "What this kind of pendulum reports", _COLUMNS, head, lines)
+
+
+_COLUMNS = "quantity value standard_uncertainty"
+
+
+def _line(key: str, name: str, row: ResultRow, more: list[str]) -> Line:
+    return Line([key, *row], [name, row.text, row.shown.unit, *more])
 
 
 def instrument_series_table(series: InstrumentSeries) -> Table:
     """What the places of a sample say together, and their ratio to a reference."""
     found = [*_ratios(series), *_of_places(series)]
     if series.reference_time_s is not None:
-        found.append(Reported("damping time of the reference", series.reference_time_s, "s"))
-    rows: list[list[Cell]] = [[*row] for row in _numbers(encoded(series))]
-    return Table(
-        "series", "The series",
-        ("quantity", "value", "standard_uncertainty"), rows, ("", "value ± u", "unit"),
-        [[item.name, item.text, item.unit] for item in found],
-    )  # fmt: skip
+        value, u = series.reference_time_s
+        row = ResultRow(quantity="damping_time_s", value=value, u_total=u)
+        found.append(("damping time of the reference", row))
+    lines = [_line(name, name, row, []) for name, row in found]
+    return Table.of("series", "The series", _COLUMNS, ("", "value ± u", "unit"), lines)
 
 
-_RESULTS: Final = (
-    ("time_hardness_s", "time hardness, ten single swings", "s"),
-    ("scale_hardness", "scale hardness, first swing", "divisions"),
-    ("time_hardness_first_swing_s", "time hardness, first swing × 10", "s"),
-    ("damping.time_s", "damping time, {span}", "s"),
-    ("damping.swings", "swings, {span}", ""),
-    ("rolling_friction_coefficient", "coefficient of rolling friction{at}", ""),
-    ("log_decrement", "log decrement of a whole swing{at}", ""),
-    ("period0_s", "period at vanishing amplitude", "s"),
-    ("circular_factor", "circular error over the ideal pendulum's", ""),
-    ("swing_plane.rate_deg_per_min", "turning of the swing plane", "deg/min"),
-)
-"""What the kinds are made to measure, first things first: names of `InstrumentResults`, words, units."""
-_MORE: Final = (
-    ("first_amplitude_deg", "first amplitude", "deg"),
-    ("damping.missing_half_cycles", "half-cycles missing in it", ""),
-    ("friction_law.exponent", "power of the amplitude of the friction", ""),
-    ("friction_law.moment", "frictional moment over m g d", ""),
-    ("friction_law.chi2_per_dof", "χ² per degree of freedom of that power", ""),
-    ("chi2_per_dof", "χ² per degree of freedom", ""),
-    ("swing_plane.turned_deg", "turned in all", "deg"),
-    ("swing_plane.width_ratio", "width of the swing over its length", ""),
-    ("inferred_half_cycles", "turning points off the sensor", ""),
-    ("amplitude_deg.0", "first amplitude", "deg"),
-    ("amplitude_deg.1", "last amplitude", "deg"),
-    ("mean_period_s", "mean period", "s"),
-)
-"""What belongs to the result."""
-
-
-def _reported(values: InstrumentResults, named: Sequence[tuple[str, str, str]]) -> Iterator[Reported]:
-    """Those of some numbers that there are."""
-    words, law, damping = {"at": "", "span": ""}, values.friction_law, values.damping
-    if law is not None:
-        words["at"] = f" at {law.reference_amplitude_deg:.3g}°"
-    if damping is not None:
-        words["span"] = f"{damping.start_amplitude_deg:g}° to {damping.end_amplitude_deg:g}°"
-    for path, name, unit in named:
-        found: Any = values
-        for part in path.split("."):
-            found = found[int(part)] if isinstance(found, tuple) else getattr(found, part, None)
+def _of_places(series: InstrumentSeries) -> Iterator[tuple[str, ResultRow]]:
+    for key, found in (("damping_time_s", series.time_s), ("damping_swings", series.swings)):
         if found is not None:
-            value = found if isinstance(found, Estimate) else Estimate(found, nan)
-            yield Reported(name.format(**words), value, unit)
+            row = ResultRow(quantity=key, value=found.value, u_total=found.standard_uncertainty)
+            yield f"{row.shown.name}, mean of {found.places} places", row
 
 
-def _of_places(series: InstrumentSeries) -> Iterator[Reported]:
-    for name, unit, found in (("damping time", "s", series.time_s), ("swings", "", series.swings)):
-        if found is not None:
-            mean = Estimate(found.value, found.standard_uncertainty)
-            yield Reported(f"{name}, mean of {found.places} places", mean, unit)
-
-
-def _ratios(series: InstrumentSeries) -> Iterator[Reported]:
+def _ratios(series: InstrumentSeries) -> Iterator[tuple[str, ResultRow]]:
     for name, found in (("damping times", series.ratio), ("swings", series.ratio_of_swings)):
+        value, u = found or (nan, nan)
         if found is not None:
-            yield Reported(f"ratio of {name}, sample to reference", found)
-
-
-def _numbers(tree: Mapping[str, JsonValue], above: str = "") -> Iterator[tuple[str, float | str, float]]:
-    """Every number with its dotted name and its standard uncertainty, NaN where it has none."""
-    for key, value in tree.items():
-        name = f"{above}{key}"
-        if name == "text":
-            continue
-        if isinstance(value, dict) and "value" in value:
-            yield name, _float(value["value"]), _float(value.get("standard_uncertainty"))
-        elif isinstance(value, dict):
-            yield from _numbers(value, f"{name}.")
-        elif isinstance(value, list) and len(value) <= _SHORT_LIST:
-            yield from _numbers({str(place): item for place, item in enumerate(value, start=1)}, f"{name}.")
-        elif isinstance(value, bool | str):
-            yield name, str(value), nan
-        elif isinstance(value, int | float):
-            yield name, float(value), nan
-
-
-def _float(value: JsonValue) -> float:
-    return float(value) if isinstance(value, int | float) else nan
+            row = ResultRow(quantity="damping_swings", value=value, u_total=u)
+            yield f"ratio of {name}, sample to reference", row

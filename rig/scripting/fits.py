@@ -11,7 +11,6 @@ from rig.analysis import (
     RunResults,
     SessionResults,
     StatedWitness,
-    TableResults,
     analyse_record,
     analyse_table,
     analyse_trajectory,
@@ -85,7 +84,7 @@ def curves(
     Parameters
     ----------
     run
-        A run of results, or a fitted table; nothing is fitted again.
+        A run of results, of a record or of a table; nothing is fitted again.
     law, elastic
         Those with which `fit` was called: results hold the values of their parameters, not the functions.
 
@@ -111,7 +110,7 @@ def fit_film(
     begin_s: float | None = None,
     end_s: float | None = None,
     configuration: str | Path | None = None,
-) -> TableResults:
+) -> SessionResults:
     """Follow what swings through a film, and determine decay and period as of a table.
 
     Parameters
@@ -176,7 +175,7 @@ def fit_table(
     witness: str | Path | None = None,
     law: StatedMoment | None = None,
     elastic: StatedMoment | None = None,
-) -> TableResults:
+) -> SessionResults:
     """Determine decay and period from a table of positions of any instrument, and fit the contact laws.
 
     Parameters
@@ -202,8 +201,8 @@ def fit_table(
 
     Returns
     -------
-    TableResults
-        Half-cycles, decay, period and fits of the longest decay, and in `decays` of every one.
+    SessionResults
+        Half-cycles, decay, period and fits of every decay, in `runs`.
 
     Raises
     ------

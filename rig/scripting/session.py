@@ -14,7 +14,7 @@ from acquisition.record.topics import BALANCE, SWING, RecordedWindow
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError
 from rig import analysis
-from rig.analysis import ResultRow, SessionResults, TableResults
+from rig.analysis import ResultRow, SessionResults
 from rig.report import draw_run, styled
 from rig.scripting.given import path_of
 
@@ -138,7 +138,7 @@ def figures(source: "str | Path | Session | SessionResults", run: int = 1) -> "M
     RigError
         There are no results or no such run, or a record is missing.
     """
-    if isinstance(source, TableResults):
+    if isinstance(source, SessionResults) and source.trajectory:
         raise ConfigurationError(
             "source: figures of a table need its positions: rig fit TABLE -o FOLDER, then rig.figures(FOLDER)"
         )
@@ -195,7 +195,7 @@ def read_results(source: str | Path) -> SessionResults:
     return analysis.read_results(path_of(source, "source"))
 
 
-def write_results(path: str | Path, results: SessionResults | TableResults) -> None:
+def write_results(path: str | Path, results: SessionResults) -> None:
     """Write results.json; never over an existing file.
 
     Raises
@@ -204,7 +204,7 @@ def write_results(path: str | Path, results: SessionResults | TableResults) -> N
         There is a file of that name, it cannot be written, or these are no results of `rig.fit`,
         `rig.fit_table` or `rig.fit_film`.
     """
-    if not isinstance(results, SessionResults | TableResults):
+    if not isinstance(results, SessionResults):
         raise ConfigurationError(
             f"results: what rig.fit or rig.fit_table returned is needed, not a {type(results).__name__}"
         )

@@ -12,13 +12,14 @@ from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.determination import _Held, identifiability, profile_likelihood, strong_correlations
+from processing.fit.determination import _Held, identifiability, profile_likelihood
 from processing.fit.drag import DragFinding, drag_verdict
 from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact, fit_exact_with
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.swing import TurningPoints
+from rig.analysis import Correlation
 from tests.processing.fit.decays import decay, first_of, paper_pair
 from tests.processing.fit.driven import driven_decay
 
@@ -266,9 +267,9 @@ def test_where_only_such_a_refit_would_bound_a_parameter_it_is_undetermined() ->
 def test_period0_and_n_are_named_as_hard_to_tell_apart() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=2), pendulum)
-    pairs = {frozenset(pair[:2]) for pair in strong_correlations(result)}
-    assert frozenset(("period0_s", "n")) in pairs
-    assert all(abs(pair[2]) >= 0.99 for pair in strong_correlations(result))
+    pairs = Correlation(tuple(result.names), tuple(map(tuple, result.correlation.tolist()))).strong
+    assert frozenset(("period0_s", "n")) in {frozenset(pair[:2]) for pair in pairs}
+    assert all(abs(pair[2]) >= 0.99 for pair in pairs)
 
 
 def test_a_profile_belongs_to_an_exact_fit() -> None:

@@ -27,8 +27,6 @@ from rig.presentation import Verdict
 _RUN = RunResults(
     record="run-1.mcap",
     half_cycles=33,
-    initial_amplitude=123.2,
-    final_amplitude=101.1,
     amplitude_unit="arcsec",
     fits={
         "exact": Fit(
@@ -40,6 +38,8 @@ _RUN = RunResults(
         "asymptotic": Fit(parameters={"b": Estimate(3.7e-3, 1e-5), "c": Estimate(-2e-9, 3e-8)}),
     },
     table=(
+        ResultRow(quantity="initial_amplitude", fit="decay", value=123.2),
+        ResultRow(quantity="final_amplitude", fit="decay", value=101.1),
         ResultRow(quantity="b", value=3.5e-3, u=1e-5, u_total=1e-5, lower=3.48e-3, upper=3.52e-3),
         ResultRow(quantity="c", verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=6.1e-8),
         ResultRow(quantity=SURFACE_ENERGY, verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=0.183),
@@ -73,7 +73,7 @@ def with_apparatus() -> RunResults:
         standard_uncertainty=1e-4,
         sources=sources,
     )
-    rows = (replace(_RUN.table[0], u_total=1e-4), *_RUN.table[1:])
+    rows = (*_RUN.table[:2], replace(_RUN.table[2], u_total=1e-4), *_RUN.table[3:])
     return replace(_RUN, budget={"b": whole}, table=rows)
 
 

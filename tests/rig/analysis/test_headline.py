@@ -7,7 +7,7 @@ from processing.fit import Budget, Drag, DragFinding
 from processing.fit.uncertainty import BudgetSource
 from rig.analysis import RunResults
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
-from rig.analysis.run_remarks import drag_headline, headline, whole_result
+from rig.analysis.run_remarks import drag_headline, whole_result
 
 
 def source(name: str, kind: str, share: float) -> BudgetSource:
@@ -24,20 +24,6 @@ BUDGET = Budget(
     ),
 )
 ROW = ResultRow(quantity=SURFACE_ENERGY, value=0.0834, u=0.0007, u_total=0.0013)
-
-
-def test_the_headline_names_what_dominates() -> None:
-    text = headline({SURFACE_ENERGY: ROW}, {SURFACE_ENERGY: BUDGET})
-    assert "83.4 ± 1.3 mJ/m² with the whole budget" in text
-    assert text.endswith("of its variance: E of the flat 70 %, swings (fit) 28 %.")
-
-
-def test_there_is_none_without_the_apparatus_or_where_the_data_set_a_bound() -> None:
-    alone = replace(BUDGET, sources=(source("swings", "A", 1.0), source("mass_kg", "B", 0.0)))
-    assert headline({SURFACE_ENERGY: ROW}, {SURFACE_ENERGY: alone}) == ""
-    bound = replace(ROW, verdict=Determinacy.UPPER_BOUND)
-    assert headline({SURFACE_ENERGY: bound}, {SURFACE_ENERGY: BUDGET}) == ""
-    assert headline({}, {}) == ""
 
 
 def test_what_is_said_first_is_named_and_has_the_whole_uncertainty() -> None:

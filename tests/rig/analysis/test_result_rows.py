@@ -22,7 +22,7 @@ from rig.analysis import RunResults, Series, SessionResults, encoded
 from rig.analysis.fit_tables import parameter_table
 from rig.analysis.result_rows import ResultRow, result_rows, series_rows, withheld
 from rig.presentation import latex_table
-from rig.report.tables import budget_table, identifiability_table
+from rig.report.tables import budget_table
 from tests.processing.fit.decays import decay, paper_pair
 from tests.processing.fit.test_uncertainty import rig
 
@@ -72,14 +72,12 @@ def test_a_short_run_has_the_profile_s_interval_in_every_output(scale: float) ->
     tree = json.dumps(encoded(run))
     assert "expanded" not in tree
     shown = {content.name: content for content in (
-        parameter_table(run), budget_table(run.budget, run.rows), identifiability_table(run),
+        parameter_table(run), budget_table(run.budget, run.rows),
     )}  # fmt: skip
     c = run["c"]
     for content in (shown["parameters"], shown["budget"]):
         assert any(c.text in cells for cells in content.shown)
         assert "pm" not in next(line for line in latex_table(content).splitlines() if line.startswith("c "))
-    known = {cells[0]: cells for cells in shown["identifiability"].rows}
-    assert known["b"][2:4] == [run["b"].lower, run["b"].upper]
 
 
 def test_the_whole_uncertainty_comes_first(long_fit: FitResult) -> None:

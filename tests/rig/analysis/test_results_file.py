@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from processing.errors import RecordError
+from processing.errors import ConfigurationError, RecordError
 from processing.fit import Change, ChangeKind, Misfit
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import decoded, encoded, read_results, results_schema, write_results
@@ -120,7 +120,7 @@ def test_a_fault_is_one_line_that_names_file_key_and_remedy(
 
 def test_nothing_is_written_over(tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text("{}")
-    with pytest.raises(RecordError, match="exists already and is not overwritten"):
+    with pytest.raises(ConfigurationError, match="exists already and is not overwritten"):
         write_results(tmp_path / "results.json", SessionResults(runs=(RunResults(record="run-1.mcap"),)))
 
 

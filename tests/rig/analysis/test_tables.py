@@ -37,12 +37,19 @@ def ring_downs(starts_s: list[float], amplitudes: list[float], decrement: float)
 def test_decays_after_one_another_are_found_and_each_is_analysed(tmp_path: Path) -> None:
     t, y = ring_downs([1.0, 41.0, 79.5], [10.0, 8.0, 12.0], 0.2)
     found = analyse_table(write(tmp_path / "three.txt", t, y), None, TableColumns(unit="mm"))
-    assert len(found.results.decays) == 3
-    for decay, start in zip(found.results.decays, (1.0, 41.0, 79.5), strict=True):
-        assert start < decay.began_s < start + 8.0
-        assert abs(decay.log_decrement.value - 0.2) < 4 * decay.log_decrement.standard_uncertainty
-        assert abs(decay.period_s.value - 2.0) < 4 * decay.period_s.standard_uncertainty
-    assert found.results.half_cycles == max(decay.half_cycles for decay in found.results.decays)
+    assert len(found.results.runs) == 3
+    for decay, start in zip(found.results.runs, (1.0, 41.0, 79.5), strict=True):
+        assert decay.decay is not None
+        assert start < decay.decay.began_s < start + 8.0
+        assert (
+            abs(decay.number("log_decrement").value - 0.2)
+            < 4 * decay.number("log_decrement").standard_uncertainty
+        )
+        assert (
+            abs(decay.number("mean_period_s").value - 2.0)
+            < 4 * decay.number("mean_period_s").standard_uncertainty
+        )
+    assert found.longest.results.half_cycles == max(decay.half_cycles for decay in found.results.runs)
 
 
 def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Path) -> None:
@@ -51,16 +58,16 @@ def test_a_real_ring_down_that_is_excited_twice(tmp_path: Path, shared_data: Pat
     times_s = np.concatenate([table[:, 0], table[:, 0] + 105.0])
     path = write(tmp_path / "twice.txt", times_s, np.tile(table[:, 1], 2))
     found = analyse_table(path, None, TableColumns(unit="V")).results
-    assert len(found.decays) == 2
-    for decay in found.decays:
-        assert decay.log_decrement.value == pytest.approx(0.5, abs=0.08)
+    assert len(found.runs) == 2
+    for decay in found.runs:
+        assert decay.number("log_decrement").value == pytest.approx(0.5, abs=0.08)
         # the period is not the same all along, and its uncertainty says so
-        assert 5 * decay.period_s.standard_uncertainty > 17.2 - 14.7
+        assert 5 * decay.number("mean_period_s").standard_uncertainty > 17.2 - 14.7
         assert any("period is not constant" in warning for warning in decay.warnings)
         # 0.61(14) at the start and 0.42(9) at the end: a quality factor with an uncertainty that holds both
         assert not any("decrement is not constant" in warning for warning in decay.warnings)
-        assert decay.quality_factor is not None
-        assert 5 * decay.log_decrement.standard_uncertainty > 0.61 - 0.42
+        assert "quality_factor" in decay.rows
+        assert 5 * decay.number("log_decrement").standard_uncertainty > 0.61 - 0.42
 
 
 def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path) -> None:
@@ -70,7 +77,7 @@ def test_a_real_pendulum_whose_period_depends_on_the_amplitude(shared_data: Path
     assert period.changes
     # of a circular pendulum T rises by A^2/16; means of the first and last third
     assert period.first / period.last == pytest.approx((1 + 0.58**2 / 16) / (1 + 0.26**2 / 16), abs=3e-3)
-    assert decay.results.period_s.standard_uncertainty > 0.3 * (period.first - period.last)
+    assert decay.results.number("mean_period_s").standard_uncertainty > 0.3 * (period.first - period.last)
     printed = rig("fit", path, "--position", "2", "--position", "3", "--unit", "rad").stdout
     assert re.search(r"period 1\.66\d+ ± \S+ s at the start, 1\.63\d+ ± \S+ s at the end", printed)
     assert "not constant (χ²/dof 1.5" in printed
@@ -159,8 +166,8 @@ def test_what_the_laws_lack_is_said(tmp_path: Path, unit: str, problem: str) -> 
     t, y = ring_downs([1.0], [10.0], 0.2)
     path = write(tmp_path / "one.txt", t, 1e-4 * y if unit == "rad" else y)
     found = analyse_table(path, None, TableColumns(unit=unit) if unit else TableColumns()).results
-    assert problem in found.problem
-    assert not found.fits
+    assert problem in found.runs[0].problem
+    assert not found.runs[0].fits
 
 
 def _decaying(period_s: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
@@ -187,7 +194,7 @@ def test_times_of_no_unit_that_would_be_slow_in_seconds_are_asked_for(tmp_path: 
     assert "\n" not in str(refused.value)
     # a torsion balance, of which it is said
     found = analyse_table(path, None, TableColumns(unit="mm", time_unit="s" if per_s < 1e9 else "ns"))
-    assert found.results.period_s.value == pytest.approx(
+    assert found.longest.results.number("mean_period_s").value == pytest.approx(
         2.0 * per_s * (1.0 if per_s < 1e9 else 1e-9), rel=1e-3
     )
 
@@ -243,8 +250,8 @@ def test_an_angle_that_was_counted_round_a_turn_goes_on(
     wrapped[100] = np.nan
     path = write(tmp_path / "t.csv", t, wrapped)
     found = analyse_table(path, None, TableColumns(unit=unit))
-    assert found.results.period_s.value == pytest.approx(2.0, abs=1e-3)
-    assert found.results.initial_amplitude == pytest.approx(19.64 * turn / 360.0, rel=2e-3)
+    assert found.longest.results.number("mean_period_s").value == pytest.approx(2.0, abs=1e-3)
+    assert found.longest.results.amplitudes[0] == pytest.approx(19.64 * turn / 360.0, rel=2e-3)
     assert any(re.search(r"jumps by a turn \d+ times: unwrapped", line) for line in found.results.understood)
     with pytest.raises(
         ConfigurationError, match=r"jumps by .* against its motion.*state its unit with --unit"
@@ -283,7 +290,7 @@ def test_a_note_on_growth_states_it(tmp_path: Path) -> None:
     """Its first and last amplitude may say the opposite, of a swing that is driven."""
     t, x = _decaying()
     found = analyse_table(write(tmp_path / "t.csv", t, x[::-1]), None, TableColumns(unit="V"))
-    (said,) = [line for line in found.results.warnings if "grows" in line]
+    (said,) = [line for line in found.longest.results.warnings if "grows" in line]
     assert said.startswith("the amplitude grows, its log decrement is −0.0400 in the mean")
 
 
@@ -295,8 +302,5 @@ def test_amplitudes_that_the_rig_does_not_have_are_said(tmp_path: Path, scale: f
         {"pendulum": {"mass_kg": 0.406, "ball_radius_m": 6.05e-3}, "camera": {"driver": "files"}}
     )
     path = write(tmp_path / "t.csv", t, 3.0 * scale * x)
-    found = analyse_table(path, config, TableColumns(unit="arcsec"))
-    assert (
-        any("none of this rig, which swings from 124 to 2 arcsec" in w for w in found.results.warnings)
-        == is_said
-    )
+    warnings = analyse_table(path, config, TableColumns(unit="arcsec")).longest.results.warnings
+    assert any("none of this rig, which swings from 124 to 2 arcsec" in one for one in warnings) == is_said

@@ -148,7 +148,7 @@ def test_a_folder_of_images_is_analysed_and_known_again(tmp_path: Path) -> None:
     done = rig("fit", frames, "--rate", "30", "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     results = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert len(results["sha256"]) == 64
+    assert len(results["runs"][0]["sha256"]) == 64
     assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["whole"]
     (frames / "f0100.png").unlink()
     assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["damaged"]

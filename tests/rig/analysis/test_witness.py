@@ -16,7 +16,7 @@ from processing.estimate import Estimate
 from processing.fit import Response, WitnessUse
 from processing.fit.seismometer import WitnessVerdict
 from rig.analysis import AnalysedTable, analyse_record, session_results
-from rig.analysis.results import RunResults, SessionResults, TableResults
+from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import witness_sentences
 from rig.analysis.table_fit import TableColumns, analyse_table
@@ -79,8 +79,8 @@ def analysed(folder: Path, *columns: str) -> AnalysedTable:
     return analyse_table(folder / "decay.csv", config, TableColumns(unit="arcsec"), witness)
 
 
-def fitted(folder: Path, *columns: str) -> TableResults:
-    return analysed(folder, *columns).results
+def fitted(folder: Path, *columns: str) -> RunResults:
+    return analysed(folder, *columns).longest.results
 
 
 @pytest.mark.slow
@@ -109,7 +109,7 @@ def test_a_table_is_fitted_with_a_witness_and_says_what_it_saved(decay: Path) ->
 @pytest.mark.slow
 def test_the_python_interface_takes_a_witness_of_a_table_as_the_terminal_does(decay: Path) -> None:
     words = {"configuration": decay / "rig.toml", "witness": decay / "witness.csv"}
-    found = rig.fit_table(decay / "decay.csv", "arcsec", **words)
+    found = rig.fit_table(decay / "decay.csv", "arcsec", **words).runs[0]
     assert found.witness is not None
     assert found.witness == fitted(decay, "east", "north").witness
     assert dict(row_of_results(found))["witness"] == "used"
@@ -128,7 +128,7 @@ def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_
     assert "What the witness of the ground explains" in page
     assert "it explains" in page
     assert (tmp_path / "report" / "run-1" / "witness.svg").exists()
-    assert table.results.witness is not None
+    assert table.longest.results.witness is not None
 
 
 @pytest.mark.slow
@@ -136,7 +136,7 @@ def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> N
     alone, found = fitted(decay), fitted(decay, "east")
     assert found.witness is not None
     assert found.witness.verdict is WitnessVerdict.NO_GAIN
-    assert encoded(replace(found, witness=None, decays=())) == encoded(replace(alone, decays=()))
+    assert encoded(replace(found, witness=None)) == encoded(alone)
     (said,) = witness_sentences(found.witness)
     assert said.startswith("Witness of the ground refused")
     assert "offsets of its clock were tried" in said
@@ -225,7 +225,9 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     assert "1 values of north that are not numbers (line 9)" in told
     assert "left out: 1 rows without a readable time (line 11)" in told
     config = load_configuration(decay / "rig.toml", needs_camera=False)
-    found = analyse_table(decay / "decay.csv", config, TableColumns(unit="arcsec"), record).results.witness
+    found = analyse_table(
+        decay / "decay.csv", config, TableColumns(unit="arcsec"), record
+    ).longest.results.witness
     assert found is not None
     assert (found.source, found.understood) == ("w.csv", record.understood)
     assert "Of the witness w.csv: left out" in witness_sentences(found)[-1]

@@ -68,7 +68,7 @@ def test_what_is_added_is_listed_with_the_values_of_its_results(sessions: Path, 
     written = tmp_path / "runs.csv"
     list_runs(archive, "order by run", "run, sample, b", written)
     assert written.read_text().splitlines()[0] == "run,sample,b"
-    with pytest.raises(RecordError, match="exists already"):
+    with pytest.raises(ConfigurationError, match="exists already"):
         list_runs(archive, "", "run", written)
     assert "leave out one" in rig("archive", "list", "--json", "-o", tmp_path / "x.csv").stderr
 

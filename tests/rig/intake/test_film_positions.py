@@ -13,6 +13,7 @@ import pytest
 from scipy.stats import norm
 
 from processing.errors import ConfigurationError, DataError
+from rig.analysis import read_results
 from rig.analysis.table_fit import analyse_trajectory
 from rig.intake import FilmAsked, film_trajectory
 from rig.intake.film import inverted, looks_dark
@@ -50,12 +51,14 @@ def test_from_a_film_to_a_report_with_one_command(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "450 frames in 14.9667 s, 30 frames/s, ffv1, gray" in done.stdout
     assert "followed: a bright spot; 0 frames without one" in done.stdout
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
-    for name, true in (("period_s", PERIOD_S), ("log_decrement", DECREMENT)):
-        found = results[name]
-        assert abs(found["value"] - true) < 4 * found["standard_uncertainty"] < 0.01 * true
-    assert results["unit"] == results["amplitude_unit"] == "px"
-    assert results["damping"]["needed"] == ["linear"]
+    results = read_results(tmp_path / "out")
+    for name, true in (("mean_period_s", PERIOD_S), ("log_decrement", DECREMENT)):
+        value, u = results[name]
+        assert abs(value - true) < 4 * u < 0.01 * true
+    (run,) = results.runs
+    assert results.unit == run.amplitude_unit == "px"
+    assert run.damping is not None
+    assert list(run.damping.needed) == ["linear"]
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("<svg") + page.count("image/svg+xml") >= 2
     with (tmp_path / "out" / "positions.csv").open() as file:
@@ -119,21 +122,27 @@ def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path:
     """H.264 makes amplitudes too small, which the scatter does not show."""
     film = Film(codec="libx264", ending="mp4", pixels="yuv420p", options={"crf": "28"})
     trajectory = film_trajectory(write_film(tmp_path / "lossy.mp4", swing(), film), FilmAsked())
-    found = analyse_trajectory(tmp_path / "lossy.mp4", trajectory, None).results
+    found = analyse_trajectory(tmp_path / "lossy.mp4", trajectory, None).longest.results
     assert "light that stays" not in " ".join(trajectory.understood)
     blind = replace(trajectory, u_common_in_noises=0.0)
-    of_scatter = analyse_trajectory(tmp_path / "lossy.mp4", blind, None).results
-    error = found.log_decrement.value - DECREMENT
-    assert abs(error) > 4 * of_scatter.log_decrement.standard_uncertainty
-    assert abs(error) < 3 * found.log_decrement.standard_uncertainty
+    of_scatter = analyse_trajectory(tmp_path / "lossy.mp4", blind, None).longest.results
+    error = found.number("log_decrement").value - DECREMENT
+    assert abs(error) > 4 * of_scatter.number("log_decrement").standard_uncertainty
+    assert abs(error) < 3 * found.number("log_decrement").standard_uncertainty
     assert found.damping is not None
     assert of_scatter.damping is not None
     for wide, narrow in zip(found.damping.curve, of_scatter.damping.curve, strict=True):
         assert wide.time_constant_s.standard_uncertainty > narrow.time_constant_s.standard_uncertainty
     # a lag where the swing turns is as possible, and moves no mean
-    assert found.period_s.value == of_scatter.period_s.value
-    assert found.period_s.standard_uncertainty > of_scatter.period_s.standard_uncertainty
-    assert abs(found.period_s.value - PERIOD_S) < 3 * found.period_s.standard_uncertainty
+    assert found.number("mean_period_s").value == of_scatter.number("mean_period_s").value
+    assert (
+        found.number("mean_period_s").standard_uncertainty
+        > of_scatter.number("mean_period_s").standard_uncertainty
+    )
+    assert (
+        abs(found.number("mean_period_s").value - PERIOD_S)
+        < 3 * found.number("mean_period_s").standard_uncertainty
+    )
 
 
 @pytest.mark.parametrize(
@@ -265,7 +274,7 @@ def test_compression_is_a_line_in_the_budget_of_a_films_laws(
     config.write_text("[pendulum]\nmass_kg = 0.406\nball_radius_m = 0.00605\n")
     done = rig("fit", path, "--pixel", "2 arcsec", "--config", config, "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    budget = json.loads((tmp_path / "out" / "results.json").read_text())["budget"]["n"]["sources"]
+    budget = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]["budget"]["n"]["sources"]
     lines = [line for line in budget if line["source"] == "common_amplitude_rad"]
     assert bool(lines) == has_line
     assert all(line["contribution"] > 0.0 for line in lines)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.analysis.results import TableResults
+from rig.analysis.results import SessionResults
 from rig.analysis.table_fit import analyse_table
 from rig.intake.table import TableColumns
 from rig.intake.trajectory import along_and_across
@@ -19,15 +19,18 @@ def noise(seed: int) -> np.ndarray:
     return np.asarray(0.02 * np.random.default_rng(seed).standard_normal(len(T_S)))
 
 
-def fitted(folder: Path, x: np.ndarray, y: np.ndarray) -> TableResults:
+def fitted(folder: Path, x: np.ndarray, y: np.ndarray) -> SessionResults:
     path = folder / "two.csv"
     np.savetxt(path, np.column_stack([T_S, x, y]), delimiter=",", header="t,x,y", comments="", fmt="%.6f")
     return analyse_table(path, None, TableColumns(positions=("x", "y"), unit="mm")).results
 
 
-def judge(found: TableResults, amplitude: float = 98.76) -> None:
-    assert found.initial_amplitude == pytest.approx(amplitude, rel=1e-3)
-    for estimate, true in ((found.period_s, PERIOD_S), (found.log_decrement, DECREMENT)):
+def judge(found: SessionResults, amplitude: float = 98.76) -> None:
+    assert found.runs[0].amplitudes[0] == pytest.approx(amplitude, rel=1e-3)
+    for estimate, true in (
+        (found.number("mean_period_s"), PERIOD_S),
+        (found.number("log_decrement"), DECREMENT),
+    ):
         assert abs(estimate.value - true) < 4 * estimate.standard_uncertainty
         assert estimate.standard_uncertainty < 1e-4 * true
 
@@ -57,13 +60,13 @@ def test_a_swing_whose_direction_turns_is_followed(tmp_path: Path) -> None:
     angle = np.radians(20.0) * (T_S / T_S[-1] - 0.5)
     found = fitted(tmp_path, np.sin(angle) * SWING + noise(1), np.cos(angle) * SWING + noise(2))
     judge(found)
-    (said,) = [one for one in found.decays[0].notes if "direction" in one]
+    (said,) = [one for one in found.runs[0].notes if "direction" in one]
     # the larger, first swings are most of the mean direction
     assert "4.48 degrees" in said
     assert "14.97 at last" in said
-    assert not any("direction" in one for one in found.decays[0].warnings)
+    assert not any("direction" in one for one in found.runs[0].warnings)
     straight = fitted(tmp_path, np.sin(0.3) * SWING + noise(1), np.cos(0.3) * SWING + noise(2))
-    assert not any("direction" in one for one in (*straight.decays[0].notes, *straight.decays[0].warnings))
+    assert not any("direction" in one for one in (*straight.runs[0].notes, *straight.runs[0].warnings))
 
 
 def test_so_is_a_second_push_in_another_direction(tmp_path: Path) -> None:
@@ -75,14 +78,14 @@ def test_so_is_a_second_push_in_another_direction(tmp_path: Path) -> None:
     rows[:, 1:] += 0.02 * np.random.default_rng(3).standard_normal((len(x), 2))
     np.savetxt(path, rows, delimiter=",", header="t,x,y", comments="", fmt="%.6f")
     found = analyse_table(path, None, TableColumns(positions=("x", "y"), unit="mm")).results
-    assert len(found.decays) == 2
-    assert found.decays[1].log_decrement.value == pytest.approx(DECREMENT, rel=1e-3)
-    assert found.decays[1].initial_amplitude == pytest.approx(0.6 * 98.76, rel=2e-3)
-    assert any("direction" in one for one in found.decays[1].notes)
+    assert len(found.runs) == 2
+    assert found.runs[1].number("log_decrement").value == pytest.approx(DECREMENT, rel=1e-3)
+    assert found.runs[1].amplitudes[0] == pytest.approx(0.6 * 98.76, rel=2e-3)
+    assert any("direction" in one for one in found.runs[1].notes)
 
 
 def test_nor_is_a_second_mode_across_taken_for_a_turn(tmp_path: Path) -> None:
     fast = 30.0 * np.exp(-T_S / 150.0) * np.cos(2.0 * np.pi / 0.51 * T_S)
     found = fitted(tmp_path, fast + noise(1), SWING + noise(2))
     judge(found)
-    assert not any("direction" in one for one in found.decays[0].warnings)
+    assert not any("direction" in one for one in found.runs[0].warnings)

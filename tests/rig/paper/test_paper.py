@@ -8,8 +8,8 @@ import pytest
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.moments import surface_energy
 from processing.estimate import Estimate
-from rig.paper.simulation import BALL_RADIUS_M, MASS_KG, PAIRS, PairSeries, shaken_pair, simulate_pair
-from rig.paper.tables import CONTRADICTION, _agreement, table1, table2, table3, table4, table5, write_paper
+from rig.paper.simulation import BALL_RADIUS_M, MASS_KG, PAIRS, PairSeries, simulate_pair
+from rig.paper.tables import CONTRADICTION, _agreement, table1, table2, table3, table4, write_paper
 
 
 @pytest.fixture(scope="module")
@@ -71,28 +71,9 @@ def test_page_figures_and_tables_are_written(glass: PairSeries, tmp_path: Path) 
     text = page.read_text(encoding="utf-8")
     assert "known contradiction with Table 2" in text
     folder = tmp_path / "paper" / "glass_k8"
-    for name in ("fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "fig13-period", "fig14-smoother"):
+    for name in ("fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "fig13-period"):
         assert (folder / f"{name}.svg").stat().st_size > 5000
-        assert (folder / f"{name}.png").stat().st_size > 5000
     assert (tmp_path / "paper" / "table2.csv").read_text().startswith("pair,quantity,unit,printed,exact")
-
-
-def test_on_moving_ground_the_printed_residuals_come_out() -> None:
-    """Glass: 0.008 and a parameter c that one run does not know to better than a third."""
-    found = shaken_pair(PAIRS[0], -4, seed=3)
-    assert found.arae_decay == pytest.approx(0.008, rel=0.4)
-    assert found.arae_period < 0.001
-    assert 0.02 < found.relative_u["b"] < 0.3
-    assert 0.2 < found.relative_u["c"] < 2.0
-    row = table5([found]).shown[0]
-    assert row[:3] == ["K8 glass", "200", "0.008"]
-    assert len(row) == len(table5([found]).head)
-
-
-def test_the_ground_that_makes_the_printed_residuals_is_that_of_the_stated_power_of_ten() -> None:
-    """A tenth of the time to walk in: a ground of before would make a third of the printed residual."""
-    found = [shaken_pair(PAIRS[0], -3, seed).arae_decay for seed in (3, 4)]
-    assert sum(found) / 2 == pytest.approx(0.008, rel=0.4)
 
 
 @pytest.mark.parametrize(

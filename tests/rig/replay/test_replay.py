@@ -1,6 +1,5 @@
 """Replay: independent of the size of its blocks, and report of differences."""
 
-import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from rig.analysis import Fit, InstrumentResults, RunResults, analyse_record
-from rig.analysis.instrument_results import FrictionLawResults
+from rig.analysis.result_rows import ResultRow
 from rig.instrument.provenance import recorded_configuration
 from rig.presentation.keys import KeyParser
 from rig.replay.comparison import parameter_changes
@@ -122,17 +121,18 @@ def test_a_changed_setting_is_compared_with_what_was_recorded(
 def test_changes_of_parameters_are_counted_in_recorded_uncertainties() -> None:
     def run(value: float) -> RunResults:
         estimate = Estimate(value, 0.5)
-        law = FrictionLawResults(5.0, estimate, Estimate(1.0, math.nan), 1.2)
+        moment = ResultRow(quantity="friction_moment", value=value, u_total=0.5)
         return RunResults(
             record="run-1.mcap",
             fits={"exact": Fit(parameters={"b": estimate, "start_time_s": estimate}, chi2_per_dof=1.0)},
-            instrument=InstrumentResults(kind="herbert", friction_law=law),
+            table=(moment, ResultRow(quantity="friction_exponent", value=1.0)),
+            instrument=InstrumentResults(kind="herbert"),
         )
 
     changes = parameter_changes(run(2.0), run(3.0))
     assert [(change.name, change.in_u) for change in changes] == [
         ("fits.exact.b", 2.0),
-        ("instrument.friction_law.moment", 2.0),
+        ("friction_moment", 2.0),
     ]
 
 

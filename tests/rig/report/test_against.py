@@ -40,7 +40,7 @@ def test_what_depends_on_the_humidity_is_seen(tmp_path: Path) -> None:
     assert float(by_name["c"][1].split()[0]) == pytest.approx(2.0, rel=0.05)
     assert by_name["c"][3] == "1/%"
     assert float(by_name["b"][4]) > 0.2
-    assert (tmp_path / "page" / "against.png").stat().st_size > 10_000
+    assert (tmp_path / "page" / "against.svg").stat().st_size > 10_000
     assert (tmp_path / "page" / "against.csv").read_text().startswith("series,run,humidity_percent,b,u_b")
     # one session is enough, and two runs make no line
     values, table = compare([at_humidities(tmp_path / "c", [35.0, 45.0])], None, "humidity_percent")

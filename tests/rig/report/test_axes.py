@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from processing.estimate import Estimate
 from processing.swing import TurningPoints
-from rig.analysis import Curves, InstrumentResults
+from rig.analysis import Curves, ResultRow, RunResults
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, from_data, png, styled
 from rig.report.figures_instruments import instrument_figures
 from rig.report.figures_laws import decay_figure, period_figure
@@ -55,10 +54,11 @@ def test_little_of_a_period_figure_is_blank(first: float, last: float) -> None:
 
 def test_ten_swings_are_shaded_from_the_first_turning_point_whatever_its_number() -> None:
     points, _ = curves(124.0, 2.0)
-    values = InstrumentResults(
-        kind="koenig", scale_hardness=Estimate(5.0, 0.1), time_hardness_s=Estimate(20, 0.1)
+    rows = (
+        ResultRow(quantity="scale_hardness", value=5.0),
+        ResultRow(quantity="time_hardness_s", value=20.0),
     )
-    (drawn,) = instrument_figures(values, replace(points, index=points.index + 3))
+    (drawn,) = instrument_figures(RunResults(record="", table=rows), replace(points, index=points.index + 3))
     axes = drawn.figure.axes[0]
     angle_deg = np.asarray(axes.lines[0].get_ydata())
     assert angle_deg[:3] * 3600 == pytest.approx(np.array([1, -1, 1]) * points.amplitude[:3] / ARCSEC)

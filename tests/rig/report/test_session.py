@@ -15,12 +15,11 @@ from rig.analysis import read_results
 from rig.report.session_report import make_report
 
 FIGURES = (
-    "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "fig13-period", "fig14-smoother",
-    "residuals", "table4-loops", "losses", "correlation",
+    "fig00-frame", "fig09-y", "fig10-x", "fig11-trajectory", "fig12-decay", "fig13-period",
+    "residuals", "table4-loops", "losses",
 )  # fmt: skip
 TABLES = (
-    "parameters", "quality", "work", "drag", "identifiability", "budget",
-    "correlation", "half-cycles",
+    "parameters", "quality", "work", "budget", "correlation", "half-cycles",
 )  # fmt: skip
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -64,9 +63,7 @@ def test_the_page_needs_nothing_beside_it(measured_series: Path) -> None:
     page = parsed(measured_series / "report.html")
     figures = [source for source in page.fetched if source.startswith("data:image/")]
     assert len(figures) == 2 * len(FIGURES) + 1  # both runs, and the series
-    rest = [source for source in page.fetched if source not in figures]
-    assert rest
-    assert all(source.startswith("data:application/x-tex;") for source in rest), "tables, to be downloaded"
+    assert figures == page.fetched
     assert not page.tags & {"script", "link", "iframe", "object"}
     style = (measured_series / "report.html").read_text(encoding="utf-8").split("</style>")[0]
     assert not re.search(r"url\(|@import|@font-face", style)
@@ -76,8 +73,10 @@ def test_every_figure_and_table_is_a_file(measured_series: Path) -> None:
     for run in ("run-1", "run-2"):
         folder = measured_series / "report" / run
         for name in FIGURES:
-            assert (folder / f"{name}.png").read_bytes().startswith(PNG)
-            assert b"<svg" in (folder / f"{name}.svg").read_bytes()[:2000]
+            if name == "fig00-frame":
+                assert (folder / f"{name}.png").read_bytes().startswith(PNG)
+            else:
+                assert b"<svg" in (folder / f"{name}.svg").read_bytes()[:2000]
         for name in TABLES:
             assert len(rows_of(folder / f"{name}.csv")) > 0
     assert (measured_series / "report" / "series.svg").stat().st_size > 1000
@@ -210,7 +209,8 @@ def test_the_report_says_when_and_by_whom(measured_series: Path) -> None:
 def test_nothing_is_stated_of_amplitudes_that_were_not_measured(measured_series: Path) -> None:
     """The runs end at 101 arcsec: Table 4's loop at 3.1 arcsec would be the law's own, not the pendulum's."""
     for number, run in enumerate(results_of(measured_series)["runs"], start=1):
-        lowest, highest = run["final_amplitude"], run["initial_amplitude"]
+        rows = {item["quantity"]: item["value"] for item in run["table"]}
+        lowest, highest = rows["final_amplitude"], rows["initial_amplitude"]
         assert lowest > 90
         amplitudes = [work["amplitude_arcsec"] for work in run["work_per_cycle"]]
         assert len(amplitudes) == 2
@@ -232,19 +232,17 @@ def html_table(page: Path, title: str, number: int) -> list[list[str]]:
     return [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in body.split("</tr>") if "<td" in row]
 
 
-def test_what_goes_into_a_paper_is_there_to_be_copied(measured_series: Path) -> None:
-    """Values with whole uncertainty or bound, what to cite, a row for LaTeX; figures in their order."""
+def test_what_is_looked_for_first_comes_first(measured_series: Path) -> None:
+    """Values with whole uncertainty or bound, what to cite; figures in their order."""
     page = (measured_series / "report.html").read_text(encoding="utf-8")
     text = parsed(measured_series / "report.html").text
     session = read_results(measured_series)
-    assert session["c"].equation in text
-    assert session["gamma"].equation in text
+    assert session["c"].text in text
+    assert session["gamma"].text in text
     assert "doi:10.3390/lubricants11020088" in text
-    value, u = session["gamma"].text.split(" ± ")
-    assert rf"\num{{{value} +- {u}}}" in text
     assert text.index("surface energy σ") < text.index(
         "σ (Table 2's form)", text.index("surface energy σ") + 20
     )
-    order = [page.index(f">{name}: ") for name in ("Fig. 9", "Fig. 10", "Fig. 11", "Fig. 13", "Fig. 14")]
+    order = [page.index(f">{name}: ") for name in ("Fig. 9", "Fig. 10", "Fig. 11", "Figs. 13 and 14")]
     assert order == sorted(order)
     assert "break-before: page" not in page

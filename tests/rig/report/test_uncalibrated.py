@@ -73,13 +73,15 @@ def test_without_calibration_the_report_is_in_pixels_and_says_so(tmp_path: Path)
 def test_results_of_a_record_without_calibration_call_px_px(tmp_path: Path) -> None:
     folder = session_in_pixels(tmp_path / "px", lost=False)
     run = json.loads((folder / "results.json").read_text(encoding="utf-8"))["runs"][0]
-    assert (run["initial_amplitude_arcsec"], run["final_amplitude_arcsec"]) == (None, None)
-    assert run["amplitude_unit"] == "px"
-    assert run["initial_amplitude"] == pytest.approx(100.0)
-    assert run["final_amplitude"] == pytest.approx(68.39, abs=0.005)
-    assert run["period_s"]["value"] == pytest.approx(PERIOD_S)
-    assert run["log_decrement"]["value"] == pytest.approx(0.04, rel=1e-6)
-    assert run["quality_factor"]["value"] == pytest.approx(math.pi / 0.04, rel=1e-6)
+    rows = {row["quantity"]: row for row in run["table"]}
+    assert (
+        run["amplitude_unit"] == rows["initial_amplitude"]["unit"] == rows["final_amplitude"]["unit"] == "px"
+    )
+    assert rows["initial_amplitude"]["value"] == pytest.approx(100.0)
+    assert rows["final_amplitude"]["value"] == pytest.approx(68.39, abs=0.005)
+    assert rows["mean_period_s"]["value"] == pytest.approx(PERIOD_S)
+    assert rows["log_decrement"]["value"] == pytest.approx(0.04, rel=1e-6)
+    assert rows["quality_factor"]["value"] == pytest.approx(math.pi / 0.04, rel=1e-6)
     assert run["damping"]["linear"]["value"] == pytest.approx(0.01, rel=1e-3)
     printed = rig("fit", folder / "run-1.mcap", "-o", tmp_path / "fit").stdout
     assert "period 4.0" in printed
