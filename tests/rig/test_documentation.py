@@ -263,9 +263,9 @@ def test_the_commands_of_the_start(tmp_path: Path, measured_series: Path) -> Non
 
 
 @pytest.mark.slow
-def test_the_commands_about_laws_and_plans(tmp_path: Path, measured_series: Path) -> None:
+def test_the_commands_about_laws_and_plans(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
-    shutil.copytree(measured_series, tmp_path / "runs" / "first")
+    shutil.copytree(ROOT / "tests" / "rig" / "data" / "samples" / "first", tmp_path / "runs" / "first")
     lines = [
         *indented(ROOT / "docs" / "results.md", "Which law it is"),
         *indented(ROOT / "docs" / "many-runs.md", "Plan runs"),

@@ -134,6 +134,11 @@ def test_light_off_darkens_a_frozen_session_from_another_tab_with_a_dialog_open(
 
 def test_typed_text_lights_nothing_and_a_held_key_does(rig: Rig) -> None:
     board, _, page, _ = rig
+    for key in "12345":
+        page.key(key)
+        page.ask("document.activeElement.blur()")
+        page.type("glass ball as pm rxb ")
+    page.key("1")
     button = "[...document.querySelectorAll('[data-deliberate]')].find(b => b.innerText === 'LIVE PICTURE')"
     page.wait(f"{button}.offsetParent !== null")
     page.wait(f"({button}.focus(), document.activeElement === {button})")
