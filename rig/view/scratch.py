@@ -135,27 +135,6 @@ class ScratchView:
         self.block(self._alone(time_ns, _LOST))
         self.event(Event(time_ns, EventKind.START, text))
 
-    def restart(self, time_ns: int) -> None:
-        """Begin another record, which the view shows from now on."""
-        if self._head is None or self._failed:
-            return
-        try:
-            # as of a rejected start, so that the view goes on with the next
-            self.event(Event(self._last_ns, EventKind.REJECTED, "restarted"))
-            self._end()
-            aside = self._path.with_suffix(".old")
-            # not removed before the next is there, which the system might give the same number
-            self._path.rename(aside)
-            pixels_beside(self._path).unlink(missing_ok=True)
-            self.begin(time_ns, self._head)
-            aside.unlink()
-        except (OSError, RecordError) as error:
-            self._fail(error)
-
-    def flush(self) -> None:
-        """Have all shown that was written."""
-        self._written(lambda writer: writer.flush())
-
     def _alone(self, time_ns: int, spot: Spot) -> Block:
         nothing, unit = np.full(1, math.nan), self._unit
         at = Deflections(np.array([time_ns]), nothing, nothing, nothing, nothing, unit)
@@ -163,19 +142,27 @@ class ScratchView:
 
     def _written(self, write: Callable[[RecordWriter], None]) -> None:
         """Write into the record, where there is one that can be written."""
-        if self._writer is not None and not self._failed and self._writer.bytes_written > self._most_bytes:
-            self.restart(self._last_ns)
-        if self._writer is None or self._failed:
+        if self._writer is None or self._head is None or self._failed:
             return
         try:
+            if self._writer.bytes_written > self._most_bytes:
+                self._go_on_anew(self._writer, self._head)
             write(self._writer)
-        except RecordError as error:
-            self._fail(error)
+        except (OSError, RecordError) as error:
+            # the view ends, and nothing else
+            self._failed = True
+            say(f"the view ends: {error}")
 
-    def _fail(self, error: Exception) -> None:
-        """The view ends, and nothing else."""
-        self._failed = True
-        say(f"the view ends: {error}")
+    def _go_on_anew(self, full: RecordWriter, head: ScratchHead) -> None:
+        """Begin another record, which the view shows from now on, as after a rejected start."""
+        full.write_event(self._last_ns, EventKind.REJECTED, "restarted")
+        self._end()
+        aside = self._path.with_suffix(".old")
+        # not removed before the next is there, which the system might give the same number
+        self._path.rename(aside)
+        pixels_beside(self._path).unlink(missing_ok=True)
+        self.begin(self._last_ns, head)
+        aside.unlink()
 
     def _end(self) -> None:
         if self._writer is not None:
