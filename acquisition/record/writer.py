@@ -6,11 +6,10 @@ In a crash or a power failure at most the last second is lost.
 import json
 import secrets
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
-
-from numpy.typing import NDArray
 
 from acquisition.frame import Frame, Image
 from acquisition.record import pixels_beside
@@ -127,7 +126,11 @@ class RecordWriter:
             )
         self._numbers = McapFile(path, number_schemas(self._unit), reserve_bytes)
         self._pixels: McapFile | None = None
-        self._guarded(lambda: self._write_head({**(metadata or {}), "record": self._own}, attachments or {}))
+        with self._ending_after_errors():
+            write_metadata(self._numbers, {**(metadata or {}), "record": self._own}, time.time_ns())
+            for name, data in (attachments or {}).items():
+                self._attach(name, data)
+            self._flush()
 
     def __enter__(self) -> Self:
         return self
@@ -154,15 +157,15 @@ class RecordWriter:
         """
         self._check_unit(deflections.unit)
         rows = spot_rows(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
-        self._ready()
-        self._guarded(lambda: self._add_rows(sequences, deflections.times_ns.tolist(), rows))
-        self.flush_if_due()
-
-    def _add_rows(self, sequences: Sequence[int], times_ns: Sequence[int], rows: NDArray[Any]) -> None:
         data, size = rows.tobytes(), rows.dtype.itemsize
-        for place, (sequence, time_ns) in enumerate(zip(sequences, times_ns, strict=True)):
-            message = data[place * size : (place + 1) * size]
-            self._numbers.add(self._spot.topic, sequence, self._logged(time_ns), message)
+        self._ready()
+        with self._ending_after_errors():
+            for place, (sequence, time_ns) in enumerate(
+                zip(sequences, deflections.times_ns.tolist(), strict=True)
+            ):
+                message = data[place * size : (place + 1) * size]
+                self._numbers.add(self._spot.topic, sequence, self._logged(time_ns), message)
+        self.flush_if_due()
 
     def write_window(
         self, sequence: int, time_ns: int, image: Image, x0_px: int, y0_px: int, spot: Spot | None = None
@@ -173,28 +176,28 @@ class RecordWriter:
         With the fitted `spot` about half the bytes are written. It need not be correct.
         """
         data = self._encoder.encode(sequence, time_ns, image, x0_px, y0_px, spot)
-        self._add_pixels(WINDOW.topic, sequence, time_ns, data)
+        self._add(WINDOW.topic, time_ns, data, sequence)
 
     def write_image(self, frame: Frame) -> None:
         """Write a whole frame."""
         data = self._encoder.encode(frame.sequence, frame.time_ns, frame.image, 0, 0)
-        self._add_pixels(IMAGE.topic, frame.sequence, frame.time_ns, data)
+        self._add(IMAGE.topic, frame.time_ns, data, frame.sequence)
 
     def write_preview(self, frame: Frame) -> None:
         """Write a small picture of a whole frame, for the eye."""
         data = encode_preview(self._offset_ns + frame.time_ns, frame.image, self._full_scale_dn)
-        self._add_pixels(PREVIEW_TOPIC, frame.sequence, frame.time_ns, data)
+        self._add(PREVIEW_TOPIC, frame.time_ns, data, frame.sequence)
 
-    def _add_pixels(self, topic: str, sequence: int, time_ns: int, data: bytes) -> None:
-        self._ready()
+    def _with_pixels(self) -> McapFile:
+        """The file of pixels, made for the first of them."""
         if self._pixels is None:
-            path = pixels_beside(self.path)
             try:
-                self._pixels = pixels = McapFile(path, pixel_schemas(), self._reserve_bytes)
+                self._pixels = McapFile(pixels_beside(self.path), pixel_schemas(), self._reserve_bytes)
             except RecordError as error:
                 raise self._end_after(str(error)) from error
-            self._guarded(lambda: write_metadata(pixels, {"record": self._own}, time.time_ns()))
-        self._add(topic, time_ns, data, sequence)
+            with self._ending_after_errors():
+                write_metadata(self._pixels, {"record": self._own}, time.time_ns())
+        return self._pixels
 
     def write_swing(self, swing: Swing) -> None:
         """Write one half-cycle; amplitude and centre in `deflection_unit`."""
@@ -245,23 +248,26 @@ class RecordWriter:
     def attach(self, name: str, data: bytes) -> None:
         """Add a file to the record, beside those that it began with."""
         self._ready()
-        self._guarded(lambda: self._attach(name, data, time.time_ns()))
+        with self._ending_after_errors():
+            self._attach(name, data)
 
     def flush(self) -> None:
         """End the open chunks, force everything to the disk, and wait until that is done."""
         if not self._closed:
-            self._guarded(self._flush)
+            with self._ending_after_errors():
+                self._flush()
 
     def flush_if_due(self) -> None:
         """Flush without waiting for the disk, if `flush_interval_s` has elapsed since the last time."""
         if not self._closed and self._clock() - self._flushed_s >= self._flush_interval_s:
-            self._guarded(lambda: self._flush(wait=False))
+            with self._ending_after_errors():
+                self._flush(wait=False)
 
     def close(self) -> None:
         """Write the summaries and close the files; a second call does nothing."""
         if self._closed:
             return
-        self._guarded(self._flush)
+        self.flush()
         self._closed = True
         # the pixels first: a closed file of numbers means that the whole record is
         failures = [failure for file in reversed(self._files) if (failure := _finished(file))]
@@ -272,17 +278,9 @@ class RecordWriter:
     def _files(self) -> list[McapFile]:
         return [self._numbers] if self._pixels is None else [self._numbers, self._pixels]
 
-    def _write_head(
-        self, metadata: Mapping[str, Mapping[str, str]], attachments: Mapping[str, bytes]
-    ) -> None:
-        write_metadata(self._numbers, metadata, time.time_ns())
-        for name, data in attachments.items():
-            self._attach(name, data, time.time_ns())
-        self._flush()
-
-    def _attach(self, name: str, data: bytes, time_ns: int) -> None:
+    def _attach(self, name: str, data: bytes) -> None:
         media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-        self._numbers.add_attachment(name, media_type, data, time_ns)
+        self._numbers.add_attachment(name, media_type, data, time.time_ns())
 
     def _check_unit(self, unit: DeflectionUnit) -> None:
         if unit is not self._unit:
@@ -300,9 +298,9 @@ class RecordWriter:
         if sequence is None:
             sequence = self._sequence
             self._sequence += 1
-        pixels = self._pixels
-        file = pixels if pixels is not None and topic in pixels.channels else self._numbers
-        self._guarded(lambda: file.add(topic, sequence, self._logged(time_ns), data))
+        file = self._with_pixels() if topic in PIXEL_TOPICS else self._numbers
+        with self._ending_after_errors():
+            file.add(topic, sequence, self._logged(time_ns), data)
         self.flush_if_due()
 
     def _logged(self, time_ns: int) -> int:
@@ -316,12 +314,11 @@ class RecordWriter:
             file.flush(wait)
         self._flushed_s = self._clock()
 
-    def _guarded(self, action: Callable[[], None]) -> None:
-        """Perform an action on the file; if it fails, close the file as far as possible and raise
-        RecordError.
-        """
+    @contextmanager
+    def _ending_after_errors(self) -> Iterator[None]:
+        """If what is done with the files fails, close them as far as possible and raise RecordError."""
         try:
-            action()
+            yield
             failure = next((file.full for file in self._files if file.full is not None), None)
         except OSError as error:
             failure = error

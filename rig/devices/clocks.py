@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -221,11 +221,12 @@ _FIRST_NS, _BETWEEN_NS = 3_000_000_000, 10_000_000_000
 class ClockRate:
     """Keeps some hundred pairs of times, and puts a line through them every ten seconds of the run.
 
-    The line is found by a thread of its own: it takes 10 ms, for which frames would wait. Its
+    With `beside` the line is found by a thread of its own: it takes 10 ms, for which frames would wait. Its
     failure is raised by the next call.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, beside: bool = True) -> None:
+        self._beside = beside
         self._pairs: list[tuple[int, int, int]] = []
         self._every = 1
         self._passed = 0
@@ -244,6 +245,14 @@ class ClockRate:
                 self.pair(frame.sequence, frame.device_time_ns, frame.host_time_ns)
         return self.now
 
+    def take_rows(self, rows: NDArray[Any]) -> CameraClock:
+        """The same of rows of a record."""
+        rows = rows[:: max(1, len(rows) // _LOOKED_AT)]
+        for device_ns, host_ns, sequence in rows[["device_time_ns", "host_time_ns", "sequence"]].tolist():
+            if device_ns >= 0:
+                self.pair(sequence, device_ns, host_ns)
+        return self.now
+
     def pair(self, sequence: int, device_ns: int, host_ns: int) -> None:
         """Take one frame's times into account."""
         self._passed += 1
@@ -257,8 +266,11 @@ class ClockRate:
         if host_ns >= self._due_ns and (self._thread is None or not self._thread.is_alive()):
             self._due_ns = host_ns + _BETWEEN_NS
             table = np.array(self._pairs, dtype=np.int64)
-            self._thread = threading.Thread(target=self._look, args=(table,), name="clock", daemon=True)
-            self._thread.start()
+            if self._beside:
+                self._thread = threading.Thread(target=self._look, args=(table,), name="clock", daemon=True)
+                self._thread.start()
+            else:
+                self._look(table)
 
     @property
     def now(self) -> CameraClock:

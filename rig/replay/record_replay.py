@@ -1,10 +1,15 @@
 """The command `rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
 
 import math
-from collections.abc import Sequence
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import IO, Self
 
+from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.analysis import (
@@ -17,12 +22,13 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.instrument import recorded_configuration
+from rig.instrument import RunNow, configuration_attachments, recorded_configuration
 from rig.presentation import (
+    Keys,
     Shown,
     Table,
-    TimeLeft,
     answer,
+    columns_of,
     plain,
     print_line,
     print_tables,
@@ -31,14 +37,89 @@ from rig.presentation import (
     signed,
 )
 from rig.replay.comparison import Change, ReplayDifferences, parameter_changes
+from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
 from rig.settings import Configuration, Watched
+from rig.terminal import Terminated
+from rig.view import Mode, ScratchHead, ScratchView
 
-_MOST_FRAMES = {False: 10_000, True: 64}
-"""Frames processed at a time: with recorded spots, and tracked again."""
+_PLAIN_INTERVAL_S = 5.0
+_LINE_INTERVAL_S = 0.1
+_ERASE = "\r\x1b[K"
 _OF_ROUNDING_U = 0.01
 """Largest change, in standard uncertainties, that is put down to rounding."""
 _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
+
+
+class ReplayLine:
+    """A progress line that is updated on a terminal; elsewhere a new line every few seconds.
+
+    On a terminal `help_text` is printed first.
+    """
+
+    def __init__(
+        self,
+        unit: str,
+        help_text: str = "",
+        *,
+        stream: IO[str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._stream = sys.stderr if stream is None else stream
+        self._terminal = self._stream.isatty()
+        self._unit = unit
+        self._help = help_text
+        self._clock = clock
+        self._shown_s = clock() if not self._terminal else -math.inf
+        self._shown = ""
+
+    def __enter__(self) -> Self:
+        if self._terminal and self._help:
+            self._stream.write(f"keys: {self._help}\n")
+            self._stream.flush()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self._terminal and self._shown:
+            self._stream.write("\n")
+            self._stream.flush()
+
+    def show(
+        self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
+    ) -> None:
+        """Update the line."""
+        now_s = self._clock()
+        interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
+        # the effect of a key is shown immediately
+        moving = not paused and prompt is None and now.elapsed_s < length_s
+        if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
+            return
+        doing = "paused" if paused else "replaying"
+        text = prompt if prompt is None else f"go to (seconds from the start, Enter): {prompt}"
+        text = text or self._text(now, doing, length_s, remaining_s)
+        if not self._terminal:
+            self._shown_s = now_s
+            self._stream.write(f"{text}\n")
+            self._stream.flush()
+        elif text != self._shown:
+            self._shown_s, self._shown = now_s, text
+            self._stream.write(_ERASE + text)
+            self._stream.flush()
+
+    def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
+        columns = columns_of(self._stream)
+        part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
+        amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
+        clock = f"  clock {state.clock.text}" if state.clock.text else ""
+        left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
+        begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
+        half_cycles = f"  {state.half_cycles} half-cycles"
+        texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
+        # a line that is wrapped could not be written over; the first of these is missed least
+        for place, _ in enumerate(texts):
+            if columns and len(begin) + sum(map(len, texts)) >= columns:
+                texts[place] = ""
+        return begin + "".join((texts[0], *texts[2:4], texts[1], texts[4]))
 
 
 def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
@@ -118,20 +199,49 @@ def _largest(change_u: float, where: str, once: int, changed: int) -> str:
     return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
 
 
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(max(seconds, 0.0)), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+_LOOK_S = 0.2
+
+
+def _events(reader: RecordReader) -> list[Event]:
+    """Events and notes in order of time."""
+    return sorted([*reader.events(), *(note.event for note in reader.notes())], key=lambda one: one.time_ns)
+
+
+def speed_of(text: str) -> float:
+    """Speed from a positive number or ``max`` (infinite); raises ConfigurationError for anything else."""
+    try:
+        speed = math.inf if text == "max" else float(text)
+    except ValueError:
+        speed = math.nan
+    if not speed > 0:
+        raise ConfigurationError(f"--speed {text}: must be a number above 0, or max")
+    return speed
+
+
 def replay_record(
     record: Path,
     output: Path | None,
     *,
     retrack: bool,
     overrides: Sequence[str],
+    speed: str = "max",
     from_s: float = 0.0,
     to_s: float = math.inf,
+    mode: Mode = "none",
+    rrd: Path | None = None,
 ) -> int:
     """Replay, compare and fit; writes results.json into `output` if given. Returns the exit status.
 
-    Raises ConfigurationError for invalid times, and RecordError for a file that cannot be replayed, before
-    anything is written.
+    Raises ConfigurationError for an invalid speed or invalid times, and RecordError for a file that
+    cannot be replayed, before anything is written; RecordError at the end where the Rerun file is not whole.
     """
+    pace = speed_of(speed)
     if not 0 <= from_s < to_s:
         raise ConfigurationError(
             f"--from {from_s:g} --to {to_s:g}: the part must begin before it ends, from 0 on"
@@ -142,23 +252,62 @@ def replay_record(
         config = watched.config
         if reader.truncated:
             say(reader.cut_notice)
-        replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s)
-        result = _through(replay, retrack)
+        wants_view = mode != "none" or rrd is not None
+        replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s, pictures=wants_view)
+        with ExitStack() as stack:
+            view = None
+            if wants_view:
+                name = f"replay of {record.stem}"
+                view = stack.enter_context(ScratchView(name, mode, rrd, "measuring", math.inf))
+                attachments = {**reader.attachments, **configuration_attachments(config, Path())}
+                metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
+                view.begin(replay.start_ns, ScratchHead(metadata, attachments, config.deflection_unit))
+            keys = stack.enter_context(Keys())
+            line = stack.enter_context(ReplayLine(config.deflection_unit.shown, HELP if keys.there else ""))
+            player = Player(
+                replay,
+                pace,
+                keys,
+                line,
+                retrack=retrack,
+                view=view,
+                events=_events(reader) if wants_view else [],
+            )
+            player.play()
+            result = player.finish()
+            if mode == "web" and not player.ended_by_user:
+                say("the page has all of it and stays until q or Ctrl-C; the results follow then")
+                _stay(keys)
+        partial = replay.partial or replay.sought or player.ended_by_user
         run = replace(_analysed(reader, config, result), watched=watched)
-        if replay.partial:
-            part = f"replayed from {from_s:.2f} s to {replay.position_s:.2f} s of the record"
+        if partial:
+            part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
             # the record's end is not that of the part
             found = replace(run.results, ended=None, warnings=(part, *run.results.warnings))
             run = replace(run, results=found)
     results = session_results([run], output or record.parent)
-    _say_differences(record, result, run, partial=replay.partial, retracked=retrack)
+    _say_differences(record, replay, result, run, partial=partial, retracked=retrack)
     print_results(results, [])
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
         write_results(output / RESULTS_NAME, results)
         answer(written=[output / RESULTS_NAME])
         print(f"results      {output / RESULTS_NAME}")
-    return 1 if run.results.problem and config.lever is not None and not replay.partial else 0
+    if rrd is not None:
+        answer(written=[rrd])
+        print(f"Rerun file   {rrd}")
+    return 1 if run.results.problem and config.lever is not None and not partial else 0
+
+
+def _stay(keys: Keys) -> None:
+    """Wait for the key q, or Ctrl-C, which end no more than the page."""
+    try:
+        while "q" not in keys.pressed(_LOOK_S):
+            pass
+    except Terminated:
+        raise
+    except KeyboardInterrupt:
+        pass
 
 
 def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = ()) -> AnalysedRun:
@@ -168,14 +317,10 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
     """
     with RecordReader(record) as reader:
         config = recorded_configuration(reader, overrides)
-        return _analysed(reader, config, _through(Replay(reader, config, retrack=retrack), retrack))
-
-
-def _through(replay: Replay, retrack: bool) -> Replayed:
-    left = TimeLeft("seconds replayed")
-    while replay.advance(_MOST_FRAMES[retrack]) is not None:
-        left(round(replay.position_s), round(replay.length_s))
-    return replay.finish()
+        replay = Replay(reader, config, retrack=retrack)
+        while replay.advance(math.inf, MOST_FRAMES[retrack]) is not None:
+            pass
+        return _analysed(reader, config, replay.finish())
 
 
 def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> AnalysedRun:
@@ -191,9 +336,15 @@ def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> 
 
 
 def _say_differences(
-    record: Path, result: Replayed, run: AnalysedRun, *, partial: bool, retracked: bool
+    record: Path, replay: Replay, result: Replayed, run: AnalysedRun, *, partial: bool, retracked: bool
 ) -> None:
     """Print differences from the recorded spots, half-cycles and fitted parameters."""
+    if replay.sought:
+        print_line(
+            f"restarted at {replay.begun_s:.2f} s by going back: "
+            "the results are not compared with the recorded ones"
+        )
+        return
     answer(comparison=result.comparison)
     print_comparison(result.comparison, partial=partial, retracked=retracked)
     if partial:

@@ -19,6 +19,7 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot, SpotFlag
+from processing.swing import Swing
 from rig.instrument import Block
 from rig.presentation import say
 from rig.view.launch import RunningView
@@ -90,14 +91,20 @@ class ScratchView:
             deflection_unit=head.unit,
         )
 
-    def block(self, block: Block, frames: Sequence[Frame] = (), shift_ns: int = 0) -> None:
+    def block(
+        self,
+        block: Block,
+        frames: Sequence[Frame] = (),
+        shift_ns: int = 0,
+        sequences: Sequence[int] | None = None,
+    ) -> None:
         """Spots, half-cycles and balances, and a picture now and then; `shift_ns` is taken off all times.
 
-        Frames are numbered as they come.
+        Frames are numbered as they come unless their `sequences` are given.
         """
         found = replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns)
         times_ns = found.times_ns.tolist()
-        numbers = range(self._sequence, self._sequence + len(times_ns))
+        numbers = sequences or range(self._sequence, self._sequence + len(times_ns))
         self._sequence = numbers[-1] + 1 if times_ns else self._sequence
         self._last_ns = times_ns[-1] if times_ns else self._last_ns
 
@@ -113,13 +120,20 @@ class ScratchView:
             writer.flush_if_due()
 
         self._written(write)
-        for frame in frames[-1:]:
-            self._picture(Frame(frame.image, self._sequence - 1, frame.time_ns - shift_ns, 0))
+        for frame in frames if sequences else frames[-1:]:
+            number = frame.sequence if sequences else self._sequence - 1
+            self._picture(Frame(frame.image, number, frame.time_ns - shift_ns, 0))
 
     def _picture(self, frame: Frame) -> None:
         if frame.time_ns >= self._picture_due_ns:
             self._picture_due_ns = frame.time_ns + _PICTURE_NS
             self._written(lambda writer: writer.write_preview(frame))
+
+    def half_cycles(self, swings: list[Swing]) -> None:
+        """Half-cycles that are complete only at the end."""
+        none = np.empty(0)
+        nothing = Deflections(np.empty(0, dtype=np.int64), none, none, none, none, self._unit)
+        self.block(Block([], nothing, swings, []))
 
     def look(self, frame: Frame, spot: Spot) -> None:
         """A frame and the spot in it, where no deflection is measured."""
@@ -137,20 +151,8 @@ class ScratchView:
 
     def restart(self, time_ns: int) -> None:
         """Begin another record, which the view shows from now on."""
-        if self._head is None or self._failed:
-            return
-        try:
-            # as of a rejected start, so that the view goes on with the next
-            self.event(Event(self._last_ns, EventKind.REJECTED, "restarted"))
-            self._end()
-            aside = self._path.with_suffix(".old")
-            # not removed before the next is there, which the system might give the same number
-            self._path.rename(aside)
-            pixels_beside(self._path).unlink(missing_ok=True)
-            self.begin(time_ns, self._head)
-            aside.unlink()
-        except (OSError, RecordError) as error:
-            self._fail(error)
+        self._last_ns = time_ns
+        self._written(self._go_on_anew)
 
     def flush(self) -> None:
         """Have all shown that was written."""
@@ -163,19 +165,29 @@ class ScratchView:
 
     def _written(self, write: Callable[[RecordWriter], None]) -> None:
         """Write into the record, where there is one that can be written."""
-        if self._writer is not None and not self._failed and self._writer.bytes_written > self._most_bytes:
-            self.restart(self._last_ns)
         if self._writer is None or self._failed:
             return
         try:
+            if self._writer.bytes_written > self._most_bytes:
+                self._go_on_anew(self._writer)
             write(self._writer)
-        except RecordError as error:
-            self._fail(error)
+        except (OSError, RecordError) as error:
+            # the view ends, and nothing else
+            self._failed = True
+            say(f"the view ends: {error}")
 
-    def _fail(self, error: Exception) -> None:
-        """The view ends, and nothing else."""
-        self._failed = True
-        say(f"the view ends: {error}")
+    def _go_on_anew(self, full: RecordWriter) -> None:
+        """Begin another record, as after a rejected start."""
+        if self._head is None:
+            return
+        full.write_event(self._last_ns, EventKind.REJECTED, "restarted")
+        self._end()
+        aside = self._path.with_suffix(".old")
+        # not removed before the next is there, which the system might give the same number
+        self._path.rename(aside)
+        pixels_beside(self._path).unlink(missing_ok=True)
+        self.begin(self._last_ns, self._head)
+        aside.unlink()
 
     def _end(self) -> None:
         if self._writer is not None:

@@ -16,6 +16,7 @@ NEW_FILES = {
     ("archive", "list"): ("out.csv", "-o"),
     ("camera", "snap", DEMO): ("out.png", "-o"),
     ("camera", "align", DEMO): ("out.rrd", "--rrd"),
+    ("replay", "no.mcap"): ("out.rrd", "--rrd"),
     ("view", "no.mcap"): ("out.rrd", "--rrd"),
     ("run", DEMO, "--record-only"): ("out.mcap", "-o"),
     ("record", "recover", "no.mcap"): ("out.mcap", "-o"),
