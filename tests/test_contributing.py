@@ -105,9 +105,9 @@ def test_a_laser_passes_the_tests_of_lasers(tree: Path) -> None:
 def test_a_quantity_of_the_results_stands_in_every_file(tree: Path) -> None:
     said = run_all(tree, "Adding a quantity of the results")
     assert "1 passed" in said["pytest tests/processing/fit/test_mean_pressure.py"]
-    rows = (tree / "runs/pressure-csv/run-1-results.csv").read_text(encoding="utf-8").splitlines()
-    (line,) = [row for row in rows if row.startswith('"budget.mean_pressure_pa.value"')]
-    assert line.endswith('"Pa"')
+    rows = (tree / "runs/pressure-csv/run-1-table.csv").read_text(encoding="utf-8").splitlines()
+    (line,) = [row for row in rows if row.startswith('"mean_pressure_pa","exact",')]
+    assert '"determined","Pa"' in line
 
 
 RECORDED = """

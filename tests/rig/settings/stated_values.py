@@ -101,7 +101,7 @@ def instrument(config: Configuration) -> Any:
                 reduce_run(settings, FollowedPlane(_decay(b), PassingDeflections([], RAD)), air, [error])
                 for b in (0.01, 0.02, 0.03)
             ]
-            found.append([run.values for run in runs])
+            found.append([(run.values, [tuple(row) for row in run.rows]) for run in runs])
             found.append(repr(reduce_series(runs)))
     return repr(found)
 
