@@ -247,9 +247,10 @@ def drag_table(results: RunResults) -> Table:
     rows += [["of_data_s", drag.of_data_s.value], ["u_of_data_s", drag.of_data_s.standard_uncertainty]]
     rows += [[key, getattr(drag, key)] for key in keys]
     rows.append(["significant", str(drag.significant)])
+    unit = " s" if math.isfinite(drag.drag_s.value) else ""
     shown = [
-        ["linear drag", f"{quantity('drag_s').text(*drag.drag_s) if row is None else row.text} s"],
-        ["by decay and waveform alone", f"{quantity('drag_s').text(*drag.of_data_s)} s"],
+        ["linear drag", f"{quantity('drag_s').text(*drag.drag_s)}{unit}" if row is None else f"{row.text} s"],
+        ["by decay and waveform alone", f"{quantity('drag_s').text(*drag.of_data_s)}{unit}"],
         *_of_air(drag.of_air),
         ["F-test", f"F = {plain(drag.f_statistic, 3)}, p-value without a drag {plain(drag.p_value, 2)}"],
     ]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import patch
 
-from processing.errors import DataError
 from rig.cli import main
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -94,13 +93,6 @@ def figures_are_not_drawn() -> Iterator[None]:
         patch("rig.report.session_report.svg", return_value=b"<svg/>"),
         patch("rig.report.session_report.png", return_value=b""),
     ):
-        yield
-
-
-@contextlib.contextmanager
-def drag_is_not_judged() -> Iterator[None]:
-    """Fits have no verdict on a drag, which takes most of a short run's time and is tested by itself."""
-    with patch("rig.analysis.contact_verdicts.drag_verdict", side_effect=DataError("left out here")):
         yield
 
 

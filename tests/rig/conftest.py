@@ -9,7 +9,7 @@ import pytest
 
 from rig.measure.session import measure_session
 from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, SMALL, drag_is_not_judged
+from tests.rig.command_line import CONFIGS, SMALL
 
 APPARATUS = (
     "lever.arm_m=1.0",
@@ -30,13 +30,6 @@ def rig_states(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
     monkeypatch.setenv("XDG_STATE_HOME", str(place))
     monkeypatch.setenv("XDG_DATA_HOME", str(place / "data"))
     return place
-
-
-@pytest.fixture
-def no_drag_verdict() -> Iterator[None]:
-    """For a file whose fits are of interest and what they say of a drag is not."""
-    with drag_is_not_judged():
-        yield
 
 
 @pytest.fixture(scope="session")

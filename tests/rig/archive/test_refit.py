@@ -14,8 +14,6 @@ from rig.replay import analyse_replayed
 from tests.rig.archive.deadly import Deadly, outcome_of
 from tests.rig.command_line import rig
 
-pytestmark = pytest.mark.usefixtures("no_drag_verdict")
-
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 

@@ -102,7 +102,6 @@ def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: 
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("no_drag_verdict")
 def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
     (run,) = read_results(recorded.parent).runs
     assert "reference spot: x used, y used" in run.notes
