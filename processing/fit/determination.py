@@ -367,15 +367,13 @@ def _determination(
     )
 
 
-def strong_correlations(
-    result: FitResult, limit: float = STRONG_CORRELATION
-) -> tuple[tuple[str, str, float], ...]:
+def strong_correlations(result: FitResult) -> tuple[tuple[str, str, float], ...]:
     """Pairs of strongly correlated parameters, strongest correlation first."""
     matrix = result.correlation
     pairs = [
         (result.names[i], result.names[j], float(matrix[i, j]))
         for i in range(len(matrix))
         for j in range(i)
-        if abs(matrix[i, j]) >= limit
+        if abs(matrix[i, j]) >= STRONG_CORRELATION
     ]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
