@@ -151,7 +151,7 @@ def solve(
 
 
 def differenced(residuals: Callable[[Floats], Floats]) -> Model:
-    """A model with central differences in the place of derivatives, over a millionth of each value, or of 1."""
+    """A model with central differences for derivatives, over a millionth of each value or of 1."""
 
     def model(values: Floats) -> tuple[Floats, Floats]:
         steps = 1e-6 * np.maximum(np.abs(values), 1.0)
