@@ -150,11 +150,11 @@ def solve(
     )
 
 
-def differenced(residuals: Callable[[Floats], Floats], step: float = 1e-6) -> Model:
-    """A model with central differences in the place of derivatives, over a part of each value or of one."""
+def differenced(residuals: Callable[[Floats], Floats]) -> Model:
+    """A model with central differences for derivatives, over a millionth of each value or of 1."""
 
     def model(values: Floats) -> tuple[Floats, Floats]:
-        steps = step * np.maximum(np.abs(values), 1.0)
+        steps = 1e-6 * np.maximum(np.abs(values), 1.0)
         columns = [
             (residuals(values + one) - residuals(values - one)) / (2.0 * size)
             for one, size in zip(np.diag(steps), steps.tolist(), strict=True)

@@ -81,9 +81,9 @@ def plain(value: float, digits: int = 4) -> str:
     return mantissa.replace("-", MINUS) + power(exponent)
 
 
-def signed(value: float, digits: int = 2) -> str:
+def signed(value: float) -> str:
     """A difference: a number with its sign, `+0.12`, `−2.0 × 10⁻⁵`."""
-    return ("+" if value > 0 else "") + plain(value, digits)
+    return ("+" if value > 0 else "") + plain(value, 2)
 
 
 def decimals(value: float, places: int, *, sign: bool = False) -> str:

@@ -33,17 +33,17 @@ _SOON_FORGETS: Final = 0.2
 """Probabilities, before anything is seen, that noise is white, and that it forgets within a part."""
 
 
-def part_means(values: Array, parts: int = PARTS) -> Array:
+def part_means(values: Array) -> Array:
     """Means of consecutive equal parts of values (n,) or (n, k), along the first axis."""
-    count = min(parts, len(values))
+    count = min(PARTS, len(values))
     edges = np.linspace(0, len(values), count + 1).round().astype(int)
     sums = np.add.reduceat(values, edges[:-1], axis=0)
     lengths = np.diff(edges)
     return np.asarray(sums / (lengths if values.ndim == 1 else lengths[:, None]))
 
 
-def u_of_wandering(design: Array, residual: Array, column: int = 0) -> float:
-    """Standard uncertainty of one coefficient of a linear fit to evenly spaced means.
+def u_of_wandering(design: Array, residual: Array) -> float:
+    """Standard uncertainty of the first coefficient of a linear fit to evenly spaced means.
 
     Parameters
     ----------
@@ -51,8 +51,6 @@ def u_of_wandering(design: Array, residual: Array, column: int = 0) -> float:
         Means of the fit's columns over the parts; more parts than columns by 8 at least.
     residual : (m,)
         What the fit, of equal weights, left of them.
-    column
-        Of the coefficient whose uncertainty is wanted.
 
     Raises
     ------
@@ -68,7 +66,7 @@ def u_of_wandering(design: Array, residual: Array, column: int = 0) -> float:
     whole, _ = np.linalg.qr(design, mode="complete")
     outside = whole[:, columns:]
     left = outside.T @ residual
-    to_slope = np.linalg.pinv(design)[column]
+    to_slope = np.linalg.pinv(design)[0]
     logs, variances = [], []
     for probability, covariance in _models(count, outside):
         inner = np.linalg.cholesky(outside.T @ covariance @ outside)

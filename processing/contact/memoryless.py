@@ -42,12 +42,12 @@ _PER_OCTAVE, _BEYOND, _FEWEST = 24, 2, 4
 """Amplitudes of a table in a factor of two, how many of them lie beyond either end, and the fewest."""
 _NODES = 20
 """Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
-_ROUNDS, _SETTLED, _NEAR = 60, 1e-14, 1e-9
+_ROUNDS, _SETTLED, _NEAR = 60, 1e-12, 1e-9
 """Most iterations, and the relative change at which they end: of those by a drag, which gain its moment over
 the weight's each time, and of Newton's, which square it."""
-_OF_DRAG = 1e-11
+_OF_DRAG = 1e-9
 """Last change of derivatives through the speed at which a drag works, relative."""
-_TIGHT, _TIGHT_ENOUGH = 5, 1e-11
+_TIGHT, _TIGHT_ENOUGH = 5, 1e-9
 """Rounds of the next amplitude and the drag before it, and the change at which they end: each gains a
 hundredth of the drag's moment."""
 
@@ -176,10 +176,15 @@ def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: 
     return _Quarter(time, by_time, lost, lost_by, *at_turn)
 
 
-def _turning(moments: Moments, highest: Floats, energy: Floats, lost: Floats) -> Floats:
-    """The amplitudes below `highest` at which A'^2/2 - V + D + lost A'^2 is an energy; NaN where none is."""
+def _turning(
+    moments: Moments, highest: Floats, energy: Floats, lost: Floats, near: Floats | None = None
+) -> Floats:
+    """The amplitudes below `highest` at which A'^2/2 - V + D + lost A'^2 is an energy; NaN where none is.
+
+    The search begins `near` them, or at the highest.
+    """
     friction, elastic = moments.friction, moments.elastic
-    x = highest
+    x = highest if near is None else np.where(np.isfinite(near), near, highest)
     for _ in range(_ROUNDS):
         above = (0.5 + lost) * x**2 - elastic.work(x)[0] + friction.work(x)[0]
         slope = (1 + 2 * lost) * x - elastic.moment(x) + friction.moment(x)
@@ -214,7 +219,7 @@ def _rows(moments: Moments, a: Floats, drag: float, count: int) -> Floats:
     if drag:
         for _ in range(_TIGHT):
             lost = _quarter(moments, following, drag, -1.0, derived=False).lost
-            before, following = following, _turning(moments, a, energy, drag * lost)
+            before, following = following, _turning(moments, a, energy, drag * lost, following)
             if not np.any(np.abs(following - before) > _TIGHT_ENOUGH * a):
                 break
     coming = _quarter(moments, following, drag, -1.0)

@@ -16,14 +16,18 @@ from processing.contact.laws import DRAG
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate, FitMethod
 from processing.fit.determination import profile_likelihood
-from processing.fit.exact import fit_exact, fit_exact_with
+from processing.fit.exact import fit_exact, fit_exact_with, start_near
+from processing.fit.exact_model import ExactModel
 from processing.fit.result import STEEPER, FitResult, SteeperDrag
 from processing.fit.terms import Linearised, Term
+from processing.least_squares import Factored, propagate
 from processing.number_text import plain, with_uncertainty
 from processing.swing import TurningPoints
 
 SIGNIFICANT = 0.003
 """Significance level of the test: the two-sided probability of three standard deviations."""
+_POSSIBLE = 0.05
+"""Probability by chance of what a linear look finds, below which a fit with a drag is made whatever b is."""
 _ALIKE = 0.2
 """Difference of two tests of the drag, by curvature and by likelihood, above which chi2 is no parabola."""
 _TWO_SIDED = 0.90
@@ -54,7 +58,8 @@ class Drag:
     drag_s
         Of the reported fit, with prior knowledge; for a fit in vacuum, from the data.
     of_data_s
-        From decay and waveform alone. Where chi2 is not a parabola, the uncertainty agrees with the test:
+        From decay and waveform alone; not determined where a drag could be all of the friction.
+        Where chi2 is not a parabola, the uncertainty agrees with the test:
         infinite if the decay is described equally well without a drag.
     known_s
         Prior knowledge: the estimate for air, or a measured value; None if left open.
@@ -97,10 +102,15 @@ class Drag:
 def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Drag:
     """What the data of an exact fit say of a drag; without one in the fit, it is fitted with it.
 
+    Where a drag could be all of the friction, no such fit is made: it would end anywhere along a valley.
+    Value, bound and shifts are not determined then.
+
     Raises DataError for another method, or where a fit does not converge.
     """
     if fit.method is not FitMethod.EXACT:
         raise DataError("the drag verdict is of an exact fit")
+    if not fit.has_drag and (inseparable := _inseparable(points, pendulum, fit)) is not None:
+        return inseparable
     of_waveform, known_s = replace(fit.evidence, drag_s=None), fit.evidence.drag_s
     if fit.has_drag:
         like = replace(fit, evidence=of_waveform)
@@ -124,6 +134,32 @@ def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
         relative_shift_c=_shift(before.parameters.c, after.parameters.c),
         finding=_finding(alone, fit, test),
     )
+
+
+def _inseparable(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Drag | None:
+    """The verdict on a decay that cannot tell a drag from friction at all; None where fits must say.
+
+    One step from the fit without a drag: a drag is likely by chance, and beside it b is as uncertain as it is
+    large.
+    """
+    from scipy.special import fdtrc
+
+    model = ExactModel(points.first(fit.half_cycles), pendulum, law=fit.law, drag=True, evidence=fit.evidence)
+    start = next(start_near(model, fit), None)
+    if start is None or fit.ground is None:
+        return None
+    here = model.on_ground(start, model.noise_of(fit), fit.ground.measurement_scale).about(start)
+    residuals, jacobian = here(start)
+    step, by = Factored(jacobian), model.columns.physical(start)[1]
+    scale = max(1.0, fit.chi2_per_dof) if fit.loss == "linear" else 1.0
+    left = step.left(residuals)
+    f_statistic = max(0.0, float(residuals @ residuals - left @ left)) / scale
+    p_value = float(fdtrc(1, fit.dof - 1, f_statistic))
+    b = model.names.index(fit.contact_names[0])
+    u_b = sqrt(propagate(by, step.covariance())[b, b] * scale)
+    if p_value < _POSSIBLE or u_b < abs(fit.estimate(fit.contact_names[0]).value):
+        return None
+    return Drag(f_statistic=f_statistic, p_value=p_value)
 
 
 class _Test(NamedTuple):

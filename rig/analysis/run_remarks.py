@@ -269,7 +269,8 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow]) -> str:
                 f"part of all others{moved}"
             )
         case DragFinding.OPEN:
-            said = f"{shown.text(*drag.drag_s)} s; state what you know of the air (fit.drag)"
+            known = f"{shown.text(*drag.drag_s)} s; " if isfinite(drag.drag_s.value) else ""
+            said = f"{known}state what you know of the air (fit.drag)"
         case _:
             said = (
                 f"{shown.text(*drag.of_data_s)} s, with a probability of {plain(drag.p_value, 2)} by chance"

@@ -37,7 +37,7 @@ _STIFFEST = 20.0
 which parameters are tried."""
 
 
-def friction_moment(b: float, p: float, c: float, places: tuple[int, ...] = (0, 1, 2)) -> Moment:
+def friction_moment(b: float, p: float, c: float) -> Moment:
     """Eq. 1."""
 
     def moment(x: Floats) -> Floats:
@@ -47,7 +47,7 @@ def friction_moment(b: float, p: float, c: float, places: tuple[int, ...] = (0, 
         power = x ** (p + 1) / (p + 1)
         return np.array([b * power + c * x, power, b * power * (np.log(x) - 1 / (p + 1)), x])
 
-    return Moment(places, moment, work)
+    return Moment((0, 1, 2), moment, work)
 
 
 def elastic_moment(n: float, kappa: float, rho: float, places: tuple[int, ...]) -> Moment:

@@ -125,6 +125,20 @@ def test_in_vacuum_none_is_seen_only_where_it_could_not_move_the_b_that_is_print
     assert drag_verdict(points, pendulum, vacuum).finding is DragFinding.OPEN
 
 
+def test_a_decay_in_which_a_drag_could_be_all_of_the_friction_is_open_without_a_fit_of_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of 35 half-cycles a fit with a drag ended at 0.002(59) s, 35 times the air's, and said that none is."""
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=100)
+    vacuum = fit_exact(points, pendulum)
+    monkeypatch.setattr("processing.fit.drag.fit_exact", pytest.fail)
+    verdict = drag_verdict(points, pendulum, vacuum)
+    assert verdict.finding is DragFinding.OPEN
+    assert verdict.upper_95_s == np.inf
+    assert 0.003 < verdict.p_value < 1.0
+
+
 def test_what_is_known_of_the_air_is_taken_off_what_the_data_say() -> None:
     """A prior moves the reported drag and leaves the verdict of the data as it is."""
     parameters, pendulum = paper_pair("silicon", 1e-3)
