@@ -5,5 +5,5 @@ keeps their states. Nothing here asks a device, a session or a page.
 """
 
 from rig.alarms.alarm_list import AlarmList, AlarmRow, AlarmState
-from rig.alarms.catalogue import CATALOGUE, Alarm, AlarmKey, Grade
+from rig.alarms.catalogue import CATALOGUE, AlarmKey, Grade
 from rig.alarms.what_raises import OF_CAMERA, EndedSession, HowEnded, Seen, conditions, happened

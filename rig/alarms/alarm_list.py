@@ -1,19 +1,13 @@
-"""The states of alarms: active, cleared, acknowledged, shelved, with the times of each."""
+"""The states of alarms: active, cleared, acknowledged, with the times of each."""
 
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from time import time
 
-from pydantic import TypeAdapter, ValidationError
-
 from processing.errors import RigError
 from rig.alarms.catalogue import CATALOGUE, Alarm, AlarmKey, Grade
-
-_PAST_KEPT = 200
-_SHELF_S = 600.0
 
 
 class AlarmState(StrEnum):
@@ -25,8 +19,6 @@ class AlarmState(StrEnum):
     """Its cause is gone, and nobody has acknowledged it."""
     ACKNOWLEDGED = "acknowledged"
     """Somebody has seen it, and its cause is still there."""
-    SHELVED = "shelved"
-    """Put aside by a person for a stated time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +34,6 @@ class AlarmRow:
     raised_s: float
     cleared_s: float | None = None
     acknowledged_s: float | None = None
-    shelved_until_s: float | None = None
     times: int = 1
     earlier: bool = False
 
@@ -54,8 +45,6 @@ class AlarmRow:
     @property
     def state(self) -> AlarmState:
         """How it stands."""
-        if self.shelved_until_s is not None:
-            return AlarmState.SHELVED
         if self.acknowledged_s is not None:
             return AlarmState.ACKNOWLEDGED
         return AlarmState.ACTIVE if self.cleared_s is None else AlarmState.CLEARED
@@ -65,15 +54,6 @@ class AlarmRow:
         """Whether it is to be heard: it is there, matters, and nobody has seen it yet."""
         matters = self.alarm.grade is not Grade.CAUTION and not self.earlier
         return matters and self.state is AlarmState.ACTIVE
-
-
-@dataclass(frozen=True, slots=True)
-class _Kept:
-    rows: tuple[AlarmRow, ...] = ()
-    past: tuple[AlarmRow, ...] = ()
-
-
-_KEPT = TypeAdapter(_Kept)
 
 
 class AlarmList:
@@ -87,7 +67,6 @@ class AlarmList:
         self._rows: dict[AlarmKey, AlarmRow] = {}
         self._since_s: dict[AlarmKey, float] = {}
         self._lock = threading.Lock()
-        self.past: deque[AlarmRow] = deque(maxlen=_PAST_KEPT)
 
     def see(self, conditions: Mapping[AlarmKey, str], happened: Iterable[tuple[AlarmKey, str]] = ()) -> None:
         """What holds at this moment, each with its cause, and what has happened since the last call.
@@ -106,9 +85,7 @@ class AlarmList:
                     self._raise(key, cause, now_s, again=False)
             for key in [key for key in self._since_s if key not in conditions]:
                 del self._since_s[key]
-            for key, row in list(self._rows.items()):
-                if row.shelved_until_s is not None and row.shelved_until_s <= now_s:
-                    self._rows[key] = replace(row, shelved_until_s=None)
+            for key in list(self._rows):
                 if key not in conditions and not CATALOGUE[key].latched:
                     self._clear(key, now_s)
 
@@ -124,26 +101,6 @@ class AlarmList:
         with self._lock:
             return sorted(self._rows.values(), key=_order)
 
-    def kept(self) -> bytes:
-        """The list and what has left it, for a file from which `restore` makes them again."""
-        with self._lock:
-            return _KEPT.dump_json(_Kept(tuple(self._rows.values()), tuple(self.past)))
-
-    def restore(self, kept: bytes) -> None:
-        """Go on with the list of an earlier desk; what is no such list is passed over.
-
-        What nobody has seen stays to be seen, and is heard where its cause is found again. A cause that is
-        not is gone, as of now.
-        """
-        try:
-            found = _KEPT.validate_json(kept)
-        except ValidationError:
-            return
-        with self._lock:
-            for row in found.rows:
-                self._rows.setdefault(row.key, replace(row, earlier=True))
-            self.past.extend(found.past)
-
     def acknowledge(self, key: AlarmKey) -> None:
         """Somebody has seen it; one whose cause is gone leaves the list.
 
@@ -152,20 +109,12 @@ class AlarmList:
         with self._lock:
             row = self._row(key)
             if row.alarm.by_leave and row.cleared_s is None:
-                raise RigError(f"{row.alarm.title}: {row.alarm.remedy}")
-            seen = replace(row, acknowledged_s=self._clock(), shelved_until_s=None)
+                raise RigError(f"{key}: {row.alarm.remedy}")
+            seen = replace(row, acknowledged_s=self._clock())
             if row.alarm.latched and seen.cleared_s is None and key not in self._since_s:
                 seen = replace(seen, cleared_s=seen.acknowledged_s)
             self._rows[key] = seen
             self._leave_if_over(key)
-
-    def shelve(self, key: AlarmKey) -> None:
-        """Put it aside for ten minutes; it comes back by itself. Raises RigError for danger, which stays."""
-        with self._lock:
-            row = self._row(key)
-            if row.alarm.grade is Grade.DANGER:
-                raise RigError(f"{row.alarm.title}: danger is not shelved; {row.alarm.remedy}")
-            self._rows[key] = replace(row, shelved_until_s=self._clock() + _SHELF_S)
 
     def _row(self, key: AlarmKey) -> AlarmRow:
         row = self._rows.get(key)
@@ -180,9 +129,7 @@ class AlarmList:
             self._rows[key] = AlarmRow(key, cause, now_s)
         elif again or row.cleared_s is not None:
             # it comes again: whoever has seen the last one has not seen this one
-            self._rows[key] = AlarmRow(
-                key, cause, now_s, shelved_until_s=row.shelved_until_s, times=row.times + 1
-            )
+            self._rows[key] = AlarmRow(key, cause, now_s, times=row.times + 1)
         elif row.earlier or row.cause != cause:
             self._rows[key] = replace(row, cause=cause, earlier=False)
 
@@ -199,7 +146,6 @@ class AlarmList:
     def _leave_if_over(self, key: AlarmKey) -> None:
         row = self._rows[key]
         if row.cleared_s is not None and row.acknowledged_s is not None:
-            self.past.appendleft(replace(row, shelved_until_s=None))
             del self._rows[key]
 
 

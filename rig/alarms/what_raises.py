@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Final
 
-from acquisition.record.events import EventKind
+from acquisition.record.events import EventKind, Level, level_of
 from rig.alarms.catalogue import AlarmKey
 from rig.control import STALE_S, ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.instrument import Phase
@@ -21,35 +21,16 @@ _SILENT: Final = (Light.SILENT, Light.CONTROLLER_SILENT)
 _WITH_FRAMES: Final = frozenset({Phase.REST, Phase.WARM_UP, Phase.RELEASE, Phase.MEASURING})
 _CAMERA_GONE: Final = frozenset({EventKind.CAMERA_LOST, EventKind.CAMERA_SILENT})
 OF_CAMERA: Final = _CAMERA_GONE | {EventKind.CAMERA_SPEAKS, EventKind.CAMERA_BACK}
-_OCCURRENCES: Final[Mapping[str, AlarmKey]] = {
-    EventKind.GAP: AlarmKey.FRAMES,
-    EventKind.BACKLOG: AlarmKey.BACKLOG,
-    EventKind.CAMERA_CLOCK: AlarmKey.CAMERA_CLOCK,
-    EventKind.CLOCK_STEP: AlarmKey.HOST_CLOCK,
-    EventKind.SENSOR: AlarmKey.SENSOR,
-    EventKind.REST_STEP: AlarmKey.REST_STEP,
-    EventKind.LIGHT_STEP: AlarmKey.LIGHT_STEP,
-    EventKind.PUSH: AlarmKey.PUSH,
-    EventKind.REJECTED: AlarmKey.REJECTED,
-    EventKind.POSTERIOR: AlarmKey.LIVE_FIT,
-    EventKind.WATCHER_FAILED: AlarmKey.WATCHER,
+_OWN: Final[Mapping[str, AlarmKey]] = {
     EventKind.FAILED: AlarmKey.SESSION_FAILED,
     EventKind.RECORD: AlarmKey.DISK_FULL,
 }
-
-
-_UNDER_TRIP: Final = frozenset(
-    {
-        AlarmKey.LASER_DARK,
-        AlarmKey.SPOT,
-        AlarmKey.BALANCE,
-        AlarmKey.LIGHT_STEP,
-        AlarmKey.REST_STEP,
-        AlarmKey.PUSH,
-        AlarmKey.REJECTED,
-    }
-)
-"""What frames without light look like."""
+"""Events that are alarms of their own."""
+_CONDITIONS: Final = frozenset({EventKind.STOPPED, EventKind.SPOT_LOST, EventKind.CAMERA_LOST})
+"""Warnings that a person gave, or that hold for as long as a condition does."""
+_OF_DARKNESS: Final = frozenset({EventKind.LIGHT_STEP, EventKind.REST_STEP, EventKind.PUSH})
+_UNDER_TRIP: Final = frozenset({AlarmKey.LASER_DARK, AlarmKey.SPOT, AlarmKey.BALANCE})
+"""What frames without light look like; `_OF_DARKNESS` are events of the same."""
 
 
 class HowEnded(StrEnum):
@@ -74,9 +55,7 @@ class Seen:
     """What a desk sees at one moment.
 
     `news` is what the running session said `news_age_s` ago, empty without one, and `beat_age_s` how long ago
-    it gave any sign of life; `camera_event` its last event
-    of the camera; `lit_by` who has the laser; `folder_problem` why session.output cannot be written,
-    `disk_free_bytes` what is free there; `configuration_problem` why the file cannot be read;
+    it gave any sign of life; `camera_event` its last event of the camera; `lit_by` who has the laser;
     `picture_late_s` for how long the live picture has stood still.
     """
 
@@ -89,9 +68,6 @@ class Seen:
     devices: DevicesNow = field(default_factory=DevicesNow)
     camera_event: Mapping[str, Any] | None = None
     sensor_wanted: bool = False
-    disk_free_bytes: float = math.inf
-    folder_problem: str = ""
-    configuration_problem: str = ""
     picture_late_s: float = 0.0
 
 
@@ -100,7 +76,9 @@ def conditions(seen: Seen) -> dict[AlarmKey, str]:
 
     What somebody does with LIGHT OFF is none, and what follows from a trip is not told beside it.
     """
-    found = dict([*_of_light(seen), *_of_session(seen), *_of_desk(seen)])
+    found = dict([*_of_light(seen), *_of_session(seen)])
+    if seen.picture_late_s > STALE_S:
+        found[AlarmKey.CAMERA] = "the live picture is frozen"
     under = _UNDER_TRIP if seen.safety.trip is not None else frozenset()
     return {key: cause for key, cause in found.items() if key not in under}
 
@@ -108,20 +86,22 @@ def conditions(seen: Seen) -> dict[AlarmKey, str]:
 def happened(
     events: Sequence[Mapping[str, Any]], ended: EndedSession | None, trip: LatchedTrip | None = None
 ) -> list[tuple[AlarmKey, str]]:
-    """Alarms of new events of a session, and of one that has ended; none of what follows from a `trip`.
+    """Alarms of a session's new events that are warnings, and of its end; none of what follows from a `trip`.
 
     A session that ends because somebody has pressed LIGHT OFF has not failed.
     """
-    found = [
-        (key, str(event["text"]))
-        for event in events
-        if (key := _OCCURRENCES.get(str(event["kind"]))) is not None
-    ]
-    if trip is not None:
-        under = _UNDER_TRIP | {AlarmKey.SESSION_FAILED} if _is_own(trip) else _UNDER_TRIP
-        found = [one for one in found if one[0] not in under]
-        if ended is not None and ended.how is HowEnded.FAILED and _is_own(trip):
-            ended = None
+    is_own = trip is not None and _is_own(trip)
+    passed_over = _CONDITIONS if trip is None else _CONDITIONS | _OF_DARKNESS
+    found = []
+    for event in events:
+        kind, text = str(event["kind"]), str(event["text"])
+        if kind in _OWN:
+            if not (is_own and kind == EventKind.FAILED):
+                found.append((_OWN[kind], text))
+        elif level_of(kind) is Level.WARNING and kind not in passed_over:
+            found.append((AlarmKey.DISTURBED, f"{kind}: {text}"))
+    if ended is not None and ended.how is HowEnded.FAILED and is_own:
+        return found
     if ended is not None and ended.how is HowEnded.DIED:
         found.append((AlarmKey.SESSION_DIED, f"{ended.name}: {ended.reason or 'killed, or crashed'}"))
     if ended is not None and ended.how is HowEnded.FAILED:
@@ -200,8 +180,8 @@ def _of_frames(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
 
 
 def _of_forecast(state: Mapping[str, Any]) -> Iterator[tuple[AlarmKey, str]]:
-    left_s, u_s, free_bytes, rate = (
-        state.get(key) for key in ("remaining_s", "u_remaining_s", "disk_free_bytes", "record_bytes_per_s")
+    left_s, free_bytes, rate = (
+        state.get(key) for key in ("remaining_s", "disk_free_bytes", "record_bytes_per_s")
     )
     if free_bytes is not None and rate:
         lasts_s = max(float(free_bytes) - LEAST_FREE_BYTES, 0.0) / float(rate)
@@ -211,17 +191,3 @@ def _of_forecast(state: Mapping[str, Any]) -> Iterator[tuple[AlarmKey, str]]:
                 AlarmKey.DISK_FORECAST,
                 f"room for {lasts_s / 60:.0f} min, needed for {needed_s / 60:.0f} min",
             )
-    # a limit of time has no uncertainty; an amplitude that is known, and not reached, has a final one
-    if left_s is not None and u_s == 0 and state.get("amplitude_unit") == "arcsec":
-        yield AlarmKey.FORECAST, f"max_duration_s ends it in {float(left_s) / 60:.0f} min"
-
-
-def _of_desk(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
-    if seen.folder_problem:
-        yield AlarmKey.OUTPUT, seen.folder_problem
-    elif seen.disk_free_bytes < LEAST_FREE_BYTES:
-        yield AlarmKey.DISK_FULL, f"{seen.disk_free_bytes / 2**20:.0f} MiB are free"
-    if seen.configuration_problem:
-        yield AlarmKey.CONFIGURATION, seen.configuration_problem
-    if seen.picture_late_s > STALE_S:
-        yield AlarmKey.CAMERA, "the live picture is frozen"

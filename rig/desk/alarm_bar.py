@@ -7,11 +7,8 @@ from pathlib import Path
 
 from nicegui import ui
 
-from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState, Grade
+from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState
 from rig.desk.tab import DELIBERATE, Tab, at_once
-
-_PAST_SHOWN = 8
-_COUNTED = (AlarmState.ACTIVE, AlarmState.CLEARED, AlarmState.ACKNOWLEDGED, AlarmState.SHELVED)
 
 
 class AlarmBar:
@@ -53,21 +50,21 @@ class AlarmBar:
 
         `refused` says why a trip cannot be acknowledged yet.
         """
-        rows, past = self._alarms.rows(), list(self._alarms.past)[:_PAST_SHOWN]
+        rows = self._alarms.rows()
         crying = [row for row in rows if row.cries]
         worst = crying[0] if crying else None
-        self._title.set_text("" if worst is None else sentence(f"{worst.alarm.title}: {worst.cause}"))
+        self._title.set_text("" if worst is None else sentence(f"{worst.key}: {worst.cause}"))
         self._remedy.set_text("" if worst is None else sentence(worst.alarm.remedy))
         self._banner.set_visibility(worst is not None)
         died = any(row.key is AlarmKey.SESSION_DIED for row in rows)
         self._resume.set_visibility(died and self._resumable() is not None)
         earlier = [row for row in rows if row.earlier]
         rows = [row for row in rows if not row.earlier]
-        counted = [(state, sum(row.state is state for row in rows)) for state in _COUNTED]
+        counted = [(state, sum(row.state is state for row in rows)) for state in AlarmState]
         told = [f"{count} {state}" for state, count in counted if count]
         said = ", ".join([*told, f"{len(earlier)} from before"] if earlier else told)
         self._counts.set_text(f"Alarms: {said or 'none'}")
-        now = (rows, earlier, past, refused)
+        now = (rows, earlier, refused)
         if now != self._shown:
             self._shown = now
             self._list.clear()
@@ -81,10 +78,8 @@ class AlarmBar:
                         )
                         for row in earlier:
                             self._row(row, refused)
-                for row in past:
-                    ui.label(f"gone: {row.alarm.title}: {row.cause}; {_times(row)}").classes("dim")
-                if not rows and not earlier and not past:
-                    ui.label("nothing has been wrong").classes("dim")
+                if not rows and not earlier:
+                    ui.label("nothing is wrong").classes("dim")
         return crying
 
     def _row(self, row: AlarmRow, refused: str) -> None:
@@ -92,7 +87,7 @@ class AlarmBar:
         with ui.element("div").classes(f"alarm-row {row.state}").props(f'data-alarm="{row.key}"'):
             with ui.element("div"):
                 again = f" ({row.times} times)" if row.times > 1 else ""
-                ui.label(f"{alarm.title}{again}").classes("text-weight-bold")
+                ui.label(f"{row.key}{again}").classes("text-weight-bold")
                 ui.label(f"{row.state}; {_times(row)}").classes("dim")
             ui.label(row.cause).props('aria-label="cause"')
             ui.label(alarm.remedy).props('aria-label="remedy"')
@@ -102,12 +97,7 @@ class AlarmBar:
                     button.props("dense outline").set_enabled(not refused)
                 elif row.state in (AlarmState.ACTIVE, AlarmState.CLEARED):
                     button = tab.button("Seen", partial(self._seen, row.key))
-                    button.props(f'dense outline aria-label="acknowledge {alarm.title}" {DELIBERATE}')
-                # danger stays where it is seen
-                may_wait = alarm.grade is not Grade.DANGER
-                if may_wait and row.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
-                    button = tab.button("Shelve 10 min", partial(self._shelve, row.key))
-                    button.props(f'dense flat aria-label="shelve {alarm.title}"')
+                    button.props(f'dense outline aria-label="acknowledge {row.key}" {DELIBERATE}')
 
     def _resumed(self) -> None:
         if (folder := self._resumable()) is not None:
@@ -116,9 +106,6 @@ class AlarmBar:
     def _seen(self, *keys: AlarmKey) -> None:
         for key in keys:
             self._alarms.acknowledge(key)
-
-    def _shelve(self, key: AlarmKey) -> None:
-        self._alarms.shelve(key)
 
 
 def sentence(text: str) -> str:
@@ -132,7 +119,6 @@ def _times(row: AlarmRow) -> str:
         ("since", row.raised_s),
         ("cleared", row.cleared_s),
         ("seen", row.acknowledged_s),
-        ("shelved until", row.shelved_until_s),
     )
     return ", ".join(f"{word} {_clock(at)}" for word, at in told if at is not None)
 

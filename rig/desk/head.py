@@ -42,7 +42,7 @@ def build_head(off_port: int) -> None:
         "dark": DARK,
         "staleS": STALE_S,
         "deadS": _DEAD_S,
-        "lost": {"title": lost.title, "remedy": lost.remedy},
+        "lost": {"title": AlarmKey.DESK_LOST, "remedy": lost.remedy},
     }
     ui.add_css(named_colours() + (_STATIC / "desk.css").read_text("utf-8"))
     scripts = "".join((_STATIC / name).read_text("utf-8") for name in _SCRIPTS)

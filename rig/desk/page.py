@@ -141,7 +141,7 @@ def _name(row: AlarmRow) -> str:
 def _told(row: AlarmRow) -> dict[str, str]:
     """As the browser is told of it."""
     text = f"{row.cause}\n{row.alarm.remedy}"
-    return {"name": _name(row), "key": row.key, "title": row.alarm.title, "text": text}
+    return {"name": _name(row), "key": row.key, "title": row.key, "text": text}
 
 
 def _session_age(desk: Desk) -> dict[str, object] | None:

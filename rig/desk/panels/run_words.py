@@ -23,7 +23,7 @@ _STEPS: Mapping[str, str] = {
     Phase.CLOSING: "closing",
 }
 _AT_ONCE = (Phase.WAITING, Phase.PREFLIGHT, Phase.MEASURING, Phase.CLOSING)
-_OF_DISK = (AlarmKey.OUTPUT, AlarmKey.DISK_FULL, AlarmKey.DISK_HANGS, AlarmKey.DISK_FORECAST)
+_OF_DISK = (AlarmKey.DISK_FULL, AlarmKey.DISK_HANGS, AlarmKey.DISK_FORECAST)
 
 
 def strip(run_state: Mapping[str, Any], start_way: str) -> str:

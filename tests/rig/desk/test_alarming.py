@@ -45,19 +45,6 @@ def desk(config: Path) -> Iterator[Desk]:
     found.close()
 
 
-def test_alarms_survive_the_desk(config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    for number in range(2):
-        desk = Desk(config)
-        desk.hold()
-        desk.alarming.start()
-        if not number:
-            desk.alarming.alarms.see({}, [(AlarmKey.SESSION_DIED, "run-1: killed")])
-        (row,) = [row for row in desk.alarming.alarms.rows() if row.key is AlarmKey.SESSION_DIED]
-        assert row.cause == "run-1: killed"
-        desk.close()
-
-
 @pytest.fixture
 def session(request: pytest.FixtureRequest, config: Path, desk: Desk) -> Iterator["subprocess.Popen[str]"]:
     """A session in a process of its own, which the desk follows; its parameter is what runs it."""
@@ -170,15 +157,3 @@ def test_a_session_that_ends_as_it_should_is_no_alarm(desk: Desk, session: "subp
     # a busy machine may have held it up for a moment
     found = {row.key for row in desk.alarming.alarms.rows()}
     assert not found & {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED}
-
-
-def test_a_folder_that_is_gone_and_a_configuration_that_is_broken(desk: Desk, config: Path) -> None:
-    runs, text = config.parent / "runs", config.read_text(encoding="utf-8")
-    runs.rename(config.parent / "away")
-    assert "is gone" in wait_for(desk, AlarmKey.OUTPUT)
-    (config.parent / "away").rename(runs)
-    wait_for(desk, AlarmKey.OUTPUT, AlarmState.CLEARED)
-    config.write_text(f"{text}[camera\n", encoding="utf-8")
-    wait_for(desk, AlarmKey.CONFIGURATION)
-    config.write_text(text, encoding="utf-8")
-    wait_for(desk, AlarmKey.CONFIGURATION, AlarmState.CLEARED)

@@ -44,7 +44,7 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy_and_so_is_the_desk
             news.state({"phase": "preflight"}, [])
             page.wait("window.told.length")
             title, text, tag, stays = page.ask("window.told[0]")
-            assert (title, tag, stays) == (alarm.title, AlarmKey.PREFLIGHT, True)
+            assert (title, tag, stays) == (AlarmKey.PREFLIGHT, AlarmKey.PREFLIGHT, True)
             assert alarm.remedy in text
             # the page is told four times a second what cries
             page.wait_text(sentence(alarm.remedy))
