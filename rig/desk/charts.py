@@ -36,7 +36,7 @@ class Curve:
 
     key: str
     name: str = ""
-    style: Literal["line", "points", "dashed", "band", "bars", "intervals"] = "line"
+    style: Literal["line", "points", "band", "bars", "intervals"] = "line"
     colour: str = "line"
     row: int = 0
 
@@ -46,7 +46,6 @@ def chart_options(
     curves: Sequence[Curve],
     points: Sequence[Points],
     unit: str,
-    logarithmic: bool,
     marks: Sequence[Mark],
     ends: Ends | None,
     empty: str,
@@ -62,7 +61,7 @@ def chart_options(
         "showMaxLabel": ends is not None,
     }
     across = {
-        "type": "log" if logarithmic else "value",
+        "type": "value",
         "nameLocation": "middle",
         "nameGap": 24,
         **(_whole(points) if ends is None else _from_to(ends[0])),
@@ -97,7 +96,7 @@ def chart_options(
         shown = quantity(key, unit)
         y_axes.append(
             {
-                "type": "log" if logarithmic else "value",
+                "type": "value",
                 "gridIndex": row,
                 "scale": True,
                 "name": shown.label,
@@ -201,11 +200,7 @@ def _series(curve: Curve, points: Points, unit: str) -> list[dict[str, Any]]:
         "type": "line",
         "symbol": "none",
         "emphasis": {"disabled": True},
-        "lineStyle": {
-            "color": colour,
-            "width": 1.5,
-            "type": "dashed" if curve.style == "dashed" else "solid",
-        },
+        "lineStyle": {"color": colour, "width": 1.5},
         "itemStyle": {"color": colour},
         "tooltip": {":valueFormatter": _number(shown.unit)},
     }
@@ -262,12 +257,11 @@ class Chart:
         x: str,
         curves: Sequence[Curve],
         *,
-        logarithmic: bool = False,
         square: bool = False,
         tools: bool = True,
         height: str = "",
     ) -> None:
-        self._title, self._x, self._logarithmic, self._square = title, x, logarithmic, square
+        self._title, self._x, self._square = title, x, square
         self._curves: Sequence[Curve] = curves
         self._shown: object = None
         self._small = bool(height)
@@ -311,9 +305,7 @@ class Chart:
         if now == self._shown:
             return
         self._shown = now
-        options = chart_options(
-            quantity(self._x, unit), self._curves, points, unit, self._logarithmic, marks, ends, empty
-        )
+        options = chart_options(quantity(self._x, unit), self._curves, points, unit, marks, ends, empty)
         # a chart in the browser merges what it gets: words go only where others, or none, replace them
         options["graphic"].append(in_last_row(self._curves, below if any(map(len, points)) else ""))
         if self._small:

@@ -211,10 +211,10 @@ class Following:
         finally:
             self._one_picture.release()
 
-    def history(self, *, spectra: bool) -> dict[str, Any]:
+    def history(self) -> dict[str, Any]:
         """What charts show of the running session, from its record; empty before there is one. Blocks."""
         reader = self._reader
-        return {} if reader is None else reader.history(spectra=spectra)
+        return {} if reader is None else reader.history()
 
     def _follow(self) -> None:
         while not self._ended.is_set():

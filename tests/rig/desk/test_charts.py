@@ -26,7 +26,7 @@ OF = "getElement(Number(document.querySelector('[aria-label=\"trajectory\"]').id
 def test_axes_are_named_by_the_catalogue_and_a_band_is_as_wide_as_it_says() -> None:
     curves = (Curve("amplitude"), Curve("period_s", style="band", row=1))
     found = chart_options(
-        quantity("elapsed_s"), curves, [[(0.0, 2.0)], [(0.0, 4.0, 0.5)]], "px", False, [], None, ""
+        quantity("elapsed_s"), curves, [[(0.0, 2.0)], [(0.0, 4.0, 0.5)]], "px", [], None, ""
     )
     assert [axis["name"] for axis in found["yAxis"]] == ["amplitude / px", "period / s"]
     low, wide = (one["data"] for one in found["series"][1:3])
@@ -37,7 +37,7 @@ def test_axes_are_named_by_the_catalogue_and_a_band_is_as_wide_as_it_says() -> N
 def test_rows_below_each_other_have_the_same_time() -> None:
     curves = (Curve("amplitude"), Curve("period_s", row=1))
     points = [[(1.0, 2.0), (9.0, 1.0)], [(3.0, 4.0), (5.0, 4.0)]]
-    found = chart_options(quantity("elapsed_s"), curves, points, "arcsec", False, [], None, "")
+    found = chart_options(quantity("elapsed_s"), curves, points, "arcsec", [], None, "")
     assert [(axis["min"], axis["max"]) for axis in found["xAxis"]] == [(1.0, 9.0), (1.0, 9.0)]
 
 

@@ -15,7 +15,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.swing import Swing
 from processing.units import nanoseconds, seconds
-from rig.desk.run_reader import RunReader, newest_first
+from rig.desk.run_reader import RunReader, decimated, newest_first
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
@@ -60,7 +60,6 @@ def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name
         spots(record, 1.0)
         record.flush()
         until(lambda: len(reader.path()["y"]) == 32)
-        assert max(y for _, y in reader.history(spectra=False)["y"]) == 1.0
     # a start that is not accepted is set aside, and the record begins again
     reader.record.rename(reader.record.with_name("run-1-start-1.mcap"))
     with writer(reader.record) as record:
@@ -80,12 +79,20 @@ def test_estimates_and_the_fit_are_told_at_the_times_of_the_record(reader: RunRe
             record.write(ESTIMATE, RecordedEstimate(time_ns, 20, 0.03, 0.01, "b"), time_ns)
             point = RecordedFittedPoint(time_ns, start_ns + nanoseconds(1.0), 3e-4, at_s, 4.01, 0.25)
             record.write(FITTED, point, time_ns)
-    until(lambda: bool(reader.history(spectra=False)["fit"].get("period")))
-    told = reader.history(spectra=False)
+    until(lambda: bool(reader.history()["fit"].get("period")))
+    told = reader.history()
     assert told["estimates"] == {"b": [(10.0, 0.03, 0.01), (12.0, 0.03, 0.01)]}
     assert told["fit"]["amplitude_residual"] == [(1.0, 12.0)]
     assert told["fit"]["period"] == [(1.0, 4.01)]
-    assert [one[:2] for one in told["swings"]] == [(1.0, 3.0)]
+    assert told["swings"] == {"amplitude": [(1.0, 3.0)], "period": [(1.0, 4.0)]}
+
+
+def test_a_long_run_is_drawn_in_some_hundred_points_up_to_its_last() -> None:
+    points = [(float(k), 0.5 * k) for k in range(10_001)]
+    found = decimated(points)
+    assert 400 < len(found) <= 800
+    assert (found[-1], sorted(found)) == (points[-1], found)
+    assert decimated(points[:7]) == points[:7]
 
 
 def event(number: int, run: str, text: str, elapsed_s: float, noted_s: float) -> dict[str, Any]:
