@@ -13,7 +13,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from acquisition.record import records_of
 from processing.errors import ConfigurationError, RigError
 from rig.calibrate import next_free
 from rig.desk.jobs import Job
@@ -25,7 +24,6 @@ SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
 _STATE = "session.json"
-_IN_RERUN = ("view", "replay")
 _LEAST_WAIT_S, _WAIT_OF_WORK = 1.0, 15.0
 """A large folder is looked through less often: one part in fifteen of a core at most."""
 _TOLD_AFTER = 500
@@ -245,45 +243,28 @@ def served_file(output: Path, name: str) -> Path | None:
 
 
 class LookingAgain:
-    """Commands about closed sessions; they need no camera.
-
-    One of each name runs at a time, and one of those that show something in Rerun, whose port is one.
-    """
+    """Commands about closed sessions; they need no camera. One of each name runs at a time."""
 
     def __init__(self) -> None:
         self.jobs: dict[str, Job] = {}
 
-    def start(self, name: str, words: Sequence[str]) -> None:
-        """Start a command; raises ConfigurationError while the last one of this name runs."""
-        for other in _IN_RERUN if name in _IN_RERUN else (name,):
-            before = self.jobs.get(other)
-            if before is not None and before.running:
-                raise ConfigurationError(f"rig {other} still runs; wait, or end it")
+    def _start(self, name: str, *words: str) -> None:
+        before = self.jobs.get(name)
+        if before is not None and before.running:
+            raise ConfigurationError(f"rig {name} still runs; wait, or end it")
         self.jobs[name] = Job([name, *words])
 
     def report(self, folder: Path) -> None:
-        """Make the report of a session."""
-        self.start("report", [str(folder)])
+        """Make the report of a session; as all of these, refused while the last one of its name runs."""
+        self._start("report", str(folder))
 
-    def view(self, folders: Sequence[Path]) -> None:
-        """Show runs in Rerun."""
-        self.start("view", [*map(str, folders), "--view", "web"])
-
-    def replay(self, folder: Path) -> None:
-        """Show the last run of a session in Rerun as it went, ten times as fast."""
-        records = records_of(folder, "run-*.mcap")
-        if not records:
-            raise ConfigurationError(f"{folder}: holds no record")
-        self.start("replay", [str(records[-1]), "--speed", "10", "--view", "web"])
+    def view(self, folder: Path) -> None:
+        """Show a session in Rerun."""
+        self._start("view", str(folder), "--view", "web")
 
     def fit(self, folder: Path) -> None:
         """Fit the runs of a session again, into a folder of their own."""
-        self.start("fit", [str(folder), "-o", str(next_free(folder, "fit"))])
-
-    def compare(self, folders: Sequence[Path], output: Path) -> None:
-        """Compare sessions, in a page in `output`."""
-        page = next_free(output, "comparison", ".html")
-        self.start("compare", [*map(str, folders), "-o", str(page)])
+        self._start("fit", str(folder), "-o", str(next_free(folder, "fit")))
 
     def end(self) -> None:
         """End what runs."""
@@ -303,11 +284,6 @@ class LookingAgain:
             state = "runs" if job.running else "done" if job.status == 0 else "failed"
             lines += [f"rig {name}: {state}", *list(job.said)[-_LAST_LINES:]]
         return lines
-
-    def close(self) -> None:
-        """End all."""
-        for job in self.jobs.values():
-            job.end()
 
     def address(self, name: str) -> str:
         """The address that a command has printed, for a page that it serves; empty without one."""

@@ -1,23 +1,14 @@
-"""The checks before a run, a light for each with its number and remedy; what the plan expects of a run."""
+"""The checks before a run, a light for each with its number and remedy."""
 
 import html
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from nicegui import run, ui
 
-from processing.errors import RigError
-from rig.desk import tables
 from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.tab import DELIBERATE, Tab, at_once
-from rig.instrument import complete
-from rig.plan import expected_of, plan_expected, plan_table
-from rig.presentation import percent, quantity
-
-_LEAST, _WELL, _USELESS = 1e-6, 0.1, 0.5
-"""Uncertainty over value where a bar begins, up to which it is well known, and from which on hardly."""
 
 
 class PreflightChecks:
@@ -71,33 +62,6 @@ class PreflightChecks:
             self._desk.jobs["doctor"].end()
 
 
-class Expected:
-    """What a run as configured is expected to give, planned when it is asked for."""
-
-    def __init__(self, desk: Desk, tab: Tab) -> None:
-        self._desk, self._tab = desk, tab
-        with ui.column().classes("box"):
-            ui.html("expected uncertainties", tag="h3", sanitize=False).classes("title")
-            with ui.row().classes("items-center"):
-                ui.button("Plan", on_click=self._plan).props("outline")
-                self._working = ui.spinner().props('aria-label="it is planned"')
-            self._working.set_visibility(False)
-            self._found = ui.html(sanitize=False).classes("full-width")
-
-    async def _plan(self) -> None:
-        self._working.set_visibility(True)
-        try:
-            found = await run.io_bound(_expected, self._desk)
-            if found is not None:
-                rows, words = found
-                bars = tables.bars(rows, "uncertainty of each parameter over its value")
-                self._found.set_content(f"{bars}<p class='dim'>{html.escape(words)}</p>")
-        except RigError as error:
-            self._tab.tell(str(error))
-        finally:
-            self._working.set_visibility(False)
-
-
 def _next(against: int) -> str:
     """What is to be done after the checks."""
     if not against:
@@ -125,26 +89,3 @@ def lights(verdicts: Sequence[Mapping[str, Any]]) -> str:
             + (f"<tr><td></td><td></td><td colspan='2' class='{judged[0]}'>{why}</td></tr>" if why else "")
         )
     return f"<table class='rows' aria-label='preflight'>{''.join(rows)}</table>"
-
-
-def _expected(desk: Desk) -> tuple[list[tables.Bar], str]:
-    """A bar for each parameter of a run as configured, logarithmic up to its value; and the plan's remark."""
-    config = complete(desk.checked())
-    session = config.session
-    plan = plan_expected(
-        expected_of(config), [session.initial_amplitude_arcsec], [session.final_amplitude_arcsec]
-    )
-    rows = []
-    for name, part in plan.relative(plan.runs[0]).items():
-        kind = "go" if part < _WELL else "caution" if part < _USELESS else "no"
-        # of what may be a millionth or all of the value only the order is seen
-        filled, mark = (1 + math.log10(max(one, _LEAST)) / -math.log10(_LEAST) for one in (part, _WELL))
-        value = quantity(name).text(plan.values[name], plan.runs[0].u[name])
-        shown = percent(part)
-        rows.append(tables.Bar(quantity(name).label, shown, filled, mark, kind, value))
-    run = plan.runs[0]
-    words = (
-        f"One run from {session.initial_amplitude_arcsec:g} to {session.final_amplitude_arcsec:g} arcsec "
-        f"takes {run.duration_s / 60:.3g} min{'' if run.complete else ' (the ground ends it earlier)'}."
-    )
-    return rows, f"{words} {plan_table(plan).note}"

@@ -17,7 +17,7 @@ from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
 from rig.desk.panels.fields import as_typed, number_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
-from rig.desk.panels.preflight import Expected, PreflightChecks
+from rig.desk.panels.preflight import PreflightChecks
 from rig.desk.tab import DELIBERATE, Handler, Tab, at_once
 from rig.presentation import Verdict
 
@@ -36,9 +36,7 @@ def build(desk: Desk, tab: Tab) -> None:
     with ui.element("div").classes("grid align"):
         picture = AlignPicture(desk, tab)
         controls = CameraControls(desk, tab)
-    with ui.element("div").classes("grid wide-left"):
-        checks = PreflightChecks(desk, tab)
-        Expected(desk, tab)
+    checks = PreflightChecks(desk, tab)
 
     def refresh() -> None:
         picture.refresh()

@@ -1,15 +1,13 @@
 """After a run: how it went, the result with its whole uncertainty, what limits it, what comes next."""
 
 import html
-import json
-from urllib.parse import quote
 
 from nicegui import run, ui
 
 from rig.desk import tables
 from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
-from rig.desk.sessions import SERVED
+from rig.desk.panels.runs import open_served
 from rig.desk.tab import Tab, at_once
 from rig.measure import HandOver, RunState
 
@@ -120,5 +118,4 @@ class RunResult:
         over = self._drawn
         if over is None or over.report is None:
             return
-        name = over.report.absolute().relative_to(self._desk.config.session.output.absolute()).as_posix()
-        ui.run_javascript(f"window.open({json.dumps(f'{SERVED}/{quote(name)}')}, '_blank')")
+        open_served(self._desk, over.report)

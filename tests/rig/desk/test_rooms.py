@@ -19,7 +19,7 @@ from rig.desk.desk import Desk
 from rig.desk.panels.balance import net_of
 from rig.desk.panels.run_words import as_alarmed
 from rig.desk.safety import refusal
-from rig.desk.sessions import LookingAgain, session_row
+from rig.desk.sessions import session_row
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
 from rig.terminal import start_python
@@ -202,8 +202,3 @@ def test_whatever_lacks_runs_can_be_resumed_from_the_list(
     file.note(1, "run-1.mcap", state)
     file.close()
     assert session_row(tmp_path).resumable is resumed
-
-
-def test_a_session_without_records_is_not_replayed(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="holds no record"):
-        LookingAgain().replay(tmp_path)
