@@ -19,7 +19,7 @@ DARK = "/dark"
 _DEAD_S = 30.0
 """A page that was told nothing for so long is not merely slow."""
 _STATIC = Path(__file__).with_name("static")
-_SCRIPTS = ("page.js", "chart.js", "safety.js", "watchdog.js")
+_SCRIPTS = ("page.js", "safety.js", "watchdog.js")
 _BARS = """
 <div id="watchdog" role="alert" aria-live="assertive" hidden></div>
 <div id="safety" role="region" aria-label="safety">

@@ -139,8 +139,6 @@ class Traces:
     elapsed_s: Annotated[float, Quantity("t", "time since the record began", "s")]
     deflection_x: Annotated[float, Quantity("X", "deflection across the swing", *_ANGLE)]
     deflection_y: Annotated[float, Quantity("Y", "deflection along the swing", *_ANGLE)]
-    amplitude_residual: Annotated[float, Quantity("amplitude − fit", "what a fit leaves over", *_ANGLE)]
-    period_residual: Annotated[float, Quantity("period − fit", "what a fit leaves over", "ms", "s")]
     amplitude_residual_in_u: Annotated[
         float, Quantity("(a − fit) / u", "what a fit of the amplitudes leaves over its uncertainty", unit="1")
     ]

@@ -9,7 +9,6 @@ from processing.errors import ConfigurationError
 from rig.calibrate import Filed, Filing
 from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibrating
-from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.settings import number
@@ -92,7 +91,6 @@ class CalibrationForm:
                 f'color="positive" size="lg" aria-label="use {name}"'
             )
             self._result = ui.html(sanitize=False).classes("full-width")
-            self._charts = ui.column().classes("full-width")
 
     def refresh(self, busy: str) -> None:
         """Show what is recorded, what went wrong and what was filed."""
@@ -113,9 +111,6 @@ class CalibrationForm:
         if made is not None and made != self._drawn:
             self._drawn = made
             self._result.set_content(_result(made))
-            self._charts.clear()
-            with self._charts:
-                _draw(made)
 
     async def _record(self) -> None:
         exposure = self._exposure.value if self._kind.seconds is None else ""
@@ -176,10 +171,3 @@ def _result(made: Filed) -> str:
         parts.append(f"<div class='title'>{html.escape(table.title)}</div>")
         parts.append(tables.table([list(table.head), *(list(row) for row in table.shown)], table.title))
     return "".join(parts)
-
-
-def _draw(made: Filed) -> None:
-    """A chart of what each fit has left over."""
-    for left in made.residuals:
-        chart = Chart(left.title, left.x_name, (Curve(left.y_name, style="intervals"),), height="200px")
-        chart.show([list(zip(left.x, left.y, left.u, strict=True))])

@@ -133,8 +133,8 @@ class CameraControls:
             self._setting("exposure_us", "exposure / µs", {"-": (1 / _STEP, 0.0), "+": (_STEP, 0.0)})
             self._setting("gain_db", "gain / dB", {"-": (1.0, -_STEP_DB), "+": (1.0, _STEP_DB)})
             bars, line = (Curve("pixels", style="bars"),), (Curve("sharpness_per_px"),)
-            self._histogram = Chart("histogram", "level_dn", bars, tools=False, height="100px")
-            self._focus = Chart("focus", "elapsed_s", line, tools=False, height="110px")
+            self._histogram = Chart("histogram", "level_dn", bars, height="100px")
+            self._focus = Chart("focus", "elapsed_s", line, height="110px")
             with at_once(ui.expansion("figures", value=True)).classes("full-width"):
                 self._figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
 

@@ -5,23 +5,12 @@ import html
 from nicegui import run, ui
 
 from rig.desk import tables
-from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
 from rig.desk.panels.runs import open_served
 from rig.desk.tab import Tab, at_once
 from rig.measure import HandOver, RunState
 
 _KINDS = {RunState.COMPLETE: "go", RunState.STOPPED: "caution"}
-_DECAY = (
-    Curve("amplitude", name="measured", style="points"),
-    Curve("amplitude", name="fit", colour="second"),
-    Curve("amplitude_residual", style="points", row=1),
-    Curve("period_s", name="measured", style="points", row=2),
-    Curve("period_s", name="fit", colour="second", row=2),
-    Curve("period_residual", style="points", row=3),
-)
-
-
 NEXT_RUN = "next-run"
 """Name of the element on the page that begins the next one."""
 
@@ -55,7 +44,6 @@ class RunResult:
             with ui.column().classes("box") as self._found:
                 ui.html("what limits it", tag="h3", sanitize=False).classes("title")
                 self._limits = ui.html(sanitize=False).classes("full-width")
-                self._decay = Chart("decay, fit and residuals", "elapsed_s", _DECAY, height="420px")
         self.frame.set_visibility(False)
         tab.every(1.0, self._refresh)
 
@@ -86,28 +74,7 @@ class RunResult:
         self._report.set_visibility(over.report is not None)
         # a run that has failed has a record, too
         self._fits.set_visibility(not over.headline)
-        self._found.set_visibility(bool(over.limits) or over.decay is not None)
-        self._show_decay(over)
-
-    def _show_decay(self, over: HandOver) -> None:
-        drawn = over.decay
-        self._decay.frame.set_visibility(drawn is not None)
-        if drawn is None:
-            return
-        measured = list(zip(drawn.time_s, drawn.amplitude, strict=True))
-        fitted = list(zip(drawn.time_s, drawn.fitted, strict=True))
-        periods = list(zip(drawn.period_time_s, drawn.period_s, strict=True))
-        fitted_periods = list(zip(drawn.period_time_s, drawn.fitted_period_s, strict=True))
-        self._decay.show(
-            [
-                measured,
-                fitted,
-                [(t, a - b) for (t, a), (_, b) in zip(measured, fitted, strict=True)],
-                periods,
-                fitted_periods,
-                [(t, 1e3 * (a - b)) for (t, a), (_, b) in zip(periods, fitted_periods, strict=True)],
-            ]
-        )
+        self._found.set_visibility(bool(over.limits))
 
     def _fit(self) -> None:
         if self._drawn is not None:
