@@ -16,10 +16,9 @@ from processing.errors import ConfigurationError, RigError
 from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
-from rig.desk.balancing import Balancing
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
-from rig.desk.jobs import MESSAGES_NAME, Job, start_session
+from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, start_session
 from rig.desk.kept import Kept
 from rig.desk.lighting import Lighting
 from rig.desk.safety import Safety

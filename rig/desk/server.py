@@ -25,8 +25,7 @@ from starlette.responses import PlainTextResponse, Response
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
 from rig.desk.guard import Guard
-from rig.desk.head import DARK
-from rig.desk.page import build_page
+from rig.desk.page import DARK, build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.sessions import SERVED, served_file
 from rig.devices import check_wiring

@@ -8,8 +8,8 @@ from urllib.parse import quote
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError
+from rig.desk.alarm_bar import resume_dialog
 from rig.desk.desk import Desk
-from rig.desk.dialogs import resume_dialog
 from rig.desk.sessions import NUMBERS, SERVED, LastRun, SessionRow, last_run
 from rig.desk.tab import Tab
 from rig.presentation import quantity
