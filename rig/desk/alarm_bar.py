@@ -8,8 +8,8 @@ from pathlib import Path
 
 from nicegui import run, ui
 
-from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState
 from rig.control import LatchedTrip
+from rig.desk.alarm_list import AlarmKey, AlarmList, AlarmRow, AlarmState
 from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab, at_once
 

@@ -1,21 +1,206 @@
-"""Looks at everything the desk knows, ten times a second, and keeps the list of alarms; needs no page."""
+"""Which alarms follow from what the desk sees; it looks ten times a second, and needs no page."""
 
 import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from acquisition.record.events import EventKind, Level, level_of
 from processing.errors import RigError
-from rig.alarms import AlarmKey, AlarmList, EndedSession, HowEnded, Seen, conditions, happened
-from rig.control import STALE_S, LatchedTrip, SafetyNow
+from rig.control import STALE_S, ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
+from rig.desk.alarm_list import AlarmKey, AlarmList
 from rig.instrument import Phase
-from rig.measure import read_session, state_of
+from rig.measure import LEAST_FREE_BYTES, read_session, state_of
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
+
+
+_SPOT_S = 0.5
+"""A spot that was lost for less is data, and no alarm."""
+_FRAMES_S = 1.5
+_NEWS_S = 10.0
+"""A busy machine makes the news of a sound session late by seconds, never by so much."""
+_SILENT: Final = (Light.SILENT, Light.CONTROLLER_SILENT)
+_WITH_FRAMES: Final = frozenset({Phase.REST, Phase.WARM_UP, Phase.RELEASE, Phase.MEASURING})
+_CAMERA_GONE: Final = frozenset({EventKind.CAMERA_LOST, EventKind.CAMERA_SILENT})
+OF_CAMERA: Final = _CAMERA_GONE | {EventKind.CAMERA_SPEAKS, EventKind.CAMERA_BACK}
+_OWN: Final[Mapping[str, AlarmKey]] = {
+    EventKind.FAILED: AlarmKey.SESSION_FAILED,
+    EventKind.RECORD: AlarmKey.DISK_FULL,
+}
+"""Events that are alarms of their own."""
+_CONDITIONS: Final = frozenset({EventKind.STOPPED, EventKind.SPOT_LOST, EventKind.CAMERA_LOST})
+"""Warnings that a person gave, or that hold for as long as a condition does."""
+_OF_DARKNESS: Final = frozenset({EventKind.LIGHT_STEP, EventKind.REST_STEP, EventKind.PUSH})
+_UNDER_TRIP: Final = frozenset({AlarmKey.LASER_DARK, AlarmKey.SPOT, AlarmKey.BALANCE})
+"""What frames without light look like; `_OF_DARKNESS` are events of the same."""
+
+
+class HowEnded(StrEnum):
+    """How a session that was followed has ended."""
+
+    DIED = "died"
+    FAILED = "failed"
+    REGULARLY = "regularly"
+
+
+@dataclass(frozen=True, slots=True)
+class EndedSession:
+    """A session that has just ended, by the name of its folder, and why."""
+
+    name: str
+    how: HowEnded
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a desk sees at one moment.
+
+    `news` is what the running session said `news_age_s` ago, empty without one, and `beat_age_s` how long ago
+    it gave any sign of life; `camera_event` its last event of the camera; `lit_by` who has the laser;
+    `picture_late_s` for how long the live picture has stood still.
+    """
+
+    safety: SafetyNow = field(default_factory=SafetyNow)
+    lit_by: str = ""
+    news: Mapping[str, Any] = field(default_factory=dict)
+    news_age_s: float = 0.0
+    beat_age_s: float = math.inf
+    session: str = ""
+    devices: DevicesNow = field(default_factory=DevicesNow)
+    camera_event: Mapping[str, Any] | None = None
+    sensor_wanted: bool = False
+    picture_late_s: float = 0.0
+
+
+def conditions(seen: Seen) -> dict[AlarmKey, str]:
+    """The alarms whose conditions hold, each with its cause where something tells it.
+
+    What somebody does with LIGHT OFF is none, and what follows from a trip is not told beside it.
+    """
+    found = dict([*_of_light(seen), *_of_session(seen)])
+    if seen.picture_late_s > STALE_S:
+        found[AlarmKey.CAMERA] = "the live picture is frozen"
+    under = _UNDER_TRIP if seen.safety.trip is not None else frozenset()
+    return {key: cause for key, cause in found.items() if key not in under}
+
+
+def happened(
+    events: Sequence[Mapping[str, Any]], ended: EndedSession | None, trip: LatchedTrip | None = None
+) -> list[tuple[AlarmKey, str]]:
+    """Alarms of a session's new events that are warnings, and of its end; none of what follows from a `trip`.
+
+    A session that ends because somebody has pressed LIGHT OFF has not failed.
+    """
+    is_own = trip is not None and _is_own(trip)
+    passed_over = _CONDITIONS if trip is None else _CONDITIONS | _OF_DARKNESS
+    found = []
+    for event in events:
+        kind, text = str(event["kind"]), str(event["text"])
+        if kind in _OWN:
+            if not (is_own and kind == EventKind.FAILED):
+                found.append((_OWN[kind], text))
+        elif level_of(kind) is Level.WARNING and kind not in passed_over:
+            found.append((AlarmKey.DISTURBED, f"{kind}: {text}"))
+    if ended is not None and ended.how is HowEnded.FAILED and is_own:
+        return found
+    if ended is not None and ended.how is HowEnded.DIED:
+        found.append((AlarmKey.SESSION_DIED, f"{ended.name}: {ended.reason or 'killed, or crashed'}"))
+    if ended is not None and ended.how is HowEnded.FAILED:
+        found.append((AlarmKey.SESSION_FAILED, f"{ended.name}: {ended.reason}"))
+    return found
+
+
+def _is_own(trip: LatchedTrip) -> bool:
+    """Whether a person has taken the light, who knows of it."""
+    return trip.cause is TripCause.PERSON
+
+
+def _of_light(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    safety = seen.safety
+    if safety.trip is not None and not _is_own(safety.trip):
+        yield AlarmKey.TRIP, safety.trip.text
+    if safety.light is Light.DISAGREES:
+        yield AlarmKey.LIGHT_DISAGREES, ""
+    if safety.interlock is Loop.OPEN and safety.interlock_age_s <= STALE_S:
+        yield AlarmKey.INTERLOCK, ""
+    silent = safety.light in (*_SILENT, Light.UNKNOWN)
+    if seen.lit_by and (silent or safety.light_age_s > STALE_S) and not math.isinf(safety.light_age_s):
+        yield AlarmKey.LASER_UNKNOWN, f"{seen.lit_by} has the laser, which {_silence(safety)}"
+    if seen.devices.controller not in (None, ControlState.OPEN):
+        yield AlarmKey.CONTROLLER, str(seen.devices.controller)
+
+
+def _silence(safety: SafetyNow) -> str:
+    if safety.light in _SILENT:
+        return str(safety.light)
+    return "nothing was heard of for more than 2 s"
+
+
+def _of_session(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    news = seen.news
+    if not news:
+        return
+    if min(seen.news_age_s, seen.beat_age_s) > STALE_S:
+        yield AlarmKey.SESSION_FROZEN, f"{seen.session} has said nothing for more than 2 s"
+        return
+    if seen.news_age_s > _NEWS_S:
+        yield AlarmKey.SESSION_FROZEN, f"{seen.session} answers, but has told nothing for {_NEWS_S:g} s"
+        return
+    state = news.get("state") or {}
+    crying = str(state.get("alarm") or "")
+    disk_silent_s = float(state.get("disk_silent_s") or 0.0)
+    if disk_silent_s:
+        yield AlarmKey.DISK_HANGS, "a write to the record takes more than 2 s"
+    if crying and not disk_silent_s:
+        dark = AlarmKey.LASER_UNKNOWN if seen.safety.light in _SILENT else AlarmKey.LASER_DARK
+        yield (dark if news.get("darkness") else AlarmKey.STALLED), crying
+    if state.get("phase") in _WITH_FRAMES:
+        yield from _of_frames(seen)
+    if seen.sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:
+        yield AlarmKey.ENVIRONMENT, ""
+    against = (news.get("balance") or {}).get("against") or ()
+    if against and state.get("phase") == Phase.MEASURING:
+        yield AlarmKey.BALANCE, "; ".join(map(str, against))
+    failed = [str(row["name"]) for row in news.get("preflight") or () if not row.get("ok", True)]
+    if failed and state.get("phase") == Phase.PREFLIGHT:
+        yield AlarmKey.PREFLIGHT, ", ".join(failed)
+    yield from _of_forecast(state)
+
+
+def _of_frames(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    news = seen.news
+    rate_hz = ((news.get("camera") or {}).get("applied") or {}).get("frame_rate_hz")
+    patience_s = max(_FRAMES_S, 3.0 / float(rate_hz)) if rate_hz else _FRAMES_S
+    age_s = news.get("frames_age_s")
+    told = seen.camera_event
+    gone = told is not None and str(told["kind"]) in _CAMERA_GONE
+    if gone or (age_s is not None and float(age_s) > patience_s):
+        yield AlarmKey.CAMERA, str(told["text"]) if told is not None and gone else ""
+    elif float(news.get("spot_lost_s") or 0.0) > _SPOT_S:
+        yield AlarmKey.SPOT, ""
+
+
+def _of_forecast(state: Mapping[str, Any]) -> Iterator[tuple[AlarmKey, str]]:
+    left_s, free_bytes, rate = (
+        state.get(key) for key in ("remaining_s", "disk_free_bytes", "record_bytes_per_s")
+    )
+    if free_bytes is not None and rate:
+        lasts_s = max(float(free_bytes) - LEAST_FREE_BYTES, 0.0) / float(rate)
+        needed_s = float(left_s) if left_s is not None else float(state.get("at_most_s") or 0.0)
+        if lasts_s < needed_s and math.isfinite(needed_s):
+            yield (
+                AlarmKey.DISK_FORECAST,
+                f"room for {lasts_s / 60:.0f} min, needed for {needed_s / 60:.0f} min",
+            )
+
 
 _LOOK_S = 0.1
 _SECOND_LOOK_S = 0.4

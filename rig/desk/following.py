@@ -14,8 +14,8 @@ from pydantic import TypeAdapter
 
 from acquisition.record.events import Event
 from processing.errors import RigError
-from rig.alarms import OF_CAMERA, EndedSession, HowEnded
 from rig.control import STALE_S, DevicesNow, SafetyNow
+from rig.desk.alarming import OF_CAMERA, EndedSession, HowEnded
 from rig.desk.run_reader import RunReader
 from rig.measure import RunState, read_session
 from rig.orders import ORDERS_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions

@@ -8,9 +8,9 @@ from pathlib import Path
 from nicegui import run, ui
 from nicegui.events import KeyEventArguments
 
-from rig.alarms import CATALOGUE, AlarmKey, AlarmRow
 from rig.control import STALE_S, LatchedTrip, TripCause
 from rig.desk.alarm_bar import AlarmBar, TripDialog, keys_dialog, resume_dialog, sentence
+from rig.desk.alarm_list import CATALOGUE, AlarmKey, AlarmRow
 from rig.desk.desk import Desk, Started
 from rig.desk.following import doing
 from rig.desk.panels import PANELS

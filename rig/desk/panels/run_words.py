@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from processing.estimate import Estimate
-from rig.alarms import AlarmKey
 from rig.control import DevicesNow
+from rig.desk.alarm_list import AlarmKey
 from rig.instrument import Phase
 from rig.measure import estimate_texts
 from rig.posterior import FIRST_HALF_CYCLES

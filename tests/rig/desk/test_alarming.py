@@ -14,8 +14,8 @@ import pytest
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 from processing.errors import RigError
-from rig.alarms import AlarmKey, AlarmState
 from rig.control import STALE_S
+from rig.desk.alarm_list import AlarmKey, AlarmState
 from rig.desk.desk import Desk
 from rig.measure.session_file import RunState, SessionFile
 from rig.orders import OrderSocket, SessionNews

@@ -10,10 +10,10 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError, RigError
-from rig.alarms import AlarmKey
 from rig.balance import BalanceStage
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
+from rig.desk.alarm_list import AlarmKey
 from rig.desk.charts import Curve, in_last_row
 from rig.desk.desk import Desk
 from rig.desk.panels.balance import net_of

@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from rig.alarms import CATALOGUE, AlarmKey
 from rig.desk.alarm_bar import sentence
+from rig.desk.alarm_list import CATALOGUE, AlarmKey
 from rig.orders import OrderSocket, SessionNews
 from rig.presentation import Verdict
 from rig.settings import Configuration

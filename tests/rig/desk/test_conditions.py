@@ -5,9 +5,12 @@ from typing import Any
 
 import pytest
 
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
 from acquisition.record.events import EventKind
-from rig.alarms import AlarmKey, EndedSession, HowEnded, Seen, conditions, happened
 from rig.control import ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
+from rig.desk.alarm_list import AlarmKey
+from rig.desk.alarming import EndedSession, HowEnded, Seen, conditions, happened
 from rig.instrument import Phase
 
 MEASURING = {"phase": Phase.MEASURING, "temperature_c": 20.0}

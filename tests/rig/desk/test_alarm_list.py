@@ -2,8 +2,10 @@
 
 import pytest
 
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
 from processing.errors import RigError
-from rig.alarms import CATALOGUE, AlarmKey, AlarmList, AlarmRow, AlarmState
+from rig.desk.alarm_list import CATALOGUE, AlarmKey, AlarmList, AlarmRow, AlarmState
 
 CAMERA, SPOT, TRIP, DIED = AlarmKey.CAMERA, AlarmKey.SPOT, AlarmKey.TRIP, AlarmKey.SESSION_DIED
 
