@@ -250,7 +250,7 @@ class Following:
         if (reader := self._reader) is not None and reader.begun:
             for elapsed_s, told in reader.take_events():
                 self._keep(_of_record(reader, elapsed_s, told, news["run"]), news["run"])
-            news |= {"path": reader.path(), "balance": reader.balance, "record_began_s": reader.began_s}
+            news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
 
     def _keep(self, event: dict[str, Any], run: str) -> None:
@@ -271,8 +271,7 @@ class Following:
 
 def _of_record(reader: RunReader, elapsed_s: float, event: Event, run: str) -> dict[str, Any]:
     """An event of a record as the session tells its own."""
-    began_s = reader.began_s
-    at = time.localtime(time.time() - time.monotonic() + began_s + elapsed_s)
+    at = time.localtime(time.time() - time.monotonic() + reader.began_s + elapsed_s)
     return {
         "run": run,
         "elapsed_s": elapsed_s,
@@ -280,7 +279,6 @@ def _of_record(reader: RunReader, elapsed_s: float, event: Event, run: str) -> d
         "level": event.level,
         "text": event.text,
         "at": time.strftime("%H:%M:%S", at),
-        "noted_s": began_s + elapsed_s,
     }
 
 

@@ -4,7 +4,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -173,28 +173,3 @@ def _configuration_of(reader: RecordReader) -> Configuration | None:
         return recorded_configuration(reader)
     except RecordError:
         return None
-
-
-def newest_first(
-    news: Mapping[str, Any], events: Iterable[Mapping[str, Any]]
-) -> Sequence[tuple[float, Mapping[str, Any]]]:
-    """Events as they were told, the newest first, each with its time since the present run's record began.
-
-    That is negative before, and NaN while no record has begun: then they are in the order of their numbers.
-    """
-    timed = [(_since_record(news, event), event) for event in events]
-    return sorted(
-        timed, key=lambda one: (0.0 if math.isnan(one[0]) else one[0], one[1]["number"]), reverse=True
-    )
-
-
-def _since_record(news: Mapping[str, Any], event: Mapping[str, Any]) -> float:
-    """An event of this run's record has its time. What was noted without one, and what belongs to an earlier
-    run, whose own times count from another record, is placed by when it was noted.
-    """
-    began_s, elapsed_s = (
-        math.nan if told is None else float(told) for told in (news.get("record_began_s"), event["elapsed_s"])
-    )
-    if event["run"] == news.get("run") and not math.isnan(began_s + elapsed_s):
-        return elapsed_s
-    return float(event["noted_s"]) - began_s

@@ -15,7 +15,6 @@ from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, RunResult, build_form
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.panels.run_words import first_fit
-from rig.desk.run_reader import newest_first
 from rig.desk.tab import Tab, at_once
 from rig.instrument import Phase
 from rig.presentation import quantity
@@ -161,21 +160,12 @@ class RunFacts:
             self._events.props('role="log" aria-label="events" tabindex="0"')
 
     def refresh(self, news: Mapping[str, Any]) -> None:
-        """Show what a session has said, and beside it what alarms say instead."""
-        desk = self._desk
-        rows = words.estimate_rows(news.get("state") or {})
-        self._learned.set_content(tables.table(rows, "parameters so far"))
-        crying = {row.key: row.cause for row in desk.alarming.alarms.rows() if row.cleared_s is None}
-        rows = words.as_alarmed(
-            news.get("rows") or [],
-            crying,
-            desk.following.frames_age_s,
-            spot_lost_s=float(news.get("spot_lost_s") or 0.0),
-            is_dark=bool(news.get("darkness")),
-        )
-        self._state.set_content(tables.table(rows, "state of the run"))
-        told = newest_first(news, tuple(desk.following.events))
-        self._events.set_content("".join(words.event_line(at_s, event) for at_s, event in told))
+        """Show what a session has said."""
+        learned = words.estimate_rows(news.get("state") or {})
+        self._learned.set_content(tables.table(learned, "parameters so far"))
+        self._state.set_content(tables.table(news.get("rows") or [], "state of the run"))
+        newest_first = reversed(tuple(self._desk.following.events))
+        self._events.set_content("".join(map(words.event_line, newest_first)))
 
     async def _note(self) -> None:
         text = str(self._noting.value or "").strip()

@@ -1,10 +1,8 @@
-"""What a desk shows of a run is read from its record, while it grows; events stand in one order."""
+"""What a desk shows of a run is read from its record, while it grows."""
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +12,8 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.swing import Swing
-from processing.units import nanoseconds, seconds
-from rig.desk.run_reader import RunReader, decimated, newest_first
+from processing.units import nanoseconds
+from rig.desk.run_reader import RunReader, decimated
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
@@ -93,26 +91,3 @@ def test_a_long_run_is_drawn_in_some_hundred_points_up_to_its_last() -> None:
     assert 400 < len(found) <= 800
     assert (found[-1], sorted(found)) == (points[-1], found)
     assert decimated(points[:7]) == points[:7]
-
-
-def event(number: int, run: str, text: str, elapsed_s: float, noted_s: float) -> dict[str, Any]:
-    return {"number": number, "run": run, "text": text, "elapsed_s": elapsed_s, "noted_s": noted_s}
-
-
-def test_events_have_one_origin_and_the_newest_is_first() -> None:
-    of_record = ((2.6, "rest"), (-1.3, "magnet"), (0.0, "first frame"), (2.0, "go"))
-    events = [event(1, "run 2", "waits for a person", math.nan, 100.4)]
-    assert math.isnan(newest_first({"run": "run 2"}, events)[0][0])
-    events += [event(k, "run 2", text, at_s, 100.0 + at_s) for k, (at_s, text) in enumerate(of_record, 2)]
-    events.append(event(9, "run 1", "the first run's end", 900.0, 90.0))
-    found = newest_first({"run": "run 2", "record_began_s": 100.0}, events)
-    assert [one["text"] for _, one in found] == [
-        "rest",
-        "go",
-        "waits for a person",
-        "first frame",
-        "magnet",
-        "the first run's end",
-    ]
-    assert found[-1][0] == -10.0
-    assert seconds(nanoseconds(found[0][0])) == 2.6
