@@ -21,8 +21,8 @@ from rig.settings import Configuration
 
 _LOOK_S = 0.1
 _EVENTS = 500
-_POINTS = 800
-"""Of each curve."""
+_KEPT, _POINTS = 20_000, 800
+"""Points of a curve that are kept, the newest, and those that are drawn."""
 _DIGITS = 5
 Point = tuple[float, ...]
 
@@ -49,8 +49,8 @@ class RunReader:
             self._config = config
             self._start_ns: int | None = None
             self._path: deque[Deflections] = deque()
-            self._swings: dict[str, list[Point]] = {"amplitude": [], "period": []}
-            self._estimates: dict[str, list[Point]] = {}
+            self._swings = {name: deque[Point](maxlen=_KEPT) for name in ("amplitude", "period")}
+            self._estimates: dict[str, deque[Point]] = {}
             self._fitted: list[RecordedFittedPoint] = []
             self._events: deque[tuple[float, Event]] = deque(maxlen=_EVENTS)
             self.balance: dict[str, Any] | None = None
@@ -130,7 +130,7 @@ class RunReader:
                         self._swings["period"].append((at_s, round(2.0 * swing.half_period_s, _DIGITS)))
             for row in told.of(RecordedEstimate):
                 if math.isfinite(row.value) and math.isfinite(row.u_value):
-                    kept = self._estimates.setdefault(row.quantity, [])
+                    kept = self._estimates.setdefault(row.quantity, deque(maxlen=_KEPT))
                     kept.append((seconds(row.time_ns - start_ns), row.value, row.u_value))
             points = reader.values(FITTED.topic, RecordedFittedPoint, piece.get(FITTED.topic, ()))
             if points:
@@ -143,7 +143,7 @@ class RunReader:
 def decimated(points: Sequence[Point]) -> list[Point]:
     """At most some hundred of the points of a curve, evenly; its last one is among them."""
     step = max(1, math.ceil(len(points) / _POINTS))
-    return list(points[::-1][::step][::-1])
+    return list(points)[::-1][::step][::-1]
 
 
 def _drawn(points: Sequence[RecordedFittedPoint], start_ns: int) -> dict[str, list[Point]]:
