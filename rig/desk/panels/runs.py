@@ -60,7 +60,7 @@ class SessionList:
                 {"name": name, "label": _head(name), "field": name, "align": "left"} for name in _COLUMNS
             ]
             self._table = ui.table(
-                columns=columns, rows=[], row_key="folder", selection="single", pagination=0
+                columns=columns, rows=[], row_key="folder", selection="multiple", pagination=0
             )
             self._table.classes("full-width")
             self._table.props('dense flat hide-pagination hide-selected-banner aria-label="sessions"')
@@ -106,7 +106,10 @@ class SessionList:
         return {"folder": str(row.folder), "name": row.folder.name, **stated, **found}
 
     def _mark(self) -> None:
-        self._marked = next((str(row["folder"]) for row in self._table.selected), "")
+        # another one takes the place of the one before
+        names = [str(row["folder"]) for row in self._table.selected]
+        self._marked = next((name for name in names if name != self._marked), names[0] if names else "")
+        self._table.selected = [row for row in self._table.rows if row["folder"] == self._marked]
         self._on_mark(self._rows.get(self._marked))
 
     async def _turn(self, pages: int) -> None:
