@@ -13,7 +13,6 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from processing.errors import RigError
 from rig.control import STALE_S
 from rig.desk.alarm_list import AlarmKey, AlarmState
 from rig.desk.desk import Desk
@@ -106,15 +105,6 @@ def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess
     assert "was killed, Resume" in desk.stop_session(wakes_within_s=1.0)
     assert session.wait(30.0) == -signal.SIGKILL
     wait_for(desk, AlarmKey.SESSION_DIED)
-
-
-@pytest.mark.slow
-def test_stop_orders_a_session_that_answers(desk: Desk, session: "subprocess.Popen[str]") -> None:
-    """The one of this test knows no such order, and says so: it has heard it."""
-    assert not desk.following.frozen
-    with pytest.raises(RigError, match="knows no such order"):
-        desk.stop_session()
-    assert session.poll() is None
 
 
 def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -> None:

@@ -53,7 +53,14 @@ def test_two_desks_of_one_configuration_in_a_process(tmp_path: Path) -> None:
     kept.hold(tmp_path)
     with pytest.raises(ConfigurationError, match="already has an open desk"):
         Kept(tmp_path / "rig.toml").hold(tmp_path)
+    # its sessions would be ordered about by two
+    other = Kept(tmp_path / "other.toml")
+    with pytest.raises(ConfigurationError, match="another configuration has its sessions there"):
+        other.hold(tmp_path)
     kept.close()
+    # the refused one has left nothing behind
+    other.hold(tmp_path)
+    other.close()
 
 
 def test_a_disk_without_locks_is_not_called_another_desk(
