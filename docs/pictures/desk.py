@@ -110,7 +110,7 @@ def photograph(page: Page) -> None:
     page.key("5")
     page.wait("document.querySelector('.q-table tbody .q-checkbox') !== null")
     page.ask("document.querySelector('.q-table tbody .q-checkbox').click()")
-    page.wait_text("1 marked")
+    page.wait_text("is marked")
     page.click("Fit again")
     page.wait_text("rig fit: done", 200.0)
     save(page, "sessions")

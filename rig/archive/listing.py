@@ -39,16 +39,6 @@ def _beside(names: Sequence[str]) -> list[str]:
     return [column for name in names for column in (*of_row(name)[1:], f"verdict_{name}")]
 
 
-_FOUND = (
-    f"{_ID}, began_utc, folder, run, {_SAMPLE}, operator, state, "
-    f"b, p, c, {', '.join(_beside(('b', 'p', 'c')))}"
-)
-_SEARCHED = (
-    "lower(concat_ws(' ', strftime(began_utc, '%Y-%m-%d %H:%M:%S'), folder, run, sample, operator, state, "
-    "contact_history, noted))"
-)
-
-
 def list_runs(
     archive: Path, condition: str, columns: str, output: Path | None, *, json_lines: bool = False
 ) -> None:
@@ -101,17 +91,6 @@ def meant(archive: Path, names: Sequence[str]) -> str:
     """
     runs = (f"'{run}'" for name in names for run in _named(archive, name))
     return f"sha256 in ({', '.join(runs)})" if names else "true"
-
-
-def find_runs(archive: Path, words: str, first: int = 0, most: int = 20) -> tuple[Table, int, int]:
-    """Some of the runs with all these words in their texts, newest first; how many have them, and how many
-    there are.
-    """
-    quoted = (word.replace("'", "''") for word in words.lower().split())
-    where = " and ".join(f"contains({_SEARCHED}, '{word}')" for word in quoted) or "true"
-    _, ((every, found),) = selected(archive, f"count(*), count(*) filter (where {where})", "")
-    order = f"order by began_utc desc nulls last, sha256 limit {most:d} offset {first:d}"
-    return _table(*selected(archive, _FOUND, f"{where} {order}")), found, every
 
 
 def selected(

@@ -35,8 +35,6 @@ class Filed:
         The file and its content.
     tables
         Values, budget and residuals, as far as this kind has them.
-    residuals
-        What the fit has left over, for drawing; none of a lever from lengths.
     configuration
         The lines of the configuration that use it.
     """
@@ -44,7 +42,6 @@ class Filed:
     path: Path
     calibration: CalibrationFile
     tables: Sequence[Table]
-    residuals: Sequence[Residuals]
     configuration: str
 
 
@@ -54,8 +51,7 @@ def filed(path: Path) -> Filed:
     name = toml_value(path.as_posix())
     stated = f"checks = [{name}]" if found.kind == "check" else f"{found.kind} = {name}"
     tables = [table for table in (_values(found), *_of_kind(found)) if table.shown]
-    residuals = [one for one in _left_over(found) if len(one.x)]
-    return Filed(path, found, tables, residuals, f"[calibration]\n{stated}")
+    return Filed(path, found, tables, f"[calibration]\n{stated}")
 
 
 def _values(found: CalibrationFile) -> Table:
@@ -107,25 +103,8 @@ def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
+    """Of axes, clock, shutter and air."""
     details = found.details
-    if "residual_px" in details:
-        unit, size = _unit_of_steps(details)
-        for place, axis in enumerate("xy"):
-            off_px = [row[place] for row in details["residual_px"]]
-            reference = [value / size for value in details["reference"]]
-            unknown = [0.0] * len(off_px)
-            title = f"residuals of the steps, {axis}"
-            yield Residuals(title, f"reference, {unit}", "px", reference, off_px, unknown)
-    if "signal_dn" in details:
-        off_dn2 = [off for *_, off, _ in _off_transfer(found.values, details)]
-        yield Residuals(
-            "residuals of the levels",
-            "signal, DN",
-            "off the line, DN²",
-            details["signal_dn"],
-            off_dn2,
-            details["u_variance_dn2"],
-        )
     for mode in ("slow", "fast"):
         if parts := details.get(f"{mode}_parts"):
             yield Residuals(

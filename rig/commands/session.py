@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, MissingPackage
-from rig.commands.archive import PLACE, Archive
 from rig.commands.arguments import MODES, Config, JsonLines, Set, View
 from rig.commands.inputs import there
 from rig.commands.outputs import appended_file, new_file, old_folder
@@ -80,7 +79,6 @@ def desk(
     port: Annotated[
         int, typer.Option(help="Port; 0: the last one, 8642, or any that is free.", min=0, max=65535)
     ] = 0,
-    archive: Archive = PLACE,
     browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
     set_: Set = None,
 ) -> None:
@@ -96,7 +94,7 @@ def desk(
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "starlette", "uvicorn"):
             raise
         raise MissingPackage("rig desk", "nicegui") from None
-    raise typer.Exit(open_desk(config, tuple(set_ or ()), port, browser=browser, archive=Path(archive)))
+    raise typer.Exit(open_desk(config, tuple(set_ or ()), port, browser=browser))
 
 
 def doctor(

@@ -1,17 +1,17 @@
-"""The alarms at the head of every page: the one that cries, its remedy, and the list that unfolds."""
+"""The alarms at the head of every page with the list that unfolds, and the dialogs that they open."""
 
+import html
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from nicegui import ui
+from nicegui import run, ui
 
-from rig.alarms import AlarmKey, AlarmList, AlarmRow, AlarmState, Grade
+from rig.control import LatchedTrip
+from rig.desk.alarm_list import AlarmKey, AlarmList, AlarmRow, AlarmState
+from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab, at_once
-
-_PAST_SHOWN = 8
-_COUNTED = (AlarmState.ACTIVE, AlarmState.CLEARED, AlarmState.ACKNOWLEDGED, AlarmState.SHELVED)
 
 
 class AlarmBar:
@@ -53,21 +53,21 @@ class AlarmBar:
 
         `refused` says why a trip cannot be acknowledged yet.
         """
-        rows, past = self._alarms.rows(), list(self._alarms.past)[:_PAST_SHOWN]
+        rows = self._alarms.rows()
         crying = [row for row in rows if row.cries]
         worst = crying[0] if crying else None
-        self._title.set_text("" if worst is None else sentence(f"{worst.alarm.title}: {worst.cause}"))
+        self._title.set_text("" if worst is None else sentence(f"{worst.key}: {worst.cause}"))
         self._remedy.set_text("" if worst is None else sentence(worst.alarm.remedy))
         self._banner.set_visibility(worst is not None)
         died = any(row.key is AlarmKey.SESSION_DIED for row in rows)
         self._resume.set_visibility(died and self._resumable() is not None)
         earlier = [row for row in rows if row.earlier]
         rows = [row for row in rows if not row.earlier]
-        counted = [(state, sum(row.state is state for row in rows)) for state in _COUNTED]
+        counted = [(state, sum(row.state is state for row in rows)) for state in AlarmState]
         told = [f"{count} {state}" for state, count in counted if count]
         said = ", ".join([*told, f"{len(earlier)} from before"] if earlier else told)
         self._counts.set_text(f"Alarms: {said or 'none'}")
-        now = (rows, earlier, past, refused)
+        now = (rows, earlier, refused)
         if now != self._shown:
             self._shown = now
             self._list.clear()
@@ -81,10 +81,8 @@ class AlarmBar:
                         )
                         for row in earlier:
                             self._row(row, refused)
-                for row in past:
-                    ui.label(f"gone: {row.alarm.title}: {row.cause}; {_times(row)}").classes("dim")
-                if not rows and not earlier and not past:
-                    ui.label("nothing has been wrong").classes("dim")
+                if not rows and not earlier:
+                    ui.label("nothing is wrong").classes("dim")
         return crying
 
     def _row(self, row: AlarmRow, refused: str) -> None:
@@ -92,7 +90,7 @@ class AlarmBar:
         with ui.element("div").classes(f"alarm-row {row.state}").props(f'data-alarm="{row.key}"'):
             with ui.element("div"):
                 again = f" ({row.times} times)" if row.times > 1 else ""
-                ui.label(f"{alarm.title}{again}").classes("text-weight-bold")
+                ui.label(f"{row.key}{again}").classes("text-weight-bold")
                 ui.label(f"{row.state}; {_times(row)}").classes("dim")
             ui.label(row.cause).props('aria-label="cause"')
             ui.label(alarm.remedy).props('aria-label="remedy"')
@@ -102,12 +100,7 @@ class AlarmBar:
                     button.props("dense outline").set_enabled(not refused)
                 elif row.state in (AlarmState.ACTIVE, AlarmState.CLEARED):
                     button = tab.button("Seen", partial(self._seen, row.key))
-                    button.props(f'dense outline aria-label="acknowledge {alarm.title}" {DELIBERATE}')
-                # danger stays where it is seen
-                may_wait = alarm.grade is not Grade.DANGER
-                if may_wait and row.state in (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED):
-                    button = tab.button("Shelve 10 min", partial(self._shelve, row.key))
-                    button.props(f'dense flat aria-label="shelve {alarm.title}"')
+                    button.props(f'dense outline aria-label="acknowledge {row.key}" {DELIBERATE}')
 
     def _resumed(self) -> None:
         if (folder := self._resumable()) is not None:
@@ -116,9 +109,6 @@ class AlarmBar:
     def _seen(self, *keys: AlarmKey) -> None:
         for key in keys:
             self._alarms.acknowledge(key)
-
-    def _shelve(self, key: AlarmKey) -> None:
-        self._alarms.shelve(key)
 
 
 def sentence(text: str) -> str:
@@ -132,10 +122,72 @@ def _times(row: AlarmRow) -> str:
         ("since", row.raised_s),
         ("cleared", row.cleared_s),
         ("seen", row.acknowledged_s),
-        ("shelved until", row.shelved_until_s),
     )
     return ", ".join(f"{word} {_clock(at)}" for word, at in told if at is not None)
 
 
 def _clock(at_s: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(at_s))
+
+
+class TripDialog:
+    """Asks before a trip is acknowledged: the one that is read, also if another comes meanwhile."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk = desk
+        self._asked: LatchedTrip | None = None
+        with ui.dialog().props('aria-label="acknowledge a trip"') as self._dialog, ui.card():
+            self._text = ui.label().classes("middle")
+            ui.label("Check that nobody is in the beam path. Acknowledging lights nothing.")
+            with ui.row():
+                self._allow = tab.button("Acknowledge", self._acknowledged)
+                self._allow.props(f'color="negative" {DELIBERATE}')
+                ui.button("Not now", on_click=self._dialog.close).props("outline")
+
+    def ask(self) -> None:
+        """Open it for the trip that waits."""
+        self._asked = self._desk.safety.trip
+        if self._asked is not None:
+            self._text.set_text(self._asked.text)
+            self._allow.set_text(f"Acknowledge trip {self._asked.number}")
+            self._dialog.open()
+
+    async def _acknowledged(self) -> None:
+        self._dialog.close()
+        if self._asked is not None:
+            ui.notify(await run.io_bound(self._desk.lighting.acknowledge, self._asked.number))
+
+
+def resume_dialog(desk: Desk, tab: Tab) -> Callable[[Path], None]:
+    """Build it where it is made; returns what opens it for a session's folder."""
+    asked: Path | None = None
+
+    async def resume() -> None:
+        begin.close()
+        if (folder := asked) is not None:
+            await run.io_bound(desk.resume_session, folder)
+            ui.notify(f"{folder} continues; see Measure")
+
+    with ui.dialog().props('aria-label="go on with a session"') as begin, ui.card():
+        what = ui.label().classes("middle")
+        ui.label("The laser will be lit. Check that nobody is in the beam path.")
+        with ui.row():
+            tab.button("Go on with it", resume).props(f'color="positive" {DELIBERATE}')
+            ui.button("Not now", on_click=begin.close).props("outline")
+
+    def ask(folder: Path) -> None:
+        nonlocal asked
+        asked = folder
+        what.set_text(f"Make the missing runs of {folder}?")
+        begin.open()
+
+    return ask
+
+
+def keys_dialog(keys: Sequence[tuple[str, str]]) -> ui.dialog:
+    """The list of keys, each with what it does."""
+    lines = [f"<tr><th>{html.escape(key)}</th><td>{html.escape(text)}</td></tr>" for key, text in keys]
+    with ui.dialog().props('aria-label="keys"') as dialog, ui.card():
+        ui.label("Keys").classes("middle")
+        ui.html(f"<table class='rows'>{''.join(lines)}</table>", sanitize=False)
+    return dialog

@@ -1,68 +1,209 @@
-"""Looks at everything the desk knows, ten times a second, and keeps the list of alarms; needs no page."""
+"""Which alarms follow from what the desk sees; it looks ten times a second, and needs no page."""
 
 import math
-import os
-import shutil
 import threading
 import time
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from acquisition.record.events import EventKind, Level, level_of
 from processing.errors import RigError
-from rig.alarms import AlarmKey, AlarmList, EndedSession, HowEnded, Seen, conditions, happened
-from rig.control import STALE_S, LatchedTrip, SafetyNow
+from rig.control import STALE_S, ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
+from rig.desk.alarm_list import AlarmKey, AlarmList
 from rig.instrument import Phase
-from rig.measure import read_session, state_of
+from rig.measure import LEAST_FREE_BYTES, read_session, state_of
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk
 
+
+_SPOT_S = 0.5
+"""A spot that was lost for less is data, and no alarm."""
+_FRAMES_S = 1.5
+_NEWS_S = 10.0
+"""A busy machine makes the news of a sound session late by seconds, never by so much."""
+_SILENT: Final = (Light.SILENT, Light.CONTROLLER_SILENT)
+_WITH_FRAMES: Final = frozenset({Phase.REST, Phase.WARM_UP, Phase.RELEASE, Phase.MEASURING})
+_CAMERA_GONE: Final = frozenset({EventKind.CAMERA_LOST, EventKind.CAMERA_SILENT})
+OF_CAMERA: Final = _CAMERA_GONE | {EventKind.CAMERA_SPEAKS, EventKind.CAMERA_BACK}
+_OWN: Final[Mapping[str, AlarmKey]] = {
+    EventKind.FAILED: AlarmKey.SESSION_FAILED,
+    EventKind.RECORD: AlarmKey.DISK_FULL,
+}
+"""Events that are alarms of their own."""
+_CONDITIONS: Final = frozenset({EventKind.STOPPED, EventKind.SPOT_LOST, EventKind.CAMERA_LOST})
+"""Warnings that a person gave, or that hold for as long as a condition does."""
+_OF_DARKNESS: Final = frozenset({EventKind.LIGHT_STEP, EventKind.REST_STEP, EventKind.PUSH})
+_UNDER_TRIP: Final = frozenset({AlarmKey.LASER_DARK, AlarmKey.SPOT, AlarmKey.BALANCE})
+"""What frames without light look like; `_OF_DARKNESS` are events of the same."""
+
+
+class HowEnded(StrEnum):
+    """How a session that was followed has ended."""
+
+    DIED = "died"
+    FAILED = "failed"
+    REGULARLY = "regularly"
+
+
+@dataclass(frozen=True, slots=True)
+class EndedSession:
+    """A session that has just ended, by the name of its folder, and why."""
+
+    name: str
+    how: HowEnded
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a desk sees at one moment.
+
+    `news` is what the running session said `news_age_s` ago, empty without one, and `beat_age_s` how long ago
+    it gave any sign of life; `camera_event` its last event of the camera; `lit_by` who has the laser;
+    `picture_late_s` for how long the live picture has stood still.
+    """
+
+    safety: SafetyNow = field(default_factory=SafetyNow)
+    lit_by: str = ""
+    news: Mapping[str, Any] = field(default_factory=dict)
+    news_age_s: float = 0.0
+    beat_age_s: float = math.inf
+    session: str = ""
+    devices: DevicesNow = field(default_factory=DevicesNow)
+    camera_event: Mapping[str, Any] | None = None
+    sensor_wanted: bool = False
+    picture_late_s: float = 0.0
+
+
+def conditions(seen: Seen) -> dict[AlarmKey, str]:
+    """The alarms whose conditions hold, each with its cause where something tells it.
+
+    What somebody does with LIGHT OFF is none, and what follows from a trip is not told beside it.
+    """
+    found = dict([*_of_light(seen), *_of_session(seen)])
+    if seen.picture_late_s > STALE_S:
+        found[AlarmKey.CAMERA] = "the live picture is frozen"
+    under = _UNDER_TRIP if seen.safety.trip is not None else frozenset()
+    return {key: cause for key, cause in found.items() if key not in under}
+
+
+def happened(
+    events: Sequence[Mapping[str, Any]], ended: EndedSession | None, trip: LatchedTrip | None = None
+) -> list[tuple[AlarmKey, str]]:
+    """Alarms of a session's new events that are warnings, and of its end; none of what follows from a `trip`.
+
+    A session that ends because somebody has pressed LIGHT OFF has not failed.
+    """
+    is_own = trip is not None and _is_own(trip)
+    passed_over = _CONDITIONS if trip is None else _CONDITIONS | _OF_DARKNESS
+    found = []
+    for event in events:
+        kind, text = str(event["kind"]), str(event["text"])
+        if kind in _OWN:
+            if not (is_own and kind == EventKind.FAILED):
+                found.append((_OWN[kind], text))
+        elif level_of(kind) is Level.WARNING and kind not in passed_over:
+            found.append((AlarmKey.DISTURBED, f"{kind}: {text}"))
+    if ended is not None and ended.how is HowEnded.FAILED and is_own:
+        return found
+    if ended is not None and ended.how is HowEnded.DIED:
+        found.append((AlarmKey.SESSION_DIED, f"{ended.name}: {ended.reason or 'killed, or crashed'}"))
+    if ended is not None and ended.how is HowEnded.FAILED:
+        found.append((AlarmKey.SESSION_FAILED, f"{ended.name}: {ended.reason}"))
+    return found
+
+
+def _is_own(trip: LatchedTrip) -> bool:
+    """Whether a person has taken the light, who knows of it."""
+    return trip.cause is TripCause.PERSON
+
+
+def _of_light(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    safety = seen.safety
+    if safety.trip is not None and not _is_own(safety.trip):
+        yield AlarmKey.TRIP, safety.trip.text
+    if safety.light is Light.DISAGREES:
+        yield AlarmKey.LIGHT_DISAGREES, ""
+    if safety.interlock is Loop.OPEN and safety.interlock_age_s <= STALE_S:
+        yield AlarmKey.INTERLOCK, ""
+    silent = safety.light in (*_SILENT, Light.UNKNOWN)
+    if seen.lit_by and (silent or safety.light_age_s > STALE_S) and not math.isinf(safety.light_age_s):
+        yield AlarmKey.LASER_UNKNOWN, f"{seen.lit_by} has the laser, which {_silence(safety)}"
+    if seen.devices.controller not in (None, ControlState.OPEN):
+        yield AlarmKey.CONTROLLER, str(seen.devices.controller)
+
+
+def _silence(safety: SafetyNow) -> str:
+    if safety.light in _SILENT:
+        return str(safety.light)
+    return "nothing was heard of for more than 2 s"
+
+
+def _of_session(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    news = seen.news
+    if not news:
+        return
+    if min(seen.news_age_s, seen.beat_age_s) > STALE_S:
+        yield AlarmKey.SESSION_FROZEN, f"{seen.session} has said nothing for more than 2 s"
+        return
+    if seen.news_age_s > _NEWS_S:
+        yield AlarmKey.SESSION_FROZEN, f"{seen.session} answers, but has told nothing for {_NEWS_S:g} s"
+        return
+    state = news.get("state") or {}
+    crying = str(state.get("alarm") or "")
+    disk_silent_s = float(state.get("disk_silent_s") or 0.0)
+    if disk_silent_s:
+        yield AlarmKey.DISK_HANGS, "a write to the record takes more than 2 s"
+    if crying and not disk_silent_s:
+        dark = AlarmKey.LASER_UNKNOWN if seen.safety.light in _SILENT else AlarmKey.LASER_DARK
+        yield (dark if news.get("darkness") else AlarmKey.STALLED), crying
+    if state.get("phase") in _WITH_FRAMES:
+        yield from _of_frames(seen)
+    if seen.sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:
+        yield AlarmKey.ENVIRONMENT, ""
+    against = (news.get("balance") or {}).get("against") or ()
+    if against and state.get("phase") == Phase.MEASURING:
+        yield AlarmKey.BALANCE, "; ".join(map(str, against))
+    failed = [str(row["name"]) for row in news.get("preflight") or () if not row.get("ok", True)]
+    if failed and state.get("phase") == Phase.PREFLIGHT:
+        yield AlarmKey.PREFLIGHT, ", ".join(failed)
+    yield from _of_forecast(state)
+
+
+def _of_frames(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+    news = seen.news
+    rate_hz = ((news.get("camera") or {}).get("applied") or {}).get("frame_rate_hz")
+    patience_s = max(_FRAMES_S, 3.0 / float(rate_hz)) if rate_hz else _FRAMES_S
+    age_s = news.get("frames_age_s")
+    told = seen.camera_event
+    gone = told is not None and str(told["kind"]) in _CAMERA_GONE
+    if gone or (age_s is not None and float(age_s) > patience_s):
+        yield AlarmKey.CAMERA, str(told["text"]) if told is not None and gone else ""
+    elif float(news.get("spot_lost_s") or 0.0) > _SPOT_S:
+        yield AlarmKey.SPOT, ""
+
+
+def _of_forecast(state: Mapping[str, Any]) -> Iterator[tuple[AlarmKey, str]]:
+    left_s, free_bytes, rate = (
+        state.get(key) for key in ("remaining_s", "disk_free_bytes", "record_bytes_per_s")
+    )
+    if free_bytes is not None and rate:
+        lasts_s = max(float(free_bytes) - LEAST_FREE_BYTES, 0.0) / float(rate)
+        needed_s = float(left_s) if left_s is not None else float(state.get("at_most_s") or 0.0)
+        if lasts_s < needed_s and math.isfinite(needed_s):
+            yield (
+                AlarmKey.DISK_FORECAST,
+                f"room for {lasts_s / 60:.0f} min, needed for {needed_s / 60:.0f} min",
+            )
+
+
 _LOOK_S = 0.1
-_SURROUNDINGS_S = 1.0
-_KEEP_S = 0.5
-_CLOCK_STEP_S = 0.5
 _SECOND_LOOK_S = 0.4
-_TOLD_KEPT = 64
-
-
-class Surroundings:
-    """Disk and configuration file; in a thread of their own, because a disk that hangs holds up no alarm."""
-
-    def __init__(self, desk: "Desk") -> None:
-        self._desk = desk
-        self._was_there = desk.config.session.output.is_dir()
-        self._read_ns = _changed_ns(desk.source)
-        self.disk_free_bytes = math.inf
-        self.folder_problem = self.configuration_problem = ""
-
-    def look(self) -> None:
-        """Look once; may take long."""
-        output = self._desk.config.session.output
-        self.folder_problem = self._problem_of(output)
-        with suppress(OSError):
-            self.disk_free_bytes = shutil.disk_usage(_nearest(output)).free
-        changed_ns = _changed_ns(self._desk.source)
-        if changed_ns == self._read_ns and not self.configuration_problem:
-            return
-        self._read_ns = changed_ns
-        try:
-            self._desk.checked()
-            self.configuration_problem = ""
-        except (RigError, OSError) as error:
-            self.configuration_problem = str(error).splitlines()[0]
-
-    def _problem_of(self, output: Path) -> str:
-        there = output.is_dir()
-        gone, self._was_there = self._was_there and not there, self._was_there or there
-        if gone:
-            return f"{output} is gone"
-        place = _nearest(output)
-        if not place.is_dir():
-            return f"{place} is not a folder"
-        return "" if os.access(place, os.W_OK | os.X_OK) else f"{place} may not be written to"
 
 
 class Alarming:
@@ -71,47 +212,29 @@ class Alarming:
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
         self.alarms = AlarmList()
-        self._surroundings = Surroundings(desk)
         self._ended = threading.Event()
-        self._listed = b""
         self._heard: tuple[object, int] = (None, 0)
         self._followed: Path | None = None
         self._trip: LatchedTrip | None = None
-        self._told: deque[object] = deque(maxlen=_TOLD_KEPT)
         self._begun: object = None
-        self._picture = (0, 0, 0.0)
         self._late_since_s = math.inf
-        self._clocks_s = time.time() - time.monotonic()
 
     def start(self) -> None:
-        """Begin to look, and go on with the list of the desk before."""
-        self.alarms.restore(self._desk.place.alarms)
-        for name, look, each_s in (
-            ("alarms kept", self._keep, _KEEP_S),
-            ("alarms", self._look, _LOOK_S),
-            ("surroundings", self._surroundings.look, _SURROUNDINGS_S),
-        ):
-            threading.Thread(target=self._again, args=(look, each_s), name=name, daemon=True).start()
+        """Begin to look."""
+        threading.Thread(target=self._again, name="alarms", daemon=True).start()
 
     def stop(self) -> None:
         """Look no more."""
         self._ended.set()
-        self._keep()
 
-    def _keep(self) -> None:
-        """In a thread of its own, because a disk that hangs holds up no alarm."""
-        if (listed := self.alarms.kept()) != self._listed:
-            self._listed = listed
-            self._desk.place.keep_alarms(listed)
-
-    def _again(self, look: Any, each_s: float) -> None:
+    def _again(self) -> None:
         while not self._ended.is_set():
             try:
-                look()
+                self._look()
             except Exception as error:
                 # an alarm that cannot be judged is one
                 self.alarms.see({}, [(AlarmKey.WATCHER, f"the desk's own watch: {error}")])
-            self._ended.wait(each_s)
+            self._ended.wait(_LOOK_S)
 
     def _look(self) -> None:
         following = self._desk.following
@@ -124,11 +247,11 @@ class Alarming:
         found = happened(events, None, trip)
         while following.ended:
             found += happened([], following.ended.popleft(), trip)
-        found += [*self._of_commands(), *self._of_started_session(trip), *self._of_clock()]
+        found += self._of_started_session(trip)
         self.alarms.see(conditions(self._seen()), found)
 
     def _seen(self) -> Seen:
-        desk, following, around = self._desk, self._desk.following, self._surroundings
+        desk, following = self._desk, self._desk.following
         news, safety = following.news, desk.safety.now
         running = following.running and bool(news)
         age_s = time.monotonic() - following.heard_s if running else 0.0
@@ -142,10 +265,7 @@ class Alarming:
             devices=following.devices,
             camera_event=following.camera_event,
             sensor_wanted=desk.config.environment_sensor.kind != "none",
-            disk_free_bytes=around.disk_free_bytes,
-            folder_problem=around.folder_problem,
-            configuration_problem=around.configuration_problem,
-            picture_late_s=self._picture_late_s(),
+            picture_late_s=0.0 if desk.aligner is None else desk.aligner.late_s,
         )
 
     def _beat_age_s(self) -> float:
@@ -168,16 +288,6 @@ class Alarming:
         has_laser = following.devices.laser is not None
         return "the session" if following.running and measures and has_laser and news_age_s < 1.0 else ""
 
-    def _picture_late_s(self) -> float:
-        """For how long the live picture has stood still; 0 before its first frame."""
-        aligner = self._desk.aligner
-        if aligner is None or not aligner.running or not aligner.number:
-            return 0.0
-        now_s = time.monotonic()
-        if self._picture[:2] != (id(aligner), aligner.number):
-            self._picture = (id(aligner), aligner.number, now_s)
-        return now_s - self._picture[2]
-
     def _new_events(self) -> list[dict[str, Any]]:
         following = self._desk.following
         folder, number = self._heard
@@ -188,23 +298,6 @@ class Alarming:
             return []
         self._heard = (following.folder, max((int(event["number"]) for event in events), default=number))
         return events
-
-    def _of_commands(self) -> Iterator[tuple[AlarmKey, str]]:
-        desk = self._desk
-        for name, job in [*tuple(desk.jobs.items()), *tuple(desk.looking_again.jobs.items())]:
-            # a verdict that was printed is a result
-            if job.status in (None, 0) or job.ending or "preflight" in job.newest or self._is_told(job):
-                continue
-            yield AlarmKey.COMMAND, f"rig {name}: {job.said[-1] if job.said else f'ended with {job.status}'}"
-        aligner = desk.aligner
-        if aligner is not None and aligner.problem and not self._is_told(aligner):
-            yield AlarmKey.PICTURE, aligner.problem
-
-    def _is_told(self, what: object) -> bool:
-        if any(one is what for one in self._told):
-            return True
-        self._told.append(what)
-        return False
 
     def _of_started_session(self, trip: LatchedTrip | None) -> Iterator[tuple[AlarmKey, str]]:
         """A session of this desk that has ended with an error before it could be followed."""
@@ -219,20 +312,3 @@ class Alarming:
         words = [line for line in self._desk.last_words() if line.strip()]
         reason = words[-1] if words else f"ended with {begun[0].returncode}"
         yield from happened([], EndedSession(folder.name, HowEnded.FAILED, reason), trip)
-
-    def _of_clock(self) -> Iterator[tuple[AlarmKey, str]]:
-        before_s, self._clocks_s = self._clocks_s, time.time() - time.monotonic()
-        if abs(self._clocks_s - before_s) > _CLOCK_STEP_S:
-            yield AlarmKey.HOST_CLOCK, f"by {self._clocks_s - before_s:+.1f} s"
-
-
-def _nearest(folder: Path) -> Path:
-    """The folder, or the nearest one above it that is there."""
-    return next((place for place in (folder, *folder.absolute().parents) if place.exists()), Path("/"))
-
-
-def _changed_ns(path: Path) -> int:
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:
-        return -1

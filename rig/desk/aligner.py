@@ -83,6 +83,7 @@ class Aligner:
         self._ended = threading.Event()
         self.look: AlignmentFrame | None = None
         self.number = 0
+        self._looked_s = 0.0
         self.focus: deque[tuple[float, float]] = deque(maxlen=_FOCUS_POINTS)
         self.applied = CameraSettings()
         self.note = ""
@@ -152,6 +153,11 @@ class Aligner:
             self._relighting = True
 
     @property
+    def late_s(self) -> float:
+        """For how long the picture has stood still; 0 before its first frame, and after its end."""
+        return time.monotonic() - self._looked_s if self.running and self.number else 0.0
+
+    @property
     def running(self) -> bool:
         return self._thread.is_alive()
 
@@ -210,6 +216,7 @@ class Aligner:
                         )
                         self.focus.append((time.monotonic() - begun_s, look.figures.sharpness_per_px))
                         self.look, self.number = look, self.number + 1
+                        self._looked_s = time.monotonic()
                         light.look()
                         self._keep_lit_while_seen(devices)
                         if self._ended.is_set() or not self._wishes.empty():

@@ -191,13 +191,6 @@ class Calibrating:
             self.problems[kind] = job.said[-1].removeprefix("rig: ") if job.said else "it was not recorded"
         return ""
 
-    @property
-    def watched(self) -> Path | None:
-        """The record that is being made, whose picture is shown; None while none is."""
-        if self._recording is None or not self._recording[1].suffix or not self._recording[2].running:
-            return None
-        return self._recording[1]
-
     def file(self, kind: str, given: str, stated: Stated, filing: Filing) -> None:
         """Make the calibration and file it; takes seconds.
 

@@ -1,7 +1,7 @@
 """Charts of the desk: each curve is declared by its quantity of the catalogue, which names axis and unit.
 
 They are drawn by ECharts, which NiceGUI brings along, as SVG whose colours are those of the theme. Zoom is by
-wheel, fingers or buttons; what is pointed at is shown with its unit; what is seen is kept as PNG or CSV.
+wheel or fingers; what is pointed at is shown with its unit.
 """
 
 import json
@@ -36,7 +36,7 @@ class Curve:
 
     key: str
     name: str = ""
-    style: Literal["line", "points", "dashed", "band", "bars", "intervals"] = "line"
+    style: Literal["line", "points", "band", "bars"] = "line"
     colour: str = "line"
     row: int = 0
 
@@ -46,7 +46,6 @@ def chart_options(
     curves: Sequence[Curve],
     points: Sequence[Points],
     unit: str,
-    logarithmic: bool,
     marks: Sequence[Mark],
     ends: Ends | None,
     empty: str,
@@ -62,7 +61,7 @@ def chart_options(
         "showMaxLabel": ends is not None,
     }
     across = {
-        "type": "log" if logarithmic else "value",
+        "type": "value",
         "nameLocation": "middle",
         "nameGap": 24,
         **(_whole(points) if ends is None else _from_to(ends[0])),
@@ -97,7 +96,7 @@ def chart_options(
         shown = quantity(key, unit)
         y_axes.append(
             {
-                "type": "log" if logarithmic else "value",
+                "type": "value",
                 "gridIndex": row,
                 "scale": True,
                 "name": shown.label,
@@ -201,11 +200,7 @@ def _series(curve: Curve, points: Points, unit: str) -> list[dict[str, Any]]:
         "type": "line",
         "symbol": "none",
         "emphasis": {"disabled": True},
-        "lineStyle": {
-            "color": colour,
-            "width": 1.5,
-            "type": "dashed" if curve.style == "dashed" else "solid",
-        },
+        "lineStyle": {"color": colour, "width": 1.5},
         "itemStyle": {"color": colour},
         "tooltip": {":valueFormatter": _number(shown.unit)},
     }
@@ -213,15 +208,6 @@ def _series(curve: Curve, points: Points, unit: str) -> list[dict[str, Any]]:
         return [{**common, "type": "scatter", "symbol": "circle", "symbolSize": 5, "data": list(points)}]
     if curve.style == "bars":
         return [{**common, "type": "bar", "barCategoryGap": "10%", "data": list(points)}]
-    if curve.style == "intervals":
-        ends: list[Sequence[float | None]] = []
-        for x, y, u in points:
-            ends += [(x, _plus(y, u, -1)), (x, _plus(y, u, 1)), (None, None)]
-        middles = [(x, y) for x, y, _ in points]
-        return [
-            {**common, "data": ends, "tooltip": {"show": False}},
-            {**common, "type": "scatter", "symbol": "circle", "symbolSize": 7, "data": middles},
-        ]
     if curve.style == "band":
         edge = {
             **common,
@@ -253,7 +239,7 @@ class Chart:
     """A chart on a panel; `show` draws what is given, and leaves a zoom as it is.
 
     `title` is its name for those who do not see it, too. `square`: both axes are as long, so that curves in
-    one unit are to scale where both ends are the same. `tools` are the buttons above it.
+    one unit are to scale where both ends are the same. One with a `height` has no title above it.
     """
 
     def __init__(
@@ -262,22 +248,17 @@ class Chart:
         x: str,
         curves: Sequence[Curve],
         *,
-        logarithmic: bool = False,
         square: bool = False,
-        tools: bool = True,
         height: str = "",
     ) -> None:
-        self._title, self._x, self._logarithmic, self._square = title, x, logarithmic, square
+        self._title, self._x, self._square = title, x, square
         self._curves: Sequence[Curve] = curves
         self._shown: object = None
         self._small = bool(height)
         with ui.element("div").classes("chart") as self.frame:
-            if tools:
-                with ui.element("div").classes("tools"):
+            if not height:
+                with ui.row().classes("items-center") as self.head:
                     ui.label(title).classes("title")
-                    self.beside = ui.element("span")
-                    ui.space()
-                    self._buttons = ui.html(sanitize=False)
             with ui.element("div").classes("whole") if square else nullcontext():
                 self.element = ui.echart({}, renderer="svg")
             self.element.props(f'role="img" aria-label="{title}"')
@@ -286,8 +267,6 @@ class Chart:
                 self.frame.style("flex: 0 0 auto; min-height: 0")
             if square:
                 self.frame.classes("square")
-            if tools:
-                self._buttons.set_content(chart_buttons(int(self.element.id), title))
 
     def declare(self, curves: Sequence[Curve]) -> None:
         """Draw other curves from now on."""
@@ -311,9 +290,7 @@ class Chart:
         if now == self._shown:
             return
         self._shown = now
-        options = chart_options(
-            quantity(self._x, unit), self._curves, points, unit, self._logarithmic, marks, ends, empty
-        )
+        options = chart_options(quantity(self._x, unit), self._curves, points, unit, marks, ends, empty)
         # a chart in the browser merges what it gets: words go only where others, or none, replace them
         options["graphic"].append(in_last_row(self._curves, below if any(map(len, points)) else ""))
         if self._small:
@@ -333,7 +310,7 @@ class Trajectory:
         self.chart = Chart("trajectory", "deflection_x", WAY, square=True)
         self._stretched = False
         self._last: tuple[Sequence[float | None], Sequence[float | None], str] = [], [], "arcsec"
-        with self.chart.beside:
+        with self.chart.head:
             self._button = ui.button("stretch X", on_click=self._stretch).props("dense outline no-caps")
 
     def show(self, x: Sequence[float | None], y: Sequence[float | None], unit: str) -> None:
@@ -382,18 +359,3 @@ def _step(least: float) -> float:
     """The least round step that is not smaller: it does not change with every sample."""
     tens = 10.0 ** math.floor(math.log10(least or 1.0))
     return tens * next(one for one in (1, 2, 3, 4, 5, 6, 8, 10) if one * tens >= least * (1 - 1e-9))
-
-
-def chart_buttons(number: int, title: str) -> str:
-    """The buttons of the chart with this number of its element."""
-    said = (
-        ("in", "+", f"zoom into {title}"),
-        ("out", "−", f"zoom out of {title}"),
-        ("all", "All", f"All of {title}"),
-        ("png", "PNG", f"PNG of {title}"),
-        ("csv", "CSV", f"CSV of {title}"),
-    )
-    return " ".join(
-        f'<button type="button" data-chart="{number}" data-do="{do}" aria-label="{words}">{sign}</button>'
-        for do, sign, words in said
-    )

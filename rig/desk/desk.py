@@ -16,10 +16,9 @@ from processing.errors import ConfigurationError, RigError
 from rig.control import SafetyState, darken_beside, rig_state_path
 from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
-from rig.desk.balancing import Balancing
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
-from rig.desk.jobs import MESSAGES_NAME, Job, start_session
+from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, start_session
 from rig.desk.kept import Kept
 from rig.desk.lighting import Lighting
 from rig.desk.safety import Safety
@@ -49,18 +48,16 @@ class Desk:
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
     `place` is what is kept on disk, `lighting` takes light and gives it, `rig` is the rig's own safety state.
-    `archive` is the folder whose runs are listed, too.
     """
 
-    def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: Path = Path()) -> None:
+    def __init__(self, source: Path, overrides: tuple[str, ...] = ()) -> None:
         self.source = source
-        self.archive = archive
         self._overrides = overrides
         self.kept: dict[str, object] = {}
         self.config = load_configuration(source, overrides)
         self.calibrating = Calibrating(self)
         self.balancing = Balancing(self)
-        self.following = Following(self.config.session.output, lambda: self.calibrating.watched)
+        self.following = Following(self.config.session.output)
         self.rig = SafetyState(rig_state_path(self.config.laser, self.config.controller))
         by = "board" if self.config.laser.kind == "controller" else "laser"
         self.safety = Safety(self.rig, self.following, lambda: self.aligner, by)
@@ -296,7 +293,7 @@ class Desk:
         self.end_aligning()
         for job in self.jobs.values():
             job.end()
-        self.looking_again.close()
+        self.looking_again.end()
         self.sessions.stop()
         self.place.close()
 

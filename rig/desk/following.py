@@ -14,8 +14,8 @@ from pydantic import TypeAdapter
 
 from acquisition.record.events import Event
 from processing.errors import RigError
-from rig.alarms import OF_CAMERA, EndedSession, HowEnded
 from rig.control import STALE_S, DevicesNow, SafetyNow
+from rig.desk.alarming import OF_CAMERA, EndedSession, HowEnded
 from rig.desk.run_reader import RunReader
 from rig.measure import RunState, read_session
 from rig.orders import ORDERS_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions
@@ -79,14 +79,11 @@ class Following:
     `news` is what it said last (empty without a session), `events` its events, `folder` where it is and
     `last_folder` where the last one was; `silent` is True while it is there and does not answer; `heard_s` is
     the monotonic time of the last news, `heartbeat` tells when it last gave a sign of life. `camera_event` is
-    the last event of its camera, `ended` are the sessions that have ended under its eyes. `beside` names the
-    record that is made beside sessions, whose pictures are shown, too.
+    the last event of its camera, `ended` are the sessions that have ended under its eyes.
     """
 
-    def __init__(self, output: Path, beside: Callable[[], Path | None] = lambda: None) -> None:
+    def __init__(self, output: Path) -> None:
         self._output = output
-        self._beside = beside
-        self._camera_beside: dict[str, Any] = {}
         self.news: dict[str, Any] = {}
         self.events: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
         self.folder: Path | None = None
@@ -100,7 +97,6 @@ class Following:
         self._reader: RunReader | None = None
         self._count = 0
         self._pictures: Line | None = None
-        self._pictures_of: Path | None = None
         self._last_picture: SessionPicture | None = None
         self._heard = 0
         self._one_picture = threading.Lock()
@@ -175,33 +171,24 @@ class Following:
     @property
     def last_picture(self) -> SessionPicture | None:
         """The last frame of the running session that was asked for."""
-        shown = self.folder or self._beside()
-        return None if shown is None or shown != self._pictures_of else self._last_picture
-
-    @property
-    def camera(self) -> dict[str, Any]:
-        """What is known of the camera whose pictures these are; empty without one."""
-        return (self.news.get("camera") or {}) if self.running else self._camera_beside
+        pictures = self._pictures
+        return None if pictures is None or pictures.folder != self.folder else self._last_picture
 
     def picture(self) -> SessionPicture | None:
         """The newest frame of the running session, and ask for the next; blocks for a moment.
 
         Who asks while another one waits for a session that does not answer gets the last frame.
         """
-        session, shown = self.folder, self.folder or self._beside()
+        folder = self.folder
         if not self._one_picture.acquire(blocking=False):
             return self.last_picture
         try:
-            if self._pictures is not None and self._pictures_of != shown:
+            if self._pictures is not None and self._pictures.folder != folder:
                 self._pictures.close()
                 self._pictures = self._last_picture = None
-            if shown is None:
+            if folder is None:
                 return None
-            if self._pictures is None:
-                folder = shown if session is not None else shown.parent
-                self._pictures, self._pictures_of = Line(folder), shown
-            if self._last_picture is None and session is None:
-                self._camera_beside = self._pictures.news().get("camera") or {}
+            self._pictures = self._pictures or Line(folder)
             last = self._last_picture
             with suppress(NoSession):
                 self._last_picture = self._pictures.picture(0 if last is None else last.number) or last
@@ -211,10 +198,10 @@ class Following:
         finally:
             self._one_picture.release()
 
-    def history(self, *, spectra: bool) -> dict[str, Any]:
+    def history(self) -> dict[str, Any]:
         """What charts show of the running session, from its record; empty before there is one. Blocks."""
         reader = self._reader
-        return {} if reader is None else reader.history(spectra=spectra)
+        return {} if reader is None else reader.history()
 
     def _follow(self) -> None:
         while not self._ended.is_set():
@@ -263,7 +250,7 @@ class Following:
         if (reader := self._reader) is not None and reader.begun:
             for elapsed_s, told in reader.take_events():
                 self._keep(_of_record(reader, elapsed_s, told, news["run"]), news["run"])
-            news |= {"path": reader.path(), "balance": reader.balance, "record_began_s": reader.began_s}
+            news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
 
     def _keep(self, event: dict[str, Any], run: str) -> None:
@@ -284,8 +271,7 @@ class Following:
 
 def _of_record(reader: RunReader, elapsed_s: float, event: Event, run: str) -> dict[str, Any]:
     """An event of a record as the session tells its own."""
-    began_s = reader.began_s
-    at = time.localtime(time.time() - time.monotonic() + began_s + elapsed_s)
+    at = time.localtime(time.time() - time.monotonic() + reader.began_s + elapsed_s)
     return {
         "run": run,
         "elapsed_s": elapsed_s,
@@ -293,7 +279,6 @@ def _of_record(reader: RunReader, elapsed_s: float, event: Event, run: str) -> d
         "level": event.level,
         "text": event.text,
         "at": time.strftime("%H:%M:%S", at),
-        "noted_s": began_s + elapsed_s,
     }
 
 

@@ -8,14 +8,13 @@ from starlette.datastructures import Headers
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from rig.desk.sessions import SERVED
 from rig.terminal import LOOPBACK
 
 _NAMES = (LOOPBACK, "localhost")
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' OFF_SWITCH; form-action 'self'; "
-    "frame-ancestors "
+    "frame-ancestors 'none'"
 )
 _REFUSED = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
@@ -53,9 +52,7 @@ class Guard:
             return
         refused = self._refusal(scope)
         if refused is None:
-            # a report is shown within the desk's own page
-            framed = str(scope.get("path", "")).startswith(f"{SERVED}/")
-            await self._app(scope, receive, self._with_policy(send, framed=framed))
+            await self._app(scope, receive, self._with_policy(send))
         elif scope["type"] == "websocket":
             # closed before it was accepted, which the browser sees as 403
             await send({"type": "websocket.close", "code": 1008})
@@ -95,8 +92,8 @@ class Guard:
     def _is_key(self, told: str) -> bool:
         return hmac.compare_digest(told.encode(), self._key.encode())
 
-    def _with_policy(self, send: Send, *, framed: bool) -> Send:
-        policy = self._policy + ("'self'" if framed else "'none'")
+    def _with_policy(self, send: Send) -> Send:
+        policy = self._policy
 
         async def passed(message: dict[str, object]) -> None:
             if message["type"] == "http.response.start":

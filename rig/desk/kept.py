@@ -1,9 +1,8 @@
-"""What a desk keeps on disk: key, port, alarms; and its lock."""
+"""What a desk keeps on disk: its key and port; and its lock."""
 
 import contextlib
 import hashlib
 import secrets
-import threading
 from pathlib import Path
 from typing import IO
 
@@ -19,7 +18,7 @@ except ImportError:  # pragma: no cover
     # no file locks on this system; two desks of a configuration are then not prevented
     fcntl = None  # type: ignore[assignment]
 
-_ALARMS = "alarms.json"
+_NAME = "desk.json"
 
 
 class _Stored(BaseModel, extra="ignore"):
@@ -37,7 +36,6 @@ class Kept:
         self._source = source
         self._lock: IO[str] | None = None
         self._of_output: IO[str] | None = None
-        self._writing = threading.Lock()
         self._stored = _Stored()
 
     def hold(self, output: Path) -> None:
@@ -67,13 +65,15 @@ class Kept:
                 f"{other or 'that'}, or end it, or state another folder"
             )
         self._lock, self._of_output = held, of_output
-        with contextlib.suppress(ValidationError):
-            self._stored = _Stored.model_validate_json(self._read("desk.json") or b"{}")
+        with contextlib.suppress(OSError, ValidationError):
+            self._stored = _Stored.model_validate_json((self._folder / _NAME).read_bytes())
 
     def opened_at(self, address: str, port: int) -> None:
         """Tell the next desk where this one is, and take its port again the next time."""
         self._stored.port = port
-        self._write("desk.json", self._stored.model_dump_json(indent=1).encode())
+        if self._lock is not None:
+            with contextlib.suppress(OSError):
+                atomic_write.replace(self._folder / _NAME, self._stored.model_dump_json(indent=1).encode())
         for held in (self._lock, self._of_output):
             if held is not None:
                 held.truncate(0)
@@ -97,27 +97,6 @@ class Kept:
     def port(self) -> int:
         """The port of the last desk; 0 if there was none."""
         return self._stored.port
-
-    @property
-    def alarms(self) -> bytes:
-        """The list of alarms of the last desk, as `keep_alarms` was given it; empty if there was none."""
-        return self._read(_ALARMS)
-
-    def keep_alarms(self, listed: bytes) -> None:
-        """Keep the list of alarms; may be called from any thread."""
-        with self._writing:
-            self._write(_ALARMS, listed)
-
-    def _read(self, name: str) -> bytes:
-        try:
-            return (self._folder / name).read_bytes() if self._lock is not None else b""
-        except OSError:
-            return b""
-
-    def _write(self, name: str, data: bytes) -> None:
-        if self._lock is not None:
-            with contextlib.suppress(OSError):
-                atomic_write.replace(self._folder / name, data)
 
 
 def _locked(held: IO[str]) -> str | None:

@@ -3,21 +3,21 @@
 import json
 import time
 from functools import partial
+from pathlib import Path
 
 from nicegui import run, ui
 from nicegui.events import KeyEventArguments
 
-from rig.alarms import AlarmRow
-from rig.control import LatchedTrip, TripCause
-from rig.desk.alarm_bar import AlarmBar, sentence
+from rig.control import STALE_S, LatchedTrip, TripCause
+from rig.desk.alarm_bar import AlarmBar, TripDialog, keys_dialog, resume_dialog, sentence
+from rig.desk.alarm_list import CATALOGUE, AlarmKey, AlarmRow
 from rig.desk.desk import Desk, Started
-from rig.desk.dialogs import TripDialog, keys_dialog, resume_dialog
 from rig.desk.following import doing
-from rig.desk.head import build_head
 from rig.desk.panels import PANELS
 from rig.desk.safety import lamps, refusal
 from rig.desk.sessions import last_state
 from rig.desk.tab import DELIBERATE, Tab, at_once
+from rig.desk.theme import named_colours
 from rig.instrument import Phase
 from rig.presentation import loud
 
@@ -141,7 +141,7 @@ def _name(row: AlarmRow) -> str:
 def _told(row: AlarmRow) -> dict[str, str]:
     """As the browser is told of it."""
     text = f"{row.cause}\n{row.alarm.remedy}"
-    return {"name": _name(row), "key": row.key, "title": row.alarm.title, "text": text}
+    return {"name": _name(row), "key": row.key, "title": row.key, "text": text}
 
 
 def _session_age(desk: Desk) -> dict[str, object] | None:
@@ -190,3 +190,39 @@ def _keys() -> list[tuple[str, str]]:
     panels = [(str(number), panel.name) for number, panel in enumerate(PANELS, start=1)]
     own = [entry for panel in PANELS for entry in panel.keys]
     return [*panels, ("a", "the alarms"), ("F9", "LIGHT OFF"), ("?", "this list"), *own]
+
+
+DARK = "/dark"
+"""Where LIGHT OFF is sent to, at both servers."""
+_DEAD_S = 30.0
+"""A page that was told nothing for so long is not merely slow."""
+_STATIC = Path(__file__).with_name("static")
+_SCRIPTS = ("page.js", "safety.js", "watchdog.js")
+_BARS = """
+<div id="watchdog" role="alert" aria-live="assertive" hidden></div>
+<div id="safety" role="region" aria-label="safety">
+  <button id="light-off" type="button" aria-label="light off, key F9">LIGHT OFF</button>
+  <span class="lamp" id="lamp-laser" role="status" aria-live="polite"></span>
+  <span class="lamp" id="lamp-interlock" role="status" aria-live="polite"></span>
+  <span class="lamp" id="lamp-recording"></span>
+  <span class="lamp" id="lamp-age"></span>
+  <span id="off-said" role="status" aria-live="assertive"></span>
+  <button id="silence" type="button" hidden>Silence</button>
+</div>
+"""
+
+
+def build_head(off_port: int) -> None:
+    """Add it to the page that is being built; `off_port` is the server of LIGHT OFF beside the event loop."""
+    lost = CATALOGUE[AlarmKey.DESK_LOST]
+    told = {
+        "offPort": off_port,
+        "dark": DARK,
+        "staleS": STALE_S,
+        "deadS": _DEAD_S,
+        "lost": {"title": AlarmKey.DESK_LOST, "remedy": lost.remedy},
+    }
+    ui.add_css(named_colours() + (_STATIC / "desk.css").read_text("utf-8"))
+    scripts = "".join((_STATIC / name).read_text("utf-8") for name in _SCRIPTS)
+    ui.add_head_html(f"<script>window.rigDesk = {json.dumps(told)};\n{scripts}</script>")
+    ui.add_body_html(_BARS)

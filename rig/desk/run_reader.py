@@ -4,7 +4,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,17 @@ from acquisition.record.topics import FITTED, SPOT, RecordedEstimate, RecordedFi
 from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
-from processing.estimate import Estimate
-from processing.units import NS_PER_S, seconds
-from rig.desk.run_history import GroundNow, RunHistory, spectrum
+from processing.units import ARCSEC_RAD, NS_PER_S, seconds
 from rig.instrument import advice_for, balance_failures, recorded_configuration, told_in
 from rig.orders import PATH_S, thinned_path
 from rig.settings import Configuration
 
 _LOOK_S = 0.1
 _EVENTS = 500
+_KEPT, _POINTS = 20_000, 800
+"""Points of a curve that are kept, the newest, and those that are drawn."""
+_DIGITS = 5
+Point = tuple[float, ...]
 
 
 class RunReader:
@@ -34,7 +36,6 @@ class RunReader:
     def __init__(self, record: Path) -> None:
         self.record = record
         self._lock = threading.Lock()
-        self._one_spectrum = threading.Lock()
         self._over = threading.Event()
         self._begin(None)
         threading.Thread(target=self._follow, name="record", daemon=True).start()
@@ -48,8 +49,9 @@ class RunReader:
             self._config = config
             self._start_ns: int | None = None
             self._path: deque[Deflections] = deque()
-            self._history = RunHistory()
-            self._ground = GroundNow(None if config is None else config.pendulum)
+            self._swings = {name: deque[Point](maxlen=_KEPT) for name in ("amplitude", "period")}
+            self._estimates: dict[str, deque[Point]] = {}
+            self._fitted: list[RecordedFittedPoint] = []
             self._events: deque[tuple[float, Event]] = deque(maxlen=_EVENTS)
             self.balance: dict[str, Any] | None = None
             self.began_s = math.nan
@@ -73,18 +75,14 @@ class RunReader:
             path = list(self._path)
         return thinned_path(path)
 
-    def history(self, *, spectra: bool) -> dict[str, Any]:
-        """What charts show of the run since it began, decimated.
-
-        With `spectra` also those of its last minutes, which take longer than all the rest.
-        """
+    def history(self) -> dict[str, Any]:
+        """What charts show of the run since it began: swings, fit and estimates, amplitudes as shown."""
         with self._lock:
-            told, path = self._history.told(), list(self._path)
-            ground, parts = self._ground, self._ground.parts()
-        if not spectra:
-            return told
-        with self._one_spectrum:
-            return {**told, "spectrum": spectrum(path), "ground": ground.spectrum(*parts)}
+            return {
+                "swings": {name: decimated(points) for name, points in self._swings.items()},
+                "estimates": {key: decimated(points) for key, points in self._estimates.items()},
+                "fit": _drawn(self._fitted, self._start_ns or 0),
+            }
 
     # -- in its thread -----------------------------------------------------------
 
@@ -121,20 +119,46 @@ class RunReader:
         with self._lock:
             if SPOT.topic in piece:
                 deflections = reader.deflections(reader.rows(SPOT.topic, piece[SPOT.topic]))
-                self._history.motion(start_ns, deflections)
-                self._ground.take(deflections, told.swings)
                 self._path.append(deflections)
                 while deflections.times_ns[-1] - self._path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     self._path.popleft()
             for swing in told.swings:
                 if not swing.flags:
-                    self._history.swing(start_ns, swing, size)
+                    at_s = round(seconds(swing.turn_time_ns - start_ns), 3)
+                    self._swings["amplitude"].append((at_s, round(swing.amplitude / size, _DIGITS)))
+                    if math.isfinite(swing.half_period_s):
+                        self._swings["period"].append((at_s, round(2.0 * swing.half_period_s, _DIGITS)))
             for row in told.of(RecordedEstimate):
-                one = Estimate(row.value, row.u_value)
-                self._history.estimate(seconds(row.time_ns - start_ns), row.quantity, one)
-            points = piece.get(FITTED.topic, ())
-            self._history.fitted(reader.values(FITTED.topic, RecordedFittedPoint, points))
+                if math.isfinite(row.value) and math.isfinite(row.u_value):
+                    kept = self._estimates.setdefault(row.quantity, deque(maxlen=_KEPT))
+                    kept.append((seconds(row.time_ns - start_ns), row.value, row.u_value))
+            points = reader.values(FITTED.topic, RecordedFittedPoint, piece.get(FITTED.topic, ()))
+            if points:
+                # those of an earlier fit are forgotten
+                last_ns = points[-1].time_ns
+                self._fitted = [one for one in (*self._fitted, *points) if one.time_ns == last_ns]
             self._events.extend((seconds(event.time_ns - start_ns), event) for event in told.events)
+
+
+def decimated(points: Sequence[Point]) -> list[Point]:
+    """At most some hundred of the points of a curve, evenly; its last one is among them."""
+    step = max(1, math.ceil(len(points) / _POINTS))
+    return list(points)[::-1][::step][::-1]
+
+
+def _drawn(points: Sequence[RecordedFittedPoint], start_ns: int) -> dict[str, list[Point]]:
+    """The fit's curves and what it leaves over as they are shown; empty before the first fit."""
+    at_s = [round(seconds(one.turn_time_ns - start_ns), 3) for one in points]
+    curves = {
+        "amplitude": [round(one.amplitude_rad / ARCSEC_RAD, _DIGITS) for one in points],
+        "amplitude_residual": [round(one.amplitude_residual, 2) for one in points],
+        "period": [one.period_s for one in points],
+        "period_residual": [round(one.period_residual, 2) for one in points],
+    }
+    return {
+        name: decimated([one for one in zip(at_s, values, strict=True) if math.isfinite(one[1])])
+        for name, values in curves.items()
+    }
 
 
 def _told(config: Configuration, balance: Balance) -> dict[str, Any]:
@@ -149,28 +173,3 @@ def _configuration_of(reader: RecordReader) -> Configuration | None:
         return recorded_configuration(reader)
     except RecordError:
         return None
-
-
-def newest_first(
-    news: Mapping[str, Any], events: Iterable[Mapping[str, Any]]
-) -> Sequence[tuple[float, Mapping[str, Any]]]:
-    """Events as they were told, the newest first, each with its time since the present run's record began.
-
-    That is negative before, and NaN while no record has begun: then they are in the order of their numbers.
-    """
-    timed = [(_since_record(news, event), event) for event in events]
-    return sorted(
-        timed, key=lambda one: (0.0 if math.isnan(one[0]) else one[0], one[1]["number"]), reverse=True
-    )
-
-
-def _since_record(news: Mapping[str, Any], event: Mapping[str, Any]) -> float:
-    """An event of this run's record has its time. What was noted without one, and what belongs to an earlier
-    run, whose own times count from another record, is placed by when it was noted.
-    """
-    began_s, elapsed_s = (
-        math.nan if told is None else float(told) for told in (news.get("record_began_s"), event["elapsed_s"])
-    )
-    if event["run"] == news.get("run") and not math.isnan(began_s + elapsed_s):
-        return elapsed_s
-    return float(event["noted_s"]) - began_s

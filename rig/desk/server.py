@@ -25,8 +25,7 @@ from starlette.responses import PlainTextResponse, Response
 from processing.errors import ConfigurationError
 from rig.desk.desk import Desk
 from rig.desk.guard import Guard
-from rig.desk.head import DARK
-from rig.desk.page import build_page
+from rig.desk.page import DARK, build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.sessions import SERVED, served_file
 from rig.devices import check_wiring
@@ -102,15 +101,13 @@ def open_desk(
     port: int = 0,
     *,
     browser: bool = True,
-    archive: Path = Path(),
 ) -> int:
     """Serve the desk of a configuration until Ctrl-C; a session that it has started goes on.
 
-    `port` 0 is the last one, the usual one, or any. The runs of an `archive` that is there are listed, too.
-    The address with its key is printed on stdout. Raises ConfigurationError where a desk of this
-    configuration is open already.
+    `port` 0 is the last one, the usual one, or any. The address with its key is printed on
+    stdout. Raises ConfigurationError where a desk of this configuration is open already.
     """
-    desk = Desk(source, overrides, archive)
+    desk = Desk(source, overrides)
     desk.hold()
     try:
         check_wiring(desk.config.laser, desk.config.controller)

@@ -26,9 +26,6 @@ _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
 _STATE = "session.json"
 _LEAST_WAIT_S, _WAIT_OF_WORK = 1.0, 15.0
 """A large folder is looked through less often: one part in fifteen of a core at most."""
-_TOLD_AFTER = 500
-_BLOCKS = "▁▂▃▄▅▆▇█"
-_SPARKS = 12
 _LAST_LINES = 14
 
 
@@ -111,18 +108,10 @@ class SessionIndex:
         there = {path for _, path in files}
         for gone in self._known.keys() - there:
             del self._known[gone]
-        new = 0
         for changed_ns, path in files:
             before = self._known.get(path)
             if before is None or before[0] != changed_ns:
                 self._known[path] = changed_ns, session_row(Path(path))
-                new += 1
-                if new % _TOLD_AFTER == 0:
-                    # the newest are seen while the oldest are still read
-                    self._tell(files)
-        self._tell(files)
-
-    def _tell(self, files: Sequence[tuple[int, str]]) -> None:
         self._sorted = [self._known[path][1] for _, path in files if path in self._known]
 
     def _follow(self) -> None:
@@ -169,7 +158,6 @@ class LastRun(NamedTuple):
     units of `NUMBERS`.
     """
 
-    decay: str = ""
     sigma: str = ""
     b: str = ""
     c: str = ""
@@ -184,7 +172,6 @@ def last_run(folder: Path) -> LastRun:
     """Read it from the results of a session."""
     try:
         run = json.loads((folder / "results.json").read_bytes())["runs"][-1]
-        amplitudes = [one for one in run["turning_points"]["amplitude"] if one is not None]
         rows = {row["quantity"]: row for row in run["table"]}
         judged = [
             one["ok"] for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS and one["measured"]
@@ -193,7 +180,7 @@ def last_run(folder: Path) -> LastRun:
         return LastRun()
     numbers = {name: _number(rows.get(key)) for name, key in NUMBERS.items()}
     balance = "" if not judged else "go" if all(judged) else "no"
-    return LastRun(_blocks(amplitudes), **numbers, balance=balance)
+    return LastRun(**numbers, balance=balance)
 
 
 def _number(row: Mapping[str, Any] | None) -> str:
@@ -205,15 +192,6 @@ def _number(row: Mapping[str, Any] | None) -> str:
     factor = quantity(row["quantity"]).factor
     u = row["u"] if row["u_total"] is None else row["u_total"]
     return with_uncertainty(factor * row["value"], factor * (u or math.nan))
-
-
-def _blocks(amplitudes: Sequence[float]) -> str:
-    """The amplitudes as a line of blocks; empty where there are few."""
-    if len(amplitudes) < _SPARKS:
-        return ""
-    picked = amplitudes[:: max(1, len(amplitudes) // _SPARKS)][:_SPARKS]
-    most = max(picked) or 1.0
-    return "".join(_BLOCKS[min(len(_BLOCKS) - 1, int(len(_BLOCKS) * one / most))] for one in picked)
 
 
 @lru_cache(maxsize=8)
@@ -245,37 +223,28 @@ def served_file(output: Path, name: str) -> Path | None:
 
 
 class LookingAgain:
-    """Commands about closed sessions; they need no camera.
-
-    One of each name runs at a time, and one of those that show something in Rerun, whose port is one.
-    """
+    """Commands about closed sessions; they need no camera. One of each name runs at a time."""
 
     def __init__(self) -> None:
         self.jobs: dict[str, Job] = {}
 
-    def start(self, name: str, words: Sequence[str]) -> None:
-        """Start a command; raises ConfigurationError while the last one of this name runs."""
+    def _start(self, name: str, *words: str) -> None:
         before = self.jobs.get(name)
         if before is not None and before.running:
             raise ConfigurationError(f"rig {name} still runs; wait, or end it")
         self.jobs[name] = Job([name, *words])
 
     def report(self, folder: Path) -> None:
-        """Make the report of a session."""
-        self.start("report", [str(folder)])
+        """Make the report of a session; as all of these, refused while the last one of its name runs."""
+        self._start("report", str(folder))
 
-    def view(self, folders: Sequence[Path]) -> None:
-        """Show runs in Rerun."""
-        self.start("view", [*map(str, folders), "--view", "web"])
+    def view(self, folder: Path) -> None:
+        """Show a session in Rerun."""
+        self._start("view", str(folder), "--view", "web")
 
     def fit(self, folder: Path) -> None:
         """Fit the runs of a session again, into a folder of their own."""
-        self.start("fit", [str(folder), "-o", str(next_free(folder, "fit"))])
-
-    def compare(self, folders: Sequence[Path], output: Path) -> None:
-        """Compare sessions, in a page in `output`."""
-        page = next_free(output, "comparison", ".html")
-        self.start("compare", [*map(str, folders), "-o", str(page)])
+        self._start("fit", str(folder), "-o", str(next_free(folder, "fit")))
 
     def end(self) -> None:
         """End what runs."""
@@ -295,11 +264,6 @@ class LookingAgain:
             state = "runs" if job.running else "done" if job.status == 0 else "failed"
             lines += [f"rig {name}: {state}", *list(job.said)[-_LAST_LINES:]]
         return lines
-
-    def close(self) -> None:
-        """End all."""
-        for job in self.jobs.values():
-            job.end()
 
     def address(self, name: str) -> str:
         """The address that a command has printed, for a page that it serves; empty without one."""

@@ -4,29 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from processing.errors import DataError, RigError
-from processing.units import ARCSEC_RAD
+from processing.errors import RigError
 from rig.analysis import (
     Limit,
     RunResults,
-    curves_of,
     read_results,
     results_path,
     whole_result,
 )
 from rig.measure.session_file import RunState, SessionState, read_session
-
-
-@dataclass(frozen=True, slots=True)
-class DecayDrawn:
-    """Amplitudes in arcsec and periods in s over time, each with what the exact fit makes of it."""
-
-    time_s: Sequence[float]
-    amplitude: Sequence[float]
-    fitted: Sequence[float]
-    period_time_s: Sequence[float]
-    period_s: Sequence[float]
-    fitted_period_s: Sequence[float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +32,6 @@ class HandOver:
     next_steps: Sequence[str] = ()
     others: Sequence[tuple[str, str]] = ()
     report: Path | None = None
-    decay: DecayDrawn | None = None
     remarks: Sequence[str] = field(default_factory=tuple)
 
 
@@ -101,7 +86,6 @@ def hand_over(folder: Path) -> HandOver:
         [*steps, *found.next_steps],
         _others(run),
         report,
-        _decay(run),
         remarks,
     )
 
@@ -120,25 +104,3 @@ def _steps_of_end(ended: RunState | None) -> list[str]:
 
 def _others(run: RunResults) -> list[tuple[str, str]]:
     return [(row.shown.label, row.text) for row in run.contact]
-
-
-def _decay(run: RunResults) -> DecayDrawn | None:
-    """The last run's decay; None where it was not fitted, or keeps no turning points."""
-    if run.turning_points is None or not run.fits:
-        return None
-    points = run.turning_points.points()
-    try:
-        curves = curves_of(points, run) if len(points) >= 3 else None
-    except DataError:
-        return None
-    if curves is None:
-        return None
-    first_s = points.time_s[0]
-    return DecayDrawn(
-        (points.time_s - first_s).tolist(),
-        (points.amplitude / ARCSEC_RAD).tolist(),
-        (curves.exact_rad / ARCSEC_RAD).tolist(),
-        (curves.period_time_s - first_s).tolist(),
-        curves.period_s.tolist(),
-        curves.exact_period_s.tolist(),
-    )

@@ -153,7 +153,6 @@ class SessionNews:
                     "level": level,
                     "text": text,
                     "at": time.strftime("%H:%M:%S"),
-                    "noted_s": time.monotonic(),
                 }
             )
 

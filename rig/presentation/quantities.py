@@ -139,31 +139,11 @@ class Traces:
     elapsed_s: Annotated[float, Quantity("t", "time since the record began", "s")]
     deflection_x: Annotated[float, Quantity("X", "deflection across the swing", *_ANGLE)]
     deflection_y: Annotated[float, Quantity("Y", "deflection along the swing", *_ANGLE)]
-    amplitude_residual: Annotated[float, Quantity("amplitude − fit", "what a fit leaves over", *_ANGLE)]
-    period_residual: Annotated[float, Quantity("period − fit", "what a fit leaves over", "ms", "s")]
     amplitude_residual_in_u: Annotated[
         float, Quantity("(a − fit) / u", "what a fit of the amplitudes leaves over its uncertainty", unit="1")
     ]
     period_residual_in_u: Annotated[
         float, Quantity("(T − fit) / u", "what a fit of the periods leaves over its uncertainty", unit="1")
-    ]
-    frequency_hz: Annotated[float, Quantity("f", "frequency", "Hz", "Hz")]
-    density_rad_per_rthz: Annotated[
-        float,
-        Quantity("density", "root of the spectral density", "arcsec/sqrt(Hz)", "rad/sqrt(Hz)"),
-    ]
-    left_density_rad_per_rthz: Annotated[
-        float,
-        Quantity("besides the swing", "root of the spectral density", "arcsec/sqrt(Hz)", "rad/sqrt(Hz)"),
-    ]
-    ground_m_per_s2_rthz: Annotated[
-        float,
-        Quantity(
-            "ground",
-            "acceleration of the base that alone would leave this",
-            "nm/s^2/sqrt(Hz)",
-            "m/s^2/sqrt(Hz)",
-        ),
     ]
     sharpness_per_px: Annotated[float, Quantity("sharpness", "larger is sharper", "1/px", "1/px")]
     level_dn: Annotated[float, Quantity("level", "grey value of a pixel", "DN", "DN")]

@@ -9,14 +9,11 @@ from processing.errors import ConfigurationError
 from rig.calibrate import Filed, Filing
 from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibrating
-from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
-from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.settings import number
 
 _DAYS, _DARK_FRAMES = 90.0, 16
-_SIZE = (480, 240)
 
 
 def build(desk: Desk, tab: Tab) -> None:
@@ -29,28 +26,17 @@ def build(desk: Desk, tab: Tab) -> None:
             form.box.set_visibility(name == chosen)
             buttons[name].props(remove="outline") if name == chosen else buttons[name].props("outline")
 
-    async def look() -> None:
-        await run.io_bound(desk.begin_aligning)
-
     def refresh() -> None:
         busy = desk.calibrating.recording()
         for form in forms.values():
             form.refresh(busy)
-        lighting.set_visibility(not busy and not _seen(desk))
 
     with ui.row().classes("items-center"):
         buttons = {name: ui.button(name, on_click=partial(choose, name)) for name in kinds}
     for name, button in buttons.items():
         button.props(f'dense aria-label="{name}, calibrate it"')
-    with ui.element("div").classes("grid halves"):
-        with ui.column().classes("full-width"):
-            for name in kinds:
-                forms[name] = CalibrationForm(desk, tab, name)
-        with ui.column().classes("box"):
-            ui.html("what the camera sees", tag="h3", sanitize=False).classes("title")
-            with ui.element("div").classes("full-width"):
-                LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk))
-            lighting = tab.button("Live picture", look).props(f"outline {DELIBERATE}")
+    for name in kinds:
+        forms[name] = CalibrationForm(desk, tab, name)
     choose(next(iter(kinds)))
     tab.every(0.5, refresh)
     refresh()
@@ -105,7 +91,6 @@ class CalibrationForm:
                 f'color="positive" size="lg" aria-label="use {name}"'
             )
             self._result = ui.html(sanitize=False).classes("full-width")
-            self._charts = ui.column().classes("full-width")
 
     def refresh(self, busy: str) -> None:
         """Show what is recorded, what went wrong and what was filed."""
@@ -126,9 +111,6 @@ class CalibrationForm:
         if made is not None and made != self._drawn:
             self._drawn = made
             self._result.set_content(_result(made))
-            self._charts.clear()
-            with self._charts:
-                _draw(made)
 
     async def _record(self) -> None:
         exposure = self._exposure.value if self._kind.seconds is None else ""
@@ -189,26 +171,3 @@ def _result(made: Filed) -> str:
         parts.append(f"<div class='title'>{html.escape(table.title)}</div>")
         parts.append(tables.table([list(table.head), *(list(row) for row in table.shown)], table.title))
     return "".join(parts)
-
-
-def _draw(made: Filed) -> None:
-    """A chart of what each fit has left over."""
-    for left in made.residuals:
-        chart = Chart(left.title, left.x_name, (Curve(left.y_name, style="intervals"),), height="200px")
-        chart.show([list(zip(left.x, left.y, left.u, strict=True))])
-
-
-def _seen(desk: Desk) -> bool:
-    return desk.aligner is not None or desk.following.running or desk.calibrating.watched is not None
-
-
-def _why_none(desk: Desk) -> str:
-    if desk.aligner is not None:
-        return "" if desk.aligner.look is not None else "waiting for the first frame"
-    if desk.following.running:
-        return no_frame_yet(desk.following)
-    if desk.calibrating.watched is not None:
-        return "" if desk.following.has_picture else "waiting for the first frame of the recording"
-    if desk.config.laser.kind == "none":
-        return "no picture: a recording brings one"
-    return "laser off: a recording switches it on automatically"

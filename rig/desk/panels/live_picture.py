@@ -83,7 +83,7 @@ def look_now(desk: Desk) -> AlignmentFrame | None:
     aligner = desk.aligner
     if aligner is not None:
         return aligner.look
-    seen, camera = desk.following.last_picture, desk.following.camera
+    seen, camera = desk.following.last_picture, desk.following.news.get("camera") or {}
     if seen is None or "full_scale_dn" not in camera:
         return None
     full_scale_dn, stated = int(camera["full_scale_dn"]), camera["reference_px"]

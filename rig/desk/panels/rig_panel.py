@@ -4,6 +4,7 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from nicegui import run, ui
@@ -15,9 +16,9 @@ from rig.desk import tables
 from rig.desk.aligner import EXPOSE, Aligner
 from rig.desk.charts import Chart, Curve
 from rig.desk.desk import Desk
-from rig.desk.panels.fields import as_typed, number_field
+from rig.desk.following import doing
+from rig.desk.panels.between_runs import as_typed, number_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
-from rig.desk.panels.preflight import Expected, PreflightChecks
 from rig.desk.tab import DELIBERATE, Handler, Tab, at_once
 from rig.presentation import Verdict
 
@@ -36,9 +37,7 @@ def build(desk: Desk, tab: Tab) -> None:
     with ui.element("div").classes("grid align"):
         picture = AlignPicture(desk, tab)
         controls = CameraControls(desk, tab)
-    with ui.element("div").classes("grid wide-left"):
-        checks = PreflightChecks(desk, tab)
-        Expected(desk, tab)
+    checks = PreflightChecks(desk, tab)
 
     def refresh() -> None:
         picture.refresh()
@@ -135,8 +134,8 @@ class CameraControls:
             self._setting("exposure_us", "exposure / µs", {"-": (1 / _STEP, 0.0), "+": (_STEP, 0.0)})
             self._setting("gain_db", "gain / dB", {"-": (1.0, -_STEP_DB), "+": (1.0, _STEP_DB)})
             bars, line = (Curve("pixels", style="bars"),), (Curve("sharpness_per_px"),)
-            self._histogram = Chart("histogram", "level_dn", bars, tools=False, height="100px")
-            self._focus = Chart("focus", "elapsed_s", line, tools=False, height="110px")
+            self._histogram = Chart("histogram", "level_dn", bars, height="100px")
+            self._focus = Chart("focus", "elapsed_s", line, height="110px")
             with at_once(ui.expansion("figures", value=True)).classes("full-width"):
                 self._figures = ui.html(sanitize=False).classes("full-width").props('aria-live="off"')
 
@@ -271,3 +270,83 @@ def _kept(desk: Desk) -> str:
         f"{key} = {value:g}" for key, value in desk.kept.items() if isinstance(value, int | float)
     )
     return f"used for everything this desk starts: {lines}" if lines else ""
+
+
+class PreflightChecks:
+    """The button that runs the checks, their verdict, and a light for each."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk = desk
+        with ui.column().classes("box"):
+            with ui.row().classes("items-center"):
+                self._button = tab.button("Run preflight", self._start)
+                self._button.props(f'color="positive" size="lg" {DELIBERATE}')
+                self._ending = tab.button("End", self._end).props("outline")
+                self._verdict = ui.label().classes("advice").props('role="status" aria-live="polite"')
+                self._words = ui.label().style("white-space: pre-line")
+            self._failing = ui.html(sanitize=False).classes("full-width")
+            with at_once(ui.expansion("passed")).classes("full-width") as self._folded:
+                self._passing = ui.html(sanitize=False).classes("full-width")
+
+    def refresh(self) -> None:
+        """Show what the running session, or the last command, has found."""
+        job, news = self._desk.jobs.get("doctor"), self._desk.following.news
+        found: Sequence[Mapping[str, Any]] = ()
+        said = "it checks whether a run can be made"
+        if news.get("preflight"):
+            found = news["preflight"]
+        elif job is not None:
+            found = job.newest.get("preflight", {}).get("table", ())
+            said = "\n".join(list(job.said)[-3:])
+            if job.running:
+                said = doing(job.newest.get("state")) or "the camera is opened"
+        self._button.set_enabled(job is None or not job.running)
+        self._ending.set_visibility(job is not None and job.running and not found)
+        against = [one for one in found if not one["ok"]]
+        shown_first = against + [one for one in found if one["ok"] and (one["remedy"] or not one["made"])]
+        passed = [one for one in found if one not in shown_first]
+        self._verdict.set_text("" if not found else "NO-GO" if against else "GO")
+        self._verdict.set_visibility(bool(found))
+        self._verdict.classes(remove="go no", add="no" if against else "go")
+        done = "" if self._desk.following.running else _next(len(against))
+        self._words.set_text(done if found else said)
+        self._failing.set_content(lights(shown_first))
+        self._passing.set_content(lights(passed))
+        self._folded.set_text(f"{len(passed)} of {len(found)} checks passed")
+        self._folded.set_visibility(bool(passed))
+
+    async def _start(self) -> None:
+        await run.io_bound(self._desk.start, "doctor", "--preflight", "--json")
+
+    def _end(self) -> None:
+        if "doctor" in self._desk.jobs:
+            self._desk.jobs["doctor"].end()
+
+
+def _next(against: int) -> str:
+    """What is to be done after the checks."""
+    if not against:
+        return "Nothing prevents a run: start it in Measure."
+    what = "This stands" if against == 1 else f"These {against} stand"
+    return f"{what} against a run: follow the remedies below, then run preflight again."
+
+
+def lights(verdicts: Sequence[Mapping[str, Any]]) -> str:
+    """A row for each verdict: its light, its number against the limit, reason and remedy."""
+    rows = []
+    for one in verdicts:
+        judged = (
+            ("no", "NO-GO") if not one["ok"]
+            else ("caution", "caution") if one["remedy"]
+            else ("go", "go") if one["made"]
+            else ("dim", "not checked")
+        )  # fmt: skip
+        why = "; ".join(html.escape(str(one[key])) for key in ("reason", "remedy") if one[key])
+        rows.append(
+            f"<tr><td class='{judged[0]} judged'><span class='light' style='background: currentcolor'></span>"
+            f"{judged[1]}</td><th scope='row'>{html.escape(str(one['name']))}</th>"
+            f"<td>{html.escape(str(one['measured']))}</td>"
+            f"<td class='dim'>{html.escape(str(one['limit']))}</td></tr>"
+            + (f"<tr><td></td><td></td><td colspan='2' class='{judged[0]}'>{why}</td></tr>" if why else "")
+        )
+    return f"<table class='rows' aria-label='preflight'>{''.join(rows)}</table>"

@@ -2,11 +2,10 @@
 
 import html
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from processing.estimate import Estimate
-from rig.alarms import AlarmKey
 from rig.control import DevicesNow
 from rig.instrument import Phase
 from rig.measure import estimate_texts
@@ -23,7 +22,6 @@ _STEPS: Mapping[str, str] = {
     Phase.CLOSING: "closing",
 }
 _AT_ONCE = (Phase.WAITING, Phase.PREFLIGHT, Phase.MEASURING, Phase.CLOSING)
-_OF_DISK = (AlarmKey.OUTPUT, AlarmKey.DISK_FULL, AlarmKey.DISK_HANGS, AlarmKey.DISK_FORECAST)
 
 
 def strip(run_state: Mapping[str, Any], start_way: str) -> str:
@@ -82,44 +80,9 @@ def estimate_rows(run_state: Mapping[str, Any]) -> list[list[str]]:
     return rows or [["parameters", f"nothing yet: {first_fit(run_state)}"]]
 
 
-def event_line(at_s: float, event: Mapping[str, Any]) -> str:
-    """An event with its time since the record began, else that of the day."""
+def event_line(event: Mapping[str, Any]) -> str:
+    """An event with its time of the day."""
     grave = {"trip": "no", "alarm": "no", "warning": "caution"}.get(str(event["level"]), "")
-    when = str(event["at"]) if math.isnan(at_s) else f"{at_s:.1f} s"
     # some have said all with their kind
     text = html.escape(": ".join(str(event[part]) for part in ("kind", "text") if event[part]))
-    return f"<div class='{grave}'><span class='dim'>{when}</span> {text}</div>"
-
-
-def as_alarmed(
-    rows: Sequence[Sequence[str]],
-    causes: Mapping[AlarmKey, str],
-    no_frame_s: float,
-    *,
-    spot_lost_s: float = 0.0,
-    is_dark: bool = False,
-) -> list[list[str]]:
-    """The rows (name, text) beside alarms: what one contradicts says so instead of its last value.
-
-    `causes` are those of the alarms that hold now. Losses are counted where they can be: the row says first
-    what is being lost at this moment.
-    """
-    instead: dict[str, str] = {}
-    losing = ""
-    if AlarmKey.CAMERA in causes:
-        instead |= {"camera": f"no frame for {no_frame_s:.0f} s", "beam": "not seen: no frames"}
-        losing = "frames that do not come are counted when they come again"
-    elif is_dark:
-        instead["beam"] = "not seen: the laser is dark"
-        losing = "no spot: the laser is dark"
-    elif AlarmKey.SPOT in causes:
-        instead["beam"] = "no spot now"
-        losing = f"no spot for {spot_lost_s:.0f} s"
-    for key in _OF_DISK:
-        if key in causes:
-            instead["disk"] = causes[key]
-            break
-    told = [[name, instead.get(name, text)] for name, text, *_ in rows]
-    return [
-        [name, f"{losing}; {text}"] if losing and name == "losses" else [name, text] for name, text in told
-    ]
+    return f"<div class='{grave}'><span class='dim'>{event['at']}</span> {text}</div>"

@@ -7,3 +7,10 @@ new MutationObserver(() => {
   document.querySelectorAll('.q-table__middle:not([tabindex])').forEach(one => { one.tabIndex = 0; });
 })
   .observe(document.documentElement, {childList: true, subtree: true});
+// a number of a chart with its unit
+window.rigNumber = (value, unit) => {
+  if (Array.isArray(value)) value = value[value.length - 1];
+  if (value == null || !isFinite(value)) return '–';
+  const number = Number(Number(value).toPrecision(6)).toString().replace('-', '−');
+  return unit ? number + ' ' + unit : number;
+};

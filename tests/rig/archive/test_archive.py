@@ -13,7 +13,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_folders, check_archive, find_runs, list_runs, selected, update_archive
+from rig.archive import add_folders, check_archive, list_runs, selected, update_archive
 from rig.archive.catalogue import write_sessions, writing
 from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, of_row
 from tests.rig.command_line import rig
@@ -93,16 +93,6 @@ def test_runs_are_shown_by_the_first_characters_of_their_hash(archive: Path) -> 
     assert len(re.findall(r"^sha256 ", both, re.MULTILINE)) == 2
     for name, why in (("0000", "no run of the archive begins so"), ("run-1", "names no run")):
         assert why in rig("archive", "show", name, "--archive", archive).stderr
-
-
-def test_runs_are_found_by_words(archive: Path) -> None:
-    table, found, every = find_runs(archive, "k8 STEEL run-1")
-    assert (found, every, len(table.shown)) == (1, 3, 1)
-    shown = dict(zip(table.head, table.shown[0], strict=True))
-    assert shown["sample"].startswith("SIMULATED: ")
-    assert "±" in shown["c"]
-    assert find_runs(archive, "it's")[1] == 0
-    assert [len(find_runs(archive, "", first, 2)[0].shown) for first in (0, 2, 4)] == [2, 1, 0]
 
 
 def test_only_what_has_changed_is_read(sessions: Path, archive: Path) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from rig.archive import add_folders
 from rig.desk.theme import THEMES
 from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
@@ -111,7 +110,7 @@ def test_no_state_of_a_session_has_a_violation(shown: Shown, axe: str, theme: st
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_no_form_error_drawer_archive_picture_or_hand_over_has_a_violation(
+def test_no_form_error_list_picture_or_hand_over_has_a_violation(
     shown: Shown, axe: str, theme: str, desk_output: Path
 ) -> None:
     _, page = shown
@@ -152,22 +151,7 @@ def test_no_form_error_drawer_archive_picture_or_hand_over_has_a_violation(
     folder = finished(desk_output, theme)
     page.wait_text(folder.name)
     mark(page, folder.name)
-    page.key("o")
-    page.wait("document.querySelector('#report iframe')?.src.includes('report')")
-    # it slides in
-    page.wait("document.querySelector('#report').getBoundingClientRect().right <= innerWidth + 1")
-    judge("the report in its drawer")
-    page.ask("document.querySelector('.q-dialog button').click()")
-    page.wait("document.querySelector('.q-dialog') === null")
-    mark(page, folder.name)
-    page.click("archive")
-    page.wait_text("1 to 3 of 3")
-    judge("the archive")
-    # not the panel of this name
-    page.ask(
-        "[...document.querySelectorAll('.q-btn-toggle button')].find(b => b.innerText === 'sessions').click()"
-    )
-    page.wait_text(folder.name)
+    judge("a session that is marked")
     # what has just ended hands over
     page.key("3")
     news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
@@ -182,13 +166,10 @@ def test_no_form_error_drawer_archive_picture_or_hand_over_has_a_violation(
 
 
 def finished(output: Path, name: str) -> Path:
-    """A session that has ended, with results and a report, in the archive of the desk, too."""
+    """A session that has ended, with results and a report."""
     folder = output / f"over-{name}"
     shutil.copytree(SAMPLES / "series", folder)
     (folder / "report.html").write_text("<html lang='en'><head><title>r</title></head></html>", "utf-8")
-    archive = output.parent / "archive.duckdb"
-    if not archive.exists():
-        add_folders(archive, [SAMPLES / "series", SAMPLES / "uncalibrated"])
     return folder
 
 

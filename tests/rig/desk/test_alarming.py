@@ -13,9 +13,8 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from processing.errors import RigError
-from rig.alarms import AlarmKey, AlarmState
 from rig.control import STALE_S
+from rig.desk.alarm_list import AlarmKey, AlarmState
 from rig.desk.desk import Desk
 from rig.measure.session_file import RunState, SessionFile
 from rig.orders import OrderSocket, SessionNews
@@ -43,19 +42,6 @@ def desk(config: Path) -> Iterator[Desk]:
     found.alarming.start()
     yield found
     found.close()
-
-
-def test_alarms_survive_the_desk(config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    for number in range(2):
-        desk = Desk(config)
-        desk.hold()
-        desk.alarming.start()
-        if not number:
-            desk.alarming.alarms.see({}, [(AlarmKey.SESSION_DIED, "run-1: killed")])
-        (row,) = [row for row in desk.alarming.alarms.rows() if row.key is AlarmKey.SESSION_DIED]
-        assert row.cause == "run-1: killed"
-        desk.close()
 
 
 @pytest.fixture
@@ -121,15 +107,6 @@ def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess
     wait_for(desk, AlarmKey.SESSION_DIED)
 
 
-@pytest.mark.slow
-def test_stop_orders_a_session_that_answers(desk: Desk, session: "subprocess.Popen[str]") -> None:
-    """The one of this test knows no such order, and says so: it has heard it."""
-    assert not desk.following.frozen
-    with pytest.raises(RigError, match="knows no such order"):
-        desk.stop_session()
-    assert session.poll() is None
-
-
 def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -> None:
     """On a busy machine the threads that make the news come late; the session answers all the same."""
     told = SessionNews(load_configuration(config))
@@ -170,15 +147,3 @@ def test_a_session_that_ends_as_it_should_is_no_alarm(desk: Desk, session: "subp
     # a busy machine may have held it up for a moment
     found = {row.key for row in desk.alarming.alarms.rows()}
     assert not found & {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED}
-
-
-def test_a_folder_that_is_gone_and_a_configuration_that_is_broken(desk: Desk, config: Path) -> None:
-    runs, text = config.parent / "runs", config.read_text(encoding="utf-8")
-    runs.rename(config.parent / "away")
-    assert "is gone" in wait_for(desk, AlarmKey.OUTPUT)
-    (config.parent / "away").rename(runs)
-    wait_for(desk, AlarmKey.OUTPUT, AlarmState.CLEARED)
-    config.write_text(f"{text}[camera\n", encoding="utf-8")
-    wait_for(desk, AlarmKey.CONFIGURATION)
-    config.write_text(text, encoding="utf-8")
-    wait_for(desk, AlarmKey.CONFIGURATION, AlarmState.CLEARED)

@@ -1,4 +1,4 @@
-"""A desk whose terminal is closed, or that is told to end, ends."""
+"""A desk whose terminal is closed ends."""
 
 import contextlib
 import http.client
@@ -26,10 +26,7 @@ def fetch(address: str, path: str, cookie: str = "") -> http.client.HTTPResponse
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
-def test_a_desk_that_has_served_ends_when_it_is_told(
-    desk_configuration: Callable[[str], Path], number: signal.Signals
-) -> None:
+def test_a_desk_that_has_served_ends_with_its_terminal(desk_configuration: Callable[[str], Path]) -> None:
     desk = DeskProcess(desk_configuration(""))
     try:
         address = desk.address
@@ -37,7 +34,7 @@ def test_a_desk_that_has_served_ends_when_it_is_told(
         cookie = str(entered.headers["Set-Cookie"]).partition(";")[0]
         # made in a thread of the server, which waits for more
         assert fetch(address, "/picture", cookie).status == 200
-        desk.send(number)
+        desk.send(signal.SIGHUP)
         status, said = desk.ended(ENDED_WITHIN_S)
         assert status == 0
         assert "Traceback" not in said

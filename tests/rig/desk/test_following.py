@@ -1,10 +1,7 @@
 """A session that is busy, or stopped, is still there; one that was killed is not."""
 
 import json
-import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -22,7 +19,6 @@ from rig.desk.following import Following
 from rig.desk.panels.live_picture import look_now
 from rig.orders import ORDERS_NAME, OrderSocket, SessionNews, line
 from rig.settings import Configuration
-from tests.rig.command_line import CONFIGS, SMALL
 from tests.waiting import until
 
 
@@ -168,39 +164,3 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
     # what is the reference's is not counted as the pendulum's
     assert look.figures.saturated_px == 1
     assert "reference" in [lamp.name for lamp in look.lamps()]
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(240)
-def test_what_is_recorded_for_a_calibration_is_seen_and_an_old_picture_never(tmp_path: Path) -> None:
-    """A recording of its own process; `rig camera record` is what the desk starts for it."""
-    record = tmp_path / "records" / "pointing-001.mcap"
-    shown: list[Path | None] = [None]
-    following = Following(tmp_path / "runs", lambda: shown[0])
-    assert following.picture() is None
-    sets = [word for key, value in SMALL.items() for word in ("--set", f"{key}={value}")]
-    command = ["camera", "record", str(CONFIGS / "live.toml"), "-o", str(record), "--seconds", "60"]
-    process = subprocess.Popen([sys.executable, "-m", "rig", *command, *sets], stderr=subprocess.PIPE)
-    try:
-        shown[0] = record
-        deadline_s = time.monotonic() + 120.0
-        while following.picture() is None:
-            assert process.poll() is None, process.communicate()
-            assert time.monotonic() < deadline_s
-            time.sleep(0.1)
-        assert following.has_picture
-        assert following.camera["full_scale_dn"] == 255
-        seen = following.last_picture
-        assert seen is not None
-        assert seen.image.shape == (640, 160)
-        # another record in the same folder: what was seen of the last one is not what it shows
-        shown[0] = record.with_name("pointing-002.mcap")
-        assert not following.has_picture
-        shown[0] = None
-        assert following.picture() is None
-        assert following.last_picture is None
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=60)
-    assert record.exists(), "what was recorded up to then is kept"
-    assert not (record.parent / ORDERS_NAME).exists()

@@ -13,16 +13,15 @@ from rig.desk.kept import Kept
 from tests.disk_without_locks import without_locks
 
 
-def test_key_port_and_alarms_outlive_a_desk(tmp_path: Path) -> None:
+def test_key_and_port_outlive_a_desk(tmp_path: Path) -> None:
     source = tmp_path / "rig.toml"
     first = Kept(source)
     first.hold(tmp_path)
     first.opened_at("http://127.0.0.1:8642/", 8642)
-    first.keep_alarms(b"[]")
     first.close()
     second = Kept(source)
     second.hold(tmp_path)
-    assert (second.key, second.port, second.alarms) == (first.key, 8642, b"[]")
+    assert (second.key, second.port) == (first.key, 8642)
     second.close()
     other = Kept(tmp_path / "other.toml")
     other.hold(tmp_path)
@@ -54,7 +53,14 @@ def test_two_desks_of_one_configuration_in_a_process(tmp_path: Path) -> None:
     kept.hold(tmp_path)
     with pytest.raises(ConfigurationError, match="already has an open desk"):
         Kept(tmp_path / "rig.toml").hold(tmp_path)
+    # its sessions would be ordered about by two
+    other = Kept(tmp_path / "other.toml")
+    with pytest.raises(ConfigurationError, match="another configuration has its sessions there"):
+        other.hold(tmp_path)
     kept.close()
+    # the refused one has left nothing behind
+    other.hold(tmp_path)
+    other.close()
 
 
 def test_a_disk_without_locks_is_not_called_another_desk(

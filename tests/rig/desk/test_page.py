@@ -15,7 +15,7 @@ import pytest
 from acquisition.frame import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError
-from processing.spot import Spot, SpotFlag
+from processing.spot import Spot
 from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
@@ -219,36 +219,6 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
     page.wait("document.getElementById('amplitude').offsetParent === null")
 
 
-def test_the_row_of_losses_agrees_with_a_spot_that_is_lost(shown: Shown, desk_output: Path) -> None:
-    _, page = shown
-    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
-    session_news.begin_run("run 1", 255, None)
-    frame = Frame(np.full((64, 32), 40, np.uint8), 1, 1, 1)
-    spot = Spot(16.0, 32.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, SpotFlag.LOST)
-    empty = np.zeros(0)
-    none = Deflections(np.zeros(0, np.int64), empty, empty, empty, empty, DeflectionUnit.PX)
-    folder = desk_output / "without-spot"
-    folder.mkdir(parents=True)
-    page.key("3")
-    losses = "[...document.querySelectorAll('tr')].find(r => r.innerText.startsWith('losses'))?.innerText"
-    state = {"phase": "measuring", "temperature_c": 20.0}
-
-    def feed_until(script: str, spot: Spot) -> None:
-        def feed() -> None:
-            session_news.before_record([frame], [spot], none)
-            session_news.state(state, [("losses", "0 frames dropped, 0 spots lost, 0 waiting")])
-
-        page.wait_while(script, feed)
-
-    with OrderSocket(folder, session_news, {}, dict):
-        feed_until("document.body.innerText.includes('Spot lost')", spot)
-        feed_until(f"/no spot for \\d+ s; 0 frames dropped/.test({losses})", spot)
-        feed_until(
-            f"{losses}?.includes('0 frames dropped') && !{losses}.includes('no spot')", spot._replace(flags=0)
-        )
-    page.wait("document.getElementById('amplitude').offsetParent === null")
-
-
 def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
     _, page = shown
     page.key("1")
@@ -318,12 +288,9 @@ def test_the_last_of_some_quick_choices_stands(shown: Shown, slow: Callable[...,
     page.key("5")
     page.wait("document.querySelector('.q-tab--active').innerText.toLowerCase() === 'runs'")
     panel = "document.querySelector('[data-panel=\"{}\"]')".format
-    lists = "document.querySelector('[aria-label=\"which list\"]')"
-    archive, sessions = (f"{lists}.children[{number}]" for number in (1, 0))
-    slow(panel("Rig"), panel("Runs"), archive, sessions)
+    slow(panel("Rig"), panel("Runs"))
     assert page.ask("document.querySelector('.q-tab--active').dataset.panel") == "Runs"
     assert page.ask("[...document.querySelectorAll('.q-tab-panel h2')].map(e => e.innerText)") == ["Runs"]
-    assert [page.ask(f"{one}.ariaPressed") for one in (archive, sessions)] == ["false", "true"]
     alarms = "document.querySelector('.alarms .q-item')"
     slow(alarms, alarms)
     assert page.ask("document.querySelector('.alarms.q-expansion-item--collapsed') !== null")

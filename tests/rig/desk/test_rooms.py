@@ -10,14 +10,12 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError, RigError
-from rig.alarms import AlarmKey
 from rig.balance import BalanceStage
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
 from rig.desk.charts import Curve, in_last_row
 from rig.desk.desk import Desk
 from rig.desk.panels.balance import net_of
-from rig.desk.panels.run_words import as_alarmed
 from rig.desk.safety import refusal
 from rig.desk.sessions import session_row
 from rig.measure import RunState
@@ -131,32 +129,6 @@ def test_a_trip_is_not_to_be_acknowledged_while_the_interlock_is_open() -> None:
     assert refusal(is_open) == "close the interlock first"
     # what was heard long ago holds nobody up: the devices decide
     assert not refusal(replace(is_open, interlock_age_s=60.0))
-
-
-def test_rows_that_an_alarm_contradicts_say_so_instead() -> None:
-    rows = [("camera", "50.0 frames/s"), ("beam", "a clean spot"), ("disk", "212 GB free"), ("clock", "-")]
-    assert as_alarmed(rows, {}, 0.0) == [list(row) for row in rows]
-    unplugged = as_alarmed(rows, {AlarmKey.CAMERA: "", AlarmKey.DISK_FULL: "3 MiB are free"}, 12.2)
-    assert unplugged == [
-        ["camera", "no frame for 12 s"],
-        ["beam", "not seen: no frames"],
-        ["disk", "3 MiB are free"],
-        ["clock", "-"],
-    ]
-    assert as_alarmed(rows, {AlarmKey.SPOT: ""}, 0.0)[1] == ["beam", "no spot now"]
-    assert as_alarmed(rows, {}, 0.0, is_dark=True)[1] == ["beam", "not seen: the laser is dark"]
-
-
-def test_the_row_of_losses_agrees_with_the_alarm() -> None:
-    """What it counts it has counted by then; what is being lost at this moment stands before it."""
-    rows = [("losses", "0 frames dropped, 0 spots lost, 0 waiting")]
-    counted = rows[0][1]
-    assert as_alarmed(rows, {AlarmKey.SPOT: ""}, 0.0, spot_lost_s=7.4) == [
-        ["losses", f"no spot for 7 s; {counted}"]
-    ]
-    assert as_alarmed(rows, {}, 0.0, is_dark=True) == [["losses", f"no spot: the laser is dark; {counted}"]]
-    ((_, silent),) = as_alarmed(rows, {AlarmKey.CAMERA: ""}, 12.0)
-    assert silent == f"frames that do not come are counted when they come again; {counted}"
 
 
 def test_turns_in_two_parts_are_summed_in_words() -> None:

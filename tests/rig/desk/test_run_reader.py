@@ -1,10 +1,8 @@
-"""What a desk shows of a run is read from its record, while it grows; events stand in one order."""
+"""What a desk shows of a run is read from its record, while it grows."""
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +12,8 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from processing.swing import Swing
-from processing.units import nanoseconds, seconds
-from rig.desk.run_reader import RunReader, newest_first
+from processing.units import nanoseconds
+from rig.desk.run_reader import RunReader, decimated
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
@@ -60,7 +58,6 @@ def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name
         spots(record, 1.0)
         record.flush()
         until(lambda: len(reader.path()["y"]) == 32)
-        assert max(y for _, y in reader.history(spectra=False)["y"]) == 1.0
     # a start that is not accepted is set aside, and the record begins again
     reader.record.rename(reader.record.with_name("run-1-start-1.mcap"))
     with writer(reader.record) as record:
@@ -80,32 +77,17 @@ def test_estimates_and_the_fit_are_told_at_the_times_of_the_record(reader: RunRe
             record.write(ESTIMATE, RecordedEstimate(time_ns, 20, 0.03, 0.01, "b"), time_ns)
             point = RecordedFittedPoint(time_ns, start_ns + nanoseconds(1.0), 3e-4, at_s, 4.01, 0.25)
             record.write(FITTED, point, time_ns)
-    until(lambda: bool(reader.history(spectra=False)["fit"].get("period")))
-    told = reader.history(spectra=False)
+    until(lambda: bool(reader.history()["fit"].get("period")))
+    told = reader.history()
     assert told["estimates"] == {"b": [(10.0, 0.03, 0.01), (12.0, 0.03, 0.01)]}
     assert told["fit"]["amplitude_residual"] == [(1.0, 12.0)]
     assert told["fit"]["period"] == [(1.0, 4.01)]
-    assert [one[:2] for one in told["swings"]] == [(1.0, 3.0)]
+    assert told["swings"] == {"amplitude": [(1.0, 3.0)], "period": [(1.0, 4.0)]}
 
 
-def event(number: int, run: str, text: str, elapsed_s: float, noted_s: float) -> dict[str, Any]:
-    return {"number": number, "run": run, "text": text, "elapsed_s": elapsed_s, "noted_s": noted_s}
-
-
-def test_events_have_one_origin_and_the_newest_is_first() -> None:
-    of_record = ((2.6, "rest"), (-1.3, "magnet"), (0.0, "first frame"), (2.0, "go"))
-    events = [event(1, "run 2", "waits for a person", math.nan, 100.4)]
-    assert math.isnan(newest_first({"run": "run 2"}, events)[0][0])
-    events += [event(k, "run 2", text, at_s, 100.0 + at_s) for k, (at_s, text) in enumerate(of_record, 2)]
-    events.append(event(9, "run 1", "the first run's end", 900.0, 90.0))
-    found = newest_first({"run": "run 2", "record_began_s": 100.0}, events)
-    assert [one["text"] for _, one in found] == [
-        "rest",
-        "go",
-        "waits for a person",
-        "first frame",
-        "magnet",
-        "the first run's end",
-    ]
-    assert found[-1][0] == -10.0
-    assert seconds(nanoseconds(found[0][0])) == 2.6
+def test_a_long_run_is_drawn_in_some_hundred_points_up_to_its_last() -> None:
+    points = [(float(k), 0.5 * k) for k in range(10_001)]
+    found = decimated(points)
+    assert 400 < len(found) <= 800
+    assert (found[-1], sorted(found)) == (points[-1], found)
+    assert decimated(points[:7]) == points[:7]

@@ -59,7 +59,7 @@ def test_texts_and_drawings_can_be_read(name: str) -> None:
 
 @pytest.mark.parametrize("theme", [html.LIGHT, html.DARK], ids=["light", "dark"])
 def test_every_state_of_a_report_can_be_read_on_every_ground(theme: Mapping[str, str]) -> None:
-    """A report brings its own ground, and stands in the desk's drawer, too."""
+    """A report brings its own ground."""
     inks, grounds = ("ink", "soft", "accent", "good", "bad"), ("paper", "tint", "warn")
     pairs = [(theme[ink], theme[ground]) for ink in inks for ground in grounds]
     assert {pair: found for pair in pairs if (found := contrast(*pair)) < 4.5} == {}

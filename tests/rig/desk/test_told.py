@@ -1,7 +1,5 @@
 """What a browser is told while nobody looks at the page."""
 
-import os
-import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,12 +7,12 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from rig.alarms import CATALOGUE, AlarmKey
 from rig.desk.alarm_bar import sentence
+from rig.desk.alarm_list import CATALOGUE, AlarmKey
 from rig.orders import OrderSocket, SessionNews
 from rig.presentation import Verdict
 from rig.settings import Configuration
-from tests.rig.desk.desk_page import desk_page
+from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
@@ -28,34 +26,28 @@ window.Notification.permission = 'granted';
 """A browser without windows grants no notifications: what is asked of it is kept."""
 
 
-def test_an_alarm_is_told_to_the_browser_once_with_its_remedy_and_so_is_the_desks_death(
-    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
+def test_an_alarm_is_told_to_the_browser_once_with_its_remedy(
+    shown: tuple[DeskProcess, Page], desk_output: Path
 ) -> None:
-    config = desk_configuration("")
-    with desk_page(browser, config) as (desk, page):
-        page.ask(RECORD)
-        news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
-        news.begin_run("run 1", 255, None)
-        folder = config.parent / "runs" / "told"
-        folder.mkdir(parents=True)
-        alarm = CATALOGUE[AlarmKey.PREFLIGHT]
-        news.preflight([Verdict("spot", False, "it is lost", "look for it")])
-        with OrderSocket(folder, news, {}):
-            news.state({"phase": "preflight"}, [])
-            page.wait("window.told.length")
-            title, text, tag, stays = page.ask("window.told[0]")
-            assert (title, tag, stays) == (alarm.title, AlarmKey.PREFLIGHT, True)
-            assert alarm.remedy in text
-            # the page is told four times a second what cries
-            page.wait_text(sentence(alarm.remedy))
-            looks = "(window.looks = (window.looks || 0) + 1) > 15"
-            page.wait(looks)
-            assert page.ask("window.told.length") == 1
-        os.kill(desk.pid, signal.SIGSTOP)
-        try:
-            page.wait("window.told.some(one => one[2] === 'desk lost')")
-        finally:
-            os.kill(desk.pid, signal.SIGCONT)
+    _, page = shown
+    page.ask(RECORD)
+    news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    news.begin_run("run 1", 255, None)
+    folder = desk_output / "told"
+    folder.mkdir(parents=True)
+    alarm = CATALOGUE[AlarmKey.PREFLIGHT]
+    news.preflight([Verdict("spot", False, "it is lost", "look for it")])
+    of_preflight = f"window.told.filter(one => one[2] === {str(AlarmKey.PREFLIGHT)!r})"
+    with OrderSocket(folder, news, {}):
+        news.state({"phase": "preflight"}, [])
+        page.wait(f"{of_preflight}.length")
+        ((title, text, _, stays),) = page.ask(of_preflight)
+        assert (title, stays) == (AlarmKey.PREFLIGHT, True)
+        assert alarm.remedy in text
+        # the page is told four times a second what cries
+        page.wait_text(sentence(alarm.remedy))
+        page.wait("(window.looks = (window.looks || 0) + 1) > 15")
+        assert page.ask(f"{of_preflight}.length") == 1
 
 
 def test_a_panel_that_cannot_be_drawn_says_so_once_and_holds_nothing_up(

@@ -5,9 +5,12 @@ from typing import Any
 
 import pytest
 
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
 from acquisition.record.events import EventKind
-from rig.alarms import AlarmKey, EndedSession, HowEnded, Seen, conditions, happened
 from rig.control import ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
+from rig.desk.alarm_list import AlarmKey
+from rig.desk.alarming import EndedSession, HowEnded, Seen, conditions, happened
 from rig.instrument import Phase
 
 MEASURING = {"phase": Phase.MEASURING, "temperature_c": 20.0}
@@ -73,8 +76,6 @@ def dark(trip: LatchedTrip) -> Seen:
             {AlarmKey.DISK_FORECAST},
         ),
         (told({"disk_free_bytes": 9e9, "record_bytes_per_s": 1e6, "remaining_s": 3600.0}), set()),
-        (told({"remaining_s": 60.0, "u_remaining_s": 0.0, "amplitude_unit": "arcsec"}), {AlarmKey.FORECAST}),
-        (told({"remaining_s": 60.0, "u_remaining_s": 5.0, "amplitude_unit": "arcsec"}), set()),
         (
             told({"phase": Phase.PREFLIGHT}, preflight=[{"name": "saturation", "ok": False}]),
             {AlarmKey.PREFLIGHT},
@@ -82,9 +83,6 @@ def dark(trip: LatchedTrip) -> Seen:
         (told(balance={"against": ["plane of swing +1.719 deg/min, limit 0.2 deg/min"]}), {AlarmKey.BALANCE}),
         (told(balance={"against": []}), set()),
         (told({"phase": Phase.RELEASE}, balance={"against": ["plane of swing"]}), set()),
-        (Seen(disk_free_bytes=1e6), {AlarmKey.DISK_FULL}),
-        (Seen(folder_problem="runs: permission denied"), {AlarmKey.OUTPUT}),
-        (Seen(configuration_problem="line 3: no such key"), {AlarmKey.CONFIGURATION}),
         (Seen(picture_late_s=2.1), {AlarmKey.CAMERA}),
     ],
 )
@@ -99,24 +97,13 @@ def test_a_camera_that_is_gone_is_named_with_its_own_words_until_it_is_back(back
     assert conditions(replace(told(), camera_event={"kind": back, "text": ""})) == {}
 
 
-@pytest.mark.parametrize(
-    ("kind", "key"),
-    [
-        (EventKind.GAP, AlarmKey.FRAMES),
-        (EventKind.BACKLOG, AlarmKey.BACKLOG),
-        (EventKind.CAMERA_CLOCK, AlarmKey.CAMERA_CLOCK),
-        (EventKind.CLOCK_STEP, AlarmKey.HOST_CLOCK),
-        (EventKind.SENSOR, AlarmKey.SENSOR),
-        (EventKind.REST_STEP, AlarmKey.REST_STEP),
-        (EventKind.LIGHT_STEP, AlarmKey.LIGHT_STEP),
-        (EventKind.PUSH, AlarmKey.PUSH),
-        (EventKind.REJECTED, AlarmKey.REJECTED),
-        (EventKind.POSTERIOR, AlarmKey.LIVE_FIT),
-        (EventKind.WATCHER_FAILED, AlarmKey.WATCHER),
-    ],
-)
-def test_an_event_is_an_alarm_with_its_own_words(kind: EventKind, key: AlarmKey) -> None:
-    assert happened([{"kind": str(kind), "text": "so it was"}], None) == [(key, "so it was")]
+def test_events_that_are_warnings_are_alarms_with_their_own_words() -> None:
+    kinds = (EventKind.GAP, EventKind.PUSH, EventKind.RECORD, EventKind.SPOT_LOST, EventKind.REST)
+    assert happened([{"kind": str(kind), "text": "so it was"} for kind in kinds], None) == [
+        (AlarmKey.DISTURBED, "gap: so it was"),
+        (AlarmKey.DISTURBED, "push: so it was"),
+        (AlarmKey.DISK_FULL, "so it was"),
+    ]
 
 
 def test_how_a_session_has_ended() -> None:

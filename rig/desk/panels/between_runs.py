@@ -1,0 +1,219 @@
+"""Between sessions: how the last one went and what comes next; the form of the next one, and its fields."""
+
+import html
+from collections.abc import Mapping
+
+from nicegui import run, ui
+
+from processing.errors import ConfigurationError
+from rig.desk import tables
+from rig.desk.desk import Desk
+from rig.desk.panels.runs import open_served
+from rig.desk.tab import DELIBERATE, Tab, at_once
+from rig.measure import HandOver, RunState
+from rig.settings import SessionSettings
+
+
+def text_field(desk: Desk, key: str, label: str, value: str = "") -> ui.input:
+    """A field for text."""
+    field = ui.input(label, value=value).props(f'dense outlined data-key="{key}" aria-label="{label}"')
+    field.classes("full-width")
+    return _judged(desk, key, field)
+
+
+def number_field(desk: Desk, key: str, label: str, value: float | None) -> ui.input:
+    """A field for a number; empty means that nothing is stated."""
+    shown = "" if value is None else f"{value:.10g}"
+    field = ui.input(label, value=shown).props(f'dense outlined data-key="{key}" aria-label="{label}"')
+    return _judged(desk, key, field, is_number=True)
+
+
+def _judged(desk: Desk, key: str, field: ui.input, *, is_number: bool = False) -> ui.input:
+    def fault(text: str | None) -> str | None:
+        typed = as_typed(text, is_number)
+        # an empty number is not stated
+        return None if is_number and typed == "" else desk.fault(key, typed) or None
+
+    field.validation = fault
+    return field
+
+
+def as_typed(text: str | None, is_number: bool) -> object:
+    """A number where one was typed; anything else as text, which the model judges."""
+    text = (text or "").strip() if is_number else (text or "")
+    if not is_number:
+        return text
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def stated(fields: Mapping[str, tuple[ui.input, bool]]) -> dict[str, object]:
+    """Values by key of all fields, (field, whether it is a number); an empty number is left out."""
+    values = {key: as_typed(field.value, number) for key, (field, number) in fields.items()}
+    return {key: value for key, value in values.items() if not (value == "" and fields[key][1])}
+
+
+_RELEASE = {
+    "at once": "the record begins with the first frame, whether the pendulum moves or not",
+    "by hand": "the pendulum comes to rest and is checked; then you are asked to release it",
+    "magnet": "the magnet holds the pendulum and releases it once it is at rest",
+    "starter": "the pendulum comes to rest and is checked; then the starter pushes it",
+}
+
+
+def build_form(desk: Desk, tab: Tab) -> ui.element:
+    """Build it; returns the element that holds it."""
+    session = desk.config.session
+
+    def judged() -> dict[str, object]:
+        for field, _ in fields.values():
+            if field.value and not field.validate():
+                raise ConfigurationError(str(field.error))
+        return stated(fields)
+
+    def ask() -> None:
+        found = desk.checked(judged()).session
+        # what was allowed for one session holds for that one
+        force.set_value(False)
+        what.set_text(_asked(found))
+        begin.open()
+
+    async def start() -> None:
+        begin.close()
+        values = judged()
+        folder = await run.io_bound(desk.start_session, values, force=bool(force.value))
+        ui.notify(f"the session is starting in {folder}")
+
+    with ui.dialog().props('aria-label="start the session"') as begin, ui.card():
+        what = ui.label().classes("middle")
+        ui.label("The laser will be lit. Check that nobody is in the beam path.")
+        force = at_once(ui.checkbox("measure even if preflight says no-go (this session only)"))
+        with ui.row():
+            tab.button("Start the session", start).props(f'color="positive" {DELIBERATE}')
+            ui.button("Not now", on_click=begin.close).props("outline")
+    with ui.element("div").classes("grid thirds") as form:
+        with ui.column().classes("box"):
+            ui.html("1 · What is measured", tag="h3", sanitize=False).classes("middle")
+            sample = text_field(desk, "session.sample", "sample", session.sample)
+            operator = text_field(desk, "session.operator", "operator", session.operator)
+            notes = text_field(desk, "session.notes", "notes", session.notes)
+            history = text_field(desk, "session.contact_history", "contact history", session.contact_history)
+        with ui.column().classes("box"):
+            ui.html("2 · How far", tag="h3", sanitize=False).classes("middle")
+            runs = number_field(desk, "session.runs", "runs", session.runs)
+            first = number_field(
+                desk, "session.initial_amplitude_arcsec", "from / arcsec", session.initial_amplitude_arcsec
+            )
+            last = number_field(
+                desk, "session.final_amplitude_arcsec", "to / arcsec", session.final_amplitude_arcsec
+            )
+            longest = number_field(desk, "session.max_duration_s", "at most / s", session.max_duration_s)
+            for field in (runs, first, last, longest):
+                field.classes("full-width")
+        with ui.column().classes("box"):
+            ui.html("3 · Start", tag="h3", sanitize=False).classes("middle")
+            ui.label(f"Release {desk.config.start.way}: {_RELEASE[desk.config.start.way]}.")
+            ui.label("A dialog asks once more before the laser is lit.").classes("dim")
+            tab.button("Start …", ask).props(
+                'color="positive" size="xl" aria-label="Start … a session"'
+            ).classes("full-width")
+    fields = {
+        "session.sample": (sample, False),
+        "session.operator": (operator, False),
+        "session.notes": (notes, False),
+        "session.contact_history": (history, False),
+        "session.runs": (runs, True),
+        "session.initial_amplitude_arcsec": (first, True),
+        "session.final_amplitude_arcsec": (last, True),
+        "session.max_duration_s": (longest, True),
+    }
+    return form
+
+
+def _asked(session: SessionSettings) -> str:
+    runs = "one run" if session.runs == 1 else f"{session.runs} runs"
+    return f"Start {runs} of {session.sample or 'an unnamed sample'}?"
+
+
+_KINDS = {RunState.COMPLETE: "go", RunState.STOPPED: "caution"}
+NEXT_RUN = "next-run"
+"""Name of the element on the page that begins the next one."""
+
+
+def _to_next() -> None:
+    ui.run_javascript(f"document.getElementById('{NEXT_RUN}').scrollIntoView({{block: 'start'}})")
+
+
+class RunResult:
+    """Shows what the last session hands over; built where it is made, hidden without one."""
+
+    def __init__(self, desk: Desk, tab: Tab) -> None:
+        self._desk = desk
+        self._drawn: HandOver | None = None
+        with ui.element("div").classes("grid wide-left") as self.frame:
+            with ui.column().classes("box"):
+                ui.html("the last session", tag="h3", sanitize=False).classes("title")
+                with ui.row().classes("items-baseline"):
+                    self._verdict = ui.label().classes("advice").props('role="status"')
+                    self._went = ui.label().classes("dim")
+                self._headline = ui.label().classes("advice")
+                self._of = ui.label().classes("dim")
+                self._next = ui.html(sanitize=False).classes("full-width")
+                with ui.row():
+                    self._report = ui.button("Report", on_click=self._open).props('outline size="lg"')
+                    self._fits = tab.button("Fit", self._fit).props('outline size="lg"')
+                    ui.button("Next run", on_click=_to_next).props('outline size="lg"')
+                self._others = ui.html(sanitize=False).classes("full-width")
+                with at_once(ui.expansion("its last words")).classes("full-width"):
+                    self._words = ui.html(sanitize=False).classes("dim")
+            with ui.column().classes("box") as self._found:
+                ui.html("what limits it", tag="h3", sanitize=False).classes("title")
+                self._limits = ui.html(sanitize=False).classes("full-width")
+        self.frame.set_visibility(False)
+        tab.every(1.0, self._refresh)
+
+    async def _refresh(self) -> None:
+        desk = self._desk
+        if desk.following.running:
+            return
+        over = await run.io_bound(desk.hand_over)
+        self.frame.set_visibility(over is not None)
+        if over is None or over is self._drawn:
+            return
+        self._drawn = over
+        self._verdict.set_text("no run made" if over.ended is None else over.ended.value)
+        kind = "no" if over.ended is None else _KINDS.get(over.ended, "no")
+        self._verdict.classes(remove="go caution no", add=kind)
+        self._went.set_text(f"{over.folder.name}: {over.went}")
+        self._headline.set_text(over.headline or "no result")
+        self._of.set_text(f"the uncertainty is of {over.of}" if over.of else "")
+        lines = [f"<li><b>{html.escape(step)}</b></li>" for step in over.next_steps]
+        lines += [f"<li>{html.escape(remark)}</li>" for remark in over.remarks]
+        self._next.set_content(f"<ul>{''.join(lines)}</ul>" if lines else "nothing can be done about it")
+        self._others.set_content(tables.table(over.others, "all parameters") if over.others else "")
+        self._words.set_content("<br>".join(map(html.escape, desk.last_words())))
+        bars = [
+            tables.Bar(one.name, f"{100 * one.share:.0f} %", one.share, None, "dim") for one in over.limits
+        ]
+        self._limits.set_content(tables.bars(bars, "sources of the uncertainty, by their share"))
+        self._report.set_visibility(over.report is not None)
+        # a run that has failed has a record, too
+        self._fits.set_visibility(not over.headline)
+        self._found.set_visibility(bool(over.limits))
+
+    def _fit(self) -> None:
+        if self._drawn is not None:
+            self._desk.looking_again.fit(self._drawn.folder)
+            ui.notify(f"rig fit {self._drawn.folder.name} runs; what it says is below the list of sessions")
+
+    def _open(self) -> None:
+        over = self._drawn
+        if over is None or over.report is None:
+            return
+        open_served(self._desk, over.report)
