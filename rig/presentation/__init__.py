@@ -15,7 +15,7 @@ from processing.number_text import (
 from rig.presentation import palette
 from rig.presentation.json_object import answer, one_json_object
 from rig.presentation.keys import Keys
-from rig.presentation.latex import latex_table
+from rig.presentation.latex import latex_rows, latex_table
 from rig.presentation.printing import (
     Cell,
     Line,

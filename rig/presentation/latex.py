@@ -1,6 +1,7 @@
 """Tables for LaTeX: numbers and units as siunitx takes them, symbols in mathematics."""
 
 import re
+from collections.abc import Sequence
 from typing import Final
 
 from processing.errors import ConfigurationError
@@ -66,6 +67,15 @@ def latex_table(content: Table, label: str = "") -> str:
     if content.note:
         lines.append(rf"\par\footnotesize {_text(content.note)}")
     return "\n".join([*lines, r"\end{table}", ""])
+
+
+def latex_rows(head: Sequence[str], cells: Sequence[str], name: str) -> str:
+    """Two rows of a table in LaTeX, the labels and what is beside them, of what has this name."""
+    return "\n".join(
+        " & ".join(["", *map(_heading, head)] if row is head else [_text(name), *map(_cell, row)]).strip()
+        + r" \\"
+        for row in (head, cells)
+    )
 
 
 def _heading(label: str) -> str:

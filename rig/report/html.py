@@ -46,6 +46,7 @@ h1 { font-size: 1.6rem; line-height: 1.2; margin: 0 0 .2rem; letter-spacing: -.0
 h2 { font-size: 1.3rem; margin: 2.6rem 0 .8rem; padding-top: .5rem; border-top: 1px solid var(--line); }
 h3 { font-size: 1.02rem; margin: 1.9rem 0 .5rem; }
 p { margin: .5rem 0; max-width: 46rem; }
+pre { background: var(--tint); padding: .5rem .8rem; font-size: .8rem; white-space: pre-wrap; }
 a { color: var(--accent); }
 .soft, figcaption, .note { color: var(--soft); font-size: .88rem; }
 .first { display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 1.05fr); gap: 0 1.6rem; }
@@ -137,6 +138,11 @@ def paragraph(text: str, kind: str = "") -> str:
     """A paragraph of plain text."""
     attribute = f' class="{kind}"' if kind else ""
     return f"<p{attribute}>{escape(text)}</p>"
+
+
+def preformatted(text: str) -> str:
+    """Lines to be copied as they are."""
+    return f"<pre>{escape(text)}</pre>"
 
 
 def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:

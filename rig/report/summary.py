@@ -16,7 +16,7 @@ from rig.analysis import (
     remarks,
     whole_result,
 )
-from rig.presentation import plain, quantity
+from rig.presentation import latex_rows, plain, quantity
 from rig.report import html
 from rig.report.source import ReportSource, RunData
 from rig.report.tables_instruments import headline
@@ -83,7 +83,7 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
             body.append(html.notes(decay_lines(data.results)))
     if len(source.runs) == 1:
         body.append(html.notes(notes_of(source.runs[0])))
-    return body
+    return body + (_to_copy(source, found) if found.contact else [])
 
 
 def _verdict(source: ReportSource) -> list[tuple[str, str]]:
@@ -160,6 +160,28 @@ def _key_results(found: WithRows, budget: Mapping[str, Budget]) -> list[tuple[st
             label = f"{label} (u: {dominant_text(item)})"
         shown.append((label, row.text))
     return shown
+
+
+def _to_copy(source: ReportSource, found: WithRows) -> list[str]:
+    """A sentence with the values and what to cite, and a row for a table in LaTeX."""
+    rows = [found.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in found.rows]
+    first = source.runs[0]
+    several = f"{len(source.runs)} runs" if len(source.runs) > 1 else "one run"
+    half_cycles = sum(data.results.half_cycles for data in source.runs)
+    version = first.provenance.get("versions", {}).get("optical-pendulum-rig", "")
+    simulated = "SIMULATED: " if any(data.simulated for data in source.runs) else ""
+    values = ", ".join(row.equation for row in rows)
+    text = (
+        f"{simulated}From {several} with {half_cycles} half-cycles: {values} (standard uncertainties of "
+        "swings and apparatus together, as far as they are stated, or 95 % limits; exact fit by "
+        f"optical-pendulum-rig{f' {version}' if version else ''} of the laws of {_PAPER})."
+    )
+    head = [quantity(row.quantity).label for row in rows]
+    return [
+        html.heading("To copy", 3),
+        html.paragraph(text),
+        html.preformatted(latex_rows(head, [row.text for row in rows], title_of(source)[0])),
+    ]
 
 
 def sentence(run: RunData) -> str:
