@@ -173,9 +173,9 @@ def last_run(folder: Path) -> LastRun:
     try:
         run = json.loads((folder / "results.json").read_bytes())["runs"][-1]
         rows = {row["quantity"]: row for row in run["table"]}
-        judged = [
-            one["ok"] for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS and one["measured"]
-        ]
+        of_balance = [one for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
+        # what is ok and has a remedy is not known
+        judged = [one["ok"] for one in of_balance if not (one["ok"] and one.get("remedy"))]
     except (OSError, ValueError, KeyError, IndexError, TypeError):
         return LastRun()
     numbers = {name: _number(rows.get(key)) for name, key in NUMBERS.items()}

@@ -55,7 +55,18 @@ _COUNTS: Final = re.compile(
 )
 _BRACKETS: Final = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)|\{([^{}]*)\}|<([^<>]*)>")
 _SURE: Final = re.compile(r"\s*[/,:;]\s*|\s+in\s+|_", re.IGNORECASE)
-_MARKS: Final = re.compile(rf"{_SURE.pattern}|[\s.#*–-]+|(?<=[a-zß-ÿ])(?-i:(?=[A-Z]))", re.IGNORECASE)
+_MARKS: Final = re.compile(rf"{_SURE.pattern}|[\s.#*–-]+|(?-i:(?<=[a-zß-ÿ])(?=[A-Z]))", re.IGNORECASE)
+
+
+_APART: Final = re.compile(r"\b(milli|mili|micro|mikro|nano|centi|deci)[\s-]+(?=[a-z])", re.IGNORECASE)
+"""A prefix that is written apart from its unit."""
+_FACTOR: Final = re.compile(
+    r"(?:\s*[*×·]|(?<=[\s)\]])x)\s*(?:10+(?:\^|\*\*)?[+-]?\d*|0\.0*1|1e[+-]?\d+)(?![\w.])|"
+    r"\w*(?:tenth|hundredth|thousandth|millionth|zehntel|hundertstel|tausendstel|dixi[èe]me|[cm](?:ent|ill)i[èe]me|"
+    r"d[ée]cim[ao]|cent[ée]sim[ao]|mil[ée]sim[ao]|mill[ée]sim[ao])s?(?:\s+\w+)*",
+    re.IGNORECASE,
+)
+"""What makes the unit beside it another one: ``* 1000``, tenths of a second."""
 
 
 class Named(NamedTuple):
@@ -92,7 +103,9 @@ def is_time(unit: str) -> bool:
 
 def named_unit(name: str) -> Named:
     """Take a column's name apart."""
-    text = name.strip()
+    text = _APART.sub(r"\1", name.strip())
+    if factor := _FACTOR.search(text):
+        return Named(text, "", factor[0].strip())
     bracketed = [
         (each.span(), next(filter(None, each.groups()), "").strip()) for each in _BRACKETS.finditer(text)
     ]

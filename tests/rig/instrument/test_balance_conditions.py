@@ -7,7 +7,7 @@ import pytest
 
 from processing.balance import Balance, BalanceLimits
 from processing.deflections import DeflectionUnit
-from rig.instrument.balance import balance_failures, balance_verdicts
+from rig.instrument.balance import balance_failures, balance_verdicts, run_balance_verdicts
 
 LIMITS = BalanceLimits()
 LIMIT_RAD_PER_S = math.radians(LIMITS.spin_deg_per_min) / 60.0
@@ -29,3 +29,14 @@ def test_a_rotation_near_its_limit(sign: float, part: float, run_ok: bool, momen
     balance = turning(sign * part, 0.1)
     assert [one.ok for one in balance_verdicts(balance, LIMITS)] == [run_ok]
     assert (not balance_failures(balance, LIMITS)) == moment_ok
+
+
+def test_a_run_says_where_it_does_not_know_whether_its_plane_turned() -> None:
+    unknown = turning(math.nan, math.nan)
+    for balance in (None, unknown):
+        (one,) = run_balance_verdicts(balance, LIMITS)
+        assert one.ok
+        assert one.name == "plane of swing"
+        assert "not known" in one.reason
+        assert one.remedy
+    assert run_balance_verdicts(turning(0.5, 0.1), LIMITS) == balance_verdicts(turning(0.5, 0.1), LIMITS)

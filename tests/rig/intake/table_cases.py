@@ -309,6 +309,7 @@ def loggers() -> list[TableCase]:
             "Elapsed (MS)", "Time {ms}", "Time <ms>", "ms since start", "millis", "Time (Milliseconds)",
             "Time [Msec]",
             "Tiempo (milisegundos)", "Zeit Millisekunden",
+            "Time (milli seconds)", "Time in milli-seconds", "ELAPSED_MS",
         ),
         ("us", 1e6): ("t [us] A", "Time (µs) #2", "Time (μs) #2", "Zeit (Mikrosekunden)", "time_usec_raw",
             "micros"),
@@ -337,6 +338,11 @@ def loggers() -> list[TableCase]:
         "Zeit in Ticks": "'Ticks' in",
         "time_frames": "is not a known unit of time",
         "Time (ms) (us)": "'(ms) and (us)' in",
+        "Time*1000 (s)": "'*1000' in",
+        "Time [s] x 10^3": "'x 10^3' in",
+        "Time (tenths of a second)": "'tenths of a second' in",
+        "Zeit in Zehntel Sekunden": "'Zehntel Sekunden' in",
+        "temps (millièmes de seconde)": "is not a known unit of time",
     }
     found += [
         _case(f"strange: {name}", text(";", f"{name};x", point(0), None, 1000.0), refused=said)

@@ -10,6 +10,7 @@ import pytest
 
 from processing.errors import ConfigurationError, DataError
 from rig.intake.table import TableColumns
+from rig.intake.units import named_unit
 
 N = 400
 STEP = timedelta(seconds=0.05)
@@ -127,3 +128,10 @@ def test_twenty_four_o_clock_is_the_next_midnight(tmp_path: Path) -> None:
 
     found = TableColumns().read(_table(tmp_path / "decay.csv", time))
     assert set(np.diff(found.times_ns).tolist()) == {50_000_000}
+
+
+@pytest.mark.parametrize("name", ["TIMESTAMP", "TEMPS", "TIMES", "ELAPSED", "UTCS", "DATETIMES"])
+def test_a_letter_of_a_name_in_capitals_is_no_unit(name: str) -> None:
+    """Times in ms under TIMESTAMP were s by its header, a thousand times too long."""
+    assert named_unit(name).unit == ""
+    assert named_unit(f"{name}_MS").unit == "ms"
