@@ -193,26 +193,6 @@ def judge_sign(path: Path, trajectory: Trajectory) -> None:
         )
 
 
-_MOST_AT_END: Final = 0.02
-"""Of positions that may all be exactly the largest or the least one."""
-_OVER_NEXT: Final = 10
-"""Times as many as of any of the next values: coarse steps fill these, too."""
-_NEXT: Final = 4
-
-
-def cut_off(name: str, values: NDArray[np.float64]) -> list[str]:
-    """A line for each end of a position's range at which its turning points are cut off."""
-    levels, counts = np.unique(values[np.isfinite(values)], return_counts=True)
-    if len(levels) <= _NEXT:
-        return []
-    return [
-        f"position: {counts[end]} of {len(values)} values of {name} are exactly the {word} one, "
-        f"{levels[end]:g}: a range that ends there cuts turning points off, and amplitudes are wrong"
-        for word, end, others in (("least", 0, counts[1:_NEXT]), ("largest", -1, counts[-_NEXT:-1]))
-        if counts[end] > max(_MOST_AT_END * len(values), _OVER_NEXT * others.max())
-    ]
-
-
 def judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[Swing]] = ()) -> None:
     """Refuse times that are hardly s where nothing states it: ms, numbers of rows, parts of a day."""
     step_s = float(np.median(np.diff(seconds(trajectory.times_ns))))

@@ -15,7 +15,6 @@ from rig.intake.cells import Cells, read_cells
 from rig.intake.columns import Columns, Run, runs_of
 from rig.intake.doubts import (
     SPREADSHEET_ZERO_NS,
-    cut_off,
     judge_begin,
     judge_clock_digits,
     judge_size,
@@ -137,7 +136,6 @@ class _Reading:
             )
             if turns:
                 self._said.append(f"position: {self._names[k]} jumps by a turn {turns} times: unwrapped")
-            self._said += cut_off(self._names[k], table[:, place])
         judge_size(self._path, unit, table)
         return Trajectory(
             times_ns=times_ns,
