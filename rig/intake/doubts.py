@@ -269,7 +269,9 @@ def cut_off(name: str, values: NDArray[np.float64]) -> list[str]:
             continue
         period = float(np.median(np.diff(begins[stays])))
         level, phase = abs(extreme - middle), math.pi * float(np.median(rows[stays])) / period
-        if phase < 0.5 * math.pi and level / math.cos(phase) - level > 2.0 * steps.min():
+        is_longer = phase < 0.5 * math.pi and level / math.cos(phase) - level > 2.0 * steps.min()
+        # no swing stays in one step of its digits for half of its period
+        if is_longer or (phase >= 0.5 * math.pi and np.ptp(values) > 4.0 * steps.min()):
             said.append(
                 f"{name} stays at its {what} value, {extreme:.6g}, for up to {rows.max()} rows, "
                 f"{np.count_nonzero(stays)} times: its sensor cuts the swings off, and amplitudes and "

@@ -273,7 +273,7 @@ def test_a_position_that_its_sensor_cuts_off_is_said(
 ) -> None:
     t, x = _decaying()
     found = analyse_table(write(tmp_path / "t.csv", t, seen(x)), None, TableColumns(unit="V"))
-    assert any("cuts the swings off" in line for line in found.results.warnings) == is_cut
+    assert any("cuts the swings off" in line for line in found.longest.results.warnings) == is_cut
 
 
 @pytest.mark.parametrize("motion", [lambda t, x: np.maximum(x, 0.0), lambda t, x: t])
