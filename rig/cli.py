@@ -63,7 +63,7 @@ class _Command(TyperCommand):
     def __init__(self, *given: Any, **named: Any) -> None:
         super().__init__(*given, **named)
         for parameter in self.params:
-            annotation = parameter.type_descriptor.annotation
+            annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
             if get_origin(annotation) is list:
                 one = get_args(annotation)[0]
                 shown = "<path>" if one is Path else f"<{one.__name__}>"
