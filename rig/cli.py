@@ -11,10 +11,11 @@ import sys
 from difflib import get_close_matches
 from importlib import metadata
 from itertools import pairwise
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from processing.errors import ConfigurationError, RigError
 from rig.commands import (
@@ -56,6 +57,27 @@ class _InGroups(TyperGroup):
                 formatter.write_dl([(name, self.commands[name].get_short_help_str(limit)) for name in names])
 
 
+class _Command(TyperCommand):
+    """A command whose help names what each of several values is, not Python's list of them."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        for parameter in self.params:
+            annotation = getattr(getattr(parameter, "type_descriptor", None), "annotation", None)
+            if get_origin(annotation) is list:
+                one = get_args(annotation)[0]
+                shown = "<path>" if one is Path else f"<{one.__name__}>"
+                vars(parameter)["display_type"] = lambda _context, shown=shown: shown
+
+
+def _name_types(commands: typer.Typer) -> None:
+    for command in commands.registered_commands:
+        command.cls = _Command
+    for group in commands.registered_groups:
+        if group.typer_instance is not None:
+            _name_types(group.typer_instance)
+
+
 app = typer.Typer(
     name="rig",
     cls=_InGroups,
@@ -82,6 +104,7 @@ for module in (
     archive,
 ):
     module.register(app)
+_name_types(app)
 
 
 def _version(asked: bool) -> None:

@@ -1,7 +1,7 @@
 """Lossless storage of windows in about half the bytes: the pixels minus a model of the fitted spot.
 
 The model is computed from six integers by integer arithmetic only, so that every computer computes the same;
-docs/record.md states the rule. The differences are stored as bit planes, because zstd compresses these best.
+docs/reference/record.md states the rule. Differences are stored as bit planes, which zstd compresses best.
 """
 
 import functools

@@ -126,7 +126,7 @@ def tabulate_state(
 
 
 def tabulated(x: Vector, anchor: Vector, reference: float, active: Ints) -> tuple[Table, Matrix]:
-    """Table and turn of `tabulate_state`, new ones.
+    """The table and the turn that `tabulate_state` fills, in new arrays.
 
     It is called from Python, so that what uses them has no copy of the waveform's machine code.
     """

@@ -147,7 +147,7 @@ def _instead_of(path: Path) -> str:
     if not path.parent.is_dir():
         return f"; there is no folder {path.parent}{how}"
     try:
-        beside = [other for other in path.parent.iterdir() if other.suffix == path.suffix]
+        beside = [o for o in path.parent.iterdir() if o.suffix == path.suffix and o.name != "pyproject.toml"]
     except OSError:
         return how
     names = sorted(other.name for other in beside if path.suffix or other.is_dir())

@@ -82,7 +82,7 @@ def print_info(path: Path) -> None:
 
 
 def _result(path: Path) -> str:
-    """What the results beside a record say of it first."""
+    """The first line of the results that lie beside a record."""
     from rig.analysis import read_results, results_path, whole_result
 
     source = results_path(path.parent)

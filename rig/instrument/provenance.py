@@ -102,7 +102,7 @@ def code_commit() -> str:
 
 def record_description() -> bytes:
     """How a record is to be read, for who has nothing else; empty where the installation lacks it."""
-    for path in (_ROOT / "docs" / RECORD_DESCRIPTION, _ROOT / "rig" / RECORD_DESCRIPTION):
+    for path in (_ROOT / "docs" / "reference" / RECORD_DESCRIPTION, _ROOT / "rig" / RECORD_DESCRIPTION):
         if path.is_file():
             return path.read_bytes()
     return b""

@@ -229,7 +229,7 @@ def is_section(name: str) -> bool:
 
 
 def test_the_snippet_about_records_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (ROOT / "docs" / "record.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "record.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"(?:^ {4}.*\n|^\n)*^ {4}from pathlib.*\n(?:^ {4}.*\n|^\n)*", text, re.MULTILINE)
     monkeypatch.chdir(tmp_path)
     make_record(tmp_path / "run-1.mcap", 20.0, windows=True)

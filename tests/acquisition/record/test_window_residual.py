@@ -70,7 +70,7 @@ def test_pixels_come_back_whatever_the_spot_is(
 
 @pytest.mark.parametrize(("dtype", "scale"), [("u1", 1.0), ("u2", 16.0)])
 def test_a_spot_comes_back_by_the_rule_of_the_documents(dtype: str, scale: float) -> None:
-    """docs/record.md in plain Python, one pixel after the other."""
+    """docs/reference/record.md in plain Python, one pixel after the other."""
     image = shot_noise(spot(1, scale=scale), 1, dtype, scale)
     stored = field(PixelEncoder().encode(1, 2, image, 100, 200, spot(1, scale=scale)))
     table = [round(4096 * math.exp(-i / 512)) for i in range(9216)] + [0]

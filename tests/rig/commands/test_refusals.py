@@ -277,3 +277,16 @@ def test_a_copied_record_is_no_second_run(tmp_path: Path) -> None:
         assert "run-2.mcap: holds the run of" in message
         assert "run-1.mcap (same hash), which counts once in a series" in message
         assert not (tmp_path / "fit").exists()
+
+
+def test_a_missing_configuration_is_not_offered_what_is_none(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").touch()
+    (tmp_path / "mine.toml").touch()
+    assert "; . has mine.toml; rig init" in said("run", "nothere.toml", cwd=tmp_path)
+
+
+@pytest.mark.parametrize("command", [("run",), ("view",), ("fit",), ("archive", "add")])
+def test_help_names_one_of_several_values(tmp_path: Path, command: tuple[str, ...]) -> None:
+    text = rig(*command, "--help", cwd=tmp_path).stdout
+    assert "<path>" in text
+    assert "list[" not in text
