@@ -4,8 +4,8 @@ scipy is imported inside functions: the settings import this package, and import
 scipy.stats would slow down the start of every command.
 """
 
-from calibration.axes import Axes, deflections, displacements
-from calibration.axes_fit import Sign, fit_axes
+from calibration.axes_fit import Axes, Sign, deflections, displacements, fit_axes
+from calibration.axes_window import require_rest
 from calibration.ladder import LadderSteps
 from calibration.lever_fit import (
     LadderFit,
@@ -15,13 +15,17 @@ from calibration.lever_fit import (
     lever_from_tilts,
     moved_between,
 )
-from calibration.lever_geometry import LeverGeometry, lever_from_geometry
-from calibration.light_lever import Lever, deflection_unit
-from calibration.oscillation import require_rest
+from calibration.light_lever import Lever, LeverGeometry, deflection_unit, lever_from_geometry
 from calibration.pointing import Stability, stability
-from calibration.pulsed_shutter import PulsedShutterFit, fit_row_time_of_pulses
 from calibration.sensor import photon_transfer
-from calibration.shutter import GLOBAL, Shutter, ShutterFit, fit_row_time
+from calibration.shutter import (
+    GLOBAL,
+    PulsedShutterFit,
+    Shutter,
+    ShutterFit,
+    fit_row_time,
+    fit_row_time_of_pulses,
+)
 from calibration.store import (
     CalibrationFile,
     Kind,

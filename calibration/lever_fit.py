@@ -7,15 +7,18 @@ from typing import Literal
 import numpy as np
 
 from calibration.ladder import (
+    STEEPEST,
     LadderSolution,
     LadderSteps,
+    LadderTrace,
     both_ways,
     check_steps,
     leave_one_out,
+    notes_of,
+    scale_evidence,
     solve_ladder,
     ways_of,
 )
-from calibration.ladder_evidence import STEEPEST, Along, notes_of, scale_evidence
 from calibration.light_lever import Lever
 from processing.arrays import Floats
 from processing.errors import DataError
@@ -184,7 +187,7 @@ def fit_ladder(
 _EXPLAINED = "the scale allows for what explains it"
 
 
-def _along(steps: LadderSteps, kind: str, way: Floats | None, used: LadderSolution) -> Along:
+def _along(steps: LadderSteps, kind: str, way: Floats | None, used: LadderSolution) -> LadderTrace:
     """The ladder along its motion, the references' uncertainties added to the places'."""
     tilt = kind == "tilt"
     t = np.tan(2.0 * steps.reference) if tilt else steps.reference
@@ -195,7 +198,7 @@ def _along(steps: LadderSteps, kind: str, way: Floats | None, used: LadderSoluti
     u_px = np.sqrt(
         (x * steps.u_x_px) ** 2 + (y * steps.u_y_px) ** 2 + (scale * slope * steps.u_reference) ** 2
     )
-    return Along(t, place_px, u_px, None if way is None else 0.5 * way * slope)
+    return LadderTrace(t, place_px, u_px, None if way is None else 0.5 * way * slope)
 
 
 def lever_from_tilts(fit: LadderFit, pixel_pitch_m: float) -> Lever:

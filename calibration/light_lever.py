@@ -4,6 +4,7 @@ Only this module uses the mirror's factor of 2, the arm and the pixel pitch.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -12,6 +13,7 @@ from pydantic import BaseModel, Field
 
 from processing.arrays import Floats
 from processing.deflections import DeflectionUnit
+from processing.errors import DataError
 
 
 class Lever(BaseModel, frozen=True, extra="forbid"):
@@ -102,3 +104,175 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
 def deflection_unit(lever: Lever | None) -> DeflectionUnit:
     """The unit of deflections: rad, or px without a lever. No other place decides it."""
     return DeflectionUnit.PX if lever is None else DeflectionUnit.RAD
+
+
+_RANGE_RAD = 7e-4
+"""Tilt at which scale and skew are evaluated, about 150 arcsec."""
+
+
+class LeverGeometry(BaseModel, frozen=True, extra="forbid"):
+    """Measured lengths and angles of the light lever. `u_` are standard uncertainties.
+
+    "Along" means in the plane in which the slow mode moves the beam, "across" perpendicular to it.
+    Angles of incidence are from the mirror's normal, tilts of the sensor from perpendicular to the beam.
+    The ball of `ball_radius_m` rolls on its flat. `beam_height_m` is the height above the ball's centre at
+    which the beam hits the mirror, `beam_reach_m` the horizontal distance of the mirror in front of it.
+    """
+
+    arm_m: float = Field(gt=0, lt=100, description="mirror to sensor, along the beam at rest")
+    u_arm_m: float = Field(default=0.0, ge=0)
+    pixel_pitch_m: float = Field(gt=0, lt=1e-3)
+    u_pixel_pitch_m: float = Field(default=0.0, ge=0)
+    incidence_along_rad: float = Field(default=0.0, gt=-1.4, lt=1.4)
+    u_incidence_along_rad: float = Field(default=0.0, ge=0)
+    incidence_across_rad: float = Field(default=0.0, gt=-1.4, lt=1.4)
+    u_incidence_across_rad: float = Field(default=0.0, ge=0)
+    sensor_tilt_along_rad: float = Field(default=0.0, gt=-1.4, lt=1.4)
+    u_sensor_tilt_along_rad: float = Field(default=0.0, ge=0)
+    sensor_tilt_across_rad: float = Field(default=0.0, gt=-1.4, lt=1.4)
+    u_sensor_tilt_across_rad: float = Field(default=0.0, ge=0)
+    ball_radius_m: float = Field(default=0.0, ge=0, lt=1)
+    u_ball_radius_m: float = Field(default=0.0, ge=0)
+    beam_height_m: float = Field(default=0.0, gt=-10, lt=10)
+    u_beam_height_m: float = Field(default=0.0, ge=0)
+    beam_reach_m: float = Field(default=0.0, gt=-10, lt=10)
+    u_beam_reach_m: float = Field(default=0.0, ge=0)
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryLine:
+    """One input of the uncertainty budget.
+
+    `effect` is the relative change of the scale against the same lever with this input 0 (0 for arm and
+    pitch, for which that has no meaning). `contribution` is the relative standard uncertainty of the scale
+    due to this input's uncertainty `u`.
+    """
+
+    name: str
+    value: float
+    u: float
+    effect: float
+    contribution: float
+
+
+@dataclass(frozen=True, slots=True)
+class GeometryLever:
+    """The effective lever and its uncertainty budget, largest contribution first.
+
+    `cross` is the displacement across divided by the displacement along for a tilt of the slow mode.
+    """
+
+    lever: Lever
+    u_skew: float
+    cross: float
+    budget: tuple[GeometryLine, ...]
+
+
+def trace_m(geometry: LeverGeometry, tilt_rad: float) -> tuple[float, float]:
+    """Displacement (across, along) of the spot on the sensor, in m, from its position at zero tilt."""
+    at_rest = _hit(geometry, 0.0)
+    moved = _hit(geometry, tilt_rad)
+    return float(moved[0] - at_rest[0]), float(moved[1] - at_rest[1])
+
+
+def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
+    """Effective lever for a geometry, with its uncertainty budget.
+
+    Raises
+    ------
+    DataError
+        In this geometry the beam does not reach the sensor, or a tilt moves it the wrong way.
+    """
+    arm, skew, cross = _effective(geometry)
+    lines = []
+    u_arm_2 = u_skew_2 = 0.0
+    for name in LeverGeometry.model_fields:
+        if name.startswith("u_"):
+            continue
+        value, u = getattr(geometry, name), getattr(geometry, f"u_{name}")
+        effect = 0.0
+        contribution = 0.0
+        if name not in {"arm_m", "pixel_pitch_m"} and value != 0.0:
+            effect = arm / _effective(geometry.model_copy(update={name: 0.0}))[0] - 1.0
+        if u > 0 and name == "pixel_pitch_m":
+            contribution = u / value
+        elif u > 0:
+            low = _effective(geometry.model_copy(update={name: value - u}))
+            high = _effective(geometry.model_copy(update={name: value + u}))
+            # near an extremum the first derivative vanishes: half the second difference is included
+            slope = 0.5 * abs(high[0] - low[0])
+            bend = 0.5 * abs(high[0] + low[0] - 2.0 * arm)
+            contribution = math.hypot(slope, bend) / arm
+            u_arm_2 += (contribution * arm) ** 2
+            u_skew_2 += (0.5 * (high[1] - low[1])) ** 2
+        lines.append(GeometryLine(name, value, u, effect, contribution))
+    lever = Lever(
+        arm_m=arm,
+        u_arm_m=math.sqrt(u_arm_2),
+        pixel_pitch_m=geometry.pixel_pitch_m,
+        u_pixel_pitch_m=geometry.u_pixel_pitch_m,
+        skew=skew if abs(skew) > 1e-12 else 0.0,
+    )
+    return GeometryLever(
+        lever, math.sqrt(u_skew_2), cross, tuple(sorted(lines, key=lambda line: -line.contribution))
+    )
+
+
+def _effective(geometry: LeverGeometry) -> tuple[float, float, float]:
+    """Effective arm in m, skew, and displacement across over displacement along."""
+    tangent = math.tan(2.0 * _RANGE_RAD)
+    across_up, up = trace_m(geometry, _RANGE_RAD)
+    across_down, down = trace_m(geometry, -_RANGE_RAD)
+    arm = (up - down) / (2.0 * tangent)
+    if not arm > 0:
+        raise DataError(
+            f"lever geometry: a tilt moves the spot by {up:.3g} m; check the angles of incidence and sensor"
+        )
+    skew = (up + down) / (2.0 * tangent**2) / arm
+    return arm, skew, (across_up - across_down) / (up - down)
+
+
+def _hit(geometry: LeverGeometry, tilt_rad: float) -> Floats:
+    """Intersection (across, along) of the reflected beam with the sensor, in m from the sensor's centre.
+
+    At rest the reflected beam runs along +z; the slow mode moves it along y, which points up. A tilt rotates
+    the body about the ball's centre, which itself moves by radius times tilt.
+    """
+    across, along = geometry.incidence_across_rad, geometry.incidence_along_rad
+    normal = np.array(
+        [math.sin(across) * math.cos(along), math.sin(along), math.cos(across) * math.cos(along)]
+    )
+    incoming = np.array([0.0, 0.0, 1.0]) - 2.0 * normal[2] * normal
+    axis = np.array([-math.cos(across), 0.0, math.sin(across)])
+    forward = np.cross(axis, [0.0, 1.0, 0.0])
+    level = np.array([math.sin(across), 0.0, math.cos(across)])
+    arm_of_point = geometry.beam_reach_m * level + geometry.beam_height_m * np.array([0.0, 1.0, 0.0])
+    turned = _turned(normal, axis, tilt_rad)
+    point = geometry.ball_radius_m * tilt_rad * forward + _turned(arm_of_point, axis, tilt_rad) - arm_of_point
+    on_mirror = incoming * (point @ turned) / (incoming @ turned)
+    outgoing = incoming - 2.0 * (incoming @ turned) * turned
+    t_along, t_across = geometry.sensor_tilt_along_rad, geometry.sensor_tilt_across_rad
+    up = np.array([0.0, math.cos(t_along), math.sin(t_along)])
+    right = np.array(
+        [math.cos(t_across), -math.sin(t_across) * math.sin(t_along), math.sin(t_across) * math.cos(t_along)]
+    )
+    facing = np.cross(right, up)
+    centre = np.array([0.0, 0.0, geometry.arm_m])
+    steep = float(outgoing @ facing)
+    if abs(steep) < 1e-3:
+        raise DataError(
+            "lever geometry: the beam is parallel to the sensor; check sensor_tilt_along_rad and "
+            "sensor_tilt_across_rad"
+        )
+    landed = on_mirror + outgoing * float((centre - on_mirror) @ facing) / steep - centre
+    return np.array([landed @ right, landed @ up])
+
+
+def _turned(vector: Floats, axis: Floats, angle: float) -> Floats:
+    """The vector rotated about a unit `axis` (Rodrigues' formula), angle in rad."""
+    turned: Floats = (
+        vector * math.cos(angle)
+        + np.cross(axis, vector) * math.sin(angle)
+        + axis * (axis @ vector) * (1.0 - math.cos(angle))
+    )
+    return turned

@@ -6,7 +6,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.errors import DataError
-from processing.wandering import part_means, u_of_wandering
+from processing.slope_uncertainty import part_means, u_of_wandering
 
 _FEWEST_SAMPLES = 100
 _LINE_RATIO = 12.0
@@ -44,7 +44,8 @@ class Stability:
 
     `noise` is the standard deviation of one sample without slow changes: the Allan deviation at the interval
     of the samples. `drift_per_s` is the slope of a straight line; its uncertainty is that of a beam which
-    wanders as what is left of it shows (`processing.wandering`). `iso11670` is 2 standard deviations of the
+    wanders as what is left of it shows (`processing.slope_uncertainty`). `iso11670` is 2 standard deviations
+    of the
     whole record, the pointing stability of one axis (ISO 11670:2003: half of the 4 sigma width).
     `claimed_ratio` is the root mean square of the stated uncertainties over `noise`. `lines` are the
     strongest spectral lines, at most ten. `density` (m,) is the one-sided power spectral density, in the

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.birge import birge_ratio
+from calibration.timebase import birge_ratio
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
-from processing.robust import robust_scatter
+from processing.noise_models import robust_scatter
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 

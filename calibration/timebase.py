@@ -5,15 +5,16 @@ pairs relates the clocks. The scatter about it comes from bus and scheduler and 
 analysis of swings requires a jitter of the frame times below about 15 us.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
-from processing.robust import robust_scatter
+from processing.noise_models import robust_scatter
+from processing.slope_uncertainty import FEWEST_PARTS, part_means, u_of_wandering
 from processing.units import S_PER_NS, nanoseconds, seconds
-from processing.wandering import FEWEST_PARTS, part_means, u_of_wandering
 
 FRAME_JITTER_LIMIT_S = 15e-6
 """Jitter of the frame times that does not affect the times of turning points; 100 us doubles their error."""
@@ -116,7 +117,7 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
     because some frames arrive much later than the others. If a clock jumps, the segments share one rate and
     have one offset each. Arrivals that vary slowly (a loaded host delays many frames in a row, its clock
     wanders or is slewed) leave the rate more uncertain than white noise of the same size: see
-    `processing.wandering`.
+    `processing.slope_uncertainty`.
     """
     if not (len(device_ns) == len(host_ns) == len(sequence)):
         raise DataError(
@@ -219,3 +220,18 @@ def _frame_period(since_s: Floats, sequence: Ints) -> tuple[float, float]:
     design = np.column_stack([sequence - sequence[0], np.ones(len(sequence))]).astype(float)
     values, _, sigma = _huber(design, since_s)
     return float(values[0]), sigma
+
+
+_IMPROBABLE = 0.01
+"""Probability of the chi-square below which the scatter is not attributed to chance."""
+
+
+def birge_ratio(chi_square: float, dof: int) -> float:
+    """Factor for the standard uncertainties of a weighted fit, at least 1.
+
+    It is ``sqrt(chi_square / dof)`` (R. T. Birge, Phys. Rev. 40, 207, 1932) if a chi-square this large has a
+    probability below 1 %, otherwise 1: a scatter that is small by chance must not reduce the uncertainties.
+    """
+    from scipy.special import chdtrc
+
+    return math.sqrt(chi_square / dof) if dof > 0 and chdtrc(dof, chi_square) < _IMPROBABLE else 1.0

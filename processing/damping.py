@@ -33,7 +33,7 @@ _FLOOR_CHI2: Final = 12.0
 """What a floor has to explain, in chi-square, to be taken for one: by chance once in 2000 decays."""
 
 
-class Part(NamedTuple):
+class DampingTerm(NamedTuple):
     """One part of the damping with its standard uncertainty, and the probability that the decay needs it."""
 
     value: float
@@ -42,7 +42,7 @@ class Part(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Damping:
+class DampingTerms:
     """The parts of dA/dt = -(constant + linear A + quadratic A^2), in the amplitude's unit and s.
 
     Uncertainties and `covariance` (of the three in order) are grown where `chi2_per_dof` is above 1. `floor`
@@ -53,9 +53,9 @@ class Damping:
     """
 
     samples: int
-    constant: Part
-    linear: Part
-    quadratic: Part
+    constant: DampingTerm
+    linear: DampingTerm
+    quadratic: DampingTerm
     covariance: Floats
     first: float
     last: float
@@ -88,7 +88,7 @@ class Damping:
         return np.geomspace(self.first, max(self.last, 0.02 * self.first), count)
 
 
-class _Found(NamedTuple):
+class _DampingSolution(NamedTuple):
     """First amplitude and the three parts with their covariance, the floor (NaN: none), and chi-square."""
 
     values: Floats
@@ -120,7 +120,7 @@ def amplitude_at(times_s: Floats, first: float, constant: float, linear: float, 
 
 def fit_damping(
     times_s: Floats, values: Floats, u_values: Floats, *, decibel: bool = False, floor: bool = False
-) -> Damping:
+) -> DampingTerms:
     """Fit all parts of the damping to amplitudes, or to powers in dB.
 
     Parameters
@@ -178,7 +178,7 @@ def fit_damping(
     sizes = np.array([unit, 1.0, 1.0 / unit]) / span_s
     covariance = bare.covariance[1:4, 1:4] * np.outer(sizes, sizes) * grown
     parts = [
-        Part(
+        DampingTerm(
             float(bare.values[k + 1] * sizes[k]),
             sqrt(covariance[k, k]),
             float(sum(chance for kept, chance in chances.items() if name in kept) / total),
@@ -193,7 +193,7 @@ def fit_damping(
         raise DataError("the amplitude does not fall: this is not a ring-down, or too short a part of one")
     tau_s = span_s / rate
     u_tau_s = sqrt((tau_s * u_rate / rate) ** 2 + _spread2(alone, chances, ends, rate) * span_s**2)
-    return Damping(
+    return DampingTerms(
         samples=len(y),
         constant=parts[0],
         linear=parts[1],
@@ -209,7 +209,7 @@ def fit_damping(
 
 
 def _spread2(
-    alone: Mapping[tuple[str, ...], _Found],
+    alone: Mapping[tuple[str, ...], _DampingSolution],
     chances: Mapping[tuple[str, ...], float],
     ends: Floats,
     rate: float,
@@ -244,7 +244,7 @@ class _Fit:
         half = float(self._t[below[0]]) if len(below) and below[0] > 0 else 1.0
         return np.array([first, 0.0, max(log(2.0) / half, 0.05), 0.0])
 
-    def parts(self, kept: Sequence[str], start: Floats, *, floor: bool = False) -> _Found:
+    def parts(self, kept: Sequence[str], start: Floats, *, floor: bool = False) -> _DampingSolution:
         """Fit these parts, and a floor where there is one."""
         free = np.array([True, *(name in kept for name in PARTS)])
         begin = start.copy()
@@ -264,7 +264,9 @@ class _Fit:
         values, covariance = np.zeros(4), np.zeros((4, 4))
         values[free] = found.values[:count]
         covariance[np.ix_(free, free)] = found.covariance[:count, :count]
-        return _Found(values, covariance, exp(min(found.values[count], 5.0)) if floor else nan, found.chi2)
+        return _DampingSolution(
+            values, covariance, exp(min(found.values[count], 5.0)) if floor else nan, found.chi2
+        )
 
     def _residual(self, p: Floats, floor: float) -> Floats:
         amplitude = amplitude_at(self._t, *p)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.arrays import Floats
-from processing.damping import Damping, fit_damping
+from processing.damping import DampingTerms, fit_damping
 from processing.swing import estimate_noise
 from processing.units import nanoseconds, seconds
 
@@ -40,7 +40,7 @@ class EnvelopeDecay:
     chi2_per_dof: float
     first_s: float
     last_s: float
-    damping: Damping
+    damping: DampingTerms
 
     @property
     def changes(self) -> bool:

@@ -27,7 +27,7 @@ from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
 from numba.types import Array, unliteral
 
-from processing.kernel_parts import Part, PartCompiler, answers_kept, byte_locked
+from processing.kernel_parts import KernelPart, PartCompiler, answers_kept, byte_locked
 
 _WAITS = "processing:another process compiles it"
 _BYTES = 2**31
@@ -96,7 +96,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             # one that is a part of another kernel cannot be called from Python; any other comes from a thread
             # that had the lock before
             known = self.overloads.get(tuple(normalize_signature(sig)[0]))
-            if known is not None and isinstance(known.entry_point, Part):
+            if known is not None and isinstance(known.entry_point, KernelPart):
                 del self.overloads[known.signature.args]
                 known = None
             if known is None and isinstance(self._cache, _Cache):
@@ -131,7 +131,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     def add_overload(self, cres: Any) -> None:
         """Offer compiled code to Python, or to other kernels if it is a part of them."""
         if self._within_another:
-            cres = cres._replace(entry_point=Part())
+            cres = cres._replace(entry_point=KernelPart())
             self.targetctx.insert_user_function(cres.entry_point, cres.fndesc, [cres.library])
             self.overloads[cres.signature.args] = cres
             return

@@ -85,7 +85,7 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
         self._finalized = True
 
 
-class Part:
+class KernelPart:
     """What numba knows a kernel within another one by, in place of its machine code."""
 
 

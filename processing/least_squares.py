@@ -170,12 +170,12 @@ def _is_stuck(result: Any) -> bool:
     count = int(np.count_nonzero(free))
     if not count or result.cost <= max(len(result.fun) - count, 1):
         return False
-    along = Factored(result.jac[:, free]).root.T @ result.grad[free]
+    along = FactoredJacobian(result.jac[:, free]).root.T @ result.grad[free]
     # half of the square is what the cost would fall by, if the model were linear
     return bool(0.5 * along @ along > _STUCK * result.cost)
 
 
-class Factored:
+class FactoredJacobian:
     """Singular values of the derivatives J (n, k) of residuals by the coordinates of a model.
 
     Columns are scaled to unit length. A direction whose singular value is below `_SINGULAR` of the largest is
@@ -230,7 +230,7 @@ def covariance_of(jacobian: Floats, residuals: Floats | None = None, loss: Loss 
     """
     if not np.all(np.isfinite(jacobian)):
         return np.diag(np.full(jacobian.shape[1], np.inf))
-    covariance = Factored(jacobian).covariance()
+    covariance = FactoredJacobian(jacobian).covariance()
     if loss != "linear" and residuals is not None:
         psi, slope = _influence(residuals / _LOSS_SCALE, loss)
         psi = psi * _LOSS_SCALE

@@ -1,8 +1,4 @@
-"""The new low and high noise models of ground acceleration (Peterson 1993, USGS open-file report 93-322).
-
-In both, the power spectral density is ``A + B log10(period)`` between stated periods, in dB relative to
-1 (m/s^2)^2/Hz, one-sided.
-"""
+"""Noise: the low and high models of ground acceleration (Peterson 1993), and a robust scatter."""
 
 import numpy as np
 
@@ -72,3 +68,19 @@ def _model_db(table: Floats, frequencies_hz: Floats) -> Floats:
     period_s = np.clip(1 / np.asarray(frequencies_hz, dtype=np.float64), shortest_s, _LONGEST_S)
     row = np.searchsorted(table[:, 0], period_s, side="right") - 1
     return np.asarray(table[row, 1] + table[row, 2] * np.log10(period_s), dtype=np.float64)
+
+
+MAD_TO_SIGMA = 1.482602218505602
+"""Ratio of standard deviation to median absolute deviation of a normal distribution, 1 / 0.67449."""
+
+
+def robust_scatter(values: Floats, middle: float | None = None) -> float:
+    """Standard deviation of `values`, of any shape, from the median absolute deviation about `middle`.
+
+    By default `middle` is the median. Nearly half of the values may be outliers. NaN and infinite values are
+    ignored; the result is 0 if no others are left.
+    """
+    good = values[np.isfinite(values)]
+    if len(good) == 0:
+        return 0.0
+    return MAD_TO_SIGMA * float(np.median(np.abs(good - (np.median(good) if middle is None else middle))))

@@ -63,7 +63,7 @@ def quantities_of(kind: type) -> Mapping[str, Quantity]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Derived:
+class DerivedQuantity:
     """What follows from the parameters of the paper's law and the rig's input quantities.
 
     A quantity that is added here has a line in the budget, a row in the table of results, and a place in

@@ -59,7 +59,7 @@ def gain_in_swings(
     cross, power = np.real(np.conj(theirs) * ours), np.abs(theirs) ** 2 - noise
     gain = 0.0
     for _ in range(_TURNS):
-        weight = 1 / _of_others(np.abs(ours - gain * theirs) ** 2)
+        weight = 1 / _means_of_others(np.abs(ours - gain * theirs) ** 2)
         top, bottom = np.sum(cross * weight, axis=1), np.sum(power * weight, axis=1)
         gain = _ratio(top, bottom)
     # neighbours overlap, so that parts are of several
@@ -88,7 +88,7 @@ def _spectra(stretches: Floats, window: Floats) -> np.ndarray:
     return np.asarray(np.fft.rfft((stretches - level - slope * line) * window)[:, 1:])
 
 
-def _of_others(values: Floats) -> Floats:
+def _means_of_others(values: Floats) -> Floats:
     """Means (stretches, frequencies) over the other stretches that do not overlap.
 
     Its own noise would weigh a frequency most where the reference has the least of it by chance.

@@ -223,7 +223,7 @@ _DATUM = 16
 """Frames whose mean is the place that all others are counted from."""
 
 
-class _Axis:
+class _BeamAxis:
     def __init__(self) -> None:
         self._recent: list[float] = []
         self._count = 0
@@ -270,7 +270,7 @@ class CausalReference:
 
     def __init__(self, gain: Estimate) -> None:
         self._gain = gain
-        self._axes = (_Axis(), _Axis())
+        self._axes = (_BeamAxis(), _BeamAxis())
 
     def take(self, place_px: Floats, u_px: Floats) -> tuple[Floats, Floats]:
         """What the beam moves the pendulum's spot by in some more frames (n, 2), and its variance.

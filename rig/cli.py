@@ -214,7 +214,7 @@ def _example(words: list[str]) -> str:
     return f", for example {shown}" if shown else ""
 
 
-def _of_usage(text: str, words: list[str]) -> str:
+def _usage_message(text: str, words: list[str]) -> str:
     """What typer says of a wrong call, with the value that was given and without the names of its parts."""
     text = (
         text.removeprefix("Invalid value: ")
@@ -261,7 +261,7 @@ def _say(error: Exception) -> int:
         text, status = f"{error.filename or 'a file or device'}: {error.strerror} (--debug shows where)", 1
     elif hasattr(error, "format_message"):
         # wrong usage, reported by typer
-        text, status = _of_usage(error.format_message(), sys.argv), 2
+        text, status = _usage_message(error.format_message(), sys.argv), 2
     else:
         text, status = f"{type(error).__name__}: {error} (--debug shows where)", 1
     for line in text.splitlines() if isinstance(error, ConfigurationError) else [text]:

@@ -15,7 +15,7 @@ from tests.rig.command_line import CONFIGS, SMALL, set_words
 
 TWELVE_BITS = """
 from processing.spot import SensorModel
-from rig.instrument.kernels import compile_tracker
+from rig.instrument.provenance import compile_tracker
 compile_tracker(SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=4095.0))
 """
 

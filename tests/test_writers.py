@@ -20,7 +20,7 @@ ALLOWED = {
     "rig/export/session_export.py": "under the name that being_written gives",
     "rig/export/nexus.py": "under the name that being_written gives",
     "rig/settings/written_file.py": "under the name that being_written gives",
-    "rig/measure/without_session.py": "in the folder that folder_being_written gives",
+    "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
     # lines that are added, never changed
     "rig/balance/history.py": "a history to which lines are added",
     "rig/measure/session_orders.py": "lines of a file beside the record, which holds them too",
@@ -30,7 +30,7 @@ ALLOWED = {
     "rig/orders/server.py": "a live port, gone with its process",
     "processing/kernel_parts.py": "a lock",
     "rig/control/safety_state.py": "a lock",
-    "rig/desk/kept.py": "a lock",
+    "rig/desk/store.py": "a lock",
     "rig/measure/session_file.py": "a lock",
     "rig/measure/run_parts.py": "a record set aside under another name",
     "rig/terminal/interruption.py": "the null device",

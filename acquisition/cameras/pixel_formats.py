@@ -17,8 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraSettings, ColourPlane, PixelFormat
-from acquisition.frame import Image
+from acquisition.camera import CameraSettings, ColourPlane, Image, PixelFormat
 from processing.errors import DeviceError
 from processing.kernel import kernel
 

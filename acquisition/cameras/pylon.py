@@ -17,14 +17,14 @@ from acquisition.camera import (
     CameraStatus,
     ColourPlane,
     FeatureValue,
+    Frame,
     FrameTimeout,
     PluggedCamera,
 )
 from acquisition.cameras import wiring
-from acquisition.cameras.device_settings import PylonSettings, kept_frames
+from acquisition.cameras.drivers import PylonSettings, kept_frames
 from acquisition.cameras.pixel_formats import Format, plane_of
 from acquisition.cameras.preparation import GenicamFeatures, Quantity
-from acquisition.frame import Frame
 from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError, MissingPackage
 from processing.units import NS_PER_S

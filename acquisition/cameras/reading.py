@@ -5,13 +5,13 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from processing.errors import RigError
 
 _POLL_S: Final = 0.05  # longest wait for the camera, after which `read` checks for `stop`
 
 
-class Reading:
+class CameraRun:
     """Reads a camera when asked, and ends once: by `stop` from any thread, or by an error.
 
     Parameters

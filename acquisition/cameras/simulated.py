@@ -9,11 +9,11 @@ from acquisition.camera import (
     CameraInfo,
     CameraSettings,
     CameraStatus,
+    Frame,
     without_features,
 )
-from acquisition.frame import Frame
 from acquisition.simulation.inputs import FaultSettings, RigInputs
-from acquisition.simulation.run_reader import CAMERA_NAME, RunReader
+from acquisition.simulation.run_reader import CAMERA_NAME, SimulatedFrames
 from acquisition.simulation.scene import Readings, Scene, block_frames
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
@@ -51,7 +51,7 @@ class SimulatedCamera:
         self._inputs = inputs
         self._clock_ns = monotonic_ns
         self._opened = False
-        self._reader: RunReader | None = None
+        self._reader: SimulatedFrames | None = None
         self._runs = settings.first_run
         sensor = settings.sensor
         self._readings = Readings(
@@ -143,7 +143,7 @@ class SimulatedCamera:
         scene = Scene(self._settings, self._faults, self._readings, self._runs, self._inputs)
         self._runs += 1
         block = block_frames(self._readings.frame_rate_hz, self._inputs is not None)
-        self._reader = RunReader(
+        self._reader = SimulatedFrames(
             scene, block, self._settings, self._faults, self._readings.frame_rate_hz, self._clock_ns
         )
 

@@ -11,8 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
-from acquisition.frame import Frame
+from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame
 from processing.errors import DeviceError, RigError, in_one_line
 from processing.units import seconds
 
@@ -41,7 +40,7 @@ _SPREAD: Final = 0.2
 """A wrong unit shows the same each time; a busy computer's delays do not within a fifth of themselves."""
 
 
-class _Seen(NamedTuple):
+class _LastImage(NamedTuple):
     """An image that was delivered, and some of its pixels as they were."""
 
     number: int
@@ -49,7 +48,7 @@ class _Seen(NamedTuple):
     pixels: NDArray[Any]
 
 
-class Delivered:
+class CheckedFrames:
     """Frames of one camera: each of the form of the first, with an image of its own and a number that rises.
 
     Numbers come out as plain integers: those of numpy overflow, or compute in floating point. Frames that are
@@ -60,7 +59,7 @@ class Delivered:
         self._in_real_time = in_real_time
         self._form: tuple[tuple[int, ...], np.dtype[Any]] | None = None
         self._sequence: int | None = None
-        self._newest: deque[_Seen] = deque(maxlen=_MOST_BUFFERS)
+        self._newest: deque[_LastImage] = deque(maxlen=_MOST_BUFFERS)
 
     def begin_again(self) -> None:
         """The camera was started again: numbers begin anew. The form of its images stays what it was."""
@@ -121,7 +120,7 @@ class Delivered:
                     "its driver fills the same buffers again and again; give each frame an image of its own: "
                     "image.copy()",
                 )
-        self._newest.append(_Seen(number, image, _some(image).copy()))
+        self._newest.append(_LastImage(number, image, _some(image).copy()))
 
 
 def checked_info(info: object, driver: str) -> CameraInfo:

@@ -5,7 +5,7 @@ import time
 from collections import deque
 from typing import Literal
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 
 Policy = Literal["wait", "every", "latest"]
 

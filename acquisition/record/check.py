@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from acquisition.record import pixels_beside
 from acquisition.record.chunk import ChunkDamage, message_heads
-from acquisition.record.digest import sha256_of
+from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import RECOVERY
 from acquisition.record.topics import SPOT, WINDOW
-from acquisition.record.utc import utc_text
 from processing.errors import RecordError
 
 Severity = Literal["error", "warning", "note"]

@@ -1,11 +1,19 @@
-"""SHA-256 of a record, by which results.json identifies it."""
+"""What a record is called by: its SHA-256, its camera, its dates, its lock."""
 
+import datetime
 import functools
 import hashlib
+import os
 import stat
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Self
 
+from acquisition.camera import CameraInfo, ShutterKind
 from processing.errors import RecordError
+from processing.units import seconds
 
 _BLOCK_BYTES = 1024 * 1024
 
@@ -50,3 +58,86 @@ def sha256_of(path: Path) -> str:
     except ValueError as error:
         raise RecordError(f"{str(path)!r}: is not the name of a file ({error})") from None
     return digest.hexdigest()
+
+
+_SECTION = "camera"
+_SIMULATED = "simulated"
+"""Driver of the simulated rig (`acquisition.cameras.drivers`)."""
+
+
+def camera_metadata(info: CameraInfo) -> dict[str, dict[str, str]]:
+    """The section of the metadata that says what was measured with."""
+    names = ("driver", "vendor", "model", "serial", "width_px", "height_px", "full_scale_dn", "has_clock")
+    return {_SECTION: {name: str(getattr(info, name)) for name in (*names, "shutter")}}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedCamera:
+    """What a record says of its camera; `has_clock` is None where it does not."""
+
+    simulated: bool
+    has_clock: bool | None
+    shutter: ShutterKind
+
+    @classmethod
+    def of(cls, metadata: Mapping[str, Mapping[str, str]]) -> Self:
+        """From the metadata of a record of any version or program."""
+        camera = metadata.get(_SECTION, {})
+        return cls(
+            camera.get("driver") == _SIMULATED,
+            {str(known): known for known in (True, False)}.get(camera.get("has_clock", "")),
+            ShutterKind.of(camera.get("shutter", "")),
+        )
+
+
+def utc(time_ns: int) -> datetime.datetime:
+    """Nanoseconds since 1970 as a date."""
+    return datetime.datetime.fromtimestamp(seconds(time_ns), datetime.UTC)
+
+
+def utc_text(time_ns: int) -> str:
+    """The same to the millisecond, for a person; a damaged time that is no date as the number it is."""
+    try:
+        moment = utc(time_ns)
+    except (ValueError, OverflowError, OSError):
+        return f"{time_ns} ns"
+    return f"{moment:%Y-%m-%d %H:%M:%S}.{time_ns // 1_000_000 % 1000:03d} UTC"
+
+
+fcntl: Any
+try:
+    import fcntl
+except ImportError:
+    # Windows has no such locks
+    fcntl = None
+
+_STILL_S = 30.0
+"""Without locks, a file that has not changed for so long is written by nobody."""
+
+
+def lock_for_writing(number: int) -> None:
+    """Hold the lock of an open file, as long as it is open; nothing where the system or its disk has none."""
+    if fcntl is not None:
+        try:
+            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return
+
+
+def is_being_written(path: Path) -> bool:
+    """Whether a living process writes this file."""
+    try:
+        number = os.open(path, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        if fcntl is not None:
+            fcntl.flock(number, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            return False
+    except BlockingIOError:
+        return True
+    except OSError:
+        pass
+    finally:
+        os.close(number)
+    return time.time() - path.stat().st_mtime < _STILL_S

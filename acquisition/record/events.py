@@ -5,7 +5,7 @@ from enum import StrEnum
 from typing import Final, NamedTuple
 
 
-class Level(StrEnum):
+class Severity(StrEnum):
     """How much an event matters, the gravest first."""
 
     TRIP = "trip"
@@ -116,17 +116,17 @@ WARNING_KINDS: Final = frozenset(
 """Kinds that mean missing or disturbed data: warnings in the record's log and in every view."""
 
 
-_LEVELS: Final[Mapping[str, Level]] = {
-    EventKind.TRIP: Level.TRIP,
-    EventKind.LASER_DARK: Level.ALARM,
-    EventKind.LASER_UNKNOWN: Level.ALARM,
-    **dict.fromkeys(WARNING_KINDS, Level.WARNING),
+_LEVELS: Final[Mapping[str, Severity]] = {
+    EventKind.TRIP: Severity.TRIP,
+    EventKind.LASER_DARK: Severity.ALARM,
+    EventKind.LASER_UNKNOWN: Severity.ALARM,
+    **dict.fromkeys(WARNING_KINDS, Severity.WARNING),
 }
 
 
-def level_of(kind: str) -> Level:
+def level_of(kind: str) -> Severity:
     """How much events of a kind matter; those of unknown kinds are information."""
-    return _LEVELS.get(kind, Level.INFORMATION)
+    return _LEVELS.get(kind, Severity.INFORMATION)
 
 
 class Event(NamedTuple):
@@ -137,7 +137,7 @@ class Event(NamedTuple):
     text: str
 
     @property
-    def level(self) -> Level:
+    def level(self) -> Severity:
         """How much it matters, which its kind says."""
         return level_of(self.kind)
 

@@ -17,7 +17,7 @@ from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from acquisition.atomic_write import sync_folder
-from acquisition.record.file_lock import lock_for_writing
+from acquisition.record.digest import lock_for_writing
 from acquisition.record.topics import LIBRARY
 from processing.errors import RecordError
 

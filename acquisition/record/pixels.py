@@ -3,7 +3,7 @@
 import numpy as np
 import zstandard
 
-from acquisition.frame import Image
+from acquisition.camera import Image
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import WINDOW, RecordedWindow
 from acquisition.record.window_residual import IntegerGaussian, from_planes, spot_model, to_planes

@@ -25,8 +25,16 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from acquisition.record import records_of
-from acquisition.record.chunk import CHUNK_HEAD, HEAD, ChunkDamage, chunk_content, proved_content
-from acquisition.record.contents import ChunkPlace, Contents, Damage
+from acquisition.record.chunk import (
+    CHUNK_HEAD,
+    HEAD,
+    ChunkDamage,
+    ChunkPlace,
+    Contents,
+    Damage,
+    chunk_content,
+    proved_content,
+)
 from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
 

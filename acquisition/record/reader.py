@@ -10,18 +10,31 @@ from typing import Any, Self, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record import is_pixels, pixels_beside
-from acquisition.record.chunk import ChunkDamage, Message, messages_in, packed_messages
-from acquisition.record.contents import ChunkPlace, Contents, Damage
+from acquisition.record.chunk import (
+    ChunkDamage,
+    ChunkPlace,
+    Contents,
+    Damage,
+    Message,
+    messages_in,
+    packed_messages,
+)
+from acquisition.record.digest import is_being_written, utc
 from acquisition.record.events import Event
-from acquisition.record.file_lock import is_being_written
-from acquisition.record.foxglove import decode_log, decode_preview, preview_step
 from acquisition.record.pixels import decode_window
 from acquisition.record.read_file import ReadFile
 from acquisition.record.schemas import MessageType
-from acquisition.record.spots_and_swings import balances_of, deflections_of, swings_of
+from acquisition.record.spot_messages import (
+    balances_of,
+    decode_log,
+    decode_preview,
+    deflections_of,
+    preview_step,
+    swings_of,
+)
 from acquisition.record.topics import (
     BALANCE,
     EVENT,
@@ -43,11 +56,10 @@ from acquisition.record.topics import (
     number_kinds,
     number_topics,
 )
-from acquisition.record.utc import utc
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
-from processing.swing import Swing
+from processing.swing import HalfCycle
 
 _Value = TypeVar("_Value")
 _Taken = TypeVar("_Taken", bound=Sized)
@@ -339,7 +351,7 @@ class RecordReader:
             if len(table):
                 yield table
 
-    def swings(self, messages: Sequence[Message] | None = None) -> list[Swing]:
+    def swings(self, messages: Sequence[Message] | None = None) -> list[HalfCycle]:
         """All half-cycles, or those in some messages of their topic, with amplitudes in `deflection_unit`."""
         return swings_of(self.table(SWING.topic) if messages is None else self.rows(SWING.topic, messages))
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from acquisition.atomic_write import being_written
 from acquisition.record import pixels_beside
-from acquisition.record.chunk import ChunkDamage, messages_in
-from acquisition.record.contents import Damage
+from acquisition.record.chunk import ChunkDamage, Damage, messages_in
 from acquisition.record.digest import sha256_of
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.read_file import ReadFile

@@ -4,15 +4,14 @@ import math
 from enum import IntEnum
 from typing import Final, NamedTuple, Protocol, Self, TypeAlias
 
-from acquisition.frame import Image
-from acquisition.record.descriptor import Kind, Meanings
+from acquisition.camera import Image
 from acquisition.record.events import Event, EventKind
-from acquisition.record.schemas import MessageType, message_type_of
+from acquisition.record.schemas import Kind, Meanings, MessageType, message_type_of
 from acquisition.record.window_residual import IntegerGaussian
 from processing.balance import names_with_units
 from processing.deflections import DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from processing.swing import SwingFlag
+from processing.swing import HalfCycleFlag
 
 SCHEMA_VERSION = 1
 PACKAGE = "optical_pendulum"
@@ -27,7 +26,7 @@ SENSOR_FRAME = "sensor"
 """Frame of reference of images and camera calibration, for viewers."""
 
 
-class Side(IntEnum):
+class TurningSide(IntEnum):
     """To which side of the rest position a turning point lies."""
 
     POSITIVE = 1
@@ -263,7 +262,7 @@ _SPOT = (*_doubles(*Spot._fields[:-1]), *_ints("flags"))
 
 
 def _turning_point(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
-    """The fields of `Swing` in its order, their names with the unit."""
+    """The fields of `HalfCycle` in its order, their names with the unit."""
     return (
         *_ints("index", "turn_time_ns"),
         *_doubles("u_turn_time_s", f"amplitude_{unit}", f"u_amplitude_{unit}"),
@@ -314,7 +313,7 @@ SWING, SWING_UNCALIBRATED = (
         *_turning_point(unit),
         *_doubles(*(() if prefix else ("amplitude_arcsec",)), "period_s"),
         about=_ABOUT_SWING,
-        meanings=(SwingFlag, Side),
+        meanings=(HalfCycleFlag, TurningSide),
     )
     for unit, prefix in _UNITS
 )
@@ -353,7 +352,7 @@ FITTED = message_type_of(RecordedFittedPoint, f"{PACKAGE}.RecordedFittedPoint", 
 CAMERA_TEMPERATURE = message_type_of(CameraTemperature, f"{PACKAGE}.CameraTemperature", "/camera_temperature")
 
 
-class Timed(Protocol):
+class TimedMessage(Protocol):
     """A value that is recorded as a message of its own."""
 
     @property
@@ -361,7 +360,7 @@ class Timed(Protocol):
         """On the frames' clock."""
 
 
-Recorded: TypeAlias = tuple[MessageType, Timed]
+Recorded: TypeAlias = tuple[MessageType, TimedMessage]
 """A value with the kind of its message."""
 SESSION_KINDS: Final = (PHASE, LIGHT, HEALTH, ESTIMATE, FITTED)
 """Kinds of messages by which a session says how it stands while it measures."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.frame import Image
+from acquisition.camera import Image
 from processing.kernel import kernel
 from processing.spot import Spot
 

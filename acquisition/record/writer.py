@@ -11,14 +11,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
-from acquisition.frame import Frame, Image
+from acquisition.camera import Frame, Image
 from acquisition.record import pixels_beside
-from acquisition.record.events import Event, EventKind, Level
-from acquisition.record.foxglove import encode_camera_calibration, encode_log, encode_preview, foxglove_schema
+from acquisition.record.events import Event, EventKind, Severity
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.pixels import PixelEncoder
 from acquisition.record.schemas import MessageType
-from acquisition.record.spots_and_swings import encode_balance, encode_swing, spot_rows
+from acquisition.record.spot_messages import (
+    encode_balance,
+    encode_camera_calibration,
+    encode_log,
+    encode_preview,
+    encode_swing,
+    foxglove_schema,
+    spot_rows,
+)
 from acquisition.record.topics import (
     BALANCE,
     CAMERA_TOPIC,
@@ -41,12 +48,12 @@ from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
-from processing.swing import Swing
+from processing.swing import HalfCycle
 
 _RESERVE_BYTES = 4 * 1024 * 1024
 _FLUSH_INTERVAL_S = 0.25
 """What is lost is at most this and what the disk takes to force it down."""
-_LOG_LEVELS = {Level.INFORMATION: 2, Level.WARNING: 3, Level.ALARM: 4, Level.TRIP: 5}
+_LOG_LEVELS = {Severity.INFORMATION: 2, Severity.WARNING: 3, Severity.ALARM: 4, Severity.TRIP: 5}
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md": "text/markdown"}
 
 
@@ -199,7 +206,7 @@ class RecordWriter:
                 write_metadata(self._pixels, {"record": self._own}, time.time_ns())
         return self._pixels
 
-    def write_swing(self, swing: Swing) -> None:
+    def write_swing(self, swing: HalfCycle) -> None:
         """Write one half-cycle; amplitude and centre in `deflection_unit`."""
         self._add(SWING.topic, swing.turn_time_ns, encode_swing(self._swing, swing))
 

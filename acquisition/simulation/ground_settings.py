@@ -66,7 +66,7 @@ class GroundTruth(BaseModel, frozen=True, extra="forbid"):
         return self
 
 
-class WitnessTruth(BaseModel, frozen=True, extra="forbid"):
+class SeismometerTruth(BaseModel, frozen=True, extra="forbid"):
     """An instrument beside the rig that feels the ground; for witness.kind = 'simulated'."""
 
     rate_hz: float = Field(default=20.0, gt=0, le=1000, description="of its samples")

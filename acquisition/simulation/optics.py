@@ -210,7 +210,7 @@ class RollingReadout:
 
 
 @dataclass(frozen=True, slots=True)
-class Sheared:
+class ShearedBeams:
     """Shapes of a beam that moves by `slope` (n, 2) px in x and y from one row to the next."""
 
     optics: OpticsTruth

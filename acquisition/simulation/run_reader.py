@@ -5,8 +5,7 @@ import math
 import threading
 from collections.abc import Callable
 
-from acquisition.camera import CameraLost, CameraStatus, FrameTimeout
-from acquisition.frame import Frame, Image
+from acquisition.camera import CameraLost, CameraStatus, Frame, FrameTimeout, Image
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.scene import PlannedFrames, Scene
 from acquisition.simulation.settings import SimulationSettings
@@ -19,7 +18,7 @@ _AHEAD_BYTES = 16 * 1024 * 1024
 """Memory of this size comes in large pages, whose first use costs little."""
 
 
-class RunReader:
+class SimulatedFrames:
     """Delivers the frames of a run; `stop` may be called by another thread.
 
     Parameters

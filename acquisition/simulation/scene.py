@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.frame import Image
+from acquisition.camera import Image
 from acquisition.simulation import randomness, sensor
 from acquisition.simulation.disturbances import FrameNoise, Pointing, add_draught, laser_factor, vibration_rad
 from acquisition.simulation.ground import ground_of
 from acquisition.simulation.inputs import FaultSettings, RigInputs, RigState
 from acquisition.simulation.motion import motions
-from acquisition.simulation.optics import RollingReadout, Sheared, spot_position_px
+from acquisition.simulation.optics import RollingReadout, ShearedBeams, spot_position_px
 from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.smooth_series import SmoothSeries
 from acquisition.simulation.true_path import axes_motion
@@ -233,7 +233,7 @@ class Scene:
         x = (x_px - 0.5 * (binning - 1)) / binning - readings.x0_px
         y = (y_px - 0.5 * (binning - 1)) / binning - readings.y0_px
         main = np.column_stack((x, y, peak_e))
-        sheared = Sheared(optics, np.zeros((len(x), 2)) if slope is None else slope)
+        sheared = ShearedBeams(optics, np.zeros((len(x), 2)) if slope is None else slope)
         ghost = np.column_stack(
             (
                 x + sheared.ghost_dx_px / binning,

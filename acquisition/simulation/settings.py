@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, Self
 
 from pydantic import BaseModel, Field, model_validator
 
-from acquisition.simulation.ground_settings import GroundTruth, PersonTruth, WitnessTruth
+from acquisition.simulation.ground_settings import GroundTruth, PersonTruth, SeismometerTruth
 
 ARCSEC_RAD = math.pi / (180 * 3600)
 
@@ -295,7 +295,7 @@ class SimulationSettings(SimulationSection, frozen=True):
     disturbances: DisturbanceTruth = DisturbanceTruth()
     ground: GroundTruth = GroundTruth()
     person: PersonTruth = PersonTruth()
-    witness: WitnessTruth = WitnessTruth()
+    witness: SeismometerTruth = SeismometerTruth()
     stated: StatedTruth = StatedTruth()
 
     @model_validator(mode="after")

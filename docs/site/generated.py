@@ -11,11 +11,10 @@ import typer.main
 
 import rig
 from acquisition.record import topics
-from acquisition.record.descriptor import comment_of
-from acquisition.record.schemas import MessageType
+from acquisition.record.schemas import MessageType, comment_of
 from rig.cli import app
 from rig.settings import Configuration
-from rig.settings.wording import section_fields, section_of
+from rig.settings.validation_messages import section_fields, section_of
 
 ROOT = Path(__file__).resolve().parents[2]
 

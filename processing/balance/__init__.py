@@ -1,7 +1,18 @@
 """Balance of the pendulum, estimated from its swings, and advice on which adjustment weight to turn."""
 
 from processing.balance.advice import WeightResponses
-from processing.balance.balance import Balance, Doubt, Room, Turn, Unreachable, names_with_units
+from processing.balance.balance import (
+    Balance,
+    BalanceLimits,
+    Doubt,
+    Fault,
+    Room,
+    Turn,
+    Unreachable,
+    find_faults,
+    implausible,
+    mass_centre_height_m,
+    names_with_units,
+)
 from processing.balance.estimate import BalanceEstimator
-from processing.balance.faults import BalanceLimits, Fault, find_faults, implausible, mass_centre_height_m
 from processing.balance.plane import PlaneOfSwing, balance_of_run, plane_of_swing, square, turned

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Flags, Floats
-from processing.balance.balance import Doubt, Room, Turn, Unreachable
-from processing.balance.faults import BalanceLimits
+from processing.balance.balance import BalanceLimits, Doubt, Room, Turn, Unreachable
 from processing.balance.weight_response import WeightResponse
 
 _LEAST_SWING_ARCSEC = 10.0

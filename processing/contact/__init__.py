@@ -1,8 +1,14 @@
 """Contact of ball and flat: Hertz theory, laws of friction and elasticity, decay, period, half-swing map."""
 
-from processing.contact.air_drag import ExpectedDrag, bar_of, expected_drag_s, vane_drag_s_per_m2
 from processing.contact.asymptotic import decay_path, fit_decay, frequency_drop, period, period_start
-from processing.contact.free_swing import STEEPER_DRAG, law_harmonics
+from processing.contact.free_swing import (
+    STEEPER_DRAG,
+    ExpectedDrag,
+    bar_of,
+    expected_drag_s,
+    law_harmonics,
+    vane_drag_s_per_m2,
+)
 from processing.contact.half_swing import TABLE_RATIO, HalfSwings, OneHalfSwing, SwingTable, walk
 from processing.contact.hertz import (
     MATERIALS,
@@ -18,12 +24,12 @@ from processing.contact.law import (
     DRAG,
     STANDARD_GRAVITY_M_PER_S2,
     TIME,
-    Columns,
     ContactParameters,
     HeldColumn,
     Law,
     Parameter,
     PendulumOnBall,
+    SolverCoordinates,
     relative_curvature,
     stiffness_ratio,
     weight_moment,

@@ -65,7 +65,7 @@ def scaled_values(
     return found
 
 
-class Straight(NamedTuple):
+class ValleyCoordinates(NamedTuple):
     """Coordinates of the search in which the valley of chi2 is straight.
 
     Both functions take and return one number for each of the law's own parameters, the drag (0 if it is not
@@ -84,7 +84,7 @@ class Straight(NamedTuple):
     at_limit: Callable[[Floats], Sequence[int]] = lambda _: ()
 
 
-def logarithms_of(*places: int) -> Straight:
+def logarithms_of(*places: int) -> ValleyCoordinates:
     """The scaled values themselves, but for those at the given places, which stay positive."""
 
     def scaled(values: ComplexOrReal) -> ComplexOrReal:
@@ -97,11 +97,12 @@ def logarithms_of(*places: int) -> Straight:
         out[list(places)] = np.log(np.maximum(values[list(places)], 1e-12))
         return out
 
-    return Straight(scaled, coordinates)
+    return ValleyCoordinates(scaled, coordinates)
 
 
 class Coordinates:
-    """`processing.contact.law.Columns` of any law: coordinates of its own parameters (`Straight`), of a
+    """`processing.contact.law.Columns` of any law: coordinates of its own parameters (`ValleyCoordinates`),
+    of a
     fitted drag, first amplitude, coordinate of T0, first time.
 
     `likely` proposes scaled start values for a decay of the paper's form and the reference amplitude.
@@ -114,7 +115,7 @@ class Coordinates:
         names: tuple[str, ...],
         parameters: Sequence[Parameter],
         scalings: Mapping[str, Scaling],
-        straight: Callable[[bool], Straight],
+        straight: Callable[[bool], ValleyCoordinates],
         likely: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
         *,
         in_angles: bool = False,

@@ -138,7 +138,7 @@ class HeldColumn(NamedTuple):
     keeps_sign: bool = False
 
 
-class Columns(Protocol):
+class SolverCoordinates(Protocol):
     """Coordinates in which the solver fits a law to one decay, and their conversion to parameters.
 
     The solver varies columns, chosen so that the valleys of chi2 are straight. They determine the parameters
@@ -216,7 +216,7 @@ class Law:
     parameters: tuple[Parameter, ...]
     branch_moments: Callable[[Floats, Floats, Mapping[str, float], PendulumOnBall], BranchMoments]
     table: TableMaker
-    columns: Callable[[TurningPoints, PendulumOnBall | None, tuple[str, ...]], Columns]
+    columns: Callable[[TurningPoints, PendulumOnBall | None, tuple[str, ...]], SolverCoordinates]
     uncalibrated: dict[str, Parameter] = field(default_factory=dict)
 
     def half_swing_map(self, parameters: Floats, index: Ints) -> HalfSwings:

@@ -28,7 +28,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.contact.asymptotic import StartValues
-from processing.contact.coordinates import Coordinates, Scaling, Straight
+from processing.contact.coordinates import Coordinates, Scaling, ValleyCoordinates
 from processing.contact.half_swing import SwingTable
 from processing.contact.law import DRAG, PERIOD, BranchMoments, Law, Parameter, PendulumOnBall, weight_moment
 
@@ -97,7 +97,7 @@ def masing(
     return Branch(resistance, mean_resistance, backbone, constant)
 
 
-class _Nodes(NamedTuple):
+class _QuadraturePoints(NamedTuple):
     """Gauss-Legendre nodes of v with theta = pi v^3.
 
     The rows of `work_per_share` map sqrt(G) at the nodes to ``integral_0^theta sin^2 sqrt(G) dtheta'``
@@ -111,7 +111,7 @@ class _Nodes(NamedTuple):
 
 
 @lru_cache(maxsize=1)
-def _nodes() -> _Nodes:
+def _nodes() -> _QuadraturePoints:
     x, w = np.polynomial.legendre.leggauss(_NODES)
     v, half = (x + 1) / 2, w / 2
     share = np.sin(np.pi / 2 * v**3) ** 2
@@ -121,7 +121,7 @@ def _nodes() -> _Nodes:
     inner = v[:, None] * v
     weights = v[:, None] * half * np.sin(np.pi * inner**3) ** 2 * 3 * np.pi * inner**2
     interpolated = np.polynomial.legendre.legvander(2 * inner - 1, _NODES - 1) @ to_coefficients
-    return _Nodes(
+    return _QuadraturePoints(
         share,
         np.sin(np.pi * v**3) ** 2,
         3 * np.pi * v**2 * half,
@@ -227,7 +227,7 @@ def branch_law(
     parameters: Sequence[Parameter],
     branch: Branch,
     scalings: Mapping[str, Scaling],
-    straight: Straight,
+    straight: ValleyCoordinates,
     likely: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
     *,
     in_angles: bool = False,

@@ -27,7 +27,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.contact.asymptotic import StartValues
-from processing.contact.coordinates import Coordinates, Scaling, Straight, scaled_values
+from processing.contact.coordinates import Coordinates, Scaling, ValleyCoordinates, scaled_values
 from processing.contact.half_swing import SwingTable
 from processing.contact.law import (
     BranchMoments,
@@ -250,7 +250,7 @@ def memoryless_law(
     parameters: Sequence[Parameter],
     moments_of: MomentsOf,
     scalings: Mapping[str, Scaling],
-    straight: Callable[[bool], Straight],
+    straight: Callable[[bool], ValleyCoordinates],
     likely: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
     uncalibrated: Mapping[str, Parameter] = MappingProxyType({}),
 ) -> Law:

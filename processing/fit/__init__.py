@@ -23,10 +23,9 @@ from processing.fit.law_comparison import (
     predicted_harmonics,
     waveform_chances,
 )
-from processing.fit.model_discrepancy import with_misfit
-from processing.fit.model_free import fit_without_law
+from processing.fit.model_free import fit_model_free, with_misfit
 from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
-from processing.fit.remeasure import (
+from processing.fit.refinement import (
     FitOfSwings,
     describes_as_well,
     fitted_twice,
@@ -52,12 +51,12 @@ from processing.fit.result import (
     STEEPER,
     Change,
     ChangeKind,
+    DiscrepancySize,
     FitQuality,
     FitResult,
-    Misfit,
 )
-from processing.fit.seismometer import Response, WitnessUse, fit_with_witness
-from processing.fit.seismometer_spectra import WitnessSpectra
+from processing.fit.seismometer import Response, SeismometerUse, fit_with_witness
+from processing.fit.seismometer_spectra import SeismometerSpectra
 from processing.fit.seismometer_terms import Witness, plain_signals
 from processing.fit.sensor_errors import (
     PlaceErrors,
@@ -68,7 +67,7 @@ from processing.fit.sensor_errors import (
     place_errors,
     without_alternation,
 )
-from processing.fit.terms import Linearised, Term
+from processing.fit.terms import LinearisedFit, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes
-from processing.quantity import Derived
+from processing.quantity import DerivedQuantity

@@ -33,7 +33,7 @@ from processing.estimate import Estimate, FitMethod
 from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
-from processing.least_squares import Factored, Loss, Solution, propagate, solve
+from processing.least_squares import FactoredJacobian, Loss, Solution, propagate, solve
 from processing.swing import TurningPoints
 
 
@@ -262,7 +262,7 @@ def period_by_log_rho(
     drop = frequency_drop(x, n, kappa, rho, printed_curvature=printed_curvature)
     by_rho = drop - frequency_drop(x, n, kappa, 0.0, printed_curvature=printed_curvature)
     change = t0 / (1 - drop) ** 2 * by_rho / periods.u_period_s
-    return -Factored(solution.jacobian).coefficients(change)
+    return -FactoredJacobian(solution.jacobian).coefficients(change)
 
 
 # Scatter of a least-squares fit to a driven pendulum, although the fit takes its errors as independent.

@@ -21,8 +21,8 @@ from processing.decay_summary import mean_period
 from processing.fit.exact_model import Errors, ExactModel
 from processing.fit.ground import Noise
 from processing.fit.result import FITTED_DRIFTS, STEP, Change, ChangeKind, FitResult
-from processing.fit.terms import Driven, Linearised, Term
-from processing.least_squares import Factored
+from processing.fit.terms import DrivenRows, LinearisedFit, Term
+from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
 
 _GROWN = 1e-3
@@ -64,11 +64,11 @@ def drifts_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitRe
 
     Parameters are those of the middle of the run. Raises DataError for another method.
     """
-    at = Linearised.of(points, pendulum, fit)
+    at = LinearisedFit.of(points, pendulum, fit)
     return dict(zip(DRIFTS, at.moved_by(-drift_term(at).columns).T, strict=True))
 
 
-def drift_term(at: Linearised, u_drifts: Mapping[str, float] | None = None) -> Term:
+def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -> Term:
     """`DRIFTS` about zero with their standard uncertainties; without them nothing is known of any."""
     noise = at.model.noise_of(at.fit)
     columns = by_drifts(at.model, at.coordinates, noise, at.scale)[1]
@@ -129,7 +129,7 @@ _MOST = 3
 
 
 def with_changes(
-    at: Linearised, u_step: float, explained: float = 0.0, fit: FitResult | None = None
+    at: LinearisedFit, u_step: float, explained: float = 0.0, fit: FitResult | None = None
 ) -> FitResult:
     """The fit with the changes during its decay, and with the uncertainty that a step of the friction leaves.
 
@@ -155,14 +155,14 @@ def with_changes(
     return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings_of(changes)))
 
 
-def _scans(at: Linearised) -> list["_Scan"]:
+def _scans(at: LinearisedFit) -> list["_Scan"]:
     own = at.model.noise_of(at.fit)
     step = own.step if own.step > 0 else 1e-3 * float(np.median(at.model.u_amplitude))
     found = (_Scan.of(at, replace(own, step=share * step)) for share in _DRIVES)
     return [scan for scan in found if scan is not None]
 
 
-def _found(at: Linearised, scans: Sequence["_Scan"], explained: float) -> tuple[Change, ...]:
+def _found(at: LinearisedFit, scans: Sequence["_Scan"], explained: float) -> tuple[Change, ...]:
     chance = 2 * log(3 * len(at.points))
     found: list[Change] = []
     before = min(scan.deviance() for scan in scans)
@@ -178,7 +178,7 @@ def _found(at: Linearised, scans: Sequence["_Scan"], explained: float) -> tuple[
     return tuple(found)
 
 
-def _change(at: Linearised, best: "_Best", gain: float) -> Change:
+def _change(at: LinearisedFit, best: "_ClearestChange", gain: float) -> Change:
     place = best.place + _EDGE
     points = at.points
     size, u_size = best.size, best.u_size
@@ -200,7 +200,7 @@ def warnings_of(changes: Sequence[Change]) -> tuple[str, ...]:
     return tuple(f"{change.text}; fit the parts before and after it on their own" for change in changes)
 
 
-class _Best(NamedTuple):
+class _ClearestChange(NamedTuple):
     """The clearest change of one scan."""
 
     kind: ChangeKind
@@ -216,7 +216,7 @@ class _Scan:
     That is computed anew for each search, some places at a time: of a long decay all of it fills the memory.
     """
 
-    def __init__(self, at: Linearised, noise: Noise, rows: Driven) -> None:
+    def __init__(self, at: LinearisedFit, noise: Noise, rows: DrivenRows) -> None:
         self._at, self._noise = at, noise
         model = at.model
         self._contact = contact_share(model, at.coordinates)
@@ -229,13 +229,13 @@ class _Scan:
         # the scatter of the points, by the median: a change is not to hide behind what it does
         self._scale = max(1.0, float(np.median(np.abs(rows.residuals[: rows.points]))) / 0.6745)
         rows = rows.in_scatter(self._scale)
-        self._law = Factored(rows.jacobian)
-        self._taken: list[Factored] = []
+        self._law = FactoredJacobian(rows.jacobian)
+        self._taken: list[FactoredJacobian] = []
         self._left = self._law.left(rows.residuals)
         self._constant = rows.log_det + self._law.log_det
 
     @classmethod
-    def of(cls, at: Linearised, noise: Noise) -> "_Scan | None":
+    def of(cls, at: LinearisedFit, noise: Noise) -> "_Scan | None":
         """None where the filter has no value for this drive, or there is no place to look at."""
         if len(at.points) <= 2 * _EDGE:
             return None
@@ -295,7 +295,7 @@ class _Scan:
         """-2 ln L without any further change."""
         return self._constant + float(self._left @ self._left)
 
-    def best(self) -> _Best:
+    def best(self) -> _ClearestChange:
         """The change that explains most."""
         out = None
         for first in range(0, len(self._places_s), _CHUNK):
@@ -303,7 +303,7 @@ class _Scan:
         assert out is not None
         return out
 
-    def _best_of(self, first: int) -> _Best:
+    def _best_of(self, first: int) -> _ClearestChange:
         """The same of the places from `first` on."""
         changes = self._changes(first, _CHUNK)
         out, now = None, self.deviance()
@@ -313,7 +313,7 @@ class _Scan:
             gains = score[at] ** 2 / power[at]
             place = int(np.argmax(gains))
             size, u = -score[at, place] / power[at, place], power[at, place] ** -0.5
-            out = _better(out, _Best(kind, first + place, size, u, now - float(gains[place])))
+            out = _better(out, _ClearestChange(kind, first + place, size, u, now - float(gains[place])))
         cross = np.einsum("rp,rp->p", changes[:, 0], changes[:, 2])
         det = power[0] * power[2] - cross**2
         both = score[0] ** 2 * power[2] + score[2] ** 2 * power[0] - 2 * score[0] * score[2] * cross
@@ -323,17 +323,19 @@ class _Scan:
         late = (score[2, place] * power[0, place] - score[0, place] * cross[place]) / det[place]
         late *= self._rate * self._amplitude[first + place]
         size, u = np.hypot(lost, late), np.sqrt(power[2, place] / det[place])
-        return _better(out, _Best(ChangeKind.KNOCK, first + place, size, u, now - float(gains[place])))
+        return _better(
+            out, _ClearestChange(ChangeKind.KNOCK, first + place, size, u, now - float(gains[place]))
+        )
 
-    def take(self, best: _Best) -> None:
+    def take(self, best: _ClearestChange) -> None:
         """What is left once a change is allowed for."""
         kinds = {ChangeKind.FRICTION: [1], ChangeKind.PERIOD: [3], ChangeKind.KNOCK: [0, 2]}[best.kind]
-        own = Factored(self._changes(best.place, 1)[:, kinds, 0])
+        own = FactoredJacobian(self._changes(best.place, 1)[:, kinds, 0])
         self._left = own.left(self._left)
         self._taken.append(own)
 
 
-def _better(one: _Best | None, other: _Best) -> _Best:
+def _better(one: _ClearestChange | None, other: _ClearestChange) -> _ClearestChange:
     return other if one is None or other.deviance < one.deviance else one
 
 

@@ -109,7 +109,7 @@ def data_warnings(
     return tuple(warnings)
 
 
-def of_ground(ground: Ground, points: TurningPoints) -> tuple[str, ...]:
+def ground_warnings(ground: Ground, points: TurningPoints) -> tuple[str, ...]:
     """That the end of the run was left out; `points` are those fitted."""
     if not ground.left_out_half_cycles:
         return ()
@@ -121,7 +121,7 @@ def of_ground(ground: Ground, points: TurningPoints) -> tuple[str, ...]:
     return (text,)
 
 
-def of_correlation(white: Whiteness) -> tuple[str, ...]:
+def correlation_warnings(white: Whiteness) -> tuple[str, ...]:
     """That the residuals are no noise."""
     if not white.correlated:
         return ()
@@ -135,7 +135,7 @@ def of_correlation(white: Whiteness) -> tuple[str, ...]:
     return (text,)
 
 
-def of_overstated(chi2_per_dof: float, dof: int) -> tuple[str, ...]:
+def overstated_u_warnings(chi2_per_dof: float, dof: int) -> tuple[str, ...]:
     """That the turning points scatter less than is stated: it hides a drive, and widens everything."""
     if dof < _ENOUGH or not 0 < chi2_per_dof < _QUIET:
         return ()
@@ -147,7 +147,7 @@ def of_overstated(chi2_per_dof: float, dof: int) -> tuple[str, ...]:
     return (text,)
 
 
-def of_limits(limited: Sequence[str]) -> tuple[str, ...]:
+def limit_warnings(limited: Sequence[str]) -> tuple[str, ...]:
     """Parameters at a limit of the range of search."""
     return tuple(f"{name} is at the limit of its range: the data do not determine it" for name in limited)
 

@@ -58,7 +58,7 @@ class Determination:
     text: str = ""
 
 
-class _Held:
+class _ConditionalModel:
     """The exact model with one physical parameter held fixed, and therefore one column less."""
 
     def __init__(self, model: ExactModel, name: str, best: Floats) -> None:
@@ -172,7 +172,7 @@ def profile_likelihood(
     factor = _widened(result, name)
     scale *= factor**2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
-    held = _Held(model, name, best)
+    held = _ConditionalModel(model, name, best)
     low_end, high_end = model.lower[held.free], model.upper[held.free]
     refitted = partial(solve, lower=low_end, upper=high_end, loss=result.loss, cost_tolerance=1e-7)
     logarithmic = parameter.logarithmic and value > 0

@@ -18,9 +18,9 @@ from processing.estimate import NOT_DETERMINED, Estimate, FitMethod
 from processing.fit.determination import profile_likelihood
 from processing.fit.exact import fit_exact, fit_exact_with, start_near
 from processing.fit.exact_model import ExactModel
-from processing.fit.result import STEEPER, FitResult, SteeperDrag
-from processing.fit.terms import Linearised, Term
-from processing.least_squares import Factored, propagate
+from processing.fit.result import STEEPER, BoundaryLayerDrag, FitResult
+from processing.fit.terms import LinearisedFit, Term
+from processing.least_squares import FactoredJacobian, propagate
 from processing.number_text import plain, with_uncertainty
 from processing.swing import TurningPoints
 
@@ -150,7 +150,7 @@ def _inseparable(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
         return None
     here = model.on_ground(start, model.noise_of(fit), fit.ground.measurement_scale).about(start)
     residuals, jacobian = here(start)
-    step, by = Factored(jacobian), model.columns.physical(start)[1]
+    step, by = FactoredJacobian(jacobian), model.columns.physical(start)[1]
     scale = max(1.0, fit.chi2_per_dof) if fit.loss == "linear" else 1.0
     left = step.left(residuals)
     f_statistic = max(0.0, float(residuals @ residuals - left @ left)) / scale
@@ -224,7 +224,7 @@ def _finding(alone: FitResult, reported: FitResult, test: _Test) -> DragFinding:
     return DragFinding.UNSEEN if test.parabolic and moved < u_b else DragFinding.OPEN
 
 
-def steeper_drag(at: Linearised) -> SteeperDrag:
+def steeper_drag(at: LinearisedFit) -> BoundaryLayerDrag:
     """What an exact fit with a linear drag leaves of a steeper one.
 
     Raises DataError where the law predicts no waveform.
@@ -244,11 +244,11 @@ def steeper_drag(at: Linearised) -> SteeperDrag:
     widened = 1.0 if fit.widened is None else float(np.max(fit.widened))
     u = sqrt(found.covariance[0, 0]) * widened * scatter / at.scale
     if not 0 < u < inf:
-        return SteeperDrag()
+        return BoundaryLayerDrag()
     moved = at.to_physical @ found.moved
     value, drag_s = float(found.values[0]), fit.estimate(DRAG.key).value
     first = float(at.points.amplitude[0]) * rate
-    return SteeperDrag(
+    return BoundaryLayerDrag(
         steeper=Estimate(value * per_unit, u * per_unit),
         p_value=float(fdtrc(1, fit.dof, (value / u) ** 2)),
         share=_share(value * per_unit * first**0.5, drag_s),
@@ -258,7 +258,7 @@ def steeper_drag(at: Linearised) -> SteeperDrag:
     )
 
 
-def with_steeper_drag(fit: FitResult, found: SteeperDrag) -> FitResult:
+def with_steeper_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitResult:
     """The fit with what it was found to leave; where that is seen, uncertainties hold its effect.
 
     The values stay, and curves with them: the step is right to some tenths of itself.

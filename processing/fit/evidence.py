@@ -18,7 +18,7 @@ from processing.arrays import Floats
 from processing.contact import DRAG, Law, PendulumOnBall, law_harmonics
 from processing.estimate import Estimate
 from processing.fit.known_drive import KnownDrive
-from processing.least_squares import Factored
+from processing.least_squares import FactoredJacobian
 from processing.swing import ORDERS, SwingHarmonics
 
 WAVEFORM, AIR = "waveform", "air"
@@ -76,7 +76,7 @@ class Waveform:
         whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         nodes, orders = self._hats.shape[1], self.sine_rad.shape[1]
         columns = np.einsum("ij,iab->iajb", self._hats, whitening).reshape(-1, nodes * orders)
-        kept = Factored(columns).directions.T.reshape(-1, len(whitening), orders)
+        kept = FactoredJacobian(columns).directions.T.reshape(-1, len(whitening), orders)
         return np.asarray(np.einsum("kia,iab->kib", kept, whitening).reshape(len(kept), -1))
 
     @cached_property
@@ -138,7 +138,7 @@ def _left(amplitude: Floats, sine: Floats) -> Floats:
     x = np.log(amplitude)
     x = (x - x.mean()) / max(float(np.ptp(x)), 1e-9)
     terms = amplitude[:, None] * x[:, None] ** np.arange(3)
-    return Factored(terms).left(sine)
+    return FactoredJacobian(terms).left(sine)
 
 
 def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats:

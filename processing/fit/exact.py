@@ -48,7 +48,7 @@ _WEAKEST = 10.0
 """Smallest amplitude fitted, in steps of the drive: amplitude and phase do not describe a smaller motion."""
 
 
-class _Settled(NamedTuple):
+class _Minimum(NamedTuple):
     """A minimum: the model with its weights, and the noise that belongs to it."""
 
     model: ExactModel
@@ -56,7 +56,7 @@ class _Settled(NamedTuple):
     likeliest: LikeliestNoise
 
 
-def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Settled | None:
+def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minimum | None:
     """Noise and parameters in turn from one start, until both stay; None if it does not converge."""
     columns = start
     noise: Noise | None = None
@@ -92,7 +92,7 @@ def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Settl
     final = solution
     if not stays:
         final = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss)
-    return _Settled(here, final, likeliest) if final.converged else None
+    return _Minimum(here, final, likeliest) if final.converged else None
 
 
 def _kept(noise: Noise) -> Noise:
@@ -100,9 +100,9 @@ def _kept(noise: Noise) -> Noise:
     return AT_REST if noise.at_rest else noise.in_stated_uncertainties
 
 
-def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Settled:
+def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Minimum:
     """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
-    best: _Settled | None = None
+    best: _Minimum | None = None
     tried = 0
     for start in chain(start_near(model, near), starts_of(model)):
         tried += 1
@@ -123,7 +123,7 @@ def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) ->
     return best
 
 
-def _believed(found: _Settled) -> bool:
+def _believed(found: _Minimum) -> bool:
     """Whether the minimum agrees with the evidence."""
     beside = found.model.beside(found.solution.values)[0]
     return float(beside @ beside) <= _GOOD_EVIDENCE * len(beside) + _GOOD_EVIDENCE
@@ -299,7 +299,7 @@ def _by_waveform(model: ExactModel, columns: Floats) -> Iterator[Floats]:
         moved[valley] = place
         with suppress(DataError):
             if np.all(np.isfinite(model(moved)[0])):
-                found.append((float(np.sum(model.of_evidence(moved) ** 2)), moved))
+                found.append((float(np.sum(model.evidence_residuals(moved) ** 2)), moved))
     if not found:
         return
     best = min(found, key=lambda one: one[0])

@@ -19,12 +19,12 @@ from processing.fit.ground import (
     AT_REST,
     GAINS,
     NOTHING_KNOWN,
-    Measured,
+    MeasuredTurningPoints,
     Noise,
     Predictions,
     drive_filter,
 )
-from processing.fit.known_drive import KnownDrive, WitnessedColumns
+from processing.fit.known_drive import DrivenCoordinates, KnownDrive
 from processing.fit.result import FitResult
 from processing.swing import TurningPoints
 
@@ -36,7 +36,7 @@ _STEP = 3.0
 """Step of a derivative of the evidence, in what one column alone is uncertain by."""
 
 
-class _Beside(NamedTuple):
+class _EvidenceRows(NamedTuple):
     """Residuals of the evidence, linear about the columns `at`; `scale` is that of the turning points."""
 
     at: Floats
@@ -102,9 +102,9 @@ class ExactModel:
         self.evidence = evidence
         self.names = law.fit_names(calibrated=pendulum is not None, drag=drag)
         self.columns = law.columns(points, pendulum, self.names)
-        self.witnessed: WitnessedColumns | None = None
+        self.witnessed: DrivenCoordinates | None = None
         if evidence.drive is not None:
-            self.columns = self.witnessed = WitnessedColumns(self.columns, evidence.drive)
+            self.columns = self.witnessed = DrivenCoordinates(self.columns, evidence.drive)
         self.reference = self.columns.reference
         self.lower, self.upper = self.columns.lower, self.columns.upper
         self._index = np.ascontiguousarray(points.index - points.index[0])
@@ -117,7 +117,7 @@ class ExactModel:
         self._noise = AT_REST
         self._gains: Floats | None = None
         count = len(self.lower)
-        self._beside = _Beside(np.zeros(count), np.zeros(0), np.zeros((0, count)))
+        self._beside = _EvidenceRows(np.zeros(count), np.zeros(0), np.zeros((0, count)))
         self._swings = SwingsOfLaw(law, self._index, self._x)
 
     def curve(self, columns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -139,7 +139,7 @@ class ExactModel:
 
     def __call__(self, columns: Floats) -> tuple[Floats, Floats]:
         """Residuals divided by their standard uncertainties, and their derivatives by the columns."""
-        residuals, jacobian = self._of_points(columns)
+        residuals, jacobian = self._point_residuals(columns)
         if not len(self._beside.residuals):
             return residuals, jacobian
         beside = self._beside(columns)
@@ -154,7 +154,7 @@ class ExactModel:
         """Residuals of the evidence beside turning points that scatter as stated, and their derivatives."""
         return self._beside._replace(scale=1.0)(columns)
 
-    def _of_points(self, columns: Floats) -> tuple[Floats, Floats]:
+    def _point_residuals(self, columns: Floats) -> tuple[Floats, Floats]:
         if self._gains is not None:
             found = self.filtered(columns, self._noise, self._gains)
             return found.residuals, found.jacobian
@@ -188,11 +188,11 @@ class ExactModel:
         Raises DataError if the law predicts no waveform there.
         """
         out = copy(self)
-        here = self.of_evidence(columns)
+        here = self.evidence_residuals(columns)
         jacobian = np.zeros((len(here), len(columns)))
         if len(here):
             # steps of some uncertainties that the points leave to each column if the others are known
-            size = np.linalg.norm(self._of_points(columns)[1], axis=0)
+            size = np.linalg.norm(self._point_residuals(columns)[1], axis=0)
             steps = _STEP / np.where(size > 0.0, size, np.inf)
             # the first amplitude and time are none of the law's parameters
             of_law = self.columns.physical(columns)[1][:-2].any(axis=0) & (steps > 0.0)
@@ -200,8 +200,8 @@ class ExactModel:
                 step = float(steps[column])
                 moved = columns.copy()
                 moved[column] += step
-                jacobian[:, column] = (self.of_evidence(moved) - here) / step
-        out._beside = _Beside(columns.copy(), here, jacobian, self._beside.scale)
+                jacobian[:, column] = (self.evidence_residuals(moved) - here) / step
+        out._beside = _EvidenceRows(columns.copy(), here, jacobian, self._beside.scale)
         return out
 
     def with_drive(self, drive: KnownDrive) -> "ExactModel":
@@ -218,7 +218,7 @@ class ExactModel:
         found = self.witnessed.gains(columns, covariance)
         return replace(self.evidence, drive=self.evidence.drive.with_gains(*found))
 
-    def of_evidence(self, columns: Floats, more: Mapping[str, float] = MappingProxyType({})) -> Floats:
+    def evidence_residuals(self, columns: Floats, more: Mapping[str, float] = MappingProxyType({})) -> Floats:
         """Residuals of the evidence as the law itself predicts it there, with further values of the waveform.
 
         Raises DataError if it predicts none.
@@ -277,7 +277,7 @@ class ExactModel:
         variance = self._variance * noise.scale**2
         innovations, jacobian, state, log_det = drive_filter(
             Predictions(nodes, loss_by, duration_by, parameters[[-3, -1]], start_by),
-            Measured(self._index, self._measured, variance, self._rate, noise.averaged),
+            MeasuredTurningPoints(self._index, self._measured, variance, self._rate, noise.averaged),
             noise.step,
             known,
             gains,

@@ -13,12 +13,19 @@ from processing.arrays import Floats
 from processing.contact.laws import AMPLITUDE, DRAG, TIME
 from processing.decay_summary import full_periods, mean_period_estimate
 from processing.estimate import FitMethod
-from processing.fit.checks import OUTLIER, data_warnings, of_correlation, of_ground, of_limits, of_overstated
+from processing.fit.checks import (
+    OUTLIER,
+    correlation_warnings,
+    data_warnings,
+    ground_warnings,
+    limit_warnings,
+    overstated_u_warnings,
+)
 from processing.fit.evidence import AIR, WAVEFORM
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, GroundFit
 from processing.fit.result import READING, FitResult, Whiteness, changes_of
-from processing.least_squares import Factored, Loss, Solution, covariance_of, propagate
+from processing.least_squares import FactoredJacobian, Loss, Solution, covariance_of, propagate
 
 _LAGS = 20
 """Box and Jenkins' usual number; of a short run a fifth of its length, since far lags have few pairs."""
@@ -55,7 +62,7 @@ def result_of(
         white = replace(white, widened=float(factor.max()))
         widened *= factor
     covariance = covariance * np.outer(widened, widened)
-    terms = {READING: changes_of(propagate(to_physical, _of_reading(model, solution)))}
+    terms = {READING: changes_of(propagate(to_physical, _measurement_covariance(model, solution)))}
     by_air = _by_air(model, solution)
     if by_air is not None:
         scale = max(1.0, chi2_per_dof) ** 0.5 if loss == "linear" else 1.0
@@ -85,10 +92,10 @@ def result_of(
         outliers=tuple(int(i) for i in points.index[outlying]),
         warnings=(
             *data_warnings(points, pendulum, {"amplitudes and times": chi2_per_dof}, ground.noise.step),
-            *of_overstated(chi2_per_dof, solution.dof),
-            *of_ground(ground, points),
-            *of_correlation(white),
-            *of_limits(model.columns.at_limit(solution.values)),
+            *overstated_u_warnings(chi2_per_dof, solution.dof),
+            *ground_warnings(ground, points),
+            *correlation_warnings(white),
+            *limit_warnings(model.columns.at_limit(solution.values)),
         ),
         half_cycles=count,
         ground=ground,
@@ -121,7 +128,7 @@ def _by_log_rho(model: ExactModel, columns: Floats) -> Floats:
     both = model.filtered_here(columns, with_rho=True).jacobian
     beside = model.beside_here(columns)[1]
     both = np.concatenate([both, np.column_stack([beside, np.zeros(len(beside))])])
-    return -Factored(both[:, :-1]).coefficients(both[:, -1])
+    return -FactoredJacobian(both[:, :-1]).coefficients(both[:, -1])
 
 
 def _worth(model: ExactModel, solution: Solution, to_physical: Floats) -> dict[str, dict[str, float]]:
@@ -148,7 +155,7 @@ def _factor(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:
         return np.asarray(np.sqrt(np.maximum(ratio, 0.0)))
 
 
-def _of_reading(model: ExactModel, solution: Solution) -> Floats:
+def _measurement_covariance(model: ExactModel, solution: Solution) -> Floats:
     """Covariance of the columns if only the measurement of the turning points were uncertain."""
     residuals, jacobian = model.on_ground(solution.values, AT_REST, model.scale)(solution.values)
     reached = np.isfinite(residuals)

@@ -153,7 +153,7 @@ class Predictions(NamedTuple):
     start_by: Floats
 
 
-class Measured(NamedTuple):
+class MeasuredTurningPoints(NamedTuple):
     """Turning points as measured, for the filter.
 
     Attributes
@@ -199,7 +199,7 @@ NOTHING_KNOWN = KnownSteps(np.empty((2, 0)), np.empty((2, 0, 0)), np.empty(0))
 @kernel
 def drive_filter(
     law: Predictions,
-    measured: Measured,
+    measured: MeasuredTurningPoints,
     step: float,
     drive: KnownSteps,
     gains: Floats,

@@ -34,7 +34,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from processing.arrays import Flags, Floats
-from processing.contact import Columns, HeldColumn
+from processing.contact import HeldColumn, SolverCoordinates
 from processing.fit.ground import KnownSteps
 from processing.kernel import kernel
 from processing.swing import TurningPoints
@@ -183,9 +183,9 @@ def known_drive(points: TurningPoints, signals: Signals, *, averaged: bool = Tru
     terms = signals.value.shape[1]
     delay = np.zeros((2, count, terms))
     amplitude = np.interp(np.arange(count), number, points.amplitude)
-    delay[:, 1:] = _of_half_swings(signals, time, side, rate, _losses(amplitude))
+    delay[:, 1:] = _half_cycle_response(signals, time, side, rate, _losses(amplitude))
     if averaged:
-        measured = _of_measurement(signals, time, side, rate, half)
+        measured = _measurement_response(signals, time, side, rate, half)
         # a state that is as measured: what the last measurement added is taken off again
         delay += measured
         delay[:, 1:] -= measured[:, :-1]
@@ -210,7 +210,7 @@ def _losses(amplitude: Floats) -> Floats:
     return np.asarray(0.5 * (lost[1:] + lost[:-1]))
 
 
-def _of_half_swings(signals: Signals, time: Floats, side: Floats, rate: Floats, loss: Floats) -> Floats:
+def _half_cycle_response(signals: Signals, time: Floats, side: Floats, rate: Floats, loss: Floats) -> Floats:
     w, s = 0.5 * (rate[1:] + rate[:-1]), side[1:, None]
     before, after = w * (1 - 0.5 * loss), w * (1 + 0.5 * loss)
     # counted from the middle: from either end the phase would hold half of what is to be found
@@ -223,7 +223,7 @@ def _of_half_swings(signals: Signals, time: Floats, side: Floats, rate: Floats, 
     return out
 
 
-def _of_measurement(signals: Signals, time: Floats, side: Floats, rate: Floats, half: Floats) -> Floats:
+def _measurement_response(signals: Signals, time: Floats, side: Floats, rate: Floats, half: Floats) -> Floats:
     w, s = rate[:, None], side[:, None]
     out = np.zeros((2, len(time), signals.value.shape[1]))
     rest = np.zeros(out.shape[1:])
@@ -259,14 +259,14 @@ LEAST_LEFT = 0.022
 place, at 0.2 to 0.28 Hz. The measurement of the turning points hides so weak a drive, and yet it adds up."""
 
 
-class WitnessedColumns:
-    """A law's columns after those of the gains; see `Columns`.
+class DrivenCoordinates:
+    """A law's columns after those of the gains; see `SolverCoordinates`.
 
     The gains are no parameters of the law: `physical` has its values alone, and their covariance follows from
     that of all columns. Gains are in `unit`, with which a drive moves an amplitude by the reference.
     """
 
-    def __init__(self, law: Columns, drive: KnownDrive) -> None:
+    def __init__(self, law: SolverCoordinates, drive: KnownDrive) -> None:
         self._law, self._drive = law, drive
         self.reference = law.reference
         self.map_by_log_rho = law.map_by_log_rho
@@ -279,9 +279,9 @@ class WitnessedColumns:
         size = np.sqrt(np.mean(drive.steps[0] ** 2, axis=0))
         self.unit = law.reference / np.where(size > 0.0, size, 1.0)
 
-    def witnessed_by(self, drive: KnownDrive) -> "WitnessedColumns":
+    def witnessed_by(self, drive: KnownDrive) -> "DrivenCoordinates":
         """The same law beside another drive."""
-        return WitnessedColumns(self._law, drive)
+        return DrivenCoordinates(self._law, drive)
 
     def gains(self, columns: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """Gains (terms,) in rad/s^2 per unit of the signals, and their covariance."""

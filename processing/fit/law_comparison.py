@@ -24,9 +24,9 @@ from processing.contact.laws import Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE
 from processing.fit.exact import fit_exact
-from processing.fit.model_discrepancy import with_misfit
+from processing.fit.model_free import with_misfit
 from processing.fit.result import MISFIT, FitResult
-from processing.fit.terms import Linearised
+from processing.fit.terms import LinearisedFit
 from processing.swing import ORDERS, HarmonicClass, TurningPoints
 
 CONTRADICTED = 1e-4
@@ -199,7 +199,7 @@ def compare_laws(
         trials.append(LawTrial(law, fit, bic, aic, log_evidence(fit, pendulum)))
     first, *others = sorted(trials, key=lambda trial: trial.bic)
     if first.fit is not None and first.fit.misfit is None:
-        misfit = with_misfit(Linearised.of(points, pendulum, first.fit)).misfit
+        misfit = with_misfit(LinearisedFit.of(points, pendulum, first.fit)).misfit
         first = replace(first, fit=replace(first.fit, misfit=misfit))
     return LawComparison((first, *others))
 

@@ -150,7 +150,7 @@ def planned_run(
     noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
     all_known = {name: known[name] for name in model.names}
     root = np.linalg.qr(by_relative_values(model, columns, noise)).R
-    rows = np.vstack([root[:, :-1], *_of_air(conditions.known_drag_s, all_known)])
+    rows = np.vstack([root[:, :-1], *_air_row(conditions.known_drag_s, all_known)])
     size = np.array([abs(known[name]) or 1.0 for name in model.names])
     u = np.sqrt(np.diag(covariance_of(rows))) * size
     told = dict(zip(model.names[:-2], u.tolist(), strict=False))
@@ -167,7 +167,7 @@ def by_relative_values(model: ExactModel, columns: Floats, noise: Noise) -> Floa
     return np.column_stack([by_value, drifts[:, :2].sum(axis=1)])
 
 
-def _of_air(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
+def _air_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
     """What is known of the drag, as a row beside those of a run; none where it is nothing."""
     if known_drag_s is None or DRAG.key not in values:
         return []
@@ -218,7 +218,7 @@ def planned_series(
     shared = [name for name in names if name not in _OWN]
     stacked = by_shared_and_ageing(names, [(run.root, run.duration_s) for run in runs], waiting_s)
     air = np.zeros((0, stacked.shape[1]))
-    for row in _of_air(known_drag_s, runs[0].values):
+    for row in _air_row(known_drag_s, runs[0].values):
         air = np.zeros((1, stacked.shape[1]))
         air[0, : len(shared)] = row[[names.index(name) for name in shared]]
     stacked = np.vstack([stacked, air])

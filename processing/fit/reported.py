@@ -13,12 +13,12 @@ from processing.contact.laws import DRAG, PAPER
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit.result import FitResult, part_of
-from processing.quantity import Derived, Quantity, quantities_of
+from processing.quantity import DerivedQuantity, Quantity, quantities_of
 from processing.units import in_ascii
 
 OUTPUTS: Mapping[str, str] = {
     **{parameter.key: in_ascii(parameter.unit) for parameter in PAPER.parameters},
-    **{name: declared.unit for name, declared in quantities_of(Derived).items()},
+    **{name: declared.unit for name, declared in quantities_of(DerivedQuantity).items()},
 }
 """Reported quantities and their units; `drag_s` (s) is added if it was fitted."""
 
@@ -281,7 +281,8 @@ def reported_quantities(
 def derived_quantities(
     c: Floats, scale: Floats, force_n: Floats, ball_radius_m: Floats, contact_radius_m: Floats
 ) -> dict[str, Floats]:
-    """The fields of `Derived` by name, for arrays of equal shape; `scale` is true over assumed angle."""
+    """The fields of `DerivedQuantity` by name, for arrays of equal shape; `scale` is true over assumed
+    angle."""
     a = contact_radius_m
     return {
         "surface_energy_table2_j_per_m2": force_n * ball_radius_m * c * scale / (2 * a**2),

@@ -36,7 +36,7 @@ MISFIT_SEEN = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Misfit:
+class DiscrepancySize:
     """How far a law lies from a decay.
 
     Attributes
@@ -104,7 +104,7 @@ _SIGNIFICANT = 0.003
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SteeperDrag:
+class BoundaryLayerDrag:
     """The moment ``-m g R steeper |phi'|^0.5 phi'`` beside what was fitted.
 
     `share` is its loss over that of the linear drag at the first amplitude, `p_value` the probability of so
@@ -198,10 +198,10 @@ class FitQuality:
     bias: Mapping[str, float] | None = None
     ground: Ground | None = None
     whiteness: Whiteness | None = None
-    misfit: Misfit | None = None
+    misfit: DiscrepancySize | None = None
     changes: tuple[Change, ...] = ()
     worth: Annotated[Mapping[str, Mapping[str, float]], PLAIN] = field(default_factory=dict)
-    steeper: SteeperDrag | None = None
+    steeper: BoundaryLayerDrag | None = None
     outliers: tuple[int, ...] = ()
     warnings: tuple[str, ...] = ()
 

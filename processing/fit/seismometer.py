@@ -17,7 +17,7 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
-from processing.fit.seismometer_spectra import WitnessSpectra, spectra_of
+from processing.fit.seismometer_spectra import SeismometerSpectra, spectra_of
 from processing.fit.seismometer_terms import (
     PAIR,
     SLOPES,
@@ -43,7 +43,7 @@ _CORRECTIONS = 10
 """Most times that a clock is corrected; each brings it nearer by a tenth of a second or by half."""
 
 
-class WitnessVerdict(StrEnum):
+class SeismometerVerdict(StrEnum):
     """Whether a witness was used."""
 
     USED = "used"
@@ -68,7 +68,7 @@ class Response:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WitnessUse:
+class SeismometerUse:
     """What a witness of the ground revealed about a run.
 
     Attributes
@@ -96,7 +96,7 @@ class WitnessUse:
 
     source: str = ""
     understood: tuple[str, ...] = ()
-    verdict: WitnessVerdict = WitnessVerdict.NO_GAIN
+    verdict: SeismometerVerdict = SeismometerVerdict.NO_GAIN
     reason: str = ""
     gain_of_prediction: Annotated[float, Quantity("", "gain of prediction")] = nan
     explained: Annotated[float, Quantity("", "share of the drive explained", "%")] = nan
@@ -109,13 +109,13 @@ class WitnessUse:
     delay_s: Estimate = NOT_DETERMINED
     clock_drift: Estimate = NOT_DETERMINED
     saved: Mapping[str, float] = field(default_factory=dict)
-    spectra: WitnessSpectra | None = None
+    spectra: SeismometerSpectra | None = None
 
     @property
     def used(self) -> bool:
-        return self.verdict is WitnessVerdict.USED
+        return self.verdict is SeismometerVerdict.USED
 
-    def beside(self, alone: FitResult, fit: FitResult) -> "WitnessUse":
+    def beside(self, alone: FitResult, fit: FitResult) -> "SeismometerUse":
         """The same with what the witness saved of a fit's uncertainties, beside those of one without it."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = alone.standard_uncertainty / fit.standard_uncertainty
@@ -124,12 +124,12 @@ class WitnessUse:
 
 
 def use_of(
-    use: WitnessUse,
+    use: SeismometerUse,
     alone: FitResult,
     fit: FitResult,
     names: Sequence[str],
     chosen: Sequence[tuple[int, Kind]],
-) -> WitnessUse:
+) -> SeismometerUse:
     """With what an accepted fit says; `names` are those of the components."""
     assert alone.ground is not None
     assert fit.ground is not None
@@ -158,7 +158,7 @@ def use_of(
     step = fit.ground.noise.step
     return replace(
         use.beside(alone, fit),
-        verdict=WitnessVerdict.USED,
+        verdict=SeismometerVerdict.USED,
         explained=float(known / (known + step**2)),
         ground_left_rad_per_s2_rthz=left,
         responses=tuple(responses),
@@ -166,11 +166,11 @@ def use_of(
 
 
 @dataclass(frozen=True)
-class Witnessed:
+class SeismometerFit:
     """A fit with a witness; without it, where it was refused."""
 
     fit: FitResult
-    use: WitnessUse
+    use: SeismometerUse
 
 
 def fit_with_witness(
@@ -181,7 +181,7 @@ def fit_with_witness(
     *,
     averaged: bool = True,
     offset_known: bool = True,
-) -> Witnessed:
+) -> SeismometerFit:
     """Fit the exact map with what a witness tells of the ground.
 
     Parameters
@@ -210,7 +210,7 @@ def fit_with_witness(
     )
 
 
-class _Accepted(NamedTuple):
+class _TermSelection(NamedTuple):
     """A fit with some terms, and by how much they made predictions better."""
 
     fit: FitResult
@@ -225,7 +225,7 @@ class _Search:
     alone: FitResult
     averaged: bool
 
-    def with_corrected_clock(self, witness: Witness, pays: float) -> Witnessed:
+    def with_corrected_clock(self, witness: Witness, pays: float) -> SeismometerFit:
         """The fit with the witness, its clock corrected where the run shows it to be wrong.
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
@@ -238,18 +238,22 @@ class _Search:
             try:
                 drives = Drives(self.points, moved, averaged=self.averaged)
             except DataError as error:
-                return Witnessed(self.alone, WitnessUse(verdict=WitnessVerdict.ABSENT, reason=str(error)))
-            use = WitnessUse(
+                return SeismometerFit(
+                    self.alone, SeismometerUse(verdict=SeismometerVerdict.ABSENT, reason=str(error))
+                )
+            use = SeismometerUse(
                 missing_half_cycles=int(np.count_nonzero(drives.every.missing)),
                 ground_alone_rad_per_s2_rthz=self.alone.ground.density_rad_per_s2_rthz,
             )
             count = len(drives.every.missing)
             if use.missing_half_cycles > (1 - _FEWEST) * count:
                 reason = f"{use.missing_half_cycles} of {count} half-swings have no witness"
-                return Witnessed(self.alone, replace(use, verdict=WitnessVerdict.ABSENT, reason=reason))
-            found = self._with(drives, _Accepted(self.alone, [], 0.0), PAIR, pays)
+                return SeismometerFit(
+                    self.alone, replace(use, verdict=SeismometerVerdict.ABSENT, reason=reason)
+                )
+            found = self._with(drives, _TermSelection(self.alone, [], 0.0), PAIR, pays)
             if not found.chosen:
-                return Witnessed(self.alone, replace(use, gain_of_prediction=found.gain))
+                return SeismometerFit(self.alone, replace(use, gain_of_prediction=found.gain))
             clock = clock_of(self.points, self.pendulum, found.fit, drives, found.chosen)
             said = Clock(
                 Estimate(delay_s + clock.delay_s.value, clock.delay_s.standard_uncertainty),
@@ -261,9 +265,13 @@ class _Search:
         found = self._with(drives, found, SLOPES, pays)
         use = replace(use, gain_of_prediction=found.gain, delay_s=said.delay_s, clock_drift=said.drift)
         use = use_of(use, self.alone, found.fit, drives.names, found.chosen)
-        return Witnessed(found.fit, replace(use, spectra=spectra_of(self.points, self.pendulum, found.fit)))
+        return SeismometerFit(
+            found.fit, replace(use, spectra=spectra_of(self.points, self.pendulum, found.fit))
+        )
 
-    def _with(self, drives: Drives, accepted: _Accepted, kinds: tuple[Kind, ...], pays: float) -> _Accepted:
+    def _with(
+        self, drives: Drives, accepted: _TermSelection, kinds: tuple[Kind, ...], pays: float
+    ) -> _TermSelection:
         """With those components whose terms of these kinds pay as well, the best one first.
 
         Of slopes, those of components that are used. Where none is, the gain is that of the best.
@@ -278,10 +286,12 @@ class _Search:
             component = left.pop(best)
             chosen = [*accepted.chosen, *((component, kind) for kind in kinds)]
             fit = self.fitted_with(accepted.fit, drives, chosen)
-            accepted = _Accepted(fit, chosen, accepted.gain + gains[best])
+            accepted = _TermSelection(fit, chosen, accepted.gain + gains[best])
         return accepted
 
-    def _gain(self, drives: Drives, accepted: _Accepted, component: int, kinds: tuple[Kind, ...]) -> float:
+    def _gain(
+        self, drives: Drives, accepted: _TermSelection, component: int, kinds: tuple[Kind, ...]
+    ) -> float:
         more = [(component, kind) for kind in kinds]
         return gain_of_prediction(self.points, self.pendulum, accepted.fit, drives, accepted.chosen, more)
 

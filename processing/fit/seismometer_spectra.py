@@ -36,7 +36,7 @@ _DRIVE = Quantity("", "", unit="rad/s^2/sqrt(Hz)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WitnessSpectra:
+class SeismometerSpectra:
     """Spectra near the pendulum's frequency, of one length; densities of angular acceleration.
 
     Attributes
@@ -72,7 +72,7 @@ class WitnessSpectra:
 
 def spectra_of(
     points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
-) -> WitnessSpectra | None:
+) -> SeismometerSpectra | None:
     """Of a fit with a witness; None for a run that is too short."""
     drive = fit.evidence.drive
     assert drive is not None
@@ -109,7 +109,7 @@ def spectra_of(
 
     squared = np.abs(cross) ** 2 / (powers[0] * powers[1])
     near = np.abs(2 * nu) <= _NEAR
-    return WitnessSpectra(
+    return SeismometerSpectra(
         frequency_hz=tuple(frequency[shown].tolist()),
         pendulum_rad_per_s2_rthz=density(powers[0]),
         witness_rad_per_s2_rthz=density(powers[1]),

@@ -24,7 +24,7 @@ from processing.fit.ground import Noise
 from processing.fit.known_drive import KnownDrive, Signals, known_drive
 from processing.fit.result import FitResult
 from processing.fit.terms import Term, solve
-from processing.least_squares import Factored
+from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
 
 _COARSEST = 0.25
@@ -239,14 +239,14 @@ def cross_validated(residuals: Floats, candidates: Floats, fitted: Floats) -> fl
     """
     if not np.all(np.isfinite(candidates)) or not np.all(np.isfinite(residuals)):
         return -inf
-    law = Factored(fitted)
+    law = FactoredJacobian(fitted)
     left, of = law.left(residuals), law.left(candidates)
     count = len(residuals) // 2
     block = np.tile(np.arange(count) * _BLOCKS // count, 2)
     fall = 0.0
     for one in range(_BLOCKS):
         here = block == one
-        gains = Factored(of[~here]).coefficients(left[~here])
+        gains = FactoredJacobian(of[~here]).coefficients(left[~here])
         fall += float(np.sum(left[here] ** 2) - np.sum((left[here] - of[here] @ gains) ** 2))
     return fall
 
@@ -354,5 +354,5 @@ def found_offset(
 def _explained(model: ExactModel, alone: FitResult, drive: KnownDrive) -> float:
     """Fall of the squares of the residuals by the gains of a drive."""
     residuals, by_gains, by_law = residuals_with(model.with_drive(drive), alone)
-    law = Factored(by_law)
-    return float(np.sum((Factored(law.left(by_gains)).directions.T @ law.left(residuals)) ** 2))
+    law = FactoredJacobian(by_law)
+    return float(np.sum((FactoredJacobian(law.left(by_gains)).directions.T @ law.left(residuals)) ** 2))

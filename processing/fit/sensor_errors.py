@@ -20,7 +20,7 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.fit.reported import RigQuantities
 from processing.fit.result import PLACE, FitResult
-from processing.fit.terms import Linearised, Solved, Term, solve
+from processing.fit.terms import LinearisedFit, Term, TermSolution, solve
 from processing.number_text import with_uncertainty
 from processing.quantity import Quantity
 from processing.swing import ORDERS, SwingHarmonics, TurningPoints
@@ -57,7 +57,7 @@ def place_errors(
     errors : (points, m)
         Errors of the amplitudes for each of m independent coordinates of variance 1.
     """
-    at = Linearised.of(points, pendulum, fit)
+    at = LinearisedFit.of(points, pendulum, fit)
     felt = np.max(np.abs(errors) / points.u_amplitude[:, None], axis=0) > _FELT
     by_errors = -at.by_points(amplitude=errors[: fit.half_cycles][:, felt])
     noise = 1.0
@@ -70,7 +70,7 @@ def place_errors(
     return PlaceErrors(values, covariance, at.to_physical @ found.by @ found.root)
 
 
-def by_sensor(at: Linearised, rig: RigQuantities) -> dict[str, Floats]:
+def by_sensor(at: LinearisedFit, rig: RigQuantities) -> dict[str, Floats]:
     """Derivatives (parameters,) of the contact parameters by what is uncertain of row time and amplitudes.
 
     Turning points at the two ends of the swing lie on rows above and below that of rest: a row time wrong by
@@ -107,7 +107,7 @@ def by_amplitude_errors(
     By their sizes, the standard uncertainties of the parameters; signs are those of the coordinate that
     changes them most.
     """
-    at = Linearised.of(points, pendulum, exact)
+    at = LinearisedFit.of(points, pendulum, exact)
     moved = at.moved_by(at.by_points(amplitude=errors[: exact.half_cycles]))
     u = np.linalg.norm(moved, axis=1)
     main = np.linalg.svd(moved / np.where(u > 0, u, 1.0)[:, None], full_matrices=False)[0][:, 0]
@@ -172,14 +172,14 @@ def alternation_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: 
 
     Raises DataError for another method.
     """
-    at = Linearised.of(points, pendulum, fit)
+    at = LinearisedFit.of(points, pendulum, fit)
     by_delay = -at.by_points(time_s=(sides(at.points) * at.points.amplitude)[:, None])
     found = at.solved(Term("delay", by_delay))
     # what alternates is no noise, and a fit may have taken it for some
     return _alternation(found, len(found.left) - at.jacobian.shape[1] - 1)
 
 
-def _alternation(found: Solved, dof: int) -> Alternation:
+def _alternation(found: TermSolution, dof: int) -> Alternation:
     delay = float(found.values[0])
     u = sqrt(found.covariance[0, 0]) * found.scatter(dof)
     if not u < inf:

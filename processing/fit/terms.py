@@ -2,7 +2,8 @@
 
 A fit that has ended is linear near its end: ``r + J d + E z`` for changes d of the law's coordinates and the
 coordinates z of terms, each with what is known of it before, about zero. Rows are in units of their scatter,
-everywhere. `solve` is the generalised least squares of that; `Restricted` is the restricted likelihood of
+everywhere. `solve` is the generalised least squares of that; `RestrictedLikelihood` is the restricted
+likelihood of
 how large groups of coordinates are.
 """
 
@@ -20,7 +21,7 @@ from processing.estimate import FitMethod
 from processing.fit.exact_model import Errors, ExactModel
 from processing.fit.ground import Noise
 from processing.fit.result import FitResult
-from processing.least_squares import Factored
+from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
 
 
@@ -48,7 +49,7 @@ class Term:
     report: str = "move"
 
 
-class Solved(NamedTuple):
+class TermSolution(NamedTuple):
     """Coordinates of terms, in the order in which they were given, and what they do to the law's.
 
     Attributes
@@ -77,7 +78,7 @@ class Solved(NamedTuple):
         return sqrt(max(1.0, float(self.left @ self.left) / dof))
 
 
-def solve(residuals: Floats, jacobian: Floats, terms: Sequence[Term]) -> Solved:
+def solve(residuals: Floats, jacobian: Floats, terms: Sequence[Term]) -> TermSolution:
     """Terms and law together, by generalised least squares near the end of a fit.
 
     Rows with a value that is not finite are left out. ``z = -(E^T P E + prior^-2)^-1 E^T P r``, where P takes
@@ -87,11 +88,11 @@ def solve(residuals: Floats, jacobian: Floats, terms: Sequence[Term]) -> Solved:
     prior = np.concatenate([np.broadcast_to(term.prior, _width(term.columns)) for term in terms])
     good = np.isfinite(residuals) & np.isfinite(jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
     residuals, columns = residuals[good], columns[good]
-    law = Factored(jacobian[good])
+    law = FactoredJacobian(jacobian[good])
     beside, left = law.left(columns), law.left(residuals)
     # a prior of zero keeps a coordinate where it is
     free = prior > 0
-    both = Factored(np.concatenate([beside[:, free], np.diag(1.0 / prior[free])]))
+    both = FactoredJacobian(np.concatenate([beside[:, free], np.diag(1.0 / prior[free])]))
     values, covariance = np.zeros(len(prior)), np.zeros((len(prior), len(prior)))
     values[free] = -both.coefficients(np.concatenate([left, np.zeros(int(free.sum()))]))
     covariance[np.ix_(free, free)] = both.covariance()
@@ -99,14 +100,14 @@ def solve(residuals: Floats, jacobian: Floats, terms: Sequence[Term]) -> Solved:
     root[free] = both.root
     by = law.coefficients(columns)
     moved = -law.coefficients(residuals) - by @ values
-    return Solved(values, covariance, root, moved, by, left + beside @ values)
+    return TermSolution(values, covariance, root, moved, by, left + beside @ values)
 
 
 def _width(columns: Floats) -> int:
     return 1 if columns.ndim == 1 else columns.shape[1]
 
 
-class Restricted:
+class RestrictedLikelihood:
     """Restricted likelihood of the sizes of groups of independent coordinates beside a law.
 
     Parameters
@@ -123,7 +124,7 @@ class Restricted:
     """
 
     def __init__(self, residuals: Floats, jacobian: Floats, groups: Sequence[Floats] = ()) -> None:
-        self.law = Factored(jacobian)
+        self.law = FactoredJacobian(jacobian)
         self.left = self.law.left(residuals)
         self.groups = np.repeat(np.arange(len(groups)), [group.shape[1] for group in groups])
         columns = np.column_stack(groups) if len(groups) else np.zeros((len(residuals), 0))
@@ -159,7 +160,7 @@ class Restricted:
         return np.asarray(self.left - self._beside @ (size * np.linalg.solve(inner, self._score * size)))
 
 
-class Driven(NamedTuple):
+class DrivenRows(NamedTuple):
     """Rows for a drive of the ground, of turning points that scatter as stated and of evidence.
 
     Attributes
@@ -178,11 +179,11 @@ class Driven(NamedTuple):
     log_det: float
     points: int
 
-    def in_scatter(self, scale: float) -> "Driven":
+    def in_scatter(self, scale: float) -> "DrivenRows":
         """Where turning points scatter `scale` times as much: the rows in units of that."""
         weight = np.ones((len(self.residuals), 1))
         weight[: self.points] = 1.0 / scale
-        return Driven(
+        return DrivenRows(
             self.residuals * weight[:, 0],
             self.jacobian * weight,
             self.by_errors * weight,
@@ -192,7 +193,7 @@ class Driven(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Linearised:
+class LinearisedFit:
     """An exact fit that has ended: its residuals in units of their scatter, and their derivatives.
 
     Attributes
@@ -216,7 +217,7 @@ class Linearised:
     to_physical: Floats
 
     @classmethod
-    def of(cls, points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> "Linearised":
+    def of(cls, points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> "LinearisedFit":
         """That of a fit of these points; raises DataError for another method than the exact one."""
         if fit.method is not FitMethod.EXACT or fit.ground is None:
             raise DataError(f"the {fit.method} fit has no residuals beside which a term can stand")
@@ -237,7 +238,7 @@ class Linearised:
         physical = self.model.columns.physical(self.coordinates)[0]
         return dict(zip(self.model.names, physical.tolist(), strict=True))
 
-    def driven(self, noise: Noise, errors: Errors | None = None) -> Driven:
+    def driven(self, noise: Noise, errors: Errors | None = None) -> DrivenRows:
         """The rows for another drive, and what errors of the law do to them.
 
         They are NaN where the filter has no value.
@@ -247,7 +248,7 @@ class Linearised:
         law, points = len(self.coordinates), len(found.residuals)
         by_errors = np.zeros((points + len(beside), found.jacobian.shape[1] - law))
         by_errors[:points] = found.jacobian[:, law:]
-        return Driven(
+        return DrivenRows(
             np.concatenate([found.residuals, beside]),
             np.concatenate([found.jacobian[:, :law], by_law]),
             by_errors,
@@ -289,16 +290,16 @@ class Linearised:
         further = Errors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 1)))
         found = self.model.filtered_here(self.coordinates, errors=further)
         of_points = found.jacobian[:, -2] / self.scale
-        before = self.model.of_evidence(self.coordinates)
-        return np.concatenate([of_points, self.model.of_evidence(self.coordinates, waveform) - before])
+        before = self.model.evidence_residuals(self.coordinates)
+        return np.concatenate([of_points, self.model.evidence_residuals(self.coordinates, waveform) - before])
 
     def moved_by(self, columns: Floats) -> Floats:
         """Changes (parameters, m) of the contact parameters where residuals are larger by (rows, m)."""
         good = np.isfinite(self.jacobian).all(axis=1) & np.isfinite(columns).all(axis=1)
-        moved = self.to_physical @ Factored(self.jacobian[good]).coefficients(columns[good])
+        moved = self.to_physical @ FactoredJacobian(self.jacobian[good]).coefficients(columns[good])
         return -moved[[self.fit.names.index(name) for name in self.fit.contact_names]]
 
-    def solved(self, *terms: Term) -> Solved:
+    def solved(self, *terms: Term) -> TermSolution:
         """Terms beside the law."""
         return solve(self.residuals, self.jacobian, terms)
 

@@ -63,7 +63,7 @@ class Budget:
         return float(stdtrit(self.degrees_of_freedom if self.degrees_of_freedom < 1e9 else 1e9, 0.975))
 
     @property
-    def of_apparatus(self) -> float:
+    def apparatus_u(self) -> float:
         """What the stated sources beside the decay contribute; the air is known with the swings."""
         return hypot(*(one.contribution for one in self.sources if one.type == "B" and one.source != AIR))
 

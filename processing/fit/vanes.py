@@ -75,7 +75,7 @@ class MeasuredAir:
     enlarged: float
 
 
-class _Run(NamedTuple):
+class _RunModel(NamedTuple):
     """A run's model with its noise, its own fit, and by what residuals are divided to be those of noise."""
 
     stated: VanedRun
@@ -84,14 +84,14 @@ class _Run(NamedTuple):
     size: float
 
 
-class _Shared:
+class _SharedParameters:
     """The parameters of all runs in the solver's units, in which each is of the size of 1.
 
     ln b and gamma are those at the reference amplitude; then c, n, p, d0 and k; then for each run T0, first
     amplitude, first time and, where its exposure is uncertain, by how much that is wrong.
     """
 
-    def __init__(self, runs: Sequence[_Run], by_ratio: bool) -> None:
+    def __init__(self, runs: Sequence[_RunModel], by_ratio: bool) -> None:
         self.runs, self.by_ratio = runs, by_ratio
         self.count = _AIR + (1 if by_ratio else 2)
         fits = [run.stated.fit for run in runs]
@@ -150,12 +150,12 @@ class _Shared:
         """Residuals of all runs, and their derivatives."""
         parts, jacobian = [], []
         for number in range(len(self.runs)):
-            residuals, by = self.of_run(values, number)
+            residuals, by = self.run_parameters(values, number)
             parts.append(residuals)
             jacobian.append(by)
         return np.concatenate(parts), np.concatenate(jacobian)
 
-    def of_run(self, values: Floats, number: int, drag_off_s: float = 0.0) -> tuple[Floats, Floats]:
+    def run_parameters(self, values: Floats, number: int, drag_off_s: float = 0.0) -> tuple[Floats, Floats]:
         """Of one run, whose drag may lie off the line."""
         run, shared = self.runs[number], values[: self.count]
         own = values[self.ends[number] : self.ends[number + 1]]
@@ -201,7 +201,7 @@ def air_of_vanes(
 
     _check(runs, by_ratio)
     models = [_of(run, pendulum) for run in runs]
-    shared = _Shared(models, by_ratio)
+    shared = _SharedParameters(models, by_ratio)
     free = np.full(len(shared.start), np.inf)
     found = solve(partial(_finite, shared), shared.start, lower=-free, upper=free, loss="linear")
     if not found.converged:
@@ -249,17 +249,17 @@ def _check(runs: Sequence[VanedRun], by_ratio: bool) -> None:
             raise DataError(f"run {number} does not determine contact and drag; start higher, or shield it")
 
 
-def _of(run: VanedRun, pendulum: PendulumOnBall) -> _Run:
+def _of(run: VanedRun, pendulum: PendulumOnBall) -> _RunModel:
     """Residuals count as the run's own uncertainty of the drag has it."""
     model, columns = ExactModel.of(run.points, pendulum, run.fit)
     size = max(1.0, run.fit.chi2_per_dof) ** 0.5
     if run.fit.widened is not None:
         size *= float(run.fit.widened[run.fit.names.index(DRAG.key)])
-    return _Run(run, model, columns, size)
+    return _RunModel(run, model, columns, size)
 
 
-def _finite(shared: _Shared, values: Floats) -> tuple[Floats, Floats]:
-    """As `_Shared` has it; a trial where no pendulum swings is infinitely bad and not an error."""
+def _finite(shared: _SharedParameters, values: Floats) -> tuple[Floats, Floats]:
+    """As `_SharedParameters` has it; a trial where no pendulum swings is infinitely bad and not an error."""
     try:
         return shared(values)
     except (DataError, np.linalg.LinAlgError):
@@ -267,9 +267,9 @@ def _finite(shared: _Shared, values: Floats) -> tuple[Floats, Floats]:
         return np.full_like(residuals, np.nan), jacobian
 
 
-def _drag_of(shared: _Shared, values: Floats, number: int) -> tuple[Estimate, float]:
+def _drag_of(shared: _SharedParameters, values: Floats, number: int) -> tuple[Estimate, float]:
     """The drag of one run with the contact of all, and how far it is off the line; by one step from there."""
-    residuals, by = shared.of_run(values, number)
+    residuals, by = shared.run_parameters(values, number)
     on_line, by_drag, _ = shared.air(values[: shared.count], number)
     # the derivative by d0 (or by d0's multiple) is that by the run's drag
     of_drag = _derivative_by_drag(shared, values, number, by_drag)
@@ -279,7 +279,7 @@ def _drag_of(shared: _Shared, values: Floats, number: int) -> tuple[Estimate, fl
     return Estimate(on_line + off, float(np.sqrt(found.covariance[0, 0]))), off
 
 
-def _derivative_by_drag(shared: _Shared, values: Floats, number: int, by_drag: Floats) -> Floats:
+def _derivative_by_drag(shared: _SharedParameters, values: Floats, number: int, by_drag: Floats) -> Floats:
     step = 1e-3 * float(abs(by_drag[_AIR]) or 1e-3)
-    high, low = (shared.of_run(values, number, sign * step)[0] for sign in (1.0, -1.0))
+    high, low = (shared.run_parameters(values, number, sign * step)[0] for sign in (1.0, -1.0))
     return np.asarray((high - low) / (2 * step))

@@ -5,16 +5,220 @@ the half-cycle linearly in ln(amplitude), the time linearly in the half-cycle.
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from processing.arrays import Floats, Ints
+from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.instruments.descriptions import DEGREE_RAD
-from processing.instruments.shared_uncertainty import Reading
 from processing.swing import TurningPoints
+
+Found = TypeVar("Found", bound=NamedTuple)
+
+_DRAWS = 100
+"""They know a standard uncertainty to 7 %."""
+_FEWEST = 12
+"""Turning points in a row from which the drive is estimated."""
+
+
+class SharedError(NamedTuple):
+    """An error that the turning points of a run share; so do runs that name the same one.
+
+    `scale` and `clock` are relative standard uncertainties of all amplitudes and of all times,
+    `amplitude_rad` is what one standard uncertainty adds to the amplitudes. One without a name is the run's
+    own.
+    """
+
+    name: str
+    scale: float = 0.0
+    clock: float = 0.0
+    amplitude_rad: float | Floats = 0.0
+
+    def moved(self, points: TurningPoints, by: float) -> TurningPoints:
+        """The points with so many standard uncertainties of the error."""
+        scale, clock = 1 + by * self.scale, 1 + by * self.clock
+        return replace(
+            points,
+            amplitude=points.amplitude * scale + by * self.amplitude_rad,
+            u_amplitude=points.u_amplitude * scale,
+            time_s=points.time_s * clock,
+            u_time_s=points.u_time_s * clock,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ValueWithSharedErrors:
+    """A value with the standard uncertainty of its own, and by shared errors, by name.
+
+    `shared` holds the change of the value for one standard uncertainty of each error, with its sign: in a
+    mean it does not fall, in a ratio it cancels.
+    """
+
+    value: float
+    own: float
+    shared: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def u_shared(self) -> float:
+        return math.hypot(*self.shared.values())
+
+    @property
+    def estimate(self) -> Estimate:
+        return Estimate(self.value, math.hypot(self.own, self.u_shared))
+
+
+def with_shared(
+    reduce: Callable[[TurningPoints], Found],
+    points: TurningPoints,
+    errors: Sequence[SharedError],
+    found: Found | None = None,
+) -> tuple[Found, dict[str, ValueWithSharedErrors]]:
+    """Evaluate turning points and include errors that they share in every estimate.
+
+    Such an error does not show in the scatter of a record. The evaluation is repeated with each of them at
+    one standard uncertainty, and the change of each estimate is added in quadrature (JCGM 100, 5.1.3,
+    note 2).
+
+    Parameters
+    ----------
+    reduce
+        The evaluation; it returns a named tuple, of which the fields of type `Estimate` (or None in all
+        evaluations) are modified and the others kept.
+    found
+        The evaluation of the points as given, if its uncertainties are to be enlarged and not those that
+        `reduce` states.
+
+    Returns
+    -------
+    found, readings
+        The evaluation with whole uncertainties, and its estimates with the parts apart, by field.
+
+    Raises
+    ------
+    DataError
+        Errors of `reduce` for the points as given. If it fails only for the moved ones, it is repeated with
+        the opposite sign; if that fails too, the error is left out.
+    """
+    plain = reduce(points)
+    found = plain if found is None else found
+    shared: dict[str, dict[str, float]] = {
+        name: {} for name, value in found._asdict().items() if isinstance(value, Estimate)
+    }
+    own: dict[str, list[float]] = {name: [getattr(found, name).standard_uncertainty] for name in shared}
+    for error in errors:
+        for sign in (1.0, -1.0):
+            try:
+                shifted = reduce(error.moved(points, sign))
+            except DataError:
+                continue
+            for name, changes in shared.items():
+                before, after = getattr(plain, name), getattr(shifted, name)
+                if isinstance(before, Estimate) and isinstance(after, Estimate):
+                    change = sign * (after.value - before.value)
+                    if error.name:
+                        changes[error.name] = change
+                    else:
+                        own[name].append(change)
+            break
+    readings = {
+        name: ValueWithSharedErrors(getattr(found, name).value, math.hypot(*own[name]), changes)
+        for name, changes in shared.items()
+    }
+    return found._replace(**{name: one.estimate for name, one in readings.items()}), readings
+
+
+def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) -> Found:
+    """Evaluate turning points; where the ground drives the pendulum, its scatter is in every uncertainty.
+
+    What the ground does to a swing stays in all later ones: passages and periods far apart scatter by more
+    than the reading of their turning points. The same decay is drawn again and again with the drive that its
+    own turning points show and with their reading errors, and evaluated.
+
+    Parameters
+    ----------
+    reduce
+        As for `with_shared`. The fields of type `Estimate` get the scatter of the draws as uncertainty, the
+        others are kept.
+
+    Raises
+    ------
+    DataError
+        Errors of `reduce` for the points as given.
+    """
+    found = reduce(points)
+    step = drive_step(points)
+    if step == 0:
+        return found
+    rng = np.random.default_rng(0)
+    drawn = []
+    for _ in range(_DRAWS):
+        try:
+            drawn.append(reduce(_drawn(points, step, rng)))
+        except DataError:
+            continue
+    if len(drawn) < 0.5 * _DRAWS:
+        return found
+    columns = zip(*drawn, strict=True)
+    return found._replace(
+        **{
+            name: Estimate(value.value, _scatter(column)) if isinstance(value, Estimate) else value
+            for name, value, column in zip(found._fields, found, columns, strict=True)
+        }
+    )
+
+
+def drive_step(points: TurningPoints) -> float:
+    """By how much (rms) the ground moves the amplitude in one half-swing; 0 where none is seen.
+
+    Third differences of ln(amplitude) hold nothing of a smooth decay: their variance is
+    ``6 step^2/a^2 + 20 u^2/a^2``.
+    """
+    runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(points.index) != 1) + 1)
+    excess = np.concatenate([_excess(points, run) for run in runs])
+    if len(excess) < _FEWEST:
+        return 0.0
+    mean = float(np.mean(excess))
+    # third differences share half-cycles: one in four stands for itself
+    u = float(np.std(excess)) * 2 / np.sqrt(len(excess))
+    return float(np.sqrt(mean)) if mean > u else 0.0
+
+
+def _excess(points: TurningPoints, run: Ints) -> Floats:
+    if len(run) < 4:
+        return np.empty(0)
+    amplitude, u = points.amplitude[run], points.u_amplitude[run]
+    third = np.diff(np.log(amplitude), 3)
+    inner = np.exp(np.convolve(np.log(amplitude), np.full(4, 0.25), "valid"))
+    reading = np.convolve(u**2, [1.0, 9.0, 9.0, 1.0], "valid")
+    return np.asarray(((third * inner) ** 2 - reading) / 6)
+
+
+def _drawn(points: TurningPoints, step: float, rng: np.random.Generator) -> TurningPoints:
+    """The same decay, driven and read again.
+
+    A kick keeps its share of the amplitude, which is exact for linear damping, and shifts all later times.
+    """
+    amplitude = points.amplitude
+    gap = np.sqrt(np.diff(points.index, prepend=points.index[0]))
+    relative = step * gap / amplitude
+    moved = np.exp(np.cumsum(relative * rng.standard_normal(len(points))))
+    shift = np.cumsum(relative * rng.standard_normal(len(points))) * mean_period(points) / (2 * np.pi)
+    return replace(
+        points,
+        amplitude=amplitude * moved + points.u_amplitude * rng.standard_normal(len(points)),
+        time_s=points.time_s + shift + points.u_time_s * rng.standard_normal(len(points)),
+    )
+
+
+def _scatter(values: tuple[object, ...]) -> float:
+    numbers = [value.value for value in values if isinstance(value, Estimate)]
+    return float(np.std(numbers, ddof=1)) if len(numbers) > 1 else float("nan")
+
 
 _EXTENSION = 0.03
 _SLOPE_POINTS = 10
@@ -34,7 +238,7 @@ class Passage(NamedTuple):
     missing: int
 
 
-class Damping(NamedTuple):
+class DampingTime(NamedTuple):
     """Time and number of whole swings (to and fro) in which the amplitude falls from `start` to `end`.
 
     `swings` is interpolated and fractional; a counter would show the whole number below it. `period_s` is
@@ -98,7 +302,7 @@ def passage(points: TurningPoints, level_rad: float) -> Passage:
     )
 
 
-def damping(points: TurningPoints, start_rad: float, end_rad: float) -> Damping:
+def damping(points: TurningPoints, start_rad: float, end_rad: float) -> DampingTime:
     """Time and number of swings from one amplitude to another; DataError if one is not passed."""
     if not end_rad < start_rad:
         raise DataError(
@@ -110,7 +314,7 @@ def damping(points: TurningPoints, start_rad: float, end_rad: float) -> Damping:
     first, last = int(between[0]), int(between[-1])
     halves = float(points.index[last] - points.index[first])
     u_clock_s = math.hypot(points.u_time_s[first], points.u_time_s[last])
-    return Damping(
+    return DampingTime(
         start_rad,
         end_rad,
         Estimate(end.time_s - begin.time_s, math.hypot(begin.u_time_s, end.u_time_s)),
@@ -122,7 +326,7 @@ def damping(points: TurningPoints, start_rad: float, end_rad: float) -> Damping:
     )
 
 
-def ratio(measured: Reading, reference: Reading) -> Estimate:
+def ratio(measured: ValueWithSharedErrors, reference: ValueWithSharedErrors) -> Estimate:
     """Relative hardness: sample over reference. Errors that both share cancel as far as they act alike.
 
     Raises DataError for a reference of zero.
@@ -142,12 +346,12 @@ class Places(NamedTuple):
     """Values from several places of a sample: mean, standard deviation between them, 95 % interval."""
 
     number: int
-    mean: Reading
+    mean: ValueWithSharedErrors
     spread: float
     expanded_95: float
 
 
-def over_places(values: Sequence[Reading]) -> Places:
+def over_places(values: Sequence[ValueWithSharedErrors]) -> Places:
     """Mean over places. Its own uncertainty is the larger of that from the scatter and that from the stated
     ones; what the places share is the mean's, too.
 
@@ -166,5 +370,5 @@ def over_places(values: Sequence[Reading]) -> Places:
         own, factor = spread / math.sqrt(number), float(stdtrit(number - 1, 0.975))
     names = dict.fromkeys(name for item in values for name in item.shared)
     shared = {name: sum(item.shared.get(name, 0.0) for item in values) / number for name in names}
-    mean = Reading(float(np.mean(value)), own, shared)
+    mean = ValueWithSharedErrors(float(np.mean(value)), own, shared)
     return Places(number, mean, spread, math.hypot(factor * own, _NORMAL_95 * mean.u_shared))

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from processing.arrays import Floats, Ints
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
 
 _REACH = 0.32
@@ -29,8 +29,8 @@ _FARTHER = 1.5
 
 
 def with_release(
-    times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Floats, swings: Sequence[Swing]
-) -> list[Swing] | None:
+    times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Floats, swings: Sequence[HalfCycle]
+) -> list[HalfCycle] | None:
     """Half-cycles with the release as the first; None where the samples do not show one.
 
     Parameters
@@ -52,7 +52,7 @@ def with_release(
     if not loss > 0:
         return None
     cubic = loss * first.amplitude * math.pi**2 * _REACH**3 / 3
-    fitted = _fit(
+    fitted = _release_fit(
         time_s[near], side * (deflection_rad[near] - first.centre), u_deflection_rad[near], half_s, cubic
     )
     if fitted is None:
@@ -78,7 +78,7 @@ def with_release(
     return [release, first, *(swing for swing in swings if swing.index > first.index)]
 
 
-def _fit(
+def _release_fit(
     time_s: Floats, values: Floats, u_values: Floats, half_s: float, cubic: float
 ) -> tuple[tuple[float, float], tuple[float, float]] | None:
     """Angle and time of the release, and their uncertainties; None where nothing is held and let go.

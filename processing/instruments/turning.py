@@ -14,7 +14,7 @@ import numpy as np
 
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
-from processing.swing import Swing, SwingFlag
+from processing.swing import HalfCycle, HalfCycleFlag
 from processing.units import seconds
 
 _REACH = 0.40
@@ -29,8 +29,8 @@ _FEWEST = 2 * _TERMS
 
 
 def refined(
-    times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Floats, swings: Sequence[Swing]
-) -> list[Swing]:
+    times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Floats, swings: Sequence[HalfCycle]
+) -> list[HalfCycle]:
     """The same half-cycles with time and amplitude fitted to the samples around each turning point.
 
     Parameters
@@ -39,7 +39,7 @@ def refined(
         (n,) samples in which the swings were detected; NaN where the spot was lost.
     swings
         Half-cycles from the detector. One with too few samples around its turning point keeps its values and
-        is flagged `SwingFlag.GAP`; flagged ones are returned unchanged.
+        is flagged `HalfCycleFlag.GAP`; flagged ones are returned unchanged.
 
     Raises
     ------
@@ -56,8 +56,8 @@ def refined(
 
 
 def _refined_one(
-    times_ns: Ints, values: Floats, u_values: Floats, swing: Swing, half_period_ns: float
-) -> Swing:
+    times_ns: Ints, values: Floats, u_values: Floats, swing: HalfCycle, half_period_ns: float
+) -> HalfCycle:
     if swing.flags:
         return swing
     reach_ns = _REACH * half_period_ns
@@ -69,11 +69,11 @@ def _refined_one(
         first, last = np.searchsorted(times_ns, ends_ns)
         x = (times_ns[first:last] - turn_ns) / reach_ns
         if len(x) < _FEWEST or x[0] > -0.8 or x[-1] < 0.8 or np.max(np.diff(x)) > 0.3:
-            return replace(swing, flags=swing.flags | int(SwingFlag.GAP))
+            return replace(swing, flags=swing.flags | int(HalfCycleFlag.GAP))
         fitted = _fit(x, values[first:last], u_values[first:last])
         shift = -0.5 * fitted[0][1] / fitted[0][2]
         if not abs(shift) < 0.5:
-            return replace(swing, flags=swing.flags | int(SwingFlag.GAP))
+            return replace(swing, flags=swing.flags | int(HalfCycleFlag.GAP))
         turn_ns += round(shift * reach_ns)
     assert fitted is not None
     solution, u_solution = fitted
@@ -100,7 +100,7 @@ def _fit(x: Floats, values: Floats, u_values: Floats) -> tuple[Floats, Floats]:
     return solution, np.sqrt(spread * max(1.0, chi2_per_dof))
 
 
-def _about_the_rest_position(swings: list[Swing]) -> list[Swing]:
+def _about_the_rest_position(swings: list[HalfCycle]) -> list[HalfCycle]:
     """Amplitudes relative to the rest position, a straight line in time fitted to all turning points.
 
     Three successive turning points whose amplitudes form a geometric series determine it exactly.
@@ -130,7 +130,7 @@ def _about_the_rest_position(swings: list[Swing]) -> list[Swing]:
     return result
 
 
-def _with_half_periods(swings: list[Swing]) -> list[Swing]:
+def _with_half_periods(swings: list[HalfCycle]) -> list[HalfCycle]:
     """Compute the half periods again from the turning times."""
     result = swings[:1]
     for before, swing in pairwise(swings):

@@ -15,9 +15,142 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.position_map.normal_equations import Accumulator, NormalEquations, all_of
-from processing.position_map.position_map import PositionMap, Splines
-from processing.swing import CycleResiduals
+from processing.position_map.fixed_pattern import PositionMap, Splines
+from processing.swing import SHARED, CycleResiduals
+
+_AT_ONCE = 8
+"""Cycles whose columns are multiplied together."""
+
+
+class NormalEquations(NamedTuple):
+    """Information ``J^T W J`` and score ``J^T W r`` of the splines, followed by the SHARED common columns."""
+
+    information: Floats
+    score: Floats
+
+    @property
+    def splines(self) -> int:
+        """Number of splines."""
+        return len(self.score) - SHARED
+
+    def spline_equations(self, scale: float = 1.0) -> "NormalEquations":
+        """Those of the splines alone, the common columns free; `scale` is the variance of the residuals."""
+        count = self.splines
+        gain = self.by_common()
+        return NormalEquations(
+            (self.information[:count, :count] - gain @ self.information[count:, :count]) / scale,
+            (self.score[:count] - gain @ self.score[count:]) / scale,
+        )
+
+    def by_common(self) -> Floats:
+        """What the splines take from a score of the common columns that are left free, (splines, SHARED)."""
+        return np.asarray(
+            self.information[: self.splines, self.splines :] @ self._inverse(), dtype=np.float64
+        )
+
+    def with_common(self, coefficients: Floats) -> Floats:
+        """Coefficients of the splines, and those of the common columns that are likeliest with them."""
+        left = self.score[self.splines :] - self.information[self.splines :, : self.splines] @ coefficients
+        return np.concatenate([coefficients, self._inverse() @ left])
+
+    def explained(self, everything: Floats) -> float:
+        """By how much chi-square falls with all the coefficients."""
+        return float(2.0 * everything @ self.score - everything @ self.information @ everything)
+
+    def _inverse(self) -> Floats:
+        common = self.information[self.splines :, self.splines :]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(common), 1e-300))
+        inverse = np.linalg.pinv(common * np.outer(scale, scale), rcond=1e-10, hermitian=True)
+        return np.asarray(inverse * np.outer(scale, scale), dtype=np.float64)
+
+
+def all_of(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """Sum of one or more."""
+    return NormalEquations(
+        np.asarray(sum(part.information for part in parts)), np.asarray(sum(part.score for part in parts))
+    )
+
+
+class Accumulator:
+    """Sum over cycles; what each cycle has for itself is left free.
+
+    The splines' own products are a band, and what a cycle takes of them a few columns: the large matrix is
+    not made for every cycle.
+
+    Attributes
+    ----------
+    cycles
+        How many there are so far.
+    """
+
+    def __init__(self, splines: Splines) -> None:
+        self.cycles = 0
+        self._splines = splines
+        self._band = np.zeros((4, splines.count))
+        self._crossed = np.zeros((splines.count, SHARED))
+        self._common = np.zeros((SHARED, SHARED))
+        self._taken: list[Floats] = []
+        self._together: Floats | None = None
+        self._score = np.zeros(splines.count + SHARED)
+
+    def add(self, cycle: CycleResiduals) -> Floats:
+        """Add one cycle and return its score."""
+        from scipy.sparse import csr_array
+
+        self.cycles += 1
+        root = np.sqrt(cycle.weight)
+        own = cycle.own * root[:, None]
+        own /= np.maximum(np.sqrt(np.sum(own**2, axis=0)), 1e-300)
+        directions, size, _ = np.linalg.svd(own, full_matrices=False)
+        directions = directions[:, size > 1e-6 * size[0]]
+        columns = np.column_stack([cycle.shared, cycle.residual]) * root[:, None]
+        columns -= directions @ (directions.T @ columns)
+        first, values = self._splines.at(cycle.place)
+        values *= root[:, None]
+        count, splines = len(root), self._splines.count
+        of_place = csr_array(
+            (values.ravel(), (first[:, None] + np.arange(4)).ravel(), np.arange(0, 4 * count + 1, 4)),
+            shape=(count, splines),
+        )
+        crossed = of_place.T @ np.column_stack([directions, columns])
+        for apart in range(4):
+            for j in range(4 - apart):
+                products = values[:, j] * values[:, j + apart]
+                self._band[apart] += np.bincount(first + j, products, minlength=splines)
+        own_count = directions.shape[1]
+        self._taken.append(crossed[:, :own_count])
+        self._crossed += crossed[:, own_count:-1]
+        self._common += columns[:, :-1].T @ columns[:, :-1]
+        score = np.concatenate([crossed[:, -1], columns[:, :-1].T @ columns[:, -1]])
+        self._score += score
+        if len(self._taken) == _AT_ONCE:
+            self._put_together()
+        return score
+
+    def sums(self) -> NormalEquations:
+        """All cycles so far."""
+        splines = self._splines.count
+        information = np.zeros((splines + SHARED, splines + SHARED))
+        for apart in range(4):
+            rows = np.arange(splines - apart)
+            information[rows, rows + apart] = information[rows + apart, rows] = self._band[
+                apart, : splines - apart
+            ]
+        self._put_together()
+        if self._together is not None:
+            information[:splines, :splines] -= self._together
+        information[:splines, splines:] = self._crossed
+        information[splines:, :splines] = self._crossed.T
+        information[splines:, splines:] = self._common
+        return NormalEquations(information, self._score)
+
+    def _put_together(self) -> None:
+        if self._taken:
+            taken = np.column_stack(self._taken)
+            self._taken.clear()
+            products = taken @ taken.T
+            self._together = products if self._together is None else self._together + products
+
 
 _SPLINES = 320
 """The shortest correlation length is 2.5 of their spacings."""
@@ -41,7 +174,7 @@ Of errors with a single degree of freedom, the most scattered case, noise gives 
 probability of 2e-5 for each correlation length."""
 
 
-class _Likeliest(NamedTuple):
+class _LikelihoodPeak(NamedTuple):
     """Half the logarithm of the likelihood over that without an error, and the error."""
 
     gain: float
@@ -95,23 +228,25 @@ class PositionMapSearch:
             return None
         scale, lengths = 1.0, _LENGTHS
         for _ in range(2):
-            tried = (_likeliest(length, self._prior(length), whole.of_splines(scale)) for length in lengths)
+            tried = (
+                _likeliest(length, self._prior(length), whole.spline_equations(scale)) for length in lengths
+            )
             best = max(tried, key=lambda one: one.gain)
             scale = self._scatter(best, whole)
-        best = _likeliest(best.length, self._prior(best.length), whole.of_splines(scale))
+        best = _likeliest(best.length, self._prior(best.length), whole.spline_equations(scale))
         if not self._confirmed(parts, best.length, scale):
             return None
         return PositionMap(
             splines=self._splines,
             coefficients=best.coefficients,
-            covariance=best.covariance + self._of_scale(best.coefficients),
+            covariance=best.covariance + self._scale_covariance(best.coefficients),
             correlation_length=best.length * self._splines.spacing * (_SPLINES - 3),
             significance=significance,
             cycles=self._cycles,
             noise_scale=math.sqrt(scale),
         )
 
-    def _of_scale(self, coefficients: Floats) -> Floats:
+    def _scale_covariance(self, coefficients: Floats) -> Floats:
         """Covariance by a scale of which nothing but the size of the errors is known.
 
         Smooth errors of a correlation length have hardly any mean slope; a scale that is bent has one.
@@ -130,7 +265,7 @@ class PositionMapSearch:
         gains = []
         for part in parts:
             others = all_of([other for other in parts if other is not part])
-            theirs = _likeliest(length, self._prior(length), others.of_splines(scale)).coefficients
+            theirs = _likeliest(length, self._prior(length), others.spline_equations(scale)).coefficients
             gains.append(
                 part.explained(others.with_common(theirs))
                 - part.explained(others.with_common(np.zeros(_SPLINES)))
@@ -145,7 +280,7 @@ class PositionMapSearch:
         step = np.arange(_SPLINES) / ((_SPLINES - 3) * length)
         return np.asarray(toeplitz(np.exp(-0.5 * step**2)), dtype=np.float64)
 
-    def _scatter(self, found: _Likeliest, whole: NormalEquations) -> float:
+    def _scatter(self, found: _LikelihoodPeak, whole: NormalEquations) -> float:
         """Variance of the cycles' scores about the common error, over that of the samples' uncertainties.
 
         In the directions in which the error is looked for: what else disturbs neighbouring samples alike
@@ -178,7 +313,7 @@ def _significance(prior: Floats, scores: Floats) -> float:
     return float((total @ prior @ total - np.trace(products)) / spread) if spread > 0.0 else 0.0
 
 
-def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _Likeliest:
+def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _LikelihoodPeak:
     """Error whose variance makes the residuals most likely, for one correlation length.
 
     With the prior ``v C = v A A^T`` and ``A^T N A = Q L Q^T``, ``h = Q^T A^T g``: twice the logarithm of the
@@ -205,4 +340,4 @@ def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _Likelies
     log_v = float(tried[np.argmax([gain(one) for one in tried.tolist()])])
     v = math.exp(log_v)
     shrunk = v / (1.0 + v * size)
-    return _Likeliest(0.5 * gain(log_v), length, basis @ (shrunk * seen), (basis * shrunk) @ basis.T)
+    return _LikelihoodPeak(0.5 * gain(log_v), length, basis @ (shrunk * seen), (basis * shrunk) @ basis.T)

@@ -11,8 +11,8 @@ from processing.series.combined import (
     compare_series,
 )
 from processing.series.density import ALIKE, SEEN, ChangePoint, compare_forms, find_change
-from processing.series.model import GROWTH, Level, SeriesModel
-from processing.series.posterior import Sampled, SeriesPosterior, fit_series, sample_series
+from processing.series.model import GROWTH, LatentNumber, SeriesModel
+from processing.series.posterior import SampledPosterior, SeriesPosterior, fit_series, sample_series
 from processing.series.runs import (
     EXPONENT_OF,
     FRICTION,
@@ -21,8 +21,8 @@ from processing.series.runs import (
     Bound,
     CompressedRun,
     Effect,
+    EndSide,
     Form,
-    Side,
     parameters,
     to_coordinates,
 )

@@ -9,7 +9,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.series.runs import FRICTION, ORDER, CompressedRun, Effect, Form, Side, covariate_of
+from processing.series.runs import FRICTION, ORDER, CompressedRun, Effect, EndSide, Form, covariate_of
 
 USUAL_SIZE: Final[Mapping[str, float]] = {
     "b": 0.2, "p": 0.02, "c": 0.5, "n": 0.1, "period0_s": 0.01, "gamma_pa": 0.2, "drag_s": 5e-4,
@@ -67,7 +67,7 @@ class SeriesModel:
         return replace(self, effects=(*self.effects, *effects))
 
 
-class Level(NamedTuple):
+class LatentNumber(NamedTuple):
     """A latent number: the level of a coordinate (of a contact), the slope of an effect, a shared input, or a
     scatter."""
 
@@ -104,13 +104,13 @@ class Design(NamedTuple):
     x: Floats
     blurred: Floats
     blurred_by: Ints
-    levels: tuple[Level, ...]
+    levels: tuple[LatentNumber, ...]
     prior_mean: Floats
     prior_u: Floats
     varies: Ints
     scatter: Ints
     scales: Floats
-    hyper: tuple[Level, ...]
+    hyper: tuple[LatentNumber, ...]
     bounds: Bounds
     log_kind: Floats
     worse: Floats
@@ -127,9 +127,9 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
     if not runs:
         raise DataError("a series needs runs")
     names, count = model.names, len(runs)
-    latent: list[tuple[Level, Floats, float, float, int]] = []
+    latent: list[tuple[LatentNumber, Floats, float, float, int]] = []
     scattering = [name for name in names if model.scatter is None or name in model.scatter]
-    hyper = [Level("between runs", name) for name in scattering]
+    hyper = [LatentNumber("between runs", name) for name in scattering]
     contacts = list(dict.fromkeys(run.contact for run in runs))
     alike = model.contacts_alike and len(contacts) > 1
     for place, name in enumerate(names):
@@ -141,12 +141,12 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
         whole = np.zeros((count, len(names)))
         whole[:, place] = 1.0
         if alike:
-            latent.append((Level("mean", name), whole, *prior, -1))
-            hyper.append(Level("between contacts", name))
+            latent.append((LatentNumber("mean", name), whole, *prior, -1))
+            hyper.append(LatentNumber("between contacts", name))
         for contact in contacts:
             own = whole * np.array([run.contact == contact for run in runs])[:, None]
             about = (0.0, 1.0, len(hyper) - 1) if alike else (*prior, -1)
-            latent.append((Level("contact", name, contact), own, *about))
+            latent.append((LatentNumber("contact", name, contact), own, *about))
     blurred: list[Floats] = []
     blurred_by: list[int] = []
     for effect in model.effects:
@@ -155,7 +155,7 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
             blurred.append(blur)
             blurred_by.append(len(latent))
         size = model.size(effect.parameter) / effect.span(runs)
-        latent.append((Level("effect", effect.label), column, 0.0, size, -1))
+        latent.append((LatentNumber("effect", effect.label), column, 0.0, size, -1))
     grows = any(effect.bends_decays for effect in model.effects)
     for source in dict.fromkeys(source for run in runs for source in run.shared):
         if grows and source in GROWTH:
@@ -164,7 +164,7 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
         for row, run in enumerate(runs):
             _add(column[row], names, run, run.shared.get(source))
         if np.any(column):
-            latent.append((Level("shared", source), column, 0.0, 1.0, -1))
+            latent.append((LatentNumber("shared", source), column, 0.0, 1.0, -1))
     levels, columns, mean, u, varies = zip(*latent, strict=True)
     x = np.stack(columns, axis=-1)
     y, covariance, has = _values(runs, names)
@@ -248,7 +248,7 @@ def _effect(runs: Sequence[CompressedRun], effect: Effect, names: Sequence[str])
 
 def _bounds(runs: Sequence[CompressedRun], names: Sequence[str], x: Floats) -> Bounds:
     found = [
-        (x[row, names.index(name)], bound.limit, 1.0 if bound.side is Side.UPPER else -1.0, bound.softness,
+        (x[row, names.index(name)], bound.limit, 1.0 if bound.side is EndSide.UPPER else -1.0, bound.softness,
          names.index(name))
         for row, run in enumerate(runs) for name, bound in run.bounds.items() if name in names
     ]  # fmt: skip

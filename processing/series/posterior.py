@@ -27,7 +27,7 @@ from processing.series.density import (
     log_marginal,
     spread,
 )
-from processing.series.model import Design, Level, SeriesModel, design_of
+from processing.series.model import Design, LatentNumber, SeriesModel, design_of
 from processing.series.runs import CompressedRun
 
 DRAWS = 1000
@@ -60,18 +60,18 @@ class SeriesPosterior:
     weight: Floats
 
     @property
-    def levels(self) -> tuple[Level, ...]:
+    def levels(self) -> tuple[LatentNumber, ...]:
         return self.design.levels
 
     @property
-    def hyper(self) -> tuple[Level, ...]:
+    def hyper(self) -> tuple[LatentNumber, ...]:
         return self.design.hyper
 
     @property
     def effective(self) -> float:
         return float(1 / np.sum(self.weight**2))
 
-    def draws(self, level: Level) -> Floats:
+    def draws(self, level: LatentNumber) -> Floats:
         """Draws (M,) of a latent number, or of a scatter."""
         if level in self.levels:
             return np.asarray(self.w[:, self.levels.index(level)])
@@ -81,11 +81,11 @@ class SeriesPosterior:
         """Draws (M, k) of a contact's coordinates where all effects are zero."""
         columns = []
         for name in self.model.names:
-            own, mean = self.draws(Level("contact", name, contact)), Level("mean", name)
+            own, mean = self.draws(LatentNumber("contact", name, contact)), LatentNumber("mean", name)
             columns.append(own + self.draws(mean) if mean in self.levels else own)
         return np.stack(columns, axis=1)
 
-    def estimate(self, level: Level) -> Estimate:
+    def estimate(self, level: LatentNumber) -> Estimate:
         """Mean and standard deviation."""
         return self.moments(self.draws(level))
 
@@ -116,7 +116,7 @@ class SeriesPosterior:
         return np.asarray(self.weight @ self._by_run[0])
 
     @cached_property
-    def of_runs(self) -> tuple[Floats, Floats]:
+    def run_values(self) -> tuple[Floats, Floats]:
         """Values of every run (R, k) as the series has them, and their standard uncertainties.
 
         The run's own scatter is in them; NaN where nothing is known of a coordinate.
@@ -127,7 +127,7 @@ class SeriesPosterior:
 
     @cached_property
     def _by_run(self) -> tuple[Floats, ...]:
-        return in_parts(self.design, partial(_of_runs, self.design), self.h, self.w)
+        return in_parts(self.design, partial(_run_posteriors, self.design), self.h, self.w)
 
     @cached_property
     def residuals(self) -> Floats:
@@ -160,7 +160,7 @@ class SeriesPosterior:
         return more / len(which)
 
 
-def _of_runs(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
+def _run_posteriors(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
     """For given draws the chances (M, R) of the runs to be bad, means and variances (M, R, k) of their own
     values."""
     found, variance = spread(design, h, w), between_runs(design, h)[:, None]
@@ -255,7 +255,7 @@ def _students(rng: np.random.Generator, shape: tuple[int, int], tails: float) ->
 
 
 @dataclass(frozen=True)
-class Sampled:
+class SampledPosterior:
     """A posterior by a sampler.
 
     `r_hat` and `effective` are by level: the ratio of scatters between and within independent halves of
@@ -263,8 +263,8 @@ class Sampled:
     """
 
     posterior: SeriesPosterior
-    r_hat: Mapping[Level, float]
-    effective: Mapping[Level, float]
+    r_hat: Mapping[LatentNumber, float]
+    effective: Mapping[LatentNumber, float]
 
     @property
     def settled(self) -> bool:
@@ -273,7 +273,7 @@ class Sampled:
 
 def sample_series(
     runs: Sequence[CompressedRun], model: SeriesModel, *, steps: int = 1000, seed: int = 1
-) -> Sampled:
+) -> SampledPosterior:
     """Draws of the full posterior by four independent ensembles of walkers about Laplace's maximum.
 
     Raises ConfigurationError where emcee is not installed, or the model has no scatter.
@@ -313,7 +313,7 @@ def sample_series(
     h = flat[:: max(1, len(flat) // _KEPT)]
     posterior, _ = _weighted(rng, runs, model, design, found.w, h, log_marginal(design, h, found.w)[0])
     each = len(flat) / np.maximum(np.mean(times, axis=0).ravel(), 1.0)
-    return Sampled(
+    return SampledPosterior(
         posterior,
         {level: split_r_hat(there[..., place]) for place, level in enumerate(design.hyper)},
         dict(zip(design.hyper, each.tolist(), strict=True)),

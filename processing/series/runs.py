@@ -55,7 +55,7 @@ def parameters(names: Sequence[str], found: Floats, reference_rad: float) -> Flo
     return values
 
 
-class Side(StrEnum):
+class EndSide(StrEnum):
     """Which limit a censored value has."""
 
     UPPER = "upper"
@@ -66,7 +66,7 @@ class Bound(NamedTuple):
     """A value of which a run says only where it ends: softly, over `softness`, in coordinates."""
 
     limit: float
-    side: Side
+    side: EndSide
     softness: float
 
 

@@ -21,6 +21,7 @@ from processing.spot.fit_values import (
     TILTED,
     UPRIGHT,
     Fitted,
+    Image,
     Window,
     Workspace,
     X,
@@ -30,9 +31,8 @@ from processing.spot.fit_values import (
     solve,
 )
 from processing.spot.general_fit import window_of
-from processing.spot.prefetch import prefetch_window
+from processing.spot.scan import prefetch_window
 from processing.spot.sensor_model import PixelNoise, background_variance
-from processing.spot.spot import Image
 from processing.spot.tilted_score import information_tilted, score_tilted
 from processing.spot.upright_score import ALONG_Y, SMALLEST_SIGMA_PX, information, profile, score
 

@@ -21,6 +21,7 @@ from processing.spot.fit_values import (
     TILTED,
     TWO,
     Fitted,
+    Image,
     Place,
     Workspace,
     as_kind,
@@ -33,7 +34,6 @@ from processing.spot.fit_values import (
 from processing.spot.general_fit import fit_general
 from processing.spot.outcome import Result, finish, significant, without_spot
 from processing.spot.sensor_model import PixelNoise, pixel_noise_of
-from processing.spot.spot import Image
 
 SEARCH = -1
 """Returned in place of the flags if the spot was not found where the fit began."""

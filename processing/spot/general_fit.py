@@ -41,6 +41,7 @@ from processing.spot.fit_values import (
     UPRIGHT,
     Fitted,
     HalfPlane,
+    Image,
     Window,
     Workspace,
     X,
@@ -50,7 +51,6 @@ from processing.spot.fit_values import (
     solve,
 )
 from processing.spot.sensor_model import PixelNoise, background_variance
-from processing.spot.spot import Image
 
 _PASSES = 80
 _SWINGING = 12

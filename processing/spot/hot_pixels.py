@@ -22,13 +22,13 @@ from processing.spot.fit_values import (
     STEP_X,
     STEP_Y,
     TWO,
+    Image,
     Place,
     X,
     Y,
 )
 from processing.spot.following import SEARCH
 from processing.spot.outcome import FLAGS, Result
-from processing.spot.spot import Image
 
 _MARGIN_PX = 2
 """Beyond the window of the fit: no more than what a record keeps, so that a replay fits the same pixels."""

@@ -13,10 +13,9 @@ from statistics import median
 import numpy as np
 
 from processing.arrays import Floats
-from processing.spot.fit_values import misfit_limit
+from processing.spot.fit_values import Image, Spot, SpotFlag, misfit_limit
 from processing.spot.profile import ROUNDS, BeamProfile, Sample, Shape, learn
 from processing.spot.sensor_model import PixelNoise
-from processing.spot.spot import Image, Spot, SpotFlag
 
 _EVERY = 4
 _MOST_SAMPLES, _FEWEST_SAMPLES = 32, 16

@@ -27,6 +27,7 @@ from processing.spot.fit_values import (
     UPRIGHT,
     Fitted,
     HalfPlane,
+    Image,
     Window,
     Workspace,
     X,
@@ -37,7 +38,6 @@ from processing.spot.fit_values import (
 )
 from processing.spot.general_fit import fit_general, inverse_covariance, window_of
 from processing.spot.sensor_model import PixelNoise, background_variance
-from processing.spot.spot import Image
 
 WHOLE, CUT, HIDDEN = range(3)
 """No obstacle; cut, and fitted to what is left; cut, and too little is left."""

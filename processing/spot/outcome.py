@@ -23,7 +23,9 @@ from processing.spot.fit_values import (
     SIGMA_Y,
     UPRIGHT,
     Fitted,
+    Image,
     Place,
+    SpotFlag,
     Workspace,
     X,
     Y,
@@ -39,7 +41,6 @@ from processing.spot.fit_values import (
 from processing.spot.general_fit import fit_general, inverse_covariance, score_general, window_of
 from processing.spot.obstacle import CUT, FEWEST_OUTLIERS, HIDDEN, fit_uncovered
 from processing.spot.sensor_model import PixelNoise, background_variance
-from processing.spot.spot import Image, SpotFlag
 
 Result = tuple[float, float, float, float, float, float, float, float, float, float, int]
 """Fields of a `Spot` in order. It is a plain tuple because numba returns that faster than a NamedTuple."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats, Singles
-from processing.spot.fit_values import GATE, misfit_limit, poor_fit_limit
+from processing.spot.fit_values import GATE, Image, misfit_limit, poor_fit_limit
 from processing.spot.hot_pixels import HotPixels
 from processing.spot.outcome import principal_axes
 from processing.spot.profile_fit import (
@@ -25,7 +25,6 @@ from processing.spot.profile_fit import (
     spline_weights,
 )
 from processing.spot.sensor_model import LEAST_VARIANCE_DN2, PixelNoise
-from processing.spot.spot import Image
 
 REACH = 4.5
 """Half-width of the fitted window in standard deviations of the Gaussian that fits the beam best."""
@@ -217,7 +216,7 @@ class _MeanResidual:
         start_x = self._profile.centre[0] - (fit.p[CENTRE_X] - sample.origin_px[0])
         start_y = self._profile.centre[1] - (fit.p[CENTRE_Y] - sample.origin_px[1])
         residual = _residual(self._profile, sample, fit, self._noise, start_x, start_y)
-        at_nodes = _of_four(
+        at_nodes = _four_pixel_sums(
             residual, _cubic(math.ceil(start_x) - start_x), _cubic(math.ceil(start_y) - start_y)
         )
         # interpolation begins at the second pixel
@@ -276,7 +275,7 @@ def _spline_between(spline: Singles, phase_x: float, phase_y: float) -> Floats:
     slopes = np.empty(4, dtype=np.float32)
     spline_weights(phase_x, weights[0], slopes)
     spline_weights(phase_y, weights[1], slopes)
-    return _of_four(spline, weights[0], weights[1])
+    return _four_pixel_sums(spline, weights[0], weights[1])
 
 
 def _cubic(t: float) -> list[float]:
@@ -289,7 +288,7 @@ def _cubic(t: float) -> list[float]:
     ]
 
 
-def _of_four(
+def _four_pixel_sums(
     image: Singles | Floats, along_x: Sequence[float] | Singles, along_y: Sequence[float] | Singles
 ) -> Floats:
     """Sums of four neighbours along x and y with these weights; the first is that of the first four."""

@@ -18,7 +18,10 @@ from processing.spot.fit_values import (
     STEP_X,
     STEP_Y,
     TWO,
+    Image,
     Place,
+    Spot,
+    SpotFlag,
     X,
     Y,
     poor_fit_limit,
@@ -28,7 +31,6 @@ from processing.spot.outcome import principal_axes
 from processing.spot.profile import BeamProfile, ProfileFit, dark_variance, fit_at
 from processing.spot.profile_fit import CENTRE_X, CENTRE_Y, FITTED, LEVEL, LIGHT, SLOPE_X, SLOPE_Y
 from processing.spot.sensor_model import PixelNoise
-from processing.spot.spot import Image, Spot, SpotFlag
 
 _ALIKE = 2.0
 """The amplitude changes by less than this factor from frame to frame, or the fit has met something else."""

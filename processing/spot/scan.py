@@ -4,10 +4,59 @@ The frame is divided into bands of BAND_ROWS rows. A scan reduces every band to 
 column, the highest value met. The brightest place is then located in the few rows so obtained.
 """
 
+from collections.abc import Callable
+from typing import Any, cast
+
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.extending import intrinsic
+
 from processing.arrays import Ints
 from processing.kernel import kernel
-from processing.spot.prefetch import LINE_BYTES, prefetch, prefetch_window
-from processing.spot.spot import Image
+from processing.spot.fit_values import Image
+
+LINE_BYTES = 64
+_READ, _KEEP, _DATA = 0, 3, 1
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _prefetch(typing_context: Any, image: Any, place: Any) -> Any:
+    """Generate the LLVM prefetch instruction for `prefetch`."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        address = builder.bitcast(builder.gep(array.data, [arguments[1]]), ir.IntType(8).as_pointer())
+        number = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [address.type, number, number, number])
+        function = builder.module.declare_intrinsic("llvm.prefetch", [address.type], kind)
+        builder.call(function, [address, number(_READ), number(_KEEP), number(_DATA)])
+        return context.get_dummy_value()
+
+    return types.void(image, types.intp), generate
+
+
+prefetch = cast(Callable[[Image, int], None], _prefetch)
+"""Start loading the cache line of an image element; the index counts elements in C order.
+
+It can be called from compiled code only. It is a hint to the processor and has no effect on the result, also
+for an index beyond the end of the image.
+"""
+
+
+@kernel
+def prefetch_window(image: Image, x0: int, y0: int, nx: int, ny: int) -> None:
+    """Start loading nx x ny pixels from (x0, y0) on.
+
+    The processor's own prefetching does not recognise the rows of a window, which are far apart in memory.
+    """
+    width = image.shape[1]
+    in_a_line = LINE_BYTES // image.itemsize
+    for y in range(y0, y0 + ny):
+        first = y * width + x0
+        for place in range(first, first + nx, in_a_line):
+            prefetch(image, place)
+        prefetch(image, first + nx - 1)
+
 
 BAND_ROWS = 32
 BAND_STEP = 256
@@ -106,7 +155,7 @@ def _highest_of_three(line: Image, first: int, count: int) -> int:
 
 
 @kernel
-def of_three(image: Image, x: int, y: int) -> int:
+def lowest_of_three(image: Image, x: int, y: int) -> int:
     """Lowest of a pixel and its neighbours to the left and right: a hot pixel does not raise it."""
     return int(min(min(image[y, x - 1], image[y, x]), image[y, x + 1]))
 
@@ -118,7 +167,7 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
     Returns
     -------
     peak, x, y
-        Value of `of_three` there, in DN, and the position in px.
+        Value of `lowest_of_three` there, in DN, and the position in px.
     """
     ny, nx = image.shape
     width = bands.shape[1] - 2
@@ -146,7 +195,7 @@ def brightest(image: Image, bands: Image) -> tuple[int, int, int]:
     # Along y also take the middle of a plateau. One row more on either side, in case the border of two bands
     # cuts through the spot.
     for y in range(max(0, band * BAND_ROWS - 1), min(ny, (band + 1) * BAND_ROWS + 1)):
-        value = of_three(image, x, y)
+        value = lowest_of_three(image, x, y)
         if value > peak:
             peak = value
             first = y

@@ -17,19 +17,19 @@ from processing.spot.fit_values import (
     SECOND_Y,
     SIGMA_X,
     SIGMA_Y,
+    Image,
     X,
     Y,
 )
-from processing.spot.prefetch import prefetch_window
 from processing.spot.scan import (
     background_of,
     brightest,
     brightest_block,
-    of_three,
+    lowest_of_three,
+    prefetch_window,
     scan_every_row,
     scan_some_rows,
 )
-from processing.spot.spot import Image
 
 _WIDTH_OF_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
 """Full width at half maximum of a Gaussian, in standard deviations."""
@@ -99,7 +99,7 @@ def start_on_chords(image: Image, x: int, y: int, background: float, peak: int, 
         if not width_y >= 2.0:
             return False
         y = min(max(round(centre_y), 0), ny - 1)
-        peak = max(peak, of_three(image, x, y))
+        peak = max(peak, lowest_of_three(image, x, y))
     p[AMPLITUDE] = peak - background
     p[X] = centre_x
     p[Y] = centre_y
@@ -237,7 +237,7 @@ def _climb(image: Image, peak: int, x: int, y: int) -> tuple[int, int]:
         moved = False
         for yy in (y - 1, y + 1):
             if 0 <= yy < ny:
-                value = of_three(image, x, yy)
+                value = lowest_of_three(image, x, yy)
                 if value > peak:
                     peak = value
                     y = yy

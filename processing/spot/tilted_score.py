@@ -23,6 +23,7 @@ from processing.spot.fit_values import (
     SIGMA_X,
     SIGMA_Y,
     TILTED,
+    Image,
     Window,
     X,
     Y,
@@ -30,7 +31,6 @@ from processing.spot.fit_values import (
 )
 from processing.spot.general_fit import inverse_covariance, score_general
 from processing.spot.sensor_model import PixelNoise
-from processing.spot.spot import Image
 
 _PARTS = 32.0
 _FAR = np.float32(20.7 / _PARTS)

@@ -25,7 +25,10 @@ from processing.spot.fit_values import (
     TILT_HINTS,
     TWO,
     WORKSPACE_SHAPE,
+    Image,
     Place,
+    Spot,
+    SpotFlag,
     X,
     Y,
     empty_memory,
@@ -38,7 +41,6 @@ from processing.spot.profile import Shape
 from processing.spot.profile_follower import ProfileFollower
 from processing.spot.scan import BAND_ROWS, BAND_STEP, SAMPLES
 from processing.spot.sensor_model import SensorModel
-from processing.spot.spot import Image, Spot, SpotFlag
 from processing.spot.start import AREAS, BLOCK, EVERY_ROW, SEEN, SOME_ROWS, find_start
 from processing.spot.upright_score import TABLE_ROWS
 

@@ -11,8 +11,17 @@ import numpy as np
 
 from processing.arrays import Floats, Singles
 from processing.kernel import kernel
-from processing.spot.fit_values import AMPLITUDE, BACKGROUND, COVARIANCE, SIGMA_X, SIGMA_Y, TILTED, X, Y
-from processing.spot.spot import Image
+from processing.spot.fit_values import (
+    AMPLITUDE,
+    BACKGROUND,
+    COVARIANCE,
+    SIGMA_X,
+    SIGMA_Y,
+    TILTED,
+    Image,
+    X,
+    Y,
+)
 
 SMALLEST_SIGMA_PX = 1.5
 """Smallest sigma for which the expansion of the pixel integral in the pixel's width is accurate enough."""

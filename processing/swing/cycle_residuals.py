@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from processing.arrays import Floats
 from processing.deflections import Deflections, joined
-from processing.robust import MAD_TO_SIGMA
+from processing.noise_models import MAD_TO_SIGMA
 from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
@@ -28,7 +28,7 @@ from processing.swing.half_cycle import (
     tabulated,
 )
 from processing.swing.prediction import KnownMotion
-from processing.swing.swing import Swing
+from processing.swing.swing import HalfCycle
 from processing.swing.waveform import SHAPES, zero_phases
 from processing.units import NS_PER_S, seconds
 
@@ -77,7 +77,7 @@ class CycleWatch:
         Frequency and waveform, fitted to all of them.
     """
 
-    def __init__(self, swings: Sequence[Swing], motion: KnownMotion) -> None:
+    def __init__(self, swings: Sequence[HalfCycle], motion: KnownMotion) -> None:
         self._motion = motion
         self._pairs = _pairs(swings)
         self._half_ns = round(NS_PER_S * math.pi / motion.rate_rad_per_s)
@@ -111,9 +111,9 @@ class CycleWatch:
         self._kept = [kept]
 
 
-def _pairs(swings: Sequence[Swing]) -> list[tuple[Swing, Swing]]:
-    pairs: list[tuple[Swing, Swing]] = []
-    before: Swing | None = None
+def _pairs(swings: Sequence[HalfCycle]) -> list[tuple[HalfCycle, HalfCycle]]:
+    pairs: list[tuple[HalfCycle, HalfCycle]] = []
+    before: HalfCycle | None = None
     for swing in swings:
         if swing.flags:
             before = None
@@ -125,7 +125,7 @@ def _pairs(swings: Sequence[Swing]) -> list[tuple[Swing, Swing]]:
     return pairs
 
 
-def _residuals(samples: Deflections, first: Swing, motion: KnownMotion) -> CycleResiduals | None:
+def _residuals(samples: Deflections, first: HalfCycle, motion: KnownMotion) -> CycleResiduals | None:
     state = motion.put_into(np.zeros(STATES))
     state[AMPLITUDE], state[CENTRE] = first.amplitude, first.centre
     tau_s = seconds(samples.times_ns - first.turn_time_ns)

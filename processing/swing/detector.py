@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from processing.deflections import Deflections
-from processing.swing.follower import Follower
+from processing.swing.follower import OscillationTracker
 from processing.swing.half_cycle_fit import HalfCycleFit
 from processing.swing.judgement import turned
 from processing.swing.modes import separate_modes
 from processing.swing.onset import FirstHalfCycle, Onset, OnsetSearch
 from processing.swing.prediction import KnownMotion
 from processing.swing.sample_buffer import SampleBuffer
-from processing.swing.swing import Swing, SwingFlag
+from processing.swing.swing import HalfCycle, HalfCycleFlag
 from processing.units import nanoseconds, seconds
 
 _OFF = 0.05
@@ -26,7 +26,7 @@ _GROWN, _SHRUNK = 1.02, 0.8
 applies per half period."""
 
 
-class SwingDetector:
+class TurningPointDetector:
     """Finds every half-cycle of a decaying oscillation while the samples arrive.
 
     Period, centre, damping, dry friction, anharmonic stiffness, a drift of the rest position and a second,
@@ -35,12 +35,12 @@ class SwingDetector:
     half-cycle only, from zero crossing to zero crossing; the other parameters come mainly from the
     half-cycles before. Errors of neighbouring half-cycles are therefore nearly independent. Errors
     of friction and stiffness shift the times of many half-cycles in common, by less than their
-    uncertainties; if the motion is `known`, there are no such shifts (see `processing.fit.remeasure`).
+    uncertainties; if the motion is `known`, there are no such shifts (see `processing.fit.refinement`).
 
     The first four half-cycles are returned together, each later one with the first sample after its end.
 
-    `Swing.index` counts half periods and continues through a release or a kick. Half-cycles with too few
-    samples are missing, doubtful ones are flagged (`SwingFlag`). After three disturbed half-cycles in a
+    `HalfCycle.index` counts half periods and continues through a release or a kick. Half-cycles with too few
+    samples are missing, doubtful ones are flagged (`HalfCycleFlag`). After three disturbed half-cycles in a
     row a new search for the oscillation starts at the first of them.
 
     The result does not depend on how the samples are divided into blocks. Memory is bounded.
@@ -66,14 +66,14 @@ class SwingDetector:
         self._samples = SampleBuffer()
         self._known = known
         self._search: OnsetSearch | None = OnsetSearch(self._samples, 0, known=known)
-        self._follower: Follower | None = None
-        self._before: Follower | None = None
+        self._follower: OscillationTracker | None = None
+        self._before: OscillationTracker | None = None
         self._half_period_s = math.nan
-        self._last: Swing | None = None
-        self._last_good: Swing | None = None
-        self._broken_off: Swing | None = None
+        self._last: HalfCycle | None = None
+        self._last_good: HalfCycle | None = None
+        self._broken_off: HalfCycle | None = None
 
-    def update(self, times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[Swing]:
+    def update(self, times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[HalfCycle]:
         """Add samples and return the half-cycles that they complete.
 
         Parameters
@@ -91,12 +91,12 @@ class SwingDetector:
         self._samples.append(times_ns, deflection, u_deflection)
         return self._process(final=False)
 
-    def finish(self) -> list[Swing]:
+    def finish(self) -> list[HalfCycle]:
         """End of the record: return the last half-cycle, although it is incomplete, if it was measured."""
         return self._process(final=True)
 
-    def _process(self, final: bool) -> list[Swing]:
-        swings: list[Swing] = []
+    def _process(self, final: bool) -> list[HalfCycle]:
+        swings: list[HalfCycle] = []
         while True:
             if self._search is not None:
                 onset = self._search.advance(final)
@@ -106,7 +106,7 @@ class SwingDetector:
             elif self._follower is None or not self._follow(self._follower, swings, final):
                 return swings
 
-    def _begin(self, onset: Onset, swings: list[Swing]) -> None:
+    def _begin(self, onset: Onset, swings: list[HalfCycle]) -> None:
         """Report the half-cycles of a new oscillation and start following it."""
         if math.isnan(self._half_period_s):
             self._half_period_s = onset.half_period_s
@@ -124,12 +124,12 @@ class SwingDetector:
                 self._broken_off = None
             self._emit(index, first.half.reference_ns, first.half.side, first.result, flags, swings)
         self._search = None
-        self._follower = Follower(
+        self._follower = OscillationTracker(
             onset, index, self._before, drive=0.0 if self._known is None else self._known.drive
         )
         self._samples.forget_before(self._samples.position(self._follower.start_ns))
 
-    def _continuation(self, before: Swing, first: FirstHalfCycle) -> SwingFlag:
+    def _continuation(self, before: HalfCycle, first: FirstHalfCycle) -> HalfCycleFlag:
         """Flag START if the motion after a disturbance differs from the motion before it; otherwise no flag.
 
         It is the same if the time since the last good turning point is a whole number of half periods with
@@ -140,9 +140,9 @@ class SwingDetector:
         off = abs(math.remainder(halves - int(first.half.side != before.side), 2.0))
         grown = first.result.amplitude > before.amplitude * _GROWN
         shrunk = first.result.amplitude < before.amplitude * _SHRUNK ** max(halves, 1.0)
-        return SwingFlag.START if off > _OFF or grown or shrunk else SwingFlag(0)
+        return HalfCycleFlag.START if off > _OFF or grown or shrunk else HalfCycleFlag(0)
 
-    def _index_after(self, last: Swing, time_ns: int, side: int) -> int:
+    def _index_after(self, last: HalfCycle, time_ns: int, side: int) -> int:
         """Index of the first half-cycle after an interruption.
 
         The last index plus the nearest number of half periods that is odd if the sides differ, even if not.
@@ -151,7 +151,7 @@ class SwingDetector:
         odd = int(side != last.side)
         return last.index + 2 * round((halves - odd) / 2) + odd
 
-    def _follow(self, follower: Follower, swings: list[Swing], final: bool) -> bool:
+    def _follow(self, follower: OscillationTracker, swings: list[HalfCycle], final: bool) -> bool:
         """Measure the present half-cycle if all its samples have arrived; False if not."""
         if self._samples.last_ns < (follower.start_ns if final else follower.end_ns):
             return False
@@ -186,15 +186,15 @@ class SwingDetector:
         reference_ns: int,
         side: int,
         result: HalfCycleFit,
-        flags: SwingFlag,
-        swings: list[Swing],
+        flags: HalfCycleFlag,
+        swings: list[HalfCycle],
     ) -> None:
         turn_ns = reference_ns + nanoseconds(result.time_s)
         half_period, u_half_period = math.nan, math.nan
         if self._last is not None and self._last.index == index - 1:
             half_period = seconds(turn_ns - self._last.turn_time_ns)
             u_half_period = math.hypot(result.u_time_s, self._last.u_turn_time_s)
-        self._last = Swing(
+        self._last = HalfCycle(
             index=index,
             turn_time_ns=turn_ns,
             u_turn_time_s=float(result.u_time_s),
@@ -211,15 +211,15 @@ class SwingDetector:
         swings.append(self._last)
 
 
-def swings_of(times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[Swing]:
-    """All half-cycles of samples that are there as a whole; see `SwingDetector.update`."""
-    detector = SwingDetector()
+def swings_of(times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[HalfCycle]:
+    """All half-cycles of samples that are there as a whole; see `TurningPointDetector.update`."""
+    detector = TurningPointDetector()
     return [*detector.update(times_ns, deflection, u_deflection), *detector.finish()]
 
 
-def swings_of_blocks(blocks: Iterable[Deflections], known: KnownMotion | None = None) -> list[Swing]:
+def swings_of_blocks(blocks: Iterable[Deflections], known: KnownMotion | None = None) -> list[HalfCycle]:
     """All half-cycles of deflections along the slow axis, in pieces that need not be in memory together."""
-    detector = SwingDetector(known)
+    detector = TurningPointDetector(known)
     found = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
     return [*found, *detector.finish()]
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from processing.arrays import Matrix
 from processing.swing.arc import Arc, HalfCycleSamples, state_on_arc
-from processing.swing.driven_walk import DrivenWalk
 from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,
@@ -29,8 +28,8 @@ from processing.swing.half_cycle_fit import HalfCycleFit, excess, fit_half_cycle
 from processing.swing.judgement import judge
 from processing.swing.noise import SampleNoise
 from processing.swing.onset import Onset
-from processing.swing.prediction import SLOPE_WANDER, predict
-from processing.swing.swing import SwingFlag
+from processing.swing.prediction import SLOPE_WANDER, DrivenWalk, predict
+from processing.swing.swing import HalfCycleFlag
 from processing.swing.term_selection import ANHARMONIC, FAST_MODE, bent, extend, prior
 from processing.swing.waveform import DAMPING, RISE
 from processing.units import nanoseconds, seconds
@@ -82,11 +81,11 @@ _BLUR = 0.1
 lost."""
 
 
-class Follower:
+class OscillationTracker:
     """State of the oscillation, carried from half-cycle to half-cycle."""
 
     def __init__(
-        self, onset: Onset, index: int, before: "Follower | None" = None, drive: float = 0.0
+        self, onset: Onset, index: int, before: "OscillationTracker | None" = None, drive: float = 0.0
     ) -> None:
         """Start from a newly found oscillation; `index` is the index of its last half-cycle.
 
@@ -142,26 +141,30 @@ class Follower:
         blurred = math.sqrt(self._covariance[TIME, TIME]) > _BLUR * self.half_period_s
         return blurred or self.misses >= _PATIENCE
 
-    def take(self, half: HalfCycleSamples) -> tuple[HalfCycleFit, SwingFlag]:
+    def take(self, half: HalfCycleSamples) -> tuple[HalfCycleFit, HalfCycleFlag]:
         """Measure the present half-cycle, update the state unless it was disturbed, and go on to the next.
 
         Returns the measurement and its flags; 0 if nothing was wrong.
         """
         result = self._measure(half, self._covariance)
         flags = self._judge(result)
-        if not result.valid or flags & SwingFlag.VIBRATION or result.normalised_innovation > _JUMP:
+        if not result.valid or flags & HalfCycleFlag.VIBRATION or result.normalised_innovation > _JUMP:
             # the rest position may have moved: test whether that explains the misfit
             again = self._measure_moved_rest(half)
             flags_again = self._judge(again)
-            if again.valid and not flags_again & SwingFlag.VIBRATION and again.normalised_innovation < _JUMP:
+            if (
+                again.valid
+                and not flags_again & HalfCycleFlag.VIBRATION
+                and again.normalised_innovation < _JUMP
+            ):
                 result, flags = again, flags_again
                 self._drift_noise = max(self._drift_noise, 100.0) * 10.0
-        fine = result.valid and not flags & SwingFlag.VIBRATION
+        fine = result.valid and not flags & HalfCycleFlag.VIBRATION
         if fine and self._drive_begins(result):
             result = self._measure(half, self._covariance)
             flags = self._judge(result)
-            fine = result.valid and not flags & SwingFlag.VIBRATION
-        if result.valid and not flags & SwingFlag.GAP:
+            fine = result.valid and not flags & HalfCycleFlag.VIBRATION
+        if result.valid and not flags & HalfCycleFlag.GAP:
             self.noise.learn(result)
         if self._history is not None:
             self._history.append(half if fine else _empty(half))
@@ -218,9 +221,9 @@ class Follower:
         loose[DRIFT, DRIFT] += (shift / self.half_period_s) ** 2
         return self._measure(half, loose)
 
-    def _judge(self, result: HalfCycleFit) -> SwingFlag:
+    def _judge(self, result: HalfCycleFit) -> HalfCycleFlag:
         if not result.valid:
-            return SwingFlag.GAP
+            return HalfCycleFlag.GAP
         return judge(result, self.noise.level, float(self._x[TIME]), self.half_period_s)
 
     def _learn_drift_noise(self, result: HalfCycleFit) -> None:
@@ -238,13 +241,13 @@ class Follower:
             elif self._correction < 1.0:
                 self._drift_noise = max(self._drift_noise * 0.8, 1.0)
 
-    def _learn(self, result: HalfCycleFit) -> SwingFlag:
+    def _learn(self, result: HalfCycleFit) -> HalfCycleFlag:
         jumped = result.normalised_innovation > _JUMP and self._mean_innovation < _INCONSISTENT
         if jumped and self._age < _SETTLED:
             # too early to distinguish a kick from a wrong model at the start: search again
             self.misses = _PATIENCE
             self.first_miss_ns = self.start_ns
-            return SwingFlag.VIBRATION
+            return HalfCycleFlag.VIBRATION
         self._learn_drift_noise(result)
         self._drift_noise = min(self._drift_noise, self.walk.most_drift_noise(self._resolution))
         if self.noise.level.colour > 1.0:
@@ -261,14 +264,14 @@ class Follower:
             self._process_noise = max(self._process_noise * 0.9, 1.0)
         if jumped:
             self._accept_jump(result)
-            return SwingFlag.START
+            return HalfCycleFlag.START
         self._refit()
         # The model is nearly linear in the damping, which changes considerably over a long decay: expand
         # about its present value at every step.
         self._anchor[SHAPE + DAMPING] = self._x[SHAPE + DAMPING]
         if self.index in _ANCHORS:
             self._anchor = self._x.copy()
-        return SwingFlag(0)
+        return HalfCycleFlag(0)
 
     def _drive_begins(self, result: HalfCycleFit) -> bool:
         """Learn the drive; where it begins to be seen, forget what the motion without one seemed to be."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from processing.arrays import Ints, Matrix, Vector
 from processing.kernel import kernel
-from processing.robust import MAD_TO_SIGMA
+from processing.noise_models import MAD_TO_SIGMA
 from processing.swing.half_cycle import (
     AMPLITUDE,
     CENTRE,

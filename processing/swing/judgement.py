@@ -3,7 +3,7 @@
 from processing.swing.arc import HalfCycleSamples
 from processing.swing.half_cycle_fit import HalfCycleFit, excess, segment_size
 from processing.swing.noise import NoiseLevel
-from processing.swing.swing import SwingFlag
+from processing.swing.swing import HalfCycleFlag
 
 _EXCESS = 5.0
 """Chi-square, in standard deviations above its expectation, above which a half-cycle was disturbed."""
@@ -34,12 +34,12 @@ longer linear in it."""
 
 def judge(
     result: HalfCycleFit, noise: NoiseLevel, predicted_time_s: float, half_period_s: float
-) -> SwingFlag:
+) -> HalfCycleFlag:
     """Flags of a valid measurement; 0 if all checks are passed."""
-    flags = SwingFlag(0)
+    flags = HalfCycleFlag(0)
     spacing = half_period_s / (result.samples + 1)
     if result.samples < _FEWEST or result.hole_s > max(_HOLE * half_period_s, _HOLE_SPACINGS * spacing):
-        flags |= SwingFlag.GAP
+        flags |= HalfCycleFlag.GAP
     # of slow residuals fewer are independent, so that their chi-square scatters more
     degrees = max(max(result.samples - 2.0, 1.0) / noise.concentration, 1.0)
     high = excess(result.chi2 / noise.scale**2 / noise.concentration, degrees)
@@ -52,9 +52,9 @@ def judge(
         or result.outliers > _OUTLIERS * result.samples + 1
         or shifted
     ):
-        flags |= SwingFlag.VIBRATION
+        flags |= HalfCycleFlag.VIBRATION
     if result.amplitude < _FAINT * result.u_amplitude:
-        flags |= SwingFlag.LOW_AMPLITUDE
+        flags |= HalfCycleFlag.LOW_AMPLITUDE
     return flags
 
 

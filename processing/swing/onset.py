@@ -17,10 +17,17 @@ from processing.swing.half_cycle import AMPLITUDE, RATE, TIME
 from processing.swing.half_cycle_fit import HalfCycleFit, fit_half_cycle
 from processing.swing.judgement import judge, turned
 from processing.swing.noise import NoiseLevel
-from processing.swing.pivots import FOUND, FOUND_TIME, SEARCH_STATE, Pivot, regular, search
 from processing.swing.prediction import KnownMotion, window
-from processing.swing.sample_buffer import SampleBuffer
-from processing.swing.swing import SwingFlag
+from processing.swing.sample_buffer import (
+    FOUND,
+    FOUND_TIME,
+    SEARCH_STATE,
+    Pivot,
+    SampleBuffer,
+    regular,
+    search,
+)
+from processing.swing.swing import HalfCycleFlag
 from processing.swing.term_selection import choose, first_guess
 from processing.units import nanoseconds, seconds
 
@@ -59,7 +66,7 @@ class FirstHalfCycle:
 
     half: HalfCycleSamples
     result: HalfCycleFit
-    flags: SwingFlag
+    flags: HalfCycleFlag
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +233,7 @@ def _fit(
         x, covariance * scale**2, x, float(half.side), arc.reference, arc.active, scale, True, start, end,
         half.tau_s, half.deflection, half.u_deflection,
     )  # fmt: skip
-    flags = SwingFlag(0)
+    flags = HalfCycleFlag(0)
     if result.valid:
         flags = judge(result, NoiseLevel(scale), float(x[TIME]), math.pi / float(x[RATE]))
     return FirstHalfCycle(half, result, flags)
@@ -259,6 +266,6 @@ def _measure_before(
         return None
     away = abs(found.result.amplitude - x[AMPLITUDE])
     is_other = away > max(_OTHER * x[AMPLITUDE], _OTHER_U * found.result.u_amplitude)
-    if is_other or found.flags & SwingFlag.VIBRATION:
-        return replace(found, flags=found.flags & ~SwingFlag.VIBRATION | SwingFlag.START)
+    if is_other or found.flags & HalfCycleFlag.VIBRATION:
+        return replace(found, flags=found.flags & ~HalfCycleFlag.VIBRATION | HalfCycleFlag.START)
     return found

@@ -10,7 +10,7 @@ from processing.arrays import Floats, Ints
 from processing.units import seconds
 
 
-class SwingFlag(IntFlag):
+class HalfCycleFlag(IntFlag):
     """Problems found with a half-cycle, one bit each; 0 if there are none. Fits ignore flagged ones."""
 
     GAP = 1
@@ -26,7 +26,7 @@ class SwingFlag(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class Swing:
+class HalfCycle:
     """One half-cycle.
 
     `index` counts half-cycles from the first one, including missing ones, so that a difference of indices is
@@ -34,7 +34,7 @@ class Swing:
     `amplitude` (positive) and `centre` have the unit of the deflection; the deflection at the turning point
     is ``centre + side * amplitude``, where side is +1 or -1 and alternates with the index. `half_period_s` is
     the time since the previous turning point, NaN for the first one and after a missing one. `u_` marks
-    standard uncertainties. `flags` is a `SwingFlag`.
+    standard uncertainties. `flags` is a `HalfCycleFlag`.
     """
 
     index: int
@@ -71,7 +71,7 @@ class TurningPoints:
         return TurningPoints(*(getattr(self, column.name)[:count] for column in fields(self)))
 
 
-def turning_points(swings: Sequence[Swing]) -> TurningPoints:
+def turning_points(swings: Sequence[HalfCycle]) -> TurningPoints:
     """Unflagged swings as arrays; times are relative to the first of them."""
     good = [swing for swing in swings if swing.flags == 0]
     turn_time_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)

@@ -24,8 +24,8 @@ from processing.swing.half_cycle import (
     tabulated,
 )
 from processing.swing.mode_fit import line
-from processing.swing.pivots import Pivot
 from processing.swing.prediction import KnownMotion
+from processing.swing.sample_buffer import Pivot
 from processing.swing.waveform import BEND, DAMPING, DRY, RISE, SHAPES, STIFF, N, P
 from processing.units import seconds
 

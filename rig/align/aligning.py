@@ -14,8 +14,7 @@ from rich.style import Style
 from rich.text import Text
 
 from acquisition import atomic_write
-from acquisition.camera import Camera, CameraInfo, CameraSettings
-from acquisition.frame import Frame
+from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
 from acquisition.frames.queue import FrameQueue
 from processing.errors import ConfigurationError, DeviceError
 from processing.spot import Spot, SpotTracker

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraSettings
-from acquisition.frame import Image
+from acquisition.camera import CameraSettings, Image
 from processing.spot import Spot, SpotFlag, SpotTracker
 from rig.devices import PictureFigures, picture
 from rig.instrument import beam_quality

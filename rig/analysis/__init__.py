@@ -1,17 +1,24 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
-from rig.analysis.compared_laws import chosen_laws, with_laws
+from rig.analysis.compared_laws import Curves, ModelCurve, chosen_laws, curves_of, model_curves, with_laws
 from rig.analysis.contact_fits import loss_of, settled_swings
-from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, MomentsWithoutLaw
+from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, ModelFreeMoments
 from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, contact_values
-from rig.analysis.curves import Curves, ModelCurve, curves_of, model_curves
+from rig.analysis.decay_values import INSTRUMENT, InstrumentResults, InstrumentSeries
 from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table, waveform_table
-from rig.analysis.instrument_results import INSTRUMENT, InstrumentResults, InstrumentSeries
+from rig.analysis.half_cycle_fits import clock_rate_of
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.record_fit import analyse_record, analyse_run
-from rig.analysis.recorded_witness import taken
-from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, WithRows, named
+from rig.analysis.recorded_seismometer import (
+    evidence_of,
+    expected_drag,
+    known_drag,
+    recorded_surroundings,
+    stated_surroundings,
+    taken,
+)
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named
 from rig.analysis.results import (
     AveragedCurves,
     PositionErrors,
@@ -42,15 +49,7 @@ from rig.analysis.run_remarks import (
     whole_result,
 )
 from rig.analysis.screen import TableFit, fit_envelope_table, fit_several, fit_trajectory, print_results
+from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.series import AnalysedRun, combined_series, refuse_copies, refuse_unread, session_results
-from rig.analysis.surroundings import (
-    evidence_of,
-    expected_drag,
-    known_drag,
-    recorded_surroundings,
-    stated_surroundings,
-)
-from rig.analysis.swings_fit import clock_rate_of
 from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory
 from rig.analysis.turning_plane import PlaneBalances, follow_plane
-from rig.analysis.witness_file import StatedWitness

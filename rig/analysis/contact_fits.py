@@ -17,10 +17,10 @@ from processing.fit import (
     FitMethod,
     FitOfSwings,
     FitResult,
-    Linearised,
+    LinearisedFit,
     PlaceErrors,
+    SeismometerUse,
     Witness,
-    WitnessUse,
     alternation_of,
     describes_as_well,
     domain_warnings,
@@ -43,19 +43,19 @@ from processing.least_squares import Loss
 from processing.position_map import PositionMap, PositionMapSearch
 from processing.swing import (
     CycleWatch,
+    HalfCycle,
     HarmonicsWatch,
     KnownMotion,
-    Swing,
     SwingHarmonics,
     TurningPoints,
     with_learned_weights,
 )
-from rig.analysis.surroundings import OPEN_DRAG, FittedDrag, evidence_of
-from rig.analysis.witness_file import WitnessRecord
+from rig.analysis.recorded_seismometer import OPEN_DRAG, FittedDrag, evidence_of
+from rig.analysis.seismometer_file import SeismometerRecord
 from rig.settings import FitSettings
 
 
-class Settled(NamedTuple):
+class RefinedHalfCycles(NamedTuple):
     """Half-cycles, and the motion on which they were measured again; None: they are as detected.
 
     `exact` is the fit to them, where one was made, and `doubt` says why they were not measured again.
@@ -64,7 +64,7 @@ class Settled(NamedTuple):
     there have to be deflections in rad.
     """
 
-    swings: Sequence[Swing]
+    swings: Sequence[HalfCycle]
     motion: KnownMotion | None
     exact: FitResult | None = None
     doubt: str = ""
@@ -73,14 +73,14 @@ class Settled(NamedTuple):
 
 
 def settled_swings(
-    swings: Sequence[Swing],
+    swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     unit: DeflectionUnit,
     pendulum: PendulumOnBall | None,
     settings: FitSettings,
     clock_rate: float = 1.0,
     drag: FittedDrag = OPEN_DRAG,
-) -> Settled:
+) -> RefinedHalfCycles:
     """The half-cycles as they stand once the motion is known from all of them.
 
     `blocks` are consecutive deflections, in `unit`, in which the swings were detected; they pass once for
@@ -92,7 +92,7 @@ def settled_swings(
     the two differ. One repetition is enough: a second one shifts them by some hundredths of an uncertainty.
     """
     if pendulum is None or unit is not DeflectionUnit.RAD:
-        return Settled(swings, None)
+        return RefinedHalfCycles(swings, None)
     swings = with_learned_weights(swings)
     harmonics = _harmonics_of(blocks, swings)
     fit = FitOfSwings(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
@@ -100,12 +100,14 @@ def settled_swings(
         first = fit.of(swings)
         motion = fit.motion(first, swings)
     except DataError:
-        return Settled(swings, None, harmonics=harmonics)
+        return RefinedHalfCycles(swings, None, harmonics=harmonics)
     watch = CycleWatch(swings, motion)
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
     again = measured_again(swings, _watched(blocks, watch, search), motion)
-    settled = Settled(*settled_by_either(swings, blocks, motion, first, fit, again), harmonics=harmonics)
+    settled = RefinedHalfCycles(
+        *settled_by_either(swings, blocks, motion, first, fit, again), harmonics=harmonics
+    )
     found = search.found()
     if found is None:
         return settled
@@ -129,14 +131,14 @@ def _watched(
 
 
 def _without_position_errors(
-    swings: Sequence[Swing],
+    swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     motion: KnownMotion,
     before: FitResult,
     found: PositionMap,
     fit: FitOfSwings,
     drag: FittedDrag,
-) -> Settled | None:
+) -> RefinedHalfCycles | None:
     """Measured again in deflections without the map's errors; None where the laws describe that worse.
 
     The motion was fitted with the errors in it, and is therefore fitted and used once more, and so is the
@@ -164,11 +166,11 @@ def _without_position_errors(
         left = _place_errors(found, again, exact, fit).of_parameters
     except DataError:
         return None
-    return Settled(again, motion, exact.with_term(PLACE, left), "", final, harmonics)
+    return RefinedHalfCycles(again, motion, exact.with_term(PLACE, left), "", final, harmonics)
 
 
 def _with_what_is_left(
-    found: PositionMap, blocks: Iterable[Deflections], swings: Sequence[Swing], motion: KnownMotion
+    found: PositionMap, blocks: Iterable[Deflections], swings: Sequence[HalfCycle], motion: KnownMotion
 ) -> PositionMap:
     """The map with what the deflections without its errors show of others.
 
@@ -182,7 +184,7 @@ def _with_what_is_left(
     return found if more is None else found.with_more(more)
 
 
-def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[Swing]) -> SwingHarmonics:
+def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) -> SwingHarmonics:
     watch = HarmonicsWatch(swings)
     for block in blocks:
         watch.update(block)
@@ -190,7 +192,7 @@ def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[Swing]) -> Swi
 
 
 def _place_errors(
-    found: PositionMap, swings: Sequence[Swing], exact: FitResult, fit: FitOfSwings
+    found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: FitOfSwings
 ) -> PlaceErrors:
     """What the fit says of errors of place that the residuals leave open."""
     good = [swing for swing in swings if not swing.flags]
@@ -208,7 +210,7 @@ WitnessAt = Callable[[int], tuple[Witness, bool]]
 """A witness for a run whose first fitted turning point is at a time in ns, and whether its clock is known."""
 
 
-class WitnessedWith(NamedTuple):
+class SynchronisedSeismometer(NamedTuple):
     """A witness on the clock of a run's turning points, and whether that is known."""
 
     witness: Witness
@@ -216,14 +218,14 @@ class WitnessedWith(NamedTuple):
 
     def fit(
         self, points: TurningPoints, pendulum: PendulumOnBall, alone: FitResult
-    ) -> tuple[FitResult, WitnessUse]:
+    ) -> tuple[FitResult, SeismometerUse]:
         """The exact fit with the witness; the one without it where the witness does not pay."""
         found = fit_with_witness(points, pendulum, self.witness, alone, offset_known=self.clock_known)
         fit = found.fit.with_terms_of(alone, PLACE) if found.use.used else found.fit
         return fit, found.use
 
 
-def of_source(use: WitnessUse | None, record: WitnessRecord | None) -> WitnessUse | None:
+def with_source(use: SeismometerUse | None, record: SeismometerRecord | None) -> SeismometerUse | None:
     """The same with where it came from, and what was read there."""
     if use is None or record is None:
         return use
@@ -239,8 +241,8 @@ def fit_decay(
     drag: bool = True,
     evidence: Evidence = NO_EVIDENCE,
     drifts: Mapping[str, float] | None = None,
-    witness: WitnessedWith | None = None,
-) -> tuple[Mapping[str, FitResult], TurningPoints, WitnessUse | None]:
+    witness: SynchronisedSeismometer | None = None,
+) -> tuple[Mapping[str, FitResult], TurningPoints, SeismometerUse | None]:
     """Asymptotic and exact fit of turning points, by name; the points that were fitted; a witness's use.
 
     `exact` is the exact fit of these points where it has been made; otherwise a `drag` is fitted or not, and
@@ -254,8 +256,8 @@ def fit_decay(
     loss, printed_curvature = loss_of(settings), settings.printed_055
     if exact is None:
         exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
-    exact, points = _of_one_moment(points, pendulum, exact)
-    steeper = steeper_drag(Linearised.of(points, pendulum, exact)) if exact.has_drag else None
+    exact, points = _without_row_times(points, pendulum, exact)
+    steeper = steeper_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
     asymptotic = fit_asymptotic(
         points,
         pendulum,
@@ -266,7 +268,7 @@ def fit_decay(
     )
 
     def judged(fit: FitResult) -> FitResult:
-        fit = _judged(Linearised.of(points, pendulum, fit), drifts, settings)
+        fit = _judged(LinearisedFit.of(points, pendulum, fit), drifts, settings)
         fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
         return fit if steeper is None else with_steeper_drag(fit, steeper)
 
@@ -281,7 +283,7 @@ def fit_decay(
     return {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}, points, use
 
 
-def _of_one_moment(
+def _without_row_times(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
 ) -> tuple[FitResult, TurningPoints]:
     """The fit and its points without row times of a shutter that nobody stated, where it has any."""
@@ -296,7 +298,7 @@ def _of_one_moment(
     return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once
 
 
-def _judged(at: Linearised, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
+def _judged(at: LinearisedFit, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
     """A fit with what it does not describe: drifts, errors of the law, changes during the run.
 
     Each is found beside the fit as it ended, so that their order does not matter; what smooth errors of the

@@ -87,14 +87,14 @@ class LawFit:
 
 @dataclass(frozen=True, slots=True)
 class LawMoments:
-    """Both moments of a fitted law, in the terms of `MomentsWithoutLaw`."""
+    """Both moments of a fitted law, in the terms of `ModelFreeMoments`."""
 
     friction_n_m: Floats
     elastic_n_m: Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MomentsWithoutLaw:
+class ModelFreeMoments:
     """Friction against the motion and elastic moment at the angles `phi_rad`, as splines of the angle.
 
     `u_friction_n_m` and `u_elastic_n_m` are standard uncertainties: bands that cover 68 %. A moment
@@ -137,5 +137,5 @@ class ComparedLaws:
 
     laws: Mapping[str, LawFit]
     verdict: str
-    without_law: MomentsWithoutLaw | None = None
+    without_law: ModelFreeMoments | None = None
     waveform: tuple[WaveformClass, ...] = ()

@@ -30,7 +30,7 @@ from processing.fit import (
     FitQuality,
     FitResult,
     InputQuantity,
-    Linearised,
+    LinearisedFit,
     RigQuantities,
     Work,
     budgets,
@@ -48,8 +48,8 @@ from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis.contact_results import Correlation, Fit
+from rig.analysis.recorded_seismometer import limit_sentence
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row, result_rows, withheld
-from rig.analysis.surroundings import limit_sentence
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
@@ -153,7 +153,7 @@ def contact_values(
     tables: Mapping[str, Budget] = {}
     if rig is not None:
         drifts = drifts_of(points, pendulum, exact)
-        by_inputs = {**drifts, **by_sensor(Linearised.of(points, pendulum, exact), rig)}
+        by_inputs = {**drifts, **by_sensor(LinearisedFit.of(points, pendulum, exact), rig)}
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
             by_plane = by_amplitude_errors(points, pendulum, exact, plane_errors)
             by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u

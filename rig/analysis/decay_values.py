@@ -1,18 +1,20 @@
 """What every decay has, whether or not a law can be fitted: period, decrement, damping, in its own unit."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from math import hypot, pi
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 
-from processing.damping import PARTS, Damping, fit_damping
+from processing.damping import PARTS, DampingTerms, fit_damping
 from processing.decay_summary import DecaySummary, summarise_decay
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
+from processing.instruments import Check
 from processing.quantity import OWN, PART, PER, Quantity
 from processing.swing import TurningPoints
+from rig.analysis.encoding import Floats
 from rig.analysis.result_rows import ResultRow, plain_row
 
 _SHOWN = 9
@@ -47,7 +49,7 @@ class AmplitudeDamping:
 
 
 def amplitude_damping(
-    damping: Damping, frequency_hz: float | None, shown: Callable[[float], float] = float
+    damping: DampingTerms, frequency_hz: float | None, shown: Callable[[float], float] = float
 ) -> AmplitudeDamping:
     """The parts and the curve; `shown` brings an amplitude into the unit in which it is kept."""
     amplitudes = damping.amplitudes(_SHOWN)
@@ -166,3 +168,49 @@ def _damping(points: TurningPoints, summary: DecaySummary, unit_size: float) -> 
     except DataError:
         return None
     return amplitude_damping(found, 1.0 / summary.period_s.value)
+
+
+INSTRUMENT: Final = "instrument"
+"""Of a row that another kind of pendulum reports; behind a comma follows the part of the decay."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InstrumentResults:
+    """One run of another kind of pendulum, whose numbers are rows of the table of results.
+
+    `checks` compare environment and apparatus with the standard. `curves` are columns of equal length: of
+    `period` full periods against amplitude beside the law of circular error and its first term, `decrement`
+    the log decrement of a whole swing against amplitude, `plane` the direction of the swing plane in time.
+    """
+
+    kind: str
+    curves: Mapping[str, Mapping[str, Floats]] = field(default_factory=dict)
+    checks: tuple[Check, ...] = ()
+    text: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MeanOverPlaces:
+    """Mean over the places of a sample; `u_shared` is the part of its uncertainty that all places share."""
+
+    value: Annotated[float, PART]
+    standard_uncertainty: Annotated[float, PART]
+    places: int
+    spread: Annotated[float, PART]
+    expanded_uncertainty_95: Annotated[float, PART]
+    u_shared: Annotated[float, PART] = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InstrumentSeries:
+    """Places on a sample against the glass plate or reference sample of the same series."""
+
+    kind: str
+    time_s: MeanOverPlaces | None = None
+    swings: MeanOverPlaces | None = None
+    problem: str | None = None
+    reference_time_s: Estimate | None = None
+    acceptance: tuple[Check, ...] | None = None
+    ratio: Estimate | None = None
+    ratio_of_swings: Estimate | None = None
+    text: tuple[str, ...] = ()

@@ -106,7 +106,7 @@ def _listed(values: NDArray[Any]) -> list[Any]:
 
 
 @dataclass(frozen=True)
-class Beside:
+class MergedField:
     """Annotation of a dataclass: the entries of its mapping `field` stand beside its own keys in the file.
 
     The field is marked by `Entries`. So ``fits.exact`` holds ``b``, ``p``, ... next to ``chi2_per_dof``.
@@ -181,4 +181,4 @@ Pendulum = Annotated[PendulumOnBall, AfterValidator(_possible_pendulum)]
 Floats = Annotated[NDArray[np.float64], _Array(float)]
 Integers = Annotated[NDArray[np.int64], _Array(int)]
 Entries = Field(json_schema_extra={"x-entries": True})
-"""Marks the mapping whose entries stand `Beside` the keys of its dataclass, for the JSON schema."""
+"""Marks the mapping whose entries stand `MergedField` the keys of its dataclass, for the JSON schema."""

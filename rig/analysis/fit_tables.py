@@ -19,7 +19,7 @@ from rig.analysis.contact_results import (
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.run_remarks import dominant_text, has_apparatus
-from rig.presentation import Cell, Line, Table, decimals, plain, quantity
+from rig.presentation import Cell, Table, TableRow, decimals, plain, quantity
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
@@ -49,14 +49,14 @@ def parameter_table(run: RunResults, *, full: bool = True) -> Table:
             texts.append(plain(alone, 2) if alone > 0 else "")
             texts += ["" if isnan(one.value) else row.shown.text(*one) for one in found]
         is_whole = item is not None and row.determined and has_apparatus(item)
-        lines.append(Line(cells, [*texts, dominant_text(item) if item is not None and is_whole else ""]))
+        lines.append(TableRow(cells, [*texts, dominant_text(item) if item is not None and is_whole else ""]))
     head = ["", "value", "unit", *(["u of the swings", *map(_heading, others)] if full else []), _SOURCES]
     if not any(line.shown[-1] for line in lines):
         head, lines = head[:-1], [line._replace(shown=line.shown[:-1]) for line in lines]
     return Table.of(
         "parameters", "Parameters of the contact, exact fit",
         (*_COLUMNS, *(column for method in others for column in (method, f"u_{method}"))),
-        tuple(head), lines, _of_whole(run),
+        tuple(head), lines, _whole_result_text(run),
     )  # fmt: skip
 
 
@@ -64,7 +64,7 @@ _SOURCES = "main sources of its variance"
 _COLUMNS = ("parameter", "value", "u", "u_total", "lower_95", "upper_95", "verdict", "unit")
 
 
-def _of_whole(run: RunResults) -> str:
+def _whole_result_text(run: RunResults) -> str:
     whole = any(has_apparatus(item) for item in run.budget.values())
     of = (
         "swings and apparatus together"
@@ -85,13 +85,13 @@ def combined_table(results: SessionResults) -> Table | None:
         found = [run.rows.get(whole.quantity) for _, run in runs] + [whole]
         cells: list[Cell] = [whole.quantity, *(number for row in found for number in (row or (nan, nan)))]
         texts = ["" if row is None else row.text for row in found]
-        lines.append(Line(cells, [whole.shown.symbol, *texts, whole.shown.unit]))
+        lines.append(TableRow(cells, [whole.shown.symbol, *texts, whole.shown.unit]))
     heads = [f"run {number}" for number, _ in runs]
     return Table.of(
         "combined", "Parameters of the contact, exact fits",
         ("parameter", *(column for head in (*heads, "together") for column in (head, f"u_total_{head}"))),
         ("", *heads, "together", "unit"), lines,
-        f"{_of_whole(runs[0][1])} Together, also of what scatters between the runs.",
+        f"{_whole_result_text(runs[0][1])} Together, also of what scatters between the runs.",
     )  # fmt: skip
 
 
@@ -146,12 +146,12 @@ def law_table(compared: ComparedLaws) -> Table:
         measures = (law.bic_above_best, law.aic_above_best, law.log_odds_against)
         cells: list[Cell] = [name, *measures, law.ground_rad_per_s2_rthz, law.waveform_chance, law.problem]
         if law.problem:
-            lines.append(Line(cells, [name, law.title, *[""] * 5, law.problem.partition(";")[0]]))
+            lines.append(TableRow(cells, [name, law.title, *[""] * 5, law.problem.partition(";")[0]]))
             continue
         texts = [*(decimals(one, 1) for one in measures), plain(law.ground_rad_per_s2_rthz, 2)]
         left = "as noise" if law.residuals_are_noise else "more than noise"
         verdict = f"{left}; {'excluded' if law.excluded else 'remains'}"
-        lines.append(Line(cells, [name, law.title, *texts, plain(law.waveform_chance, 2), verdict]))
+        lines.append(TableRow(cells, [name, law.title, *texts, plain(law.waveform_chance, 2), verdict]))
     return Table.of(
         "laws",
         "Laws of the contact",
@@ -192,7 +192,7 @@ def waveform_table(compared: ComparedLaws) -> Table:
             texts = [f"{1e3 * size / ARCSEC_RAD:.2f}" for size in sizes]
             texts[0] += f" ± {1e3 * u / ARCSEC_RAD:.2f}"
             shown = [f"{one.amplitude_rad / ARCSEC_RAD:.1f}", *texts] if order == 3 else ()
-            lines.append(Line([one.amplitude_rad, order, u, *parts], shown))
+            lines.append(TableRow([one.amplitude_rad, order, u, *parts], shown))
     columns = [f"{name}_{part}_rad" for name in ("measured", *names) for part in ("cosine", "sine")]
     return Table.of(
         "waveform", "Third harmonic of the swing, mas",

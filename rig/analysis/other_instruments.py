@@ -7,6 +7,7 @@ from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
+from processing.ambient import AmbientConditions
 from processing.arrays import Floats as Array
 from processing.contact import measured_losses
 from processing.decay_summary import mean_period
@@ -21,8 +22,8 @@ from processing.instruments import (
     Description,
     FrictionLaw,
     Limits,
-    Reading,
     SharedError,
+    ValueWithSharedErrors,
     check,
     circular_error,
     damping,
@@ -36,10 +37,9 @@ from processing.instruments import (
     with_release,
     with_shared,
 )
-from processing.surroundings import Surroundings
-from processing.swing import Swing, SwingFlag, TurningPoints
+from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints
 from processing.units import seconds
-from rig.analysis.instrument_results import INSTRUMENT, InstrumentResults
+from rig.analysis.decay_values import INSTRUMENT, InstrumentResults
 from rig.analysis.result_rows import ResultRow, plain_row
 from rig.analysis.turning_plane import FollowedPlane
 from rig.presentation import with_uncertainty
@@ -79,7 +79,7 @@ def report_of_kind(
     points: TurningPoints,
     report: Report,
     errors: Sequence[SharedError],
-) -> Mapping[str, Reading]:
+) -> Mapping[str, ValueWithSharedErrors]:
     """Add what this kind reports; returns what a series takes of it.
 
     `errors` are those that runs may share. Raises DataError where a report cannot be had.
@@ -118,7 +118,7 @@ def report_of_kind(
 
 def _evaluated(
     reduce: Callable[[TurningPoints], Found], points: TurningPoints, errors: Sequence[SharedError]
-) -> tuple[Found, Mapping[str, Reading]]:
+) -> tuple[Found, Mapping[str, ValueWithSharedErrors]]:
     """With what the ground, the scale and the clock add to every uncertainty."""
     return with_shared(reduce, points, errors, with_drive(reduce, points))
 
@@ -248,15 +248,15 @@ class Reduction:
     values: InstrumentResults
     rows: Sequence[ResultRow]
     points: TurningPoints
-    swings: Sequence[Swing]
+    swings: Sequence[HalfCycle]
     problem: str = ""
-    readings: Mapping[str, Reading] = field(default_factory=dict)
+    readings: Mapping[str, ValueWithSharedErrors] = field(default_factory=dict)
 
 
 def reduce_run(
     settings: InstrumentSettings,
     followed: FollowedPlane,
-    air: Surroundings,
+    air: AmbientConditions,
     errors: Sequence[SharedError] = (),
     clock_rate: float = 1.0,
     run: str = "",
@@ -292,7 +292,7 @@ def reduce_run(
             swings = _from_the_release(swings, deflections, lines)
     points = points_in_true_time(swings, clock_rate)
     errors = [*errors, *_errors_of_plane(followed, points)]
-    readings: Mapping[str, Reading] = {}
+    readings: Mapping[str, ValueWithSharedErrors] = {}
     try:
         if followed.problem:
             raise DataError(followed.problem)
@@ -342,21 +342,23 @@ def _errors_of_plane(followed: FollowedPlane, points: TurningPoints) -> list[Sha
 
 
 def _with_inferred(
-    swings: Sequence[Swing], deflections: Deflections, lines: list[str]
-) -> tuple[Sequence[Swing], int | None]:
+    swings: Sequence[HalfCycle], deflections: Deflections, lines: list[str]
+) -> tuple[Sequence[HalfCycle], int | None]:
     """Half-cycles whose turning point lay off the sensor are added; how many, None where none is."""
     off = inferred_swings(deflections.times_ns, deflections.y, deflections.u_y)
     if not off:
         return swings, None
     joined = joined_swings(swings, off)
-    kept = sum(bool(swing.flags & SwingFlag.INFERRED) for swing in joined)
+    kept = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in joined)
     lines.append(
         f"{kept} of {len(joined)} turning points lay off the sensor, inferred from the crossings' speeds"
     )
-    return [replace(swing, flags=swing.flags & ~int(SwingFlag.INFERRED)) for swing in joined], kept
+    return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in joined], kept
 
 
-def _from_the_release(swings: Sequence[Swing], deflections: Deflections, lines: list[str]) -> Sequence[Swing]:
+def _from_the_release(
+    swings: Sequence[HalfCycle], deflections: Deflections, lines: list[str]
+) -> Sequence[HalfCycle]:
     """With the release as the first turning point, where it was recorded; that it was not is said."""
     found = with_release(deflections.times_ns, deflections.y, deflections.u_y, swings)
     if found is not None:
@@ -366,7 +368,7 @@ def _from_the_release(swings: Sequence[Swing], deflections: Deflections, lines: 
             f"released {with_uncertainty(float(at_s), u_s)} s after the first sample, at {angle} degrees"
         )
         return found
-    if any(swing.flags & SwingFlag.START for swing in swings):
+    if any(swing.flags & HalfCycleFlag.START for swing in swings):
         lines.append(
             "the release itself is disturbed or was not recorded: the first swing is that from the first "
             "turning point seen"
@@ -374,7 +376,9 @@ def _from_the_release(swings: Sequence[Swing], deflections: Deflections, lines: 
     return swings
 
 
-def _held_against_air(description: Description, air: Surroundings, lines: list[str]) -> tuple[Check, ...]:
+def _held_against_air(
+    description: Description, air: AmbientConditions, lines: list[str]
+) -> tuple[Check, ...]:
     wanted = (
         ("temperature", air.temperature_c, description.temperature_c, "°C"),
         ("humidity", air.humidity_percent, description.humidity_percent, "%"),

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from acquisition.record.digest import RecordedCamera
 from acquisition.record.events import end_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
@@ -17,20 +17,19 @@ from processing.fit import (
     Witness,
 )
 from processing.spot import BeamUse
-from processing.swing import Swing, swings_of_blocks
-from rig.analysis.contact_fits import of_source
+from processing.swing import HalfCycle, swings_of_blocks
+from rig.analysis.contact_fits import with_source
+from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import (
     Changed,
     PassingDeflections,
     less_beam_motion,
     without_fixed_light,
 )
-from rig.analysis.recorded_witness import recorded_witness
+from rig.analysis.recorded_seismometer import doubts_of, recorded_surroundings, recorded_witness
 from rig.analysis.run_conditions import Beam, run_clock, run_conditions
+from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
-from rig.analysis.surroundings import doubts_of, recorded_surroundings
-from rig.analysis.swings_fit import analyse_swings
-from rig.analysis.witness_file import Begin, WitnessRecord
 from rig.instrument import (
     inputs_sha256,
     judge_calibration,
@@ -38,7 +37,7 @@ from rig.instrument import (
     recorded_configuration,
     run_balance_verdicts,
 )
-from rig.settings import Configuration, Watched
+from rig.settings import Configuration, KeyUseMonitor
 
 
 def analyse_record(
@@ -46,7 +45,7 @@ def analyse_record(
     overrides: Sequence[str] = (),
     *,
     air_known: bool = True,
-    witness: WitnessRecord | None = None,
+    witness: SeismometerRecord | None = None,
 ) -> AnalysedRun:
     """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit.
 
@@ -57,7 +56,7 @@ def analyse_record(
         config = recorded_configuration(reader, overrides)
         if not air_known:
             config = config.model_copy(update={"fit": config.fit.opened})
-        watched = Watched(config, overrides, "rig replay takes the recorded motion again")
+        watched = KeyUseMonitor(config, overrides, "rig replay takes the recorded motion again")
         # what this reads, the recorded deflections were made with
         optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
         watched.refuse_read()
@@ -98,13 +97,13 @@ class _RecordedDeflections:
 def analyse_run(
     reader: RecordReader,
     config: Configuration,
-    swings: Sequence[Swing],
+    swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     unit: DeflectionUnit,
     beam: BeamUse,
     dropped: Callable[[int], int],
     *,
-    witness: WitnessRecord | None = None,
+    witness: SeismometerRecord | None = None,
 ) -> AnalysedRun:
     """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it.
 
@@ -130,9 +129,9 @@ def analyse_run(
     def beside(turn_time_ns: int) -> tuple[Witness, bool]:
         assert of_ground is not None
         if own is not None:
-            return own.beside(Begin(turn_time_ns))
+            return own.beside(FitStart(turn_time_ns))
         in_file_ns = turn_time_ns - deflections.first_ns
-        return of_ground.beside(Begin(in_file_ns, turn_time_ns + reader.epoch_offset_ns))
+        return of_ground.beside(FitStart(in_file_ns, turn_time_ns + reader.epoch_offset_ns))
 
     at = None if of_ground is None else beside
     run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, at)
@@ -157,7 +156,7 @@ def analyse_run(
         calibration=calibration,
         ended=None if end is None else end.text,
         inputs_sha256={**inputs_sha256(reader), **run.results.inputs_sha256},
-        witness=of_source(run.results.witness, of_ground),
+        witness=with_source(run.results.witness, of_ground),
         surroundings=surroundings,
         clock=clock,
         conditions=run_conditions(

@@ -11,7 +11,7 @@ from processing.estimate import NOT_DETERMINED, WELL_DETERMINED, Determinacy, Es
 from processing.fit import Budget, Determination, FitMethod, FitResult
 from processing.quantity import OF, Quantity
 from processing.series import Combined
-from rig.presentation import Shown, interval, law_parameters, plain, quantity, unit_of
+from rig.presentation import QuantityDisplay, interval, law_parameters, plain, quantity, unit_of
 
 SURFACE_ENERGY: Final = "surface_energy_table2_j_per_m2"
 ENERGIES: Final = (SURFACE_ENERGY, "surface_energy_eq2_j_per_m2")
@@ -64,7 +64,7 @@ class ResultRow:
         return self.verdict is Determinacy.DETERMINED
 
     @property
-    def shown(self) -> Shown:
+    def shown(self) -> QuantityDisplay:
         """How a person reads it: symbol, unit, factor."""
         return quantity(self.quantity)
 
@@ -201,7 +201,7 @@ def _with_apparatus(row: ResultRow, item: Budget | None) -> ResultRow:
 
     Without value and uncertainty where they would not describe what is known.
     """
-    if item is not None and (part := item.of_apparatus) > 0:
+    if item is not None and (part := item.apparatus_u) > 0:
         lower, upper = _wider_ends(row, item.coverage_factor_95 * part)
         row = replace(row, u_total=hypot(row.u, part), lower=lower, upper=upper)
     return row if row.determined else replace(row, value=nan, u=nan, u_total=nan)
@@ -232,7 +232,7 @@ def withheld(budget: Mapping[str, Budget], rows: Sequence[ResultRow]) -> dict[st
     return {name: item if known.get(name, True) else item.shares_only() for name, item in budget.items()}
 
 
-class WithRows:
+class RowsByName:
     """What has a table of results gives its rows by name: ``results["b"]``, ``results["T0"]``."""
 
     __slots__ = ()

@@ -14,20 +14,19 @@ from typing import Annotated, TypeVar
 import numpy as np
 
 from acquisition.frames.losses import FrameLosses
+from processing.ambient import AmbientConditions
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
-from processing.fit import Budget, Drag, WitnessUse, Work
+from processing.fit import Budget, Drag, SeismometerUse, Work
 from processing.position_map import PositionMap
 from processing.quantity import IN_UNIT, STATED, Quantity
 from processing.series import Combined, Disagreement
-from processing.surroundings import Surroundings
-from processing.swing import KnownMotion, Swing, TurningPoints
+from processing.swing import HalfCycle, KnownMotion, TurningPoints
 from processing.units import seconds
 from rig.analysis.contact_results import ComparedLaws, Fit
-from rig.analysis.decay_values import AmplitudeDamping
-from rig.analysis.encoding import Beside, Entries, Floats, Integers, JsonObject, Pendulum
-from rig.analysis.instrument_results import InstrumentResults, InstrumentSeries
-from rig.analysis.result_rows import ResultRow, WithRows
+from rig.analysis.decay_values import AmplitudeDamping, InstrumentResults, InstrumentSeries
+from rig.analysis.encoding import Entries, Floats, Integers, JsonObject, MergedField, Pendulum
+from rig.analysis.result_rows import ResultRow, RowsByName
 from rig.analysis.run_conditions import Beam, RunClock
 from rig.presentation import Verdict
 
@@ -50,7 +49,7 @@ class StoredTurningPoints:
 
     Times are in true seconds from `first_ns`, the record's time of the first turning point. Amplitudes are
     in `unit`; for a table without an angle, in its `amplitude_unit`. `left_out_flags` are those of
-    `processing.swing.SwingFlag`.
+    `processing.swing.HalfCycleFlag`.
     """
 
     first_ns: int = 0
@@ -74,7 +73,7 @@ class StoredTurningPoints:
     def of(
         cls,
         points: TurningPoints,
-        swings: Sequence[Swing],
+        swings: Sequence[HalfCycle],
         unit: DeflectionUnit | TableUnit,
         clock_rate: float,
     ) -> "StoredTurningPoints":
@@ -173,7 +172,7 @@ class TableDecay:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class RunResults(WithRows):
+class RunResults(RowsByName):
     """Results of one run, or of one decay of a table; `problem` says in one line why a fit is missing.
 
     `record` is relative to the folder of the file where possible. `sha256` is its hash, `inputs_sha256` those
@@ -185,7 +184,7 @@ class RunResults(WithRows):
     factor (none where the decrement changes, is not told from nought, or is larger than pi), first and last
     amplitude, in arcsec, or in px for a record without a lever, or in the unit of a table.
     `measured_again_on` is the motion on which the fitted turning points were measured again (see
-    `processing.fit.remeasure`); None: they are as detected. `position_errors` were subtracted from the
+    `processing.fit.refinement`); None: they are as detected. `position_errors` were subtracted from the
     deflections before that; None if the run shows none. `laws` compares several laws, if requested.
     `adhesion` names the theory that the Tabor parameter selects for the contact spot, if c is determined and
     the spot's radius is Hertz's; the rows have the spot by every theory. `ended` is why the run ended, as its
@@ -209,7 +208,7 @@ class RunResults(WithRows):
     measured_again_on: KnownMotion | None = None
     amplitude_unit: str | None = None
     table: tuple[ResultRow, ...] = ()
-    fits: Mapping[str, Annotated[Fit, Beside("parameters")]] = field(default_factory=dict)
+    fits: Mapping[str, Annotated[Fit, MergedField("parameters")]] = field(default_factory=dict)
     problem: str = ""
     warnings: tuple[str, ...] = ()
     settings: JsonObject = field(default_factory=dict)
@@ -226,9 +225,9 @@ class RunResults(WithRows):
     position_errors: PositionErrors | None = None
     laws: ComparedLaws | None = None
     ended: str | None = None
-    surroundings: Surroundings | None = None
+    surroundings: AmbientConditions | None = None
     clock: RunClock | None = None
-    witness: WitnessUse | None = None
+    witness: SeismometerUse | None = None
     damping: Annotated[AmplitudeDamping | None, _IN_AMPLITUDE_UNIT] = None
     decay: TableDecay | None = None
 
@@ -274,7 +273,7 @@ class AveragedCurves:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Series(WithRows):
+class Series(RowsByName):
     """A series of runs: each fit's parameters combined, in `fits` by the fit's name.
 
     `combined_runs` are the numbers of the runs that could be fitted, counted from 1 among all, in the order
@@ -287,7 +286,7 @@ class Series(WithRows):
     fits: Annotated[Mapping[str, Mapping[str, Combined]], Entries] = field(default_factory=dict)
     budget: Mapping[str, Budget] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
-    averaged_curves: Annotated[AveragedCurves, Beside("parameters")] | None = None
+    averaged_curves: Annotated[AveragedCurves, MergedField("parameters")] | None = None
     problems: tuple[str, ...] = ()
     instrument: InstrumentSeries | None = None
 
@@ -297,7 +296,7 @@ class Series(WithRows):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class SessionResults(WithRows):
+class SessionResults(RowsByName):
     """results.json of one or more records, or of the decays of a table of positions of any instrument.
 
     By name it has the rows of its series, or of its first run with a fit: ``results["b"]``. Of a table
@@ -310,7 +309,7 @@ class SessionResults(WithRows):
     unit: str = ""
     understood: tuple[str, ...] = ()
     runs: tuple[RunResults, ...]
-    series: Annotated[Series, Beside("fits")] | None = None
+    series: Annotated[Series, MergedField("fits")] | None = None
 
     @property
     def numbers(self) -> tuple[int, ...]:

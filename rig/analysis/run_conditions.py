@@ -9,9 +9,9 @@ from typing import Annotated, Self
 
 import numpy as np
 
+from acquisition.record.digest import RecordedCamera
 from acquisition.record.events import Event, EventKind, end_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import CAMERA_STEP, CLOCK, ENVIRONMENT, RecordedClockStep
 from calibration import relate_clocks
 from processing.errors import DataError

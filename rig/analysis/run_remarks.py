@@ -17,10 +17,10 @@ from processing.fit import (
     FitMethod,
     Ground,
     Response,
-    WitnessUse,
+    SeismometerUse,
 )
 from rig.analysis.decay_values import DECAY, AmplitudeDamping
-from rig.analysis.recorded_witness import CLOCK_SET
+from rig.analysis.recorded_seismometer import CLOCK_SET
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import RunResults, Series
 from rig.presentation import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
@@ -323,13 +323,13 @@ _WELL = 1.05
 """Factor by which an uncertainty is smaller, from which on it is named."""
 
 
-def witness_sentences(use: WitnessUse) -> list[str]:
+def witness_sentences(use: SeismometerUse) -> list[str]:
     """What a witness told, or why it was refused; and what was left out where it was read."""
     lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
     return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
 
 
-def _told(use: WitnessUse) -> list[str]:
+def _told(use: SeismometerUse) -> list[str]:
     if not use.used:
         gain = use.gain_of_prediction
         judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from processing.decay_summary import DecayMean
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.fit import FitMethod
-from processing.swing import SwingFlag, turning_points
+from processing.swing import HalfCycleFlag, turning_points
 from processing.units import seconds
 from rig.analysis.compared_laws import chosen_laws
 from rig.analysis.decay_values import DECAY
@@ -20,6 +20,7 @@ from rig.analysis.fit_tables import combined_table, law_table, parameter_table, 
 from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults, TableDecay
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
 from rig.analysis.run_remarks import brief_remarks, damping_lines, decay_lines, remarks
+from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.table_fit import (
     AnalysedTable,
     FoundDecay,
@@ -27,11 +28,10 @@ from rig.analysis.table_fit import (
     analyse_trajectory,
     series_of_runs,
 )
-from rig.analysis.witness_file import StatedWitness
 from rig.instrument import fill_from_files
 from rig.intake import TableColumns, Trajectory
 from rig.presentation import answer, print_line, print_tables, with_uncertainty
-from rig.settings import Watched, load_configuration
+from rig.settings import KeyUseMonitor, load_configuration
 
 logger = logging.getLogger(__name__)
 
@@ -105,11 +105,11 @@ ReportWriter = Callable[[AnalysedTable, Path], Sequence[tuple[str, Path]]]
 """Writes the report of a table into a folder; what it made, by names."""
 ENVELOPES = ("amplitude", "power")
 _FLAGS = {
-    SwingFlag.GAP: "with a gap",
-    SwingFlag.VIBRATION: "disturbed",
-    SwingFlag.LOW_AMPLITUDE: "too small",
-    SwingFlag.START: "of a release or kick",
-    SwingFlag.INFERRED: "outside the sensor",
+    HalfCycleFlag.GAP: "with a gap",
+    HalfCycleFlag.VIBRATION: "disturbed",
+    HalfCycleFlag.LOW_AMPLITUDE: "too small",
+    HalfCycleFlag.START: "of a release or kick",
+    HalfCycleFlag.INFERRED: "outside the sensor",
 }
 
 
@@ -123,7 +123,7 @@ class TableFit(NamedTuple):
     overrides: Sequence[str] = ()
     report: ReportWriter | None = None
     laws: Sequence[str] = ()
-    witness: StatedWitness | None = None
+    witness: SeismometerSource | None = None
 
 
 def fit_trajectory(path: Path, output: Path | None, columns: TableColumns, wanted: TableFit) -> int:
@@ -186,7 +186,7 @@ def _fit(
     compared = chosen_laws(laws) if laws else ()
     if wanted.config_path:
         stated = load_configuration(wanted.config_path, wanted.overrides, needs_camera=False)
-        watched = Watched(stated, wanted.overrides, "a table holds neither frames nor spots")
+        watched = KeyUseMonitor(stated, wanted.overrides, "a table holds neither frames nor spots")
         table = analyse_trajectory(path, trajectory, fill_from_files(watched.config), compared, ground)
         if not table.longest.results.problem:
             watched.refuse_unread()

@@ -25,16 +25,16 @@ from processing.fit import (
     drifts_of,
     fit_asymptotic,
 )
-from processing.instruments import Check, Description, Reading, check, over_places, ratio
+from processing.instruments import Check, Description, ValueWithSharedErrors, check, over_places, ratio
 from processing.series import SeriesResult, average_curves, combine_runs
 from processing.swing import SwingHarmonics, TurningPoints
-from rig.analysis.instrument_results import InstrumentSeries, OverPlaces
+from rig.analysis.decay_values import InstrumentSeries, MeanOverPlaces
 from rig.analysis.other_instruments import Reduction
 from rig.analysis.result_rows import series_rows, withheld
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.presentation import with_uncertainty
-from rig.settings import InstrumentSettings, Watched
+from rig.settings import InstrumentSettings, KeyUseMonitor
 
 _PLANE: Final = "plane_of_swing_rad"
 
@@ -142,7 +142,7 @@ def _by_drifts(
     return {name: np.mean([drifts[name] for drifts in found], axis=0) for name in DRIFTS}
 
 
-_Readings = Sequence[Mapping[str, Reading]]
+_Readings = Sequence[Mapping[str, ValueWithSharedErrors]]
 
 
 def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> InstrumentSeries | None:
@@ -165,7 +165,7 @@ def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> Ins
         swings = _over_places(places, "swings", "swings", "", lines)
         found = replace(found, time_s=time_s, swings=swings)
     reference = _reference(settings, glass)
-    problem = _of_the_reference(settings, numbered)
+    problem = _reference_fault(settings, numbered)
     if reference is None:
         problem += ": no ratio"
         return replace(found, problem=problem, text=(*lines, problem))
@@ -184,11 +184,11 @@ def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> Ins
     return replace(found, text=tuple(lines))
 
 
-def _mean(readings: _Readings, name: str) -> Reading:
+def _mean(readings: _Readings, name: str) -> ValueWithSharedErrors:
     return over_places([one[name] for one in readings]).mean
 
 
-def _over_places(readings: _Readings, name: str, what: str, unit: str, lines: list[str]) -> OverPlaces:
+def _over_places(readings: _Readings, name: str, what: str, unit: str, lines: list[str]) -> MeanOverPlaces:
     places = over_places([one[name] for one in readings])
     mean = places.mean.estimate
     of = f"{places.number} place{'s' if places.number > 1 else ''}"
@@ -198,7 +198,7 @@ def _over_places(readings: _Readings, name: str, what: str, unit: str, lines: li
         if places.mean.u_shared > places.mean.own:
             line += f"; {places.mean.u_shared:.2g}{unit} of the uncertainty is common to all (scale, clock)"
     lines.append(line)
-    return OverPlaces(
+    return MeanOverPlaces(
         mean.value,
         mean.standard_uncertainty,
         places.number,
@@ -208,16 +208,16 @@ def _over_places(readings: _Readings, name: str, what: str, unit: str, lines: li
     )
 
 
-def _reference(settings: InstrumentSettings, glass: _Readings) -> Reading | None:
+def _reference(settings: InstrumentSettings, glass: _Readings) -> ValueWithSharedErrors | None:
     if glass:
         return _mean(glass, "time_s")
     if settings.reference_time_s is not None and not settings.reference_runs:
-        return Reading(settings.reference_time_s, settings.u_reference_time_s)
+        return ValueWithSharedErrors(settings.reference_time_s, settings.u_reference_time_s)
     return None
 
 
-def _of_the_reference(
-    settings: InstrumentSettings, numbered: Sequence[tuple[int, Mapping[str, Reading]]]
+def _reference_fault(
+    settings: InstrumentSettings, numbered: Sequence[tuple[int, Mapping[str, ValueWithSharedErrors]]]
 ) -> str:
     """What is wrong with the reference that is stated; empty: nothing."""
     stated = f"instrument.reference_runs = {list(settings.reference_runs)}"
@@ -268,7 +268,7 @@ class AnalysedRun:
     harmonics: SwingHarmonics | None = None
     decay_balances: Sequence[Balance] = ()
     plane: PlaneOfSwing | None = None
-    watched: Watched | None = None
+    watched: KeyUseMonitor | None = None
 
 
 def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:

@@ -19,9 +19,9 @@ from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from processing.fit import Witness
 from processing.swing import (
+    HalfCycle,
+    HalfCycleFlag,
     SampleScatter,
-    Swing,
-    SwingFlag,
     estimate_noise,
     estimate_scatter,
     swings_of,
@@ -30,9 +30,11 @@ from processing.swing import (
 )
 from processing.units import ARCSEC_RAD, seconds
 from rig.analysis.compared_laws import with_laws
-from rig.analysis.contact_fits import of_source
+from rig.analysis.contact_fits import with_source
 from rig.analysis.decay_values import DECAY, amplitude_damping, amplitude_rows, decay_values
+from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.recorded_seismometer import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.results import (
     EnvelopeResults,
     RunResults,
@@ -43,11 +45,9 @@ from rig.analysis.results import (
     TableUnit,
 )
 from rig.analysis.results_file import relative_record
+from rig.analysis.seismometer_file import FIRST_UTC_S, FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun, instrument_series
-from rig.analysis.surroundings import doubts_of, stated_surroundings, surroundings_of_table
-from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
-from rig.analysis.witness_file import FIRST_UTC_S, Begin, WitnessRecord
 from rig.intake import (
     TableColumns,
     Trajectory,
@@ -83,7 +83,7 @@ class FoundDecay:
     described.
     """
 
-    swings: Sequence[Swing]
+    swings: Sequence[HalfCycle]
     summary: DecaySummary
     results: RunResults
     fitted: AnalysedRun | None = None
@@ -96,7 +96,7 @@ class AnalysedTable:
     trajectory: Trajectory
     noise: float
     decays: Sequence[FoundDecay]
-    passed_over: Sequence[Sequence[Swing]]
+    passed_over: Sequence[Sequence[HalfCycle]]
     results: SessionResults
 
     @property
@@ -109,7 +109,7 @@ def analyse_table(
     path: Path,
     config: Configuration | None,
     columns: TableColumns,
-    witness: WitnessRecord | None = None,
+    witness: SeismometerRecord | None = None,
     laws: Sequence[Law | StatedLaw] = (),
 ) -> AnalysedTable:
     """Detect the swings of a trajectory, separate its decays, and report each as a run of the rig.
@@ -126,7 +126,7 @@ def analyse_trajectory(
     trajectory: Trajectory,
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw] = (),
-    witness: WitnessRecord | None = None,
+    witness: SeismometerRecord | None = None,
 ) -> AnalysedTable:
     """The same of positions that were read before, from a table or a film; `laws` are compared where one is
     fitted.
@@ -238,13 +238,13 @@ def analyse_envelope(
 
 def _analyse(
     path: Path,
-    swings: Sequence[Swing],
+    swings: Sequence[HalfCycle],
     trajectory: Trajectory,
     deflections: Deflections,
     scatter: SampleScatter,
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw],
-    witness: WitnessRecord | None,
+    witness: SeismometerRecord | None,
 ) -> FoundDecay:
     """One decay, by the same path as a record's."""
     u_common = trajectory.u_common_in_noises * scatter.noise
@@ -270,7 +270,7 @@ def _analyse(
             assert witness is not None
             in_file_ns = turn_time_ns + trajectory.first_ns
             absolute = seconds(trajectory.first_ns) > FIRST_UTC_S
-            return witness.beside(Begin(in_file_ns, in_file_ns if absolute else None))
+            return witness.beside(FitStart(in_file_ns, in_file_ns if absolute else None))
 
         at = None if witness is None else beside
         air = stated_surroundings(config)
@@ -285,7 +285,7 @@ def _analyse(
             followed=followed,
         )
         run = (with_laws(fitted, laws) if laws else fitted).results
-        run = replace(run, witness=of_source(run.witness, witness))
+        run = replace(run, witness=with_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
     # while the pendulum is held or pushed it does not swing
@@ -402,16 +402,16 @@ def _direction_warning(
     return direction_warning(trajectory.positions, inside)
 
 
-def separate_decays(swings: Sequence[Swing]) -> list[list[Swing]]:
+def separate_decays(swings: Sequence[HalfCycle]) -> list[list[HalfCycle]]:
     """The half-cycles of every decay, in order.
 
     A decay begins with the first half-cycle, with one in which the detector saw a release or a kick, and
     where an amplitude is clearly larger than the one before.
     """
-    decays: list[list[Swing]] = []
-    before: Swing | None = None
+    decays: list[list[HalfCycle]] = []
+    before: HalfCycle | None = None
     for swing in swings:
-        released = bool(swing.flags & SwingFlag.START) and before is not None
+        released = bool(swing.flags & HalfCycleFlag.START) and before is not None
         if not decays or released or (before is not None and _pushed(before, swing)):
             decays.append([])
             before = None
@@ -421,7 +421,7 @@ def separate_decays(swings: Sequence[Swing]) -> list[list[Swing]]:
     return decays
 
 
-def _pushed(before: Swing, swing: Swing) -> bool:
+def _pushed(before: HalfCycle, swing: HalfCycle) -> bool:
     """Whether an unflagged half-cycle is clearly larger than the unflagged one before it."""
     grown = swing.amplitude - before.amplitude
     return (

@@ -12,7 +12,7 @@ from calibration import Axes
 from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of_swing, square, turned
 from processing.decay_summary import mean_period
 from processing.deflections import Deflections
-from processing.swing import Swing, TurningPoints, swings_of_blocks, turning_points
+from processing.swing import HalfCycle, TurningPoints, swings_of_blocks, turning_points
 from processing.units import seconds
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.presentation import with_uncertainty
@@ -39,7 +39,7 @@ class FollowedPlane:
     pendulum's. `problem` says why nothing can be fitted, empty if it can.
     """
 
-    swings: Sequence[Swing]
+    swings: Sequence[HalfCycle]
     deflections: PassingDeflections
     balances: Sequence[Balance] = ()
     plane: PlaneOfSwing | None = None
@@ -118,7 +118,7 @@ def _oblique_rad(axes: Axes) -> float:
 
 
 def follow_plane(
-    swings: Sequence[Swing],
+    swings: Sequence[HalfCycle],
     deflections: PassingDeflections,
     axes: Axes | None,
     *,
@@ -165,12 +165,12 @@ def follow_plane(
         )
         return replace(found, plane=plane, problem=problem.replace("-", "−"))
     back = PassingDeflections(
-        _TurnedBack(deflections, plane, _oblique_rad(axes), along_line=along_line), deflections.unit
+        _RotatedDeflections(deflections, plane, _oblique_rad(axes), along_line=along_line), deflections.unit
     )
     return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)
 
 
-class _TurnedBack(Iterable[Deflections]):
+class _RotatedDeflections(Iterable[Deflections]):
     """Deflections along the axes that turn with the plane of swing."""
 
     def __init__(
@@ -186,7 +186,12 @@ class _TurnedBack(Iterable[Deflections]):
 
 
 def _matters(
-    plane: PlaneOfSwing, good: Sequence[Swing], balances: Sequence[Balance], axes: Axes, *, along_line: bool
+    plane: PlaneOfSwing,
+    good: Sequence[HalfCycle],
+    balances: Sequence[Balance],
+    axes: Axes,
+    *,
+    along_line: bool,
 ) -> bool:
     times_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)
     amplitude = np.array([swing.amplitude for swing in good])

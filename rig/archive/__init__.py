@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 from rig.archive.listing import list_runs, selected, show_runs
 
 if TYPE_CHECKING:
-    from rig.archive.refitting import client_of, refit_runs
-    from rig.archive.updating import add_folders, check_archive, update_archive
+    from rig.archive.updating import add_folders, check_archive, client_of, refit_runs, update_archive
 
 _LATER = {"add_folders": "updating", "check_archive": "updating", "update_archive": "updating"}
-_LATER |= {"client_of": "refitting", "refit_runs": "refitting"}
+_LATER |= {"client_of": "updating", "refit_runs": "updating"}
 """What takes seconds to import, for which `list` must not wait, by module."""
 
 

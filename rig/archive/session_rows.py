@@ -7,21 +7,20 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from acquisition.record import records_of, recovered_beside
-from acquisition.record.digest import known_sha256_of_any, sha256_of
+from acquisition.record.digest import known_sha256_of_any, sha256_of, utc
 from acquisition.record.events import CUT_SHORT, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW
-from acquisition.record.utc import utc
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from processing.quantity import Derived, quantities_of
+from processing.quantity import DerivedQuantity, quantities_of
 from processing.units import seconds
 from rig.analysis import RunResults, TableDecay, read_results, recorded_surroundings, results_path
 
 PARAMETERS: Final = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
 """Of the contact's laws, as far as results hold them."""
-DERIVED: Final = quantities_of(Derived)
+DERIVED: Final = quantities_of(DerivedQuantity)
 """What follows from them."""
 OF_INSTRUMENTS: Final = (
     "scale_hardness",
@@ -42,7 +41,7 @@ def _estimated(names: Iterable[str]) -> dict[str, str]:
     return {column: "double" for name in names for column in (name, f"u_{name}")}
 
 
-def of_row(name: str) -> tuple[str, ...]:
+def row_columns(name: str) -> tuple[str, ...]:
     """The columns of a row of the table of results: value, u, u_total, and both ends of the interval."""
     return (name, f"u_{name}", f"u_total_{name}", f"lower_{name}", f"upper_{name}")
 
@@ -59,11 +58,11 @@ COLUMNS: Final[Mapping[str, str]] = {
         amplitude_unit varchar, initial_amplitude double, final_amplitude double,
         conditions_met boolean, problem varchar, law varchar
     """),
-    **{column: "double" for name in PARAMETERS for column in of_row(name)},
+    **{column: "double" for name in PARAMETERS for column in row_columns(name)},
     **{f"verdict_{name}": "varchar" for name in PARAMETERS},
     **_typed("witness varchar, witness_explained double, chi2_per_dof double, degrees_of_freedom bigint"),
     **_estimated(("mean_period_s",)),
-    **{column: "double" for name in DERIVED for column in of_row(name)},
+    **{column: "double" for name in DERIVED for column in row_columns(name)},
     **{f"verdict_{name}": "varchar" for name in DERIVED},
     **_typed("mass_kg double, ball_radius_m double, instrument varchar"),
     **_estimated(OF_INSTRUMENTS),
@@ -107,7 +106,7 @@ def session_rows(folder: Path) -> SessionRows:
     for path in sorted(kept | (by_record.keys() - found)):
         run = by_record.get(path)
         name = str(path.relative_to(folder) if path.is_relative_to(folder) else path)
-        row = {"run": path.stem, "record": name, "flaw": "", **_of_record(path, run)}
+        row = {"run": path.stem, "record": name, "flaw": "", **_record_row(path, run)}
         if run is not None and run.sha256 and run.sha256 != row["sha256"]:
             flaws.append(
                 f"{source}: its results of {path} are of an earlier record of that name (other hash) and are "
@@ -121,13 +120,13 @@ def session_rows(folder: Path) -> SessionRows:
         rows.append(row | of_source | {"results": source.name if run is not None else None})
     decays = [run for run in results if run.decay is not None]
     for number, decay in enumerate(decays, start=1):
-        rows.append(_of_table(folder, decay, number) | of_source | {"results": source.name})
+        rows.append(_table_row(folder, decay, number) | of_source | {"results": source.name})
     flaws += [f"{folder / row['record']}: {row['state']}: {row['flaw']}" for row in rows if row["flaw"]]
     session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
     return SessionRows([row | {"session": session} for row in rows], flaws)
 
 
-def _of_table(folder: Path, decay: RunResults, number: int) -> Row:
+def _table_row(folder: Path, decay: RunResults, number: int) -> Row:
     """The row of a decay, counted from 1, of a table or a film.
 
     The first is known by the table's hash, the others, and those of a table with several runs, by one that
@@ -154,7 +153,7 @@ def _of_table(folder: Path, decay: RunResults, number: int) -> Row:
     return row | row_of_results(decay)
 
 
-def _of_record(path: Path, run: RunResults | None) -> Row:
+def _record_row(path: Path, run: RunResults | None) -> Row:
     """What a record says of itself, and the state it is in."""
     if run is not None and not path.exists():
         flaw = "results name a record that is not there"
@@ -195,10 +194,10 @@ def _of_record(path: Path, run: RunResults | None) -> Row:
 
 def row_of_results(run: RunResults) -> Row:
     """What results say of a run, by the names of columns."""
-    return dict(_of_results(run))
+    return dict(_result_columns(run))
 
 
-def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
+def _result_columns(run: RunResults) -> Iterator[tuple[str, Any]]:
     for name in ("frames", "dropped_frames", "half_cycles", "amplitude_unit", "problem"):
         yield name, getattr(run, name)
     for name in ("initial_amplitude", "final_amplitude"):
@@ -225,7 +224,7 @@ def _of_results(run: RunResults) -> Iterator[tuple[str, Any]]:
         name = row.quantity
         if name in PARAMETERS or name in DERIVED:
             numbers = (row.value, row.u, row.u_total, row.lower, row.upper)
-            yield from zip(of_row(name), map(_number, numbers), strict=False)
+            yield from zip(row_columns(name), map(_number, numbers), strict=False)
             yield f"verdict_{name}", row.verdict.value
     if run.instrument is not None:
         yield "instrument", run.instrument.kind

@@ -95,7 +95,7 @@ def forget_last(path: Path) -> str:
 HEAD = ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used")
 
 
-class Learned(NamedTuple):
+class ResponseTable(NamedTuple):
     """What was learned: a row of text for each turn, under `HEAD`, and a line for each weight."""
 
     rows: list[list[str]]
@@ -111,7 +111,7 @@ def show(config: Configuration, path: Path) -> None:
         print_line(line)
 
 
-def learned(config: Configuration, path: Path) -> Learned:
+def learned(config: Configuration, path: Path) -> ResponseTable:
     """What the turns of a history have taught, for a complete configuration."""
     responses = WeightResponses(nominal_effects(config), config.balance)
     rows, lines = [], []
@@ -129,7 +129,7 @@ def learned(config: Configuration, path: Path) -> Learned:
                 f"one turn of {name}: X {x:+.1f} ± {u_x:.1f}, Y {y:+.1f} ± {u_y:.1f} arcsec,"
                 f" height {height * 1e6:+.2f} ± {u_height * 1e6:.2f} um"
             )
-    return Learned(rows, lines)
+    return ResponseTable(rows, lines)
 
 
 def _turns(parts: tuple[float, ...]) -> str:

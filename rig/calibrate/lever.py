@@ -1,9 +1,11 @@
-"""Commands `rig calibrate lever` and `check`: pixels to radians, from geometry, known tilts or shifts."""
+"""Commands `rig calibrate lever`, `check` and `air`."""
 
 import datetime
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from acquisition.record.reader import RecordReader
 from calibration import (
     LadderFit,
     Lever,
@@ -15,11 +17,24 @@ from calibration import (
     read_calibration,
     require_rest,
 )
-from processing.errors import ConfigurationError
-from rig.calibrate.filing import Filing, details_of, file_calibration
-from rig.calibrate.inputs import LadderFile, read_ladder
-from rig.calibrate.spots import binning_of_record, mean_spot, spots_of_record
+from processing.ambient import AmbientConditions, humid_air
+from processing.contact import PendulumOnBall, vane_drag_s_per_m2
+from processing.errors import ConfigurationError, DataError
+from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
+from rig.analysis import analyse_record, expected_drag, stated_surroundings
+from rig.calibrate.frame_times import binning_of_record, mean_spot, spots_of_record
+from rig.calibrate.inputs import (
+    Filing,
+    LadderFile,
+    VaneFile,
+    details_of,
+    file_calibration,
+    read_ladder,
+    read_vanes,
+)
+from rig.instrument import pendulum_on_ball, recorded_configuration
 from rig.presentation import percent, signed_percent
+from rig.settings import Configuration
 
 
 def calibrate_lever(ladder: Path, filing: Filing) -> Path:
@@ -96,3 +111,152 @@ def _ladder_details(fit: LadderFit, table: LadderFile) -> dict[str, Any]:
         "u_reference_relative": table.u_reference_relative,
         **details_of(fit, "notes"),
     }
+
+
+_PART_OF_AIR = 1.0
+"""Drag of the smaller vanes over that expected of the pendulum itself; the larger have twice as much."""
+
+
+@dataclass(frozen=True, slots=True)
+class VanesToCut:
+    """Vanes that would add the drag that is expected of the pendulum itself, and where they go.
+
+    `area_m2` is the sum over all vanes, one face of each; `distance_m` that of their middles from the axis.
+    """
+
+    area_m2: float
+    distance_m: float
+    drag_s: float
+
+    @property
+    def text(self) -> str:
+        """What to cut, and where to put it."""
+        side_mm = 1e3 * (0.5 * self.area_m2) ** 0.5
+        return (
+            f"Cut two pairs of thin stiff sheets, {side_mm:.0f} x {side_mm:.0f} mm and {side_mm:.0f} x "
+            f"{2 * side_mm:.0f} mm. A pair of the first, {1e4 * self.area_m2:.0f} cm² together, adds about "
+            f"what air exerts on the pendulum itself ({1e3 * self.drag_s:.2g} ms), one of the second, "
+            f"{2e4 * self.area_m2:.0f} cm², twice that. One sheet of a pair goes to each end of the "
+            f"pendulum, its middle {1e3 * self.distance_m:.0f} mm from the axis, upright, so that it moves "
+            "in its own plane and the mass centre stays. In runs without them, and with the smaller ones, "
+            "their weight goes back to the same places in compact pieces: the load on the ball, and with it "
+            "the contact, has to stay."
+        )
+
+
+def vanes_to_cut(config: Configuration, period_s: float) -> VanesToCut | None:
+    """What the pendulum of a configuration needs; None without [pendulum]."""
+    pendulum = pendulum_on_ball(config)
+    if pendulum is None:
+        return None
+    found = stated_surroundings(config)
+    of_air = expected_drag(found, pendulum, period_s, config)
+    distance_m = 0.5 * of_air.length_m
+    air = humid_air(**_usual(found))
+    per_area = vane_drag_s_per_m2(air, distance_m, pendulum, period_s)
+    return VanesToCut(_PART_OF_AIR * of_air.drag_s / per_area, distance_m, of_air.drag_s)
+
+
+def _usual(found: AmbientConditions) -> dict[str, float]:
+    usual = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
+    return {name: found.known().get(name, value) for name, value in usual.items()}
+
+
+def calibrate_air(vanes: Path, filing: Filing) -> Path:
+    """The drag of the air from a list of runs: see `VaneFile`."""
+    table = read_vanes(vanes)
+    for stated in table.run:
+        if not (vanes.parent / stated.record).is_file():
+            raise ConfigurationError(f"{vanes}: {vanes.parent / stated.record}: no such record")
+    runs, sources, rows, pendulums = [], [vanes], [], []
+    began: datetime.datetime | None = None
+    shown: dict[str, Any] = {}
+    for number, stated in enumerate(table.run, 1):
+        record = vanes.parent / stated.record
+        run = analyse_record(record, air_known=False)
+        fit, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
+        if fit is None or pendulum is None:
+            raise DataError(f"run {number}, {record}: {run.results.problem}")
+        if fit.evidence.waveform is None:
+            raise DataError(
+                f"run {number}, {record}: it is too short for the waveform, without which drag and friction "
+                "look the same; measure a longer run"
+            )
+        with RecordReader(record) as reader:
+            config, at = recorded_configuration(reader), reader.utc(int(reader.spots()["time_ns"][0]))
+        began = at if began is None else max(began, at)
+        shown = shown or _shown(run.results.surroundings, pendulum, config, fit.mean_period_s.value)
+        exposure = stated.area_m2
+        if exposure is None:
+            exposure = _drag_at(stated.needed_pressure, pendulum, config, fit.mean_period_s.value)
+        runs.append(VanedRun(run.points, fit, exposure, stated.u_area_m2))
+        pendulums.append(pendulum)
+        rows.append(stated.area_m2 if stated.area_m2 is not None else stated.pressure_pa)
+        sources.append(record)
+    by_ratio = table.by_pressure
+    if by_ratio:
+        # the drag that is wanted is that at the highest pressure, which is the room's
+        most = max(run.exposure for run in runs)
+        runs = [replace(run, exposure=run.exposure / most) for run in runs]
+    if len(set(pendulums)) > 1:
+        raise DataError(f"{vanes}: its runs are of different pendulums: mass, ball or flat have changed")
+    found = air_of_vanes(runs, pendulums[0], by_ratio=by_ratio)
+    if not found.drag_s.value > 0:
+        raise DataError(
+            f"the runs give a drag of {found.drag_s.value:.2g} ± {found.drag_s.standard_uncertainty:.2g} s, "
+            "which no air exerts: larger vanes, or longer runs, are needed"
+        )
+    values = {"drag_s": found.drag_s.value, "u_drag_s": found.drag_s.standard_uncertainty}
+    method = f"{len(runs)} runs, {len(set(rows))} " + ("pressures" if by_ratio else "areas of vanes")
+    details = _details(found, rows, by_ratio) | shown
+    return file_calibration("air", filing, method, values, details, sources, _notes(found, table), began)
+
+
+def _shown(
+    air: AmbientConditions | None, pendulum: PendulumOnBall, config: Configuration, period_s: float
+) -> dict[str, Any]:
+    """The air of the first run, and what it was expected to exert."""
+    known = AmbientConditions() if air is None else air
+    return {**known.known(), "expected_drag_s": expected_drag(known, pendulum, period_s, config).drag_s}
+
+
+def _drag_at(pressure_pa: float, pendulum: PendulumOnBall, config: Configuration, period_s: float) -> float:
+    """What air of this pressure gives a bar in the pendulum's place; its ratios are used."""
+    stated = stated_surroundings(config).known() | {"pressure_pa": pressure_pa}
+    return expected_drag(AmbientConditions(**stated), pendulum, period_s, config).drag_s
+
+
+def _details(found: MeasuredAir, exposures: list[float | None], by_ratio: bool) -> dict[str, Any]:
+    of_contact = {
+        key: value
+        for name, (one, u) in found.contact.items()
+        for key, value in ((name, one), (f"u_{name}", u))
+    }
+    slope = {} if by_ratio else dict(zip(("per_m2_s", "u_per_m2_s"), found.per_exposure, strict=True))
+    return {
+        **slope,
+        "chi2": found.chi2,
+        "degrees_of_freedom": found.dof,
+        "chance": found.chance,
+        "enlarged": found.enlarged,
+        **of_contact,
+        "pressures_pa" if by_ratio else "areas_m2": exposures,
+        "drags_s": [one.value for one in found.of_runs_s],
+        "u_drags_s": [one.standard_uncertainty for one in found.of_runs_s],
+        "off_drags_s": list(found.off_s),
+    }
+
+
+def _notes(found: MeasuredAir, table: VaneFile) -> list[str]:
+    notes = []
+    if found.enlarged > 1:
+        notes.append(
+            f"the runs do not agree on one contact and one line (chance {found.chance:.2g}): uncertainties "
+            f"are enlarged {found.enlarged:.2g} times; check which run deviates and if the load was the same"
+        )
+    exposures = {run.area_m2 if run.area_m2 is not None else run.pressure_pa for run in table.run}
+    if len(exposures) < 3:
+        notes.append("two exposures do not show whether the drag follows the line: make runs at three")
+    if not table.by_pressure and min(run.area_m2 or 0.0 for run in table.run) > 0:
+        notes.append("no run is without vanes: the drag of the pendulum alone is extrapolated")
+    return notes

@@ -1,7 +1,7 @@
 """One model over many runs: `rig compare --model`."""
 
 from rig.campaigns.answer import Campaign, answer_of
+from rig.campaigns.campaign_file import StatedCampaign, read_campaign
 from rig.campaigns.likelihoods import FoundRun
 from rig.campaigns.page import campaign_tables, save_campaign
 from rig.campaigns.sources import NamedRuns, runs_of_folders
-from rig.campaigns.stated import StatedCampaign, read_campaign

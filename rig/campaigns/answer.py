@@ -7,6 +7,7 @@ from math import isfinite, nan, sqrt
 
 import numpy as np
 
+from processing.ambient import in_other_unit
 from processing.arrays import Floats
 from processing.contact import surface_energy
 from processing.errors import DataError
@@ -17,7 +18,7 @@ from processing.series import (
     POSITIVE,
     SEEN,
     CompressedRun,
-    Level,
+    LatentNumber,
     SeriesModel,
     SeriesPosterior,
     compare_forms,
@@ -26,21 +27,21 @@ from processing.series import (
     parameters,
     sample_series,
 )
-from processing.surroundings import in_other_unit
 from processing.units import ARCSEC_RAD
 from rig.analysis import SURFACE_ENERGY, RunResults
-from rig.campaigns.likelihoods import FoundRun, compressed
-from rig.campaigns.results import (
+from rig.campaigns.campaign_file import StatedCampaign, StatedEffect, model_of
+from rig.campaigns.likelihoods import (
     CampaignDifference,
     CampaignEffect,
     CampaignResults,
     CampaignRun,
     CampaignSource,
     CampaignValue,
+    FoundRun,
     SamplerFindings,
+    compressed,
     likelihood_tree,
 )
-from rig.campaigns.stated import StatedCampaign, StatedEffect, model_of
 from rig.presentation import quantity
 
 _BAD = 0.5
@@ -146,7 +147,7 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
     return Campaign(results, posterior, stated)
 
 
-def _estimates(found: SeriesPosterior, levels: Sequence[Level], kind: str) -> dict[str, Estimate]:
+def _estimates(found: SeriesPosterior, levels: Sequence[LatentNumber], kind: str) -> dict[str, Estimate]:
     return {level.name: found.estimate(level) for level in levels if level.kind == kind}
 
 
@@ -154,7 +155,7 @@ def _effect(
     one: StatedEffect, found: SeriesPosterior, alone: SeriesPosterior | None, stated: StatedCampaign
 ) -> CampaignEffect:
     effect = one.effect()
-    level = Level("effect", effect.label)
+    level = LatentNumber("effect", effect.label)
     draws, span = found.draws(level), effect.span(found.runs)
     low, high = found.quantiles(draws, (0.025, 0.975))
     value, u = found.moments(draws)
@@ -259,7 +260,7 @@ def _energy(found: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -> Fl
     rng = np.random.default_rng(_SEED)
     log_energy = np.full(len(c), float(np.mean(np.log(ratios))))
     for source, part in moved.items():
-        level = Level("shared", source)
+        level = LatentNumber("shared", source)
         draws = found.draws(level) if level in found.levels else rng.standard_normal(len(c))
         log_energy += draws * (part / len(ratios))
     return np.asarray(c * np.exp(log_energy))
@@ -268,7 +269,7 @@ def _energy(found: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -> Fl
 def _runs(
     entered: Sequence[tuple[FoundRun, CompressedRun]], found: SeriesPosterior, reference_rad: float
 ) -> tuple[CampaignRun, ...]:
-    together, u_together = found.of_runs
+    together, u_together = found.run_values
     names, out = found.model.names, []
     values = parameters(names, together, reference_rad)
     # of b and gamma at a known exponent: that of the coordinate, at the reference amplitude
@@ -362,7 +363,7 @@ def _budget(found: SeriesPosterior, name: str, contact: str) -> tuple[CampaignSo
         each = np.maximum(slopes * (weighted.T @ centred), 0.0)
         parts = dict(zip((one.name for one in others), each.tolist(), strict=True))
     own = [run.u(name) for run in found.runs if run.contact == contact and name in run.names]
-    scatter = Level("between runs", name)
+    scatter = LatentNumber("between runs", name)
     between = found.moments(found.draws(scatter) ** 2).value if scatter in found.hyper else 0.0
     swings = 1 / float(np.mean(1 / np.array(own) ** 2)) if own else 0.0
     if swings + between > 0:

@@ -5,19 +5,30 @@ how uneven the profiles are, which values are only bounded.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from math import inf, isfinite, log, sqrt
+from dataclasses import asdict, dataclass, field
+from math import inf, isfinite, log, nan, sqrt
+from typing import Annotated
 
 import numpy as np
 
 from processing.arrays import Floats
 from processing.contact import DRAG
 from processing.contact.laws import AMPLITUDE, DEFAULT_LAW
-from processing.estimate import Determinacy, Estimate
+from processing.estimate import NOT_DETERMINED, Determinacy, Estimate
 from processing.fit import BudgetSource, FitMethod
-from processing.series import EXPONENT_OF, GROWTH, POSITIVE, Bound, CompressedRun, Side, to_coordinates
-from rig.analysis import Fit, ResultRow, RunResults
-from rig.campaigns.stated import SURROUNDING_COVARIATES
+from processing.quantity import PART
+from processing.series import (
+    EXPONENT_OF,
+    GROWTH,
+    POSITIVE,
+    Bound,
+    ChangePoint,
+    CompressedRun,
+    EndSide,
+    to_coordinates,
+)
+from rig.analysis import Fit, JsonObject, ResultRow, RunResults
+from rig.campaigns.campaign_file import SURROUNDING_COVARIATES
 
 _AIR, _MISFIT = "air", "misfit"
 _OWN = ("period_drift", "drag_drift", "plane_of_swing_rad")
@@ -115,13 +126,13 @@ def _bound(name: str, value: float, u: float, row: ResultRow | None) -> Bound | 
     if name != "c":
         return None
     if row is not None and row.verdict is Determinacy.LOWER_BOUND and row.lower > 0:
-        return Bound(log(row.lower), Side.LOWER, _SOFT)
+        return Bound(log(row.lower), EndSide.LOWER, _SOFT)
     upper = row.upper if row is not None and isfinite(row.upper) else value + 2 * u
     only = not _is_told(row) or value <= 0 or (row is None and u > _WELL * value)
     if not only or not 0 < upper < inf:
         return None
     # the likelihood falls from one u below the limit on: its half is at the value plus one u
-    return Bound(log(upper) - _SOFT, Side.UPPER, _SOFT)
+    return Bound(log(upper) - _SOFT, EndSide.UPPER, _SOFT)
 
 
 def _covariance(fit: Fit, names: Sequence[str]) -> Floats:
@@ -215,3 +226,164 @@ def _covariates(run: RunResults, fit: Fit, u: Mapping[str, float], duration_s: f
 def _duration_s(run: RunResults) -> float:
     points = run.turning_points
     return 0.0 if points is None or len(points.time_s) < 2 else float(points.time_s[-1] - points.time_s[0])
+
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignValue:
+    """A quantity of a contact, where all effects are nought.
+
+    `without_priors` is the answer of the data alone. Ends are of the 95 % band.
+    """
+
+    value: Annotated[float, PART]
+    standard_uncertainty: Annotated[float, PART]
+    lower_95: Annotated[float, PART] = nan
+    upper_95: Annotated[float, PART] = nan
+    without_priors: Annotated[Estimate, PART] = NOT_DETERMINED
+
+    @property
+    def estimate(self) -> Estimate:
+        return Estimate(self.value, self.standard_uncertainty)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignSource:
+    """What one source adds to the uncertainty of a contact's quantity, and its share of the variance."""
+
+    source: str
+    contribution: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignEffect:
+    """One effect: slope in its coordinate (of b, c and gamma the logarithm) per unit of its form.
+
+    `over_span` is what it moves over the campaign. `chance` is that of one as large where there is none
+    (`chance_is_limit`: at most, because there are no more draws), `seen` whether that is below 5 % shared by
+    all that were tried. `log_bayes_factor` is that of the form against none, `probability` after it, with the
+    choice among those that were tried charged; `margin` is what would not matter, `equivalent` the
+    probability that the effect over the span is smaller.
+    """
+
+    label: str
+    parameter: str
+    covariate: str
+    form: str
+    reference: float
+    slope: Estimate = NOT_DETERMINED
+    slope_without_priors: Estimate = NOT_DETERMINED
+    lower_95: float = nan
+    upper_95: float = nan
+    over_span: Estimate = NOT_DETERMINED
+    chance: float = nan
+    chance_is_limit: bool = False
+    seen: bool = False
+    log_bayes_factor: float = nan
+    probability: float = nan
+    margin: float | None = None
+    equivalent: float = nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignDifference:
+    """Two contacts where all effects are zero: the first's coordinate less the second's, with the ends of its
+    95 % band. The coordinate of b, c and gamma is the logarithm, of b and gamma at the reference amplitude.
+
+    What runs share cancels. `chance` is that of a difference as large where there is none, `seen` whether it
+    is below 5 %, shared by all differences of the campaign.
+    """
+
+    first: str
+    second: str
+    parameter: str
+    difference: Estimate
+    lower_95: float
+    upper_95: float
+    chance: float
+    seen: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignRun:
+    """One run: what it says alone, what the campaign says of it, and how likely it is a bad one.
+
+    `likelihood` is what entered, in coordinates; `results_sha256` the hash of the results it was made of.
+    `residuals` are deviations from the model over what run and scatter leave.
+    """
+
+    label: str
+    contact: str
+    record: str
+    sha256: str
+    results_sha256: str
+    likelihood: JsonObject
+    alone: Annotated[Mapping[str, Estimate], PART] = field(default_factory=dict)
+    together: Annotated[Mapping[str, Estimate], PART] = field(default_factory=dict)
+    residuals: Mapping[str, float] = field(default_factory=dict)
+    bad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SamplerFindings:
+    """What the sampler's chains say of themselves: the worst R-hat, the fewest independent draws."""
+
+    worst_r_hat: float
+    fewest_draws: float
+    settled: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignResults:
+    """campaign.json.
+
+    `between_runs` and `between_contacts` are standard deviations, of b, c and gamma as fractions. `shared`
+    are inputs that runs have in common, in their standard uncertainties: what the runs say of them.
+    `nothing` is the probability that no candidate holds. `draws_that_count` says how well Laplace's method
+    describes the posterior, `predictive_p` how probable it is
+    that runs of the model scatter as much as the real ones. `stated` is what the configuration states.
+    """
+
+    schema: int = SCHEMA
+    parameters: tuple[str, ...]
+    reference_arcsec: float
+    runs: tuple[CampaignRun, ...]
+    contacts: Annotated[Mapping[str, Mapping[str, CampaignValue]], PART]
+    differences: tuple[CampaignDifference, ...] = ()
+    between_runs: Mapping[str, Estimate] = field(default_factory=dict)
+    between_contacts: Mapping[str, Estimate] = field(default_factory=dict)
+    effects: tuple[CampaignEffect, ...] = ()
+    candidates: tuple[CampaignEffect, ...] = ()
+    nothing: float = nan
+    changes: tuple[ChangePoint, ...] = ()
+    shared: Mapping[str, Estimate] = field(default_factory=dict)
+    budgets: Mapping[str, Mapping[str, tuple[CampaignSource, ...]]] = field(default_factory=dict)
+    draws: int = 0
+    draws_that_count: float = nan
+    predictive_p: float = nan
+    sampler: SamplerFindings | None = None
+    left_out: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    simulated: bool = False
+    stated: JsonObject = field(default_factory=dict)
+
+
+def likelihood_tree(run: CompressedRun) -> JsonObject:
+    """What entered of a run, as it stands in the file."""
+    return {
+        "names": list(run.names),
+        "values": run.values.tolist(),
+        "covariance": run.covariance.tolist(),
+        "shared": {key: moved.tolist() for key, moved in run.shared.items()},
+        "asymmetry": dict(run.asymmetry),
+        "bounds": {
+            key: {"limit": b.limit, "side": str(b.side), "softness": b.softness}
+            for key, b in run.bounds.items()
+        },
+        "covariates": {key: list(found) for key, found in run.covariates.items()},
+        "by_growth": None if run.by_growth is None else run.by_growth.tolist(),
+        "duration_s": run.duration_s,
+    }

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from acquisition import atomic_write
 from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
-from processing.series import ORDER, POSITIVE, CompressedRun, Effect, Form, Level
+from processing.series import ORDER, POSITIVE, CompressedRun, Effect, Form, LatentNumber
 from rig.analysis import encoded
 from rig.campaigns.answer import Campaign
 from rig.campaigns.tables import contacts_table, covariate_words, scaled, tables_of
@@ -82,7 +82,7 @@ def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
         for contact in contacts:
             if effect.contact not in ("", contact):
                 continue
-            slope = found.draws(Level("effect", effect.label))
+            slope = found.draws(LatentNumber("effect", effect.label))
             lines = found.level_draws(contact)[:, place, None] + slope[:, None] * effect.value(grid)
             bands = np.array([found.quantiles(line, _BANDS) for line in lines.T])
             shown = _shown(name, bands, middle)

@@ -6,9 +6,9 @@ from typing import Final
 from processing.estimate import Estimate
 from processing.series import ALIKE, POSITIVE, SeriesModel
 from processing.units import ARCSEC_RAD
-from rig.campaigns.results import CampaignEffect, CampaignResults
-from rig.campaigns.stated import StatedLevel
-from rig.presentation import SOURCES, Cell, Line, Table, plain, quantity, with_uncertainty
+from rig.campaigns.campaign_file import StatedLevel
+from rig.campaigns.likelihoods import CampaignEffect, CampaignResults
+from rig.presentation import SOURCES, Cell, Table, TableRow, plain, quantity, with_uncertainty
 
 _LARGEST = 4
 _OTHERS: Final = {
@@ -37,7 +37,7 @@ def contacts_table(results: CampaignResults) -> Table:
             of, ends = quantity(name), (found.lower_95, found.upper_95)
             band = " … ".join(plain(end * of.factor, 4) for end in ends)
             rows.append(
-                Line(
+                TableRow(
                     [contact, name, *found.estimate, *ends, *found.without_priors],
                     [
                         contact if not place else "", of.label, of.text(*found.estimate), band,
@@ -62,7 +62,7 @@ def _differences_table(results: CampaignResults) -> Table | None:
     for one in results.differences:
         label, factor = scaled(one.parameter)
         rows.append(
-            Line(
+            TableRow(
                 [
                     one.first, one.second, one.parameter, *one.difference, one.lower_95, one.upper_95,
                     one.chance, "differ" if one.seen else "no difference seen",
@@ -88,7 +88,7 @@ def effects_table(results: CampaignResults) -> Table | None:
     if not both:
         return None
     rows = [
-        Line(
+        TableRow(
             [
                 one.label, kind, *one.slope, one.lower_95, one.upper_95, *one.over_span, one.chance,
                 "seen" if one.seen else "not seen", one.log_bayes_factor, one.probability,
@@ -155,7 +155,7 @@ def _runs_table(results: CampaignResults) -> Table:
         for name, one in zip(names, off, strict=True):
             cells += [*run.alone.get(name, none), *run.together.get(name, none), one]
         bad = f"{100 * run.bad:.0f} %" if run.bad > 0.05 else ""
-        rows.append(Line(cells, [run.label, run.contact, *(plain(one, 2) for one in off), bad]))
+        rows.append(TableRow(cells, [run.label, run.contact, *(plain(one, 2) for one in off), bad]))
     return Table.of(
         "runs", "Residuals by run", columns,
         ("run", "contact", *(quantity(name).symbol for name in names), "bad"), rows,
@@ -176,7 +176,7 @@ def _budget_table(results: CampaignResults) -> Table:
             shown = [contact if not place else "", quantity(name).symbol, words]
             for rank, one in enumerate(parts):
                 cells: list[Cell] = [contact, name, one.source, one.contribution, one.share]
-                rows.append(Line(cells, () if rank else shown))
+                rows.append(TableRow(cells, () if rank else shown))
     return Table.of(
         "budget", "What limits the answer now", "contact quantity source contribution share",
         ("contact", "", "verdict"), rows,
@@ -201,7 +201,7 @@ def _changes_table(results: CampaignResults) -> Table | None:
         place = f"from {labels[one.first_run]} on ({labels[one.at_least]} to {labels[one.at_most]})"
         seen = place if one.probability > 0.5 else "none seen"
         rows.append(
-            Line(
+            TableRow(
                 [one.parameter, one.probability, one.first_run, one.at_least, one.at_most],
                 [quantity(one.parameter).symbol, plain(one.probability, 2), seen],
             )
@@ -222,12 +222,12 @@ def _priors_table(results: CampaignResults, model: SeriesModel, stated: dict[str
         label, factor = scaled(name)
         after = "" if now is None else _text(now, factor)
         before = f"half-normal, {plain(size * factor, 2)}"
-        rows.append(Line([name, size, *(now or (nan, nan))], [f"scatter of {label}", before, after]))
+        rows.append(TableRow([name, size, *(now or (nan, nan))], [f"scatter of {label}", before, after]))
     for source, found in results.shared.items():
-        rows.append(Line([source, 1.0, *found], [source_words(source), "0 ± 1 of its u", _text(found)]))
+        rows.append(TableRow([source, 1.0, *found], [source_words(source), "0 ± 1 of its u", _text(found)]))
     for key, one in stated.items():
         shown = [quantity(key).label, quantity(key).text(one.value, one.u), "see Contacts"]
-        rows.append(Line([key, one.value, one.u, nan], shown))
+        rows.append(TableRow([key, one.value, one.u, nan], shown))
     return Table.of(
         "priors", "Prior and posterior", "what before now u_now", ("", "prior", "posterior"), rows,
         "The prior of an effect: it changes a quantity by about its size over the campaign, up or down.",

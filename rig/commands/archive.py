@@ -6,9 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import JsonLines, Set, Where
-from rig.commands.inputs import there
-from rig.commands.outputs import new_file, output_option
+from rig.commands.arguments import JsonLines, Set, Where, new_file, output_option, there
 
 Archive = Annotated[
     Path,

@@ -1,15 +1,274 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share: what is read, and where may be written."""
 
 import functools
 import inspect
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import typer
 
-from rig.commands.inputs import configuration, recorded
-from rig.commands.outputs import folder_without, new_file, output_option
+from acquisition.record import records_in, records_of
+from processing.errors import ConfigurationError
+
+_Given = TypeVar("_Given", Path, list[Path], Path | None, list[Path] | None)
+_KINDS = {"": "file or folder", ".mcap": "record", ".toml": "file", ".rrd": "Rerun file"}
+_MOST_NAMED = 5
+
+
+def there(given: _Given) -> _Given:
+    """For files and folders that must be there; whether they are what is wanted, their readers say."""
+    for path in _paths(given):
+        try:
+            path.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            kind = _KINDS.get(path.suffix.lower(), "file")
+            raise ConfigurationError(f"{path}: no such {kind}{_instead_of(path)}") from None
+        except (OSError, ValueError):
+            continue  # not to be seen, or no name at all: the reader's own words are better
+    return given
+
+
+_OF_RECORDS = {
+    "balance": "rig view {} --layout balancing shows its balance",
+    "run": "rig replay {0} processes it again, rig fit {0} fits it",
+    "desk": "rig view {} shows it",
+}
+
+
+def configuration(ctx: typer.Context, given: _Given) -> _Given:
+    """The same, for a configuration; a record, or its folder, is taken by other commands."""
+    for path in _paths(there(given)):
+        if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
+            kind = "is a folder with records" if path.is_dir() else "is a record"
+            instead = _OF_RECORDS.get(ctx.command.name or "", "rig record info {} says how it was made")
+            if path.is_dir() and ctx.command.name == "run":
+                instead = "rig run --resume {} continues its session"
+            raise ConfigurationError(
+                f"{path}: {kind}, and a configuration (TOML file) is wanted; {instead.format(path)}"
+            )
+    return given
+
+
+def recorded(given: _Given) -> _Given:
+    """The same, for records and folders that must hold one."""
+    for path in _paths(there(given)):
+        records_in(path)
+    return given
+
+
+def to_be_fitted(given: _Given) -> _Given:
+    """The same, for what `rig fit` takes: records, a table, a film, folders of them."""
+    for path in _paths(there(given)):
+        if kind_of(path) == "records":
+            records_in(path)
+    return given
+
+
+def kind_of(path: Path) -> Literal["records", "table", "film"]:
+    """What a file or folder is to `rig fit`, by its name and, of an array, by its dimensions.
+
+    A folder without records, images or films counts as one of records, of which none is there.
+    """
+    suffix = path.suffix.lower()
+    if suffix in (".mcap", ".csv", ".txt", ".toml", ".json"):
+        return "records" if suffix == ".mcap" else "table"
+    if path.is_dir() and (records_of(path) or any(path.glob("results*.json"))):
+        return "records"
+    # the readers of films take a second
+    from rig.intake import is_filmed
+
+    if path.is_dir():
+        return "film" if is_filmed(path) else "records"
+    return "film" if is_filmed(path) else "table"
+
+
+def recorded_or_fitted(given: _Given) -> _Given:
+    """The same; a folder, or results.json, that rig fit made of a table or a film, is taken too."""
+    for path in _paths(there(given)):
+        if not is_of_table(path):
+            records_in(path)
+    return given
+
+
+def is_of_table(path: Path) -> bool:
+    """Whether it is what rig fit leaves of a table or a film, beside which there is no record."""
+    folder = path if path.is_dir() else path.parent
+    return (
+        (path.is_dir() or path.suffix.lower() == ".json")
+        and not any(folder.glob("*.mcap"))
+        and any(folder.glob("results*.json"))
+    )
+
+
+def with_results(given: _Given) -> _Given:
+    """The same, for folders of sessions, or of several, which must hold results, and for files."""
+    for path in _paths(there(given)):
+        # the folder of a list has those of its sessions
+        if path.is_dir() and not (any(path.glob("results*.json")) or any(path.glob("*/results*.json"))):
+            raise ConfigurationError(
+                f"{path}: holds no results.json; rig run makes one, and rig fit from records"
+            )
+        if any(path.glob("results-*.json")):
+            from rig.analysis import results_path
+            from rig.presentation import say
+
+            newest = results_path(path)
+            say(f"{path}: {newest.name}, the newest of its results, is taken; name others to take them")
+    return given
+
+
+def one_record(path: Path) -> Path:
+    """The record itself, or the only one of a folder; raises ConfigurationError for none or several."""
+    records = records_in(path)
+    if len(records) > 1:
+        names = ", ".join(record.name for record in records)
+        raise ConfigurationError(f"{path}: holds {len(records)} records; name one of them: {names}")
+    return records[0]
+
+
+def _paths(given: Path | list[Path] | None) -> Sequence[Path]:
+    return given if isinstance(given, list) else [] if given is None else [given]
+
+
+def _instead_of(path: Path) -> str:
+    """What the folder of a missing file has of its kind, and how such a file is made."""
+    how = {
+        "": "; put a name with spaces in quotes",
+        ".toml": "; rig init writes a configuration",
+    }.get(path.suffix.lower(), "")
+    if path.suffix.lower() == ".toml":
+        from rig.settings import shipped_names
+
+        if path.stem in shipped_names():
+            how = f"; rig init --example {path.stem} writes {path.name} here"
+    if not path.parent.is_dir():
+        return f"; there is no folder {path.parent}{how}"
+    try:
+        beside = [o for o in path.parent.iterdir() if o.suffix == path.suffix and o.name != "pyproject.toml"]
+    except OSError:
+        return how
+    names = sorted(other.name for other in beside if path.suffix or other.is_dir())
+    shown = ", ".join([*names[:_MOST_NAMED], *(["..."] if len(names) > _MOST_NAMED else [])])
+    return (f"; {path.parent} has {shown}" if names else "") + how
+
+
+Check = Callable[[Path | None], Path | None]
+
+
+def output_option(help_: str, check: Check | None = None, *, show_default: bool = True) -> Any:
+    """The option that says where a command writes."""
+    return typer.Option("-o", "--output", help=help_, show_default=show_default, callback=check)
+
+
+def new_file(*suffixes: str, makes_folders: bool = False) -> Check:
+    """For a file that must not exist, with one of these suffixes if there are any.
+
+    Its folder must be there, unless the command makes folders.
+    """
+
+    def check(path: Path | None) -> Path | None:
+        if path is None:
+            return None
+        if path.is_dir():
+            raise ConfigurationError(f"{path}: is a folder; name a file in it")
+        if suffixes and path.suffix.lower() not in suffixes:
+            raise ConfigurationError(f"{path}: name a file that ends in {' or '.join(suffixes)}")
+        _refuse_existing(path)
+        if not makes_folders and not path.parent.is_dir():
+            raise ConfigurationError(f"{path}: there is no folder {path.parent}; make it, or name another")
+        _refuse_unwritable(path)
+        return path
+
+    return check
+
+
+def new_page(path: Path | None) -> Path | None:
+    """For an HTML page that must not exist, nor the folder of its name for figures and tables."""
+    new_file(".html", ".htm", makes_folders=True)(path)
+    if path is not None and path.with_suffix("").is_dir() and any(path.with_suffix("").iterdir()):
+        raise ConfigurationError(
+            f"{path.with_suffix('')}: the page's figures go there, and it is not empty; choose another name"
+        )
+    return path
+
+
+def page_or_campaign(path: Path | None) -> Path | None:
+    """For an HTML page that must not exist, or the folder of a campaign, in which none may be."""
+    if path is not None and path.suffix.lower() in (".html", ".htm"):
+        return new_page(path)
+    return folder_without("campaign.json", "campaign.html")(path)
+
+
+def folder_without(*patterns: str) -> Check:
+    """For a folder, which is made where it is missing, in which nothing may be of these names."""
+
+    def check(path: Path | None) -> Path | None:
+        if path is None:
+            return None
+        if path.exists() and not path.is_dir():
+            raise ConfigurationError(f"{path}: is a file; name a folder")
+        for pattern in patterns:
+            for taken in sorted(path.glob(pattern)):
+                _refuse_existing(taken, "folder")
+        _refuse_unwritable(path)
+        return path
+
+    return check
+
+
+def folder_or_record(path: Path | None) -> Path | None:
+    """For the folder of a session, in which no run may be, or a record that must not exist (MCAP file)."""
+    if path is not None and path.suffix.lower() == ".mcap":
+        return new_file(".mcap", makes_folders=True)(path)
+    return folder_without("run-*.mcap", "results.json")(path)
+
+
+def new_folder(path: Path | None) -> Path | None:
+    """For a folder that must not exist."""
+    if path is not None:
+        _refuse_existing(path)
+        _refuse_unwritable(path)
+    return path
+
+
+def old_folder(path: Path | None) -> Path | None:
+    """For a folder that must exist."""
+    if path is not None and not path.is_dir():
+        what = "is a file" if path.exists() else "no such folder"
+        raise ConfigurationError(f"{path}: {what}; name a folder that is there")
+    if path is not None:
+        _refuse_unwritable(path)
+    return path
+
+
+def appended_file(path: Path | None) -> Path | None:
+    """For a file to which lines are added; it is made, with its folders, where it is missing."""
+    if path is not None and path.is_dir():
+        raise ConfigurationError(f"{path}: is a folder; name a file in it")
+    if path is not None:
+        _refuse_unwritable(path)
+    return path
+
+
+def _refuse_existing(path: Path, what: str = "name") -> None:
+    if os.path.lexists(path):
+        raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {what}")
+
+
+def _refuse_unwritable(path: Path) -> None:
+    """Raise ConfigurationError where the path, or the folder in which it would be made, is read-only."""
+    place = path.absolute()
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    if place != path.absolute() and not place.is_dir():
+        raise ConfigurationError(f"{path}: {place} is not a folder; name another place")
+    if not os.access(place, os.W_OK | (os.X_OK if place.is_dir() else 0)):
+        raise ConfigurationError(
+            f"{path}: cannot be written: {place} is read-only for you; name another place"
+        )
+
 
 Config = Annotated[
     Path, typer.Argument(help="Configuration (TOML file).", show_default=False, callback=configuration)

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.commands.arguments import in_json
-from rig.commands.inputs import one_record, recorded, there
-from rig.commands.outputs import folder_without, output_option
+from rig.commands.arguments import folder_without, in_json, one_record, output_option, recorded, there
 
 if TYPE_CHECKING:
     from rig.calibrate import Filing

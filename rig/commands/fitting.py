@@ -9,11 +9,10 @@ import typer
 
 from acquisition.record import records_in
 from processing.errors import ConfigurationError
-from rig.commands.arguments import ResultsFolder, Set, in_json
-from rig.commands.inputs import kind_of, there, to_be_fitted
+from rig.commands.arguments import ResultsFolder, Set, in_json, kind_of, there, to_be_fitted
 
 if TYPE_CHECKING:
-    from rig.analysis import StatedWitness
+    from rig.analysis import SeismometerSource
 if TYPE_CHECKING:
     from rig.analysis import (
         AnalysedTable,
@@ -188,11 +187,11 @@ def _refuse(where: str, *options: Mapping[str, object]) -> None:
 
 def _witness(
     path: Path | None, columns: Sequence[str], offset_s: float | None, time_unit: str
-) -> "StatedWitness | None":
-    from rig.analysis import StatedWitness
+) -> "SeismometerSource | None":
+    from rig.analysis import SeismometerSource
 
     if path is not None:
-        return StatedWitness(path, tuple(columns), offset_s, time_unit)
+        return SeismometerSource(path, tuple(columns), offset_s, time_unit)
     stated = {
         "--witness-column": bool(columns),
         "--witness-offset": offset_s is not None,
@@ -208,7 +207,7 @@ def fit_records(
     output: Path | None,
     overrides: Sequence[str],
     laws: Sequence[str] = (),
-    witness: "StatedWitness | None" = None,
+    witness: "SeismometerSource | None" = None,
 ) -> int:
     """Fit records; results.json in `output` or beside the first record. Returns the exit status.
 

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Config, Set, in_json
-from rig.commands.inputs import there
+from rig.commands.arguments import Config, Set, in_json, there
 
 
 def register(app: typer.Typer) -> None:

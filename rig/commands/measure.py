@@ -8,9 +8,23 @@ import typer
 
 from acquisition.record import records_in
 from processing.errors import ConfigurationError
-from rig.commands.arguments import MODES, JsonLines, Record, ResultsFolder, Set, View, in_json
-from rig.commands.inputs import configuration, one_record, recorded, there
-from rig.commands.outputs import folder_or_record, folder_without, new_file, output_option
+from rig.commands.arguments import (
+    MODES,
+    JsonLines,
+    Record,
+    ResultsFolder,
+    Set,
+    View,
+    configuration,
+    folder_or_record,
+    folder_without,
+    in_json,
+    new_file,
+    one_record,
+    output_option,
+    recorded,
+    there,
+)
 
 Rrd = Annotated[
     Path | None,

@@ -7,12 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.commands.arguments import MODES, Config, NewRecord, Set, View
-from rig.commands.outputs import new_file, new_folder, old_folder, output_option
+from rig.commands.arguments import (
+    MODES,
+    Config,
+    NewRecord,
+    Set,
+    View,
+    new_file,
+    new_folder,
+    old_folder,
+    output_option,
+)
 
 if TYPE_CHECKING:
-    from acquisition.camera import Camera, CameraInfo, CameraSettings
-    from acquisition.frame import Frame
+    from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
     from processing.spot import Spot
     from rig.devices import PictureFigures
 

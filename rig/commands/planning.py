@@ -6,9 +6,16 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Set, in_json
-from rig.commands.inputs import is_of_table, one_record, recorded_or_fitted, there
-from rig.commands.outputs import folder_without, output_option
+from rig.commands.arguments import (
+    Set,
+    folder_without,
+    in_json,
+    is_of_table,
+    one_record,
+    output_option,
+    recorded_or_fitted,
+    there,
+)
 
 
 def register(app: typer.Typer) -> None:

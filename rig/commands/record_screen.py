@@ -4,10 +4,9 @@ from pathlib import Path
 
 from acquisition.record import recovered_beside
 from acquisition.record.check import check_record
+from acquisition.record.digest import RecordedCamera, utc_text
 from acquisition.record.reader import RecordReader
-from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.recover import recover
-from acquisition.record.utc import utc_text
 from processing.errors import RigError
 from processing.units import seconds
 from rig.presentation import answer, print_line

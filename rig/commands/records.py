@@ -6,9 +6,7 @@ from typing import Annotated
 import typer
 
 from acquisition.record import records_in
-from rig.commands.arguments import Record, in_json
-from rig.commands.inputs import one_record, there
-from rig.commands.outputs import new_file, output_option
+from rig.commands.arguments import Record, in_json, new_file, one_record, output_option, there
 
 
 def register(app: typer.Typer) -> None:

@@ -7,9 +7,17 @@ from typing import Annotated, Literal
 import typer
 
 from processing.errors import ConfigurationError
-from rig.commands.arguments import Where, in_json
-from rig.commands.inputs import there, with_results
-from rig.commands.outputs import folder_without, new_file, new_page, output_option, page_or_campaign
+from rig.commands.arguments import (
+    Where,
+    folder_without,
+    in_json,
+    new_file,
+    new_page,
+    output_option,
+    page_or_campaign,
+    there,
+    with_results,
+)
 
 
 def register(app: typer.Typer) -> None:

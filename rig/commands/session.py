@@ -7,9 +7,17 @@ from typing import Annotated
 import typer
 
 from processing.errors import ConfigurationError, MissingPackage
-from rig.commands.arguments import MODES, Config, JsonLines, Set, View
-from rig.commands.inputs import there
-from rig.commands.outputs import appended_file, new_file, old_folder
+from rig.commands.arguments import (
+    MODES,
+    Config,
+    JsonLines,
+    Set,
+    View,
+    appended_file,
+    new_file,
+    old_folder,
+    there,
+)
 
 
 def register(app: typer.Typer) -> None:

@@ -1,12 +1,8 @@
 """Serial devices of the rig: controller, laser driver, environment sensor."""
 
 from rig.control.controller import Controller
-from rig.control.controller_answers import Trip
-from rig.control.environment import EnvironmentService
-from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, make_laser
 from rig.control.light_permit import TO_BE_ASKED, Interlock, LightPermit, LightRefused, Stage
-from rig.control.link import ControllerReset
 from rig.control.ports import (
     check_controller,
     check_environment,
@@ -16,6 +12,7 @@ from rig.control.ports import (
     udev_matches,
 )
 from rig.control.presses import darken_beside
+from rig.control.protocol import Trip
 from rig.control.safety_state import (
     LatchedTrip,
     SafetyState,
@@ -23,8 +20,23 @@ from rig.control.safety_state import (
     rig_state_path,
     state_folder,
 )
+from rig.control.seismometer import SeismometerLines
 from rig.control.service import ControlService, ControlState
-from rig.control.settings import ControllerSettings, EnvironmentSettings, WitnessSettings
+from rig.control.settings import (
+    ControllerSettings,
+    EnvironmentService,
+    EnvironmentSettings,
+    SeismometerSettings,
+)
 from rig.control.simulated import SimulatedOutputs, simulated_controller
-from rig.control.states import STALE_S, DevicesNow, LaserNow, Light, Loop, SafetyNow
-from rig.control.witness import WitnessLines
+from rig.control.states import (
+    LONGEST_JOB_S,
+    STALE_S,
+    DevicesNow,
+    LaserNow,
+    LaserService,
+    Light,
+    Loop,
+    SafetyNow,
+)
+from rig.control.usbtmc import ControllerReset

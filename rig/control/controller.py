@@ -6,18 +6,18 @@ import secrets
 from collections.abc import Callable
 
 from processing.errors import DeviceError
-from rig.control.controller_answers import (
+from rig.control.protocol import (
     AirReading,
+    BoardEvent,
     ControllerIdentity,
     ControllerStatus,
     Latch,
     floats_of,
     status_of,
 )
-from rig.control.link import CommandRefused, ControllerReset, Link, ReplyTimeout
-from rig.control.protocol import BoardEvent
 from rig.control.serial_port import PortLost, SerialLine, SerialPort
 from rig.control.settings import ControllerSettings
+from rig.control.usbtmc import CommandRefused, ControllerReset, Link, ReplyTimeout
 
 _MAKER = "optical-pendulum-rig"
 FIRMWARE = "1.4"

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from acquisition.frame import Image
+from acquisition.camera import Image
 from processing.errors import DeviceError
 from rig.control.safety_state import LatchedTrip, SafetyState, TripCause
 

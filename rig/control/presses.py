@@ -28,7 +28,7 @@ class Press:
     why: str
 
 
-class _Pressed(BaseModel, frozen=True, extra="forbid"):
+class _PressFile(BaseModel, frozen=True, extra="forbid"):
     number: int
     who: str
     utc: str
@@ -48,7 +48,7 @@ class Presses:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
-            pressed = _Pressed(number=self._number() + 1, who=who, utc=now)
+            pressed = _PressFile(number=self._number() + 1, who=who, utc=now)
             atomic_write.replace(self.path, pressed.model_dump_json().encode())
         except OSError as error:
             try:
@@ -78,13 +78,13 @@ class Presses:
             os.close(number)
         mark = f"{stat.st_mtime_ns} {hashlib.sha256(content).hexdigest()[:16]}"
         try:
-            return Press(mark, f"LIGHT OFF was pressed at {_Pressed.model_validate_json(content).who}")
+            return Press(mark, f"LIGHT OFF was pressed at {_PressFile.model_validate_json(content).who}")
         except ValidationError:
             return Press(mark, "LIGHT OFF was pressed, or a trip could not be written")
 
     def _number(self) -> int:
         with suppress(OSError, ValidationError):
-            return _Pressed.model_validate_json(self.path.read_bytes()).number
+            return _PressFile.model_validate_json(self.path.read_bytes()).number
         return 0
 
     def _unreadable(self, error: OSError) -> DeviceError:

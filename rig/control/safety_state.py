@@ -53,7 +53,7 @@ class LatchedTrip:
         return f"trip {self.number} ({self.cause}): {self.why}"
 
 
-class _Latched(BaseModel, frozen=True, extra="forbid"):
+class _LatchEntry(BaseModel, frozen=True, extra="forbid"):
     cause: TripCause
     why: str
     lit: bool
@@ -66,7 +66,7 @@ class _LogEnd(BaseModel, frozen=True, extra="forbid"):
     digest: str
 
 
-class _Stored(BaseModel, frozen=True, extra="forbid"):
+class _SafetyFile(BaseModel, frozen=True, extra="forbid"):
     """The file: the last number given, what is latched, whether a program had lit and has not confirmed dark.
 
     `press` is the mark of the last press of LIGHT OFF that was taken over.
@@ -74,7 +74,7 @@ class _Stored(BaseModel, frozen=True, extra="forbid"):
 
     schema_number: int = _SCHEMA
     number: int = 0
-    latched: _Latched | None = None
+    latched: _LatchEntry | None = None
     lit: bool = False
     press: str = ""
     logs: dict[str, _LogEnd] = {}
@@ -105,8 +105,8 @@ def state_folder() -> Path:
 _UNKNOWN = "so the latched trip is unknown"
 
 
-def _unknown(why: str) -> _Stored:
-    return _Stored(number=1, latched=_Latched(cause=TripCause.POWER, why=why, lit=True))
+def _unknown(why: str) -> _SafetyFile:
+    return _SafetyFile(number=1, latched=_LatchEntry(cause=TripCause.POWER, why=why, lit=True))
 
 
 def _device_at(port: str) -> str:
@@ -130,7 +130,7 @@ class SafetyState:
     def __init__(self, path: Path | None = None, who: str = "") -> None:
         self.path = path
         self._who = who
-        self._stored = _Stored()
+        self._stored = _SafetyFile()
         self._changing, self._taking = threading.Lock(), threading.Lock()
         self._held: IO[bytes] | None = None
         self.presses = None if path is None else Presses(path.with_suffix(".off"))
@@ -169,7 +169,7 @@ class SafetyState:
         if self.path is None:
             return
         try:
-            stored = _Stored.model_validate_json(self.path.read_bytes())
+            stored = _SafetyFile.model_validate_json(self.path.read_bytes())
         except FileNotFoundError:
             was_there = self._is_noted(self.path.with_suffix(".lock"))
             new = f"nothing is known of its light: it is new here, or its state was deleted ({self.path})"
@@ -206,7 +206,7 @@ class SafetyState:
             if not why or (stored.latched is not None and stored.press == mark):
                 self._new_press = ""
                 return None
-            latched = stored.latched or _Latched(cause=TripCause.PERSON, why=why, lit=lit)
+            latched = stored.latched or _LatchEntry(cause=TripCause.PERSON, why=why, lit=lit)
             number = stored.number + (stored.latched is None)
             try:
                 self._put(press=mark, number=number, latched=latched)
@@ -238,7 +238,7 @@ class SafetyState:
         It holds from now on even where the file cannot be written, of which DeviceError tells. Then it is
         left as a press for the next program, which needs no room on the disk, and `keep` tries again.
         """
-        latched = _Latched(cause=cause, why=why, lit=lit)
+        latched = _LatchEntry(cause=cause, why=why, lit=lit)
         number = self._stored.number + 1
         try:
             self._put(number=number, latched=latched)

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rig.control.controller import Controller
-from rig.control.controller_answers import AirReading
 from rig.control.firmware.core import Firmware
+from rig.control.protocol import AirReading
 from rig.control.serial_port import PortLost, SerialLine
 from rig.control.settings import ControllerSettings, SerialFaults
 

@@ -21,7 +21,7 @@ _LONGEST_WAIT_S = 0.5
 T = TypeVar("T")
 
 
-class Overdue(DeviceError):
+class JobExpired(DeviceError):
     """A job waited too long and was not started, because a late command must not take effect."""
 
 
@@ -65,7 +65,8 @@ class Worker:
     def submit(self, call: Callable[[], T], timeout_s: float, urgent: bool = False) -> "Future[T]":
         """Queue a call, before the others if urgent; the future receives its result or error.
 
-        A call that was not started within timeout_s is not made: its future raises `Overdue`. After `close`
+        A call that was not started within timeout_s is not made: its future raises `JobExpired`. After
+        `close`
         the future raises DeviceError immediately.
         """
         future: Future[T] = Future()
@@ -133,7 +134,7 @@ class Worker:
         elif time.monotonic() > job.deadline_s:
             if job.future.set_running_or_notify_cancel():
                 job.future.set_exception(
-                    Overdue(f"{self._name} was busy; a command waited too long and was not executed")
+                    JobExpired(f"{self._name} was busy; a command waited too long and was not executed")
                 )
         elif job.future.set_running_or_notify_cancel():
             try:

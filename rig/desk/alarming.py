@@ -10,7 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from acquisition.record.events import EventKind, Level, level_of
+from acquisition.record.events import EventKind, Severity, level_of
 from processing.errors import RigError
 from rig.control import STALE_S, ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey, AlarmList
@@ -107,7 +107,7 @@ def happened(
         if kind in _OWN:
             if not (is_own and kind == EventKind.FAILED):
                 found.append((_OWN[kind], text))
-        elif level_of(kind) is Level.WARNING and kind not in passed_over:
+        elif level_of(kind) is Severity.WARNING and kind not in passed_over:
             found.append((AlarmKey.DISTURBED, f"{kind}: {text}"))
     if ended is not None and ended.how is HowEnded.FAILED and is_own:
         return found
@@ -247,7 +247,7 @@ class Alarming:
         found = happened(events, None, trip)
         while following.ended:
             found += happened([], following.ended.popleft(), trip)
-        found += self._of_started_session(trip)
+        found += self._start_alarms(trip)
         self.alarms.see(conditions(self._seen()), found)
 
     def _seen(self) -> Seen:
@@ -299,7 +299,7 @@ class Alarming:
         self._heard = (following.folder, max((int(event["number"]) for event in events), default=number))
         return events
 
-    def _of_started_session(self, trip: LatchedTrip | None) -> Iterator[tuple[AlarmKey, str]]:
+    def _start_alarms(self, trip: LatchedTrip | None) -> Iterator[tuple[AlarmKey, str]]:
         """A session of this desk that has ended with an error before it could be followed."""
         begun = self._desk.started
         if begun is None or begun[0].poll() in (None, 0) or begun[0] is self._begun:

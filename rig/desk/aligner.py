@@ -7,9 +7,8 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus
-from acquisition.frame import Frame
-from acquisition.frames.guard import Delivered
+from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, Frame
+from acquisition.frames.guard import CheckedFrames
 from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError, RigError
 from rig.align import AlignmentFrame, take_look
@@ -24,7 +23,7 @@ class LitCamera:
 
     def __init__(self, camera: Camera, info: CameraInfo, permit: LightPermit) -> None:
         self._camera, self._info, self._permit = camera, info, permit
-        self._delivered = Delivered()
+        self._delivered = CheckedFrames()
 
     def open(self) -> CameraInfo:
         return self._info
@@ -34,7 +33,7 @@ class LitCamera:
 
     def start(self) -> None:
         # another region has images of another size
-        self._delivered = Delivered()
+        self._delivered = CheckedFrames()
         self._camera.start()
 
     def read(self, timeout_s: float) -> Frame | None:

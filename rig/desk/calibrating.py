@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from acquisition import atomic_write
 from processing.errors import ConfigurationError, DataError, RecordError, RigError
 from rig.calibrate import (
-    Filed,
+    CalibrationReport,
     Filing,
     calibrate_air,
     calibrate_axes,
@@ -146,7 +146,7 @@ class Calibrating:
         self._desk = desk
         self._recording: tuple[str, Path, Job] | None = None
         self.kinds = kinds()
-        self.made: dict[str, Filed] = {}
+        self.made: dict[str, CalibrationReport] = {}
         self.recorded: dict[str, Path] = {}
         self.problems: dict[str, str] = {}
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from nicegui import ui
 
-from rig.presentation import Shown, quantity
+from rig.presentation import QuantityDisplay, quantity
 
 Points = Sequence[Sequence[float | None]]
 Mark = tuple[float, str]
@@ -27,7 +27,7 @@ _LINES = {"lineStyle": {"color": "var(--edge)", "opacity": 0.35}}
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class ChartCurve:
     """A curve: the key of its quantity, its name where several have one quantity, how it is drawn.
 
     `colour` is a name of the theme. A band has points (x, middle, half width). Curves with another `row` are
@@ -42,8 +42,8 @@ class Curve:
 
 
 def chart_options(
-    x: Shown,
-    curves: Sequence[Curve],
+    x: QuantityDisplay,
+    curves: Sequence[ChartCurve],
     points: Sequence[Points],
     unit: str,
     marks: Sequence[Mark],
@@ -163,7 +163,7 @@ def chart_options(
     }
 
 
-def in_last_row(curves: Sequence[Curve], words: str) -> dict[str, Any]:
+def in_last_row(curves: Sequence[ChartCurve], words: str) -> dict[str, Any]:
     """Words in the middle of the last row."""
     rows = max((curve.row for curve in curves), default=0) + 1
     part = (100.0 - _BELOW_PERCENT) / rows
@@ -189,7 +189,7 @@ def _from_to(end: End) -> dict[str, float]:
 _BOX = {"backgroundColor": "var(--raised)", "color": "var(--ink)"}
 
 
-def _series(curve: Curve, points: Points, unit: str) -> list[dict[str, Any]]:
+def _series(curve: ChartCurve, points: Points, unit: str) -> list[dict[str, Any]]:
     """One curve for ECharts; a band is drawn as its lower edge, and what is stacked on that."""
     shown, colour = quantity(curve.key, unit), f"var(--{curve.colour})"
     name = curve.name or shown.symbol
@@ -246,13 +246,13 @@ class Chart:
         self,
         title: str,
         x: str,
-        curves: Sequence[Curve],
+        curves: Sequence[ChartCurve],
         *,
         square: bool = False,
         height: str = "",
     ) -> None:
         self._title, self._x, self._square = title, x, square
-        self._curves: Sequence[Curve] = curves
+        self._curves: Sequence[ChartCurve] = curves
         self._shown: object = None
         self._small = bool(height)
         with ui.element("div").classes("chart") as self.frame:
@@ -268,7 +268,7 @@ class Chart:
             if square:
                 self.frame.classes("square")
 
-    def declare(self, curves: Sequence[Curve]) -> None:
+    def declare(self, curves: Sequence[ChartCurve]) -> None:
         """Draw other curves from now on."""
         self._curves = curves
 
@@ -303,7 +303,7 @@ class Chart:
         self.element.update()
 
 
-class Trajectory:
+class TrajectoryChart:
     """The way of the spot in a square chart, to scale about zero or stretched."""
 
     def __init__(self) -> None:
@@ -338,8 +338,8 @@ def trajectory_ends(known: Sequence[tuple[float, float]], *, stretched: bool) ->
 
 
 WAY = (
-    Curve("deflection_y", "way of the spot"),
-    Curve("deflection_y", "now", style="points", colour="second"),
+    ChartCurve("deflection_y", "way of the spot"),
+    ChartCurve("deflection_y", "now", style="points", colour="second"),
 )
 """Curves of a trajectory, over ``deflection_x``."""
 

@@ -19,10 +19,9 @@ from rig.desk.aligner import Aligner
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, start_session
-from rig.desk.kept import Kept
-from rig.desk.lighting import Lighting
-from rig.desk.safety import Safety
+from rig.desk.lighting import Lighting, Safety
 from rig.desk.sessions import LookingAgain, SessionIndex
+from rig.desk.store import DeskStore
 from rig.measure import HandOver, hand_over, session_folder
 from rig.orders import NoSession
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
@@ -35,7 +34,7 @@ _REGION = ("width_px", "height_px", "offset_x_px", "offset_y_px")
 _HANDED_OVER = ("session.json", "results.json", "report.html")
 
 
-class Started(StrEnum):
+class StartState(StrEnum):
     """How a session stands that the desk has started."""
 
     RUNNING = "running"
@@ -67,7 +66,7 @@ class Desk:
         self.sessions = SessionIndex(self.config.session.output)
         self._session: tuple[subprocess.Popen[bytes], Path] | None = None
         self._handed_over: tuple[tuple[object, ...], HandOver | None] | None = None
-        self.place = Kept(source)
+        self.place = DeskStore(source)
         self.alarming = Alarming(self)
         self.lighting = Lighting(self)
         self._lock = threading.Lock()
@@ -164,7 +163,7 @@ class Desk:
 
     def needs_camera(self, who: str) -> None:
         """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""
-        if self.following.running or (self.session_state is Started.RUNNING and not self._has_ended()):
+        if self.following.running or (self.session_state is StartState.RUNNING and not self._has_ended()):
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
         for name, job in self.jobs.items():
             # what has reported its result, or was asked to end, is about to end
@@ -182,7 +181,7 @@ class Desk:
         if self._session is None or self.following.last_folder != self._session[1]:
             return False
         deadline_s = time.monotonic() + _ENDS_WITHIN_S
-        while self.session_state is Started.RUNNING:
+        while self.session_state is StartState.RUNNING:
             if self.following.running or time.monotonic() > deadline_s:
                 return False
             time.sleep(_LOOK_S)
@@ -223,12 +222,12 @@ class Desk:
     # -- the session ------------------------------------------------------------
 
     @property
-    def session_state(self) -> Started | None:
+    def session_state(self) -> StartState | None:
         """Of the session that this desk has started; None if none was."""
         if self._session is None:
             return None
         status = self._session[0].poll()
-        return Started.RUNNING if status is None else Started.DONE if status == 0 else Started.FAILED
+        return StartState.RUNNING if status is None else StartState.DONE if status == 0 else StartState.FAILED
 
     @property
     def starting(self) -> bool:
@@ -248,7 +247,7 @@ class Desk:
 
     def resumable(self) -> Path | None:
         """The newest session, where it was interrupted and none runs: its missing runs can be made."""
-        if self.following.running or self.session_state is Started.RUNNING:
+        if self.following.running or self.session_state is StartState.RUNNING:
             return None
         newest = next(iter(self.sessions.page(None, most=1).rows), None)
         return newest.folder if newest is not None and newest.died else None

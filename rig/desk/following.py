@@ -16,9 +16,9 @@ from acquisition.record.events import Event
 from processing.errors import RigError
 from rig.control import STALE_S, DevicesNow, SafetyNow
 from rig.desk.alarming import OF_CAMERA, EndedSession, HowEnded
-from rig.desk.run_reader import RunReader
+from rig.desk.run_reader import RecordFollower
 from rig.measure import RunState, read_session
-from rig.orders import ORDERS_NAME, Line, NoSession, SessionBusy, SessionPicture, running_sessions
+from rig.orders import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
@@ -37,7 +37,7 @@ class Heartbeat:
     def __init__(self, folder: Callable[[], Path | None]) -> None:
         self._folder = folder
         self._beat_s = -math.inf
-        self._line: Line | None = None
+        self._line: OrderConnection | None = None
         self._ended = threading.Event()
 
     def start(self) -> None:
@@ -61,7 +61,7 @@ class Heartbeat:
                 self._line, self._beat_s = None, -math.inf
             try:
                 if folder is not None:
-                    self._line = self._line or Line(folder)
+                    self._line = self._line or OrderConnection(folder)
                     self._line.beat()
                     self._beat_s = time.monotonic()
             except NoSession:
@@ -93,10 +93,10 @@ class Following:
         self.camera_event: dict[str, Any] | None = None
         self.ended: deque[EndedSession] = deque(maxlen=8)
         self.heartbeat = Heartbeat(lambda: self.folder)
-        self._line: Line | None = None
-        self._reader: RunReader | None = None
+        self._line: OrderConnection | None = None
+        self._reader: RecordFollower | None = None
         self._count = 0
-        self._pictures: Line | None = None
+        self._pictures: OrderConnection | None = None
         self._last_picture: SessionPicture | None = None
         self._heard = 0
         self._one_picture = threading.Lock()
@@ -165,7 +165,7 @@ class Following:
         """Give the running session an order; raises RigError if it cannot be carried out."""
         if self.folder is None:
             raise NoSession("no session runs")
-        with Line(self.folder) as line:
+        with OrderConnection(self.folder) as line:
             return line.order(name)
 
     @property
@@ -188,7 +188,7 @@ class Following:
                 self._pictures = self._last_picture = None
             if folder is None:
                 return None
-            self._pictures = self._pictures or Line(folder)
+            self._pictures = self._pictures or OrderConnection(folder)
             last = self._last_picture
             with suppress(NoSession):
                 self._last_picture = self._pictures.picture(0 if last is None else last.number) or last
@@ -217,14 +217,14 @@ class Following:
     def _search(self) -> None:
         for folder in islice(running_sessions(self._output), 1):
             with suppress(NoSession):
-                self._line = Line(folder)
+                self._line = OrderConnection(folder)
                 self._heard, self.camera_event = 0, None
                 self.events.clear()
                 self._read("")
                 self.folder = self.last_folder = folder
                 self._ask(self._line)
 
-    def _ask(self, line: Line) -> None:
+    def _ask(self, line: OrderConnection) -> None:
         try:
             news = line.news(self._heard)
         except NoSession as why:
@@ -249,7 +249,7 @@ class Following:
         self._read(news["record"])
         if (reader := self._reader) is not None and reader.begun:
             for elapsed_s, told in reader.take_events():
-                self._keep(_of_record(reader, elapsed_s, told, news["run"]), news["run"])
+                self._keep(_event_fields(reader, elapsed_s, told, news["run"]), news["run"])
             news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
 
@@ -266,10 +266,10 @@ class Following:
             self._reader.close()
             self._reader = None
         if record and self._reader is None:
-            self._reader = RunReader(Path(record))
+            self._reader = RecordFollower(Path(record))
 
 
-def _of_record(reader: RunReader, elapsed_s: float, event: Event, run: str) -> dict[str, Any]:
+def _event_fields(reader: RecordFollower, elapsed_s: float, event: Event, run: str) -> dict[str, Any]:
     """An event of a record as the session tells its own."""
     at = time.localtime(time.time() - time.monotonic() + reader.began_s + elapsed_s)
     return {
@@ -302,9 +302,9 @@ def _how_ended(folder: Path) -> EndedSession:
     return EndedSession(folder.name, HowEnded.REGULARLY)
 
 
-def _is_there(line: Line) -> bool:
+def _is_there(line: OrderConnection) -> bool:
     try:
-        Line(line.folder).close()
+        OrderConnection(line.folder).close()
     except NoSession:
         return False
     return True

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from processing.errors import ConfigurationError
-from rig.balance import BalanceDialogue, BalanceStage, Learned, balance_dialogue, history_path, learned
+from rig.balance import BalanceDialogue, BalanceStage, ResponseTable, balance_dialogue, history_path, learned
 from rig.instrument import complete
 from rig.terminal import start_python
 
@@ -180,7 +180,7 @@ class Balancing:
         else:
             job.end()
 
-    def learned(self) -> Learned:
+    def learned(self) -> ResponseTable:
         """What the turns so far have taught. Raises RigError for a history that cannot be read. May wait."""
         config = complete(self._desk.checked())
         return learned(config, history_path(config, None))

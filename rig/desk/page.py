@@ -11,10 +11,10 @@ from nicegui.events import KeyEventArguments
 from rig.control import STALE_S, LatchedTrip, TripCause
 from rig.desk.alarm_bar import AlarmBar, TripDialog, keys_dialog, resume_dialog, sentence
 from rig.desk.alarm_list import CATALOGUE, AlarmKey, AlarmRow
-from rig.desk.desk import Desk, Started
+from rig.desk.desk import Desk, StartState
 from rig.desk.following import doing
+from rig.desk.lighting import lamps, refusal
 from rig.desk.panels import PANELS
-from rig.desk.safety import lamps, refusal
 from rig.desk.sessions import last_state
 from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.desk.theme import named_colours
@@ -35,7 +35,7 @@ def build_page(desk: Desk, off_port: int) -> None:
         ui.space()
         keys = ui.button("Keys", on_click=lambda: tab.press("?")).props('dense flat aria-label="Keys, key ?"')
         keys.classes("spare")
-    over_all = OverAll(desk, tab)
+    over_all = PageHeader(desk, tab)
     _build_panels(desk, tab)
     tab.key("a", over_all.alarms.toggle)
     tab.key("?", keys_dialog(_keys()).open)
@@ -60,7 +60,7 @@ def build_page(desk: Desk, off_port: int) -> None:
     ui.timer(_LOOK_S, refresh)
 
 
-class OverAll:
+class PageHeader:
     """What stands above every panel: alarms, light that waits for a person, a request, errors."""
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
@@ -161,7 +161,7 @@ def _state(desk: Desk) -> str:
     if following.folder is not None:
         phase = doing(following.news.get("state"))
         return f"{following.folder.name} · {following.news.get('run') or 'session'} · {phase or 'preparing'}"
-    if desk.session_state is Started.RUNNING:
+    if desk.session_state is StartState.RUNNING:
         folder = desk.session_folder
         how = "" if folder is None else last_state(folder)
         if folder is not None and how in ("complete", "stopped", "failed"):
@@ -170,7 +170,7 @@ def _state(desk: Desk) -> str:
     if desk.session_state and desk.session_folder is not None:
         how = last_state(desk.session_folder) or str(desk.session_state)
         # complete are its records; what it says of fits and conditions is another matter
-        more = ", with problems: see Measure" if desk.session_state is Started.FAILED else ""
+        more = ", with problems: see Measure" if desk.session_state is StartState.FAILED else ""
         return f"last session {how}{more}: {desk.session_folder.name}"
     if desk.session_folder is not None:
         return f"last session: {desk.session_folder.name}"

@@ -27,7 +27,7 @@ _DIGITS = 5
 Point = tuple[float, ...]
 
 
-class RunReader:
+class RecordFollower:
     """Follows a record, which need not be there yet, until it is closed; one of the same name is the next.
 
     `began_s` is when the record began on the monotonic clock, NaN before; `balance` the last one, as news.

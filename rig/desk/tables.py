@@ -20,7 +20,7 @@ def table(rows: Sequence[Sequence[str]], label: str) -> str:
     return f"<table class='rows' aria-label='{html.escape(label)}'>{''.join(lines)}</table>"
 
 
-class Bar(NamedTuple):
+class LimitBar(NamedTuple):
     """A number against its limit: both as parts of a full bar, `part` None where it is not known.
 
     `kind` is go, no, caution or dim; `shown` the number in words, `note` what more is to be said.
@@ -34,7 +34,7 @@ class Bar(NamedTuple):
     note: str = ""
 
 
-def bars(rows: Sequence[Bar], label: str) -> str:
+def bars(rows: Sequence[LimitBar], label: str) -> str:
     """Bars below each other; who does not see them reads name, number and note."""
     lines = []
     for row in rows:

@@ -32,7 +32,7 @@ _PATIENCE_S = 5.0
 """For so long what is logged is waited for; a disk that hangs holds nothing up for longer."""
 
 
-class Audited(StrEnum):
+class AuditEntry(StrEnum):
     """What is kept."""
 
     LIT = "lit"
@@ -63,7 +63,7 @@ class AuditLog:
         self._starting = threading.Lock()
         self._thread: threading.Thread | None = None
 
-    def append(self, what: Audited, why: str, **details: object) -> None:
+    def append(self, what: AuditEntry, why: str, **details: object) -> None:
         """Have a line written; returns at once, in whatever thread."""
         if self._path is None:
             return

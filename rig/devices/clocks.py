@@ -14,8 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CLOCK_STATES, Camera, HasFeatures
-from acquisition.frame import Frame
+from acquisition.camera import CLOCK_STATES, Camera, Frame, HasFeatures
 from acquisition.frames.guard import MOST_PPM, as_fast
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import ClockAnchor, RecordedClockStep

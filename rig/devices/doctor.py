@@ -11,8 +11,8 @@ from typing import Literal, cast
 from rich.console import Console
 
 from acquisition.camera import CameraStatus, FrameTimeout
-from acquisition.cameras.device_settings import Usb3VisionSettings
-from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed, find_cameras
+from acquisition.cameras.drivers import Usb3VisionSettings
+from acquisition.cameras.usb3vision.link import FoundCamera, UsbSpeed, find_cameras
 from acquisition.frames.losses import FrameLosses
 from processing.errors import ConfigurationError, DeviceError, RigError
 from processing.units import seconds
@@ -24,7 +24,7 @@ from rig.control import (
     check_environment,
     check_laser,
 )
-from rig.devices.ground_witness import check_witness
+from rig.devices.ground_seismometer import check_witness
 from rig.devices.lit_devices import LEFT_LIT
 from rig.devices.session_devices import Devices
 from rig.devices.udev import as_root

@@ -7,7 +7,7 @@ switch it off at the end of their thread, also after an error.
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from typing import Any
 
 from processing.errors import ConfigurationError, DeviceError
@@ -16,6 +16,7 @@ from rig.control import (
     LASERS,
     LONGEST_JOB_S,
     STALE_S,
+    ControllerReset,
     ControllerSettings,
     ControlService,
     LaserNow,
@@ -145,3 +146,39 @@ def check_wiring(laser: LaserSettings, controller: ControllerSettings) -> None:
             f"laser.{key} = 'controller', but controller.kind = 'none': nothing switches the laser; set "
             f"controller.kind to serial or simulated, or {instead}"
         )
+
+
+_ASK_AGAIN_S = 0.1
+_LAST_WAIT_S = 0.2
+
+
+def confirmed_dark(
+    off: Callable[[], "Future[None]"], command: "Future[None]", end_s: float
+) -> tuple[str, KeyboardInterrupt | None]:
+    """Ask until it is confirmed that the laser is off, or the time is over; why it is not, empty if it is.
+
+    A late answer is waited for, and a port that is being opened again. A controller that has no session is
+    dark by definition. Ctrl-C ends no wait that ends soon by itself: it is returned.
+    """
+    interrupt: KeyboardInterrupt | None = None
+    no_session = False
+    while True:
+        try:
+            wait_for_command(command, max(end_s - time.monotonic(), _LAST_WAIT_S))
+            return "", interrupt
+        except KeyboardInterrupt as error:
+            interrupt = interrupt or error
+            if time.monotonic() < end_s:
+                continue
+            why = "interrupted"
+        except (DeviceError, CancelledError) as error:
+            why = str(error) or "its thread has ended"
+            no_session = no_session or isinstance(error, ControllerReset)
+        if time.monotonic() > end_s - _ASK_AGAIN_S:
+            return "" if no_session else why, interrupt
+        try:
+            time.sleep(_ASK_AGAIN_S)
+        except KeyboardInterrupt as error:
+            interrupt = interrupt or error
+        if command.done():
+            command = off()

@@ -30,12 +30,12 @@ from rig.control import (
     TripCause,
     rig_state_path,
 )
-from rig.devices.audit import Audited, AuditLog
-from rig.devices.confirmed_dark import confirmed_dark
+from rig.devices.audit import AuditEntry, AuditLog
 from rig.devices.laser import (
     STAYS_LIT,
     age_s,
     check_wiring,
+    confirmed_dark,
     laser_now,
     light,
     through_controller,
@@ -89,7 +89,7 @@ class LitDevices:
         """
         self.hear_presses()
         if trip := self.permit.latched:
-            self.audit(Audited.REFUSED, trip.text)
+            self.audit(AuditEntry.REFUSED, trip.text)
             raise LightRefused(f"the laser stays off: {trip.text}; {self.remedy}")
         # before it waits for its turn: what trips meanwhile came after the asking
         if asked:
@@ -116,14 +116,14 @@ class LitDevices:
     def _lit(self, in_run: bool) -> str:
         kind = self._config.laser.kind
         if self.waits_for_asking:
-            self.audit(Audited.REFUSED, TO_BE_ASKED)
+            self.audit(AuditEntry.REFUSED, TO_BE_ASKED)
             raise LightRefused(TO_BE_ASKED)
         if why := self.darkness():
             self.went_dark(why)
             if self.state.path is not None or not through_controller(self._config.laser):
                 self._note_lit()
             # before it is lit, because a disk may hang
-            self.audit(Audited.LIT, f"asked for by {self._task}", laser=kind)
+            self.audit(AuditEntry.LIT, f"asked for by {self._task}", laser=kind)
             self._log.wait()
             self._was_lit = self._is_lit = True
         if not in_run:
@@ -131,7 +131,7 @@ class LitDevices:
         try:
             return light(self._config.laser, self.control, self.laser)
         except DeviceError as error:
-            self.audit(Audited.REFUSED, str(error))
+            self.audit(AuditEntry.REFUSED, str(error))
             if self.laser is not None and self.laser.snapshot.state is None and self._config.rehearsal:
                 raise DeviceError(f"{error}; {self._config.rehearsal}") from None
             raise
@@ -141,7 +141,7 @@ class LitDevices:
         try:
             self.state.lit(True)
         except DeviceError as error:
-            self.audit(Audited.REFUSED, str(error))
+            self.audit(AuditEntry.REFUSED, str(error))
             raise LightRefused(f"the laser stays off: {error}") from None
 
     def darken(self, why: str = "frames are not processed any more") -> None:
@@ -227,7 +227,7 @@ class LitDevices:
             # the board's own number is another one; what it latched since it last told is refused by it
             wait_for_command(self.control.acknowledge())
         self.state.acknowledge(number)
-        self.audit(Audited.ACKNOWLEDGE, trip.text, number=number, by=who)
+        self.audit(AuditEntry.ACKNOWLEDGE, trip.text, number=number, by=who)
         self._log.wait()
         return f"{trip.text}: acknowledged"
 
@@ -263,15 +263,15 @@ class LitDevices:
 
     def _tripped(self, trip: LatchedTrip, now: bool) -> None:
         if now:
-            self.audit(Audited.TRIP, trip.why, cause=trip.cause, lit=trip.lit)
-        self.audit(Audited.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)
+            self.audit(AuditEntry.TRIP, trip.why, cause=trip.cause, lit=trip.lit)
+        self.audit(AuditEntry.LATCH, trip.why, number=trip.number, cause=trip.cause, lit=trip.lit)
         self.went_dark(trip.text)
 
     def went_dark(self, why: str) -> None:
         """Note that the light has gone; never blocks."""
         if self._is_lit:
             self._is_lit = False
-            self.audit(Audited.DARK, why)
+            self.audit(AuditEntry.DARK, why)
 
     def fell_dark(self, why: str) -> None:
         """Note that a laser which should be lit is not, and latch it: no later run lights it by itself.
@@ -283,7 +283,7 @@ class LitDevices:
         if not self.confirmed_dark:
             if self._is_lit:
                 self._is_lit = False
-                self.audit(Audited.UNKNOWN, why)
+                self.audit(AuditEntry.UNKNOWN, why)
             return
         if self.permit.begun and not self.waits_for_asking:
             self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {why}")
@@ -322,7 +322,7 @@ class LitDevices:
             return f"the laser {Light.SILENT}"
         return ""
 
-    def audit(self, what: Audited, why: str, **details: object) -> None:
+    def audit(self, what: AuditEntry, why: str, **details: object) -> None:
         """Add what happened to the light, or what a person did, to the audit log; never blocks."""
         self._log.append(what, why, **details)
 

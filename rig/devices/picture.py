@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import Camera, CameraInfo, CameraSettings
-from acquisition.frame import Frame, Image
-from acquisition.frames.guard import Delivered
+from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame, Image
+from acquisition.frames.guard import CheckedFrames
 from processing.errors import DeviceError
 
 _FLOOR = 0.1
@@ -157,7 +156,7 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
 
 def _look(camera: Camera, info: CameraInfo) -> PictureFigures:
     camera.start()
-    delivered = Delivered()
+    delivered = CheckedFrames()
     try:
         seen: list[PictureFigures] = []
         while len(seen) < _FRAMES:

@@ -27,7 +27,7 @@ from rig.control import (
 )
 from rig.devices.clocks import wait_for_network_clock
 from rig.devices.frame_stream import FrameStream
-from rig.devices.ground_witness import GroundWitness, ground_witness
+from rig.devices.ground_seismometer import GroundSeismometer, ground_witness
 from rig.devices.lit_devices import LitDevices
 from rig.instrument import (
     camera_settings,
@@ -108,7 +108,7 @@ class Devices(LitDevices):
         self._closing = ExitStack()
         self._inputs: RigInputs | None = None
         self.sensor: EnvironmentService | None = None
-        self.witness: GroundWitness | None = None
+        self.witness: GroundSeismometer | None = None
         if config.controller.kind == "simulated":
             if not config.simulated or config.on_demand:
                 raise ConfigurationError(

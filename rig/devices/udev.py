@@ -1,14 +1,21 @@
-"""`rig doctor --install-udev`: Linux's rules by which users may open the rig's devices."""
+"""The computer's side of cameras: rules by which users may open them, features as lines, newest frames."""
 
 import os
 import shlex
 import shutil
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Generator, Iterable, Iterator
 from pathlib import Path
 
 from acquisition import atomic_write
+from acquisition.camera import Camera, Frame
 from acquisition.cameras.usb3vision.link import UDEV_RULE
+from acquisition.cameras.usb3vision.node_map import READ_WRITE, WRITE_ONLY, FeatureReading
+from acquisition.frames.guard import CheckedFrames
+from acquisition.frames.queue import FrameQueue
 from processing.errors import ConfigurationError, DeviceError
 from rig.control import udev_board, udev_matches
 
@@ -80,3 +87,98 @@ def _reloaded() -> bool:
         return False
     done = subprocess.run([udevadm, "control", "--reload"], capture_output=True, timeout=30, check=False)
     return done.returncode == 0
+
+
+# Cameras report the largest number of the type for a feature without a limit.
+_NO_LIMIT = 2.0**62
+
+
+def feature_lines(readings: Iterable[FeatureReading]) -> Iterator[str]:
+    """One line for each feature: name, value with its unit, range or choices, access."""
+    shown = [(reading.name, _value(reading), _remark(reading)) for reading in readings]
+    names = max((len(name) for name, _, _ in shown), default=0)
+    values = min(max((len(value) for _, value, _ in shown), default=0), 24)
+    for name, value, remark in shown:
+        yield f"{name:<{names}}  {value:<{values}}  {remark}".rstrip()
+
+
+def _value(reading: FeatureReading) -> str:
+    value = reading.value
+    if reading.kind == "Command":
+        return "command"
+    if value is None:
+        return "-"
+    if isinstance(value, bytes):
+        return value.hex(" ") or "empty"
+    text = f"{value:.9g}" if isinstance(value, float) else str(value)
+    return f"{text} {reading.unit}".strip()
+
+
+def _remark(reading: FeatureReading) -> str:
+    if reading.problem:
+        return reading.problem
+    if reading.kind == "Command":
+        return "" if reading.access == WRITE_ONLY else reading.access
+    if reading.access != READ_WRITE:
+        return reading.access
+    if reading.choices:
+        return "one of " + ", ".join(reading.choices)
+    low, high = reading.minimum, reading.maximum
+    if isinstance(reading.value, bool | str | bytes) or low is None or high is None:
+        return ""
+    if abs(low) >= _NO_LIMIT and abs(high) >= _NO_LIMIT:
+        return ""
+    return f"{low:.9g} to {high:.9g} {reading.unit}".strip()
+
+
+_LOOK_S = 0.2
+_TIMEOUT_S = 5.0
+
+
+def watch_latest(
+    camera: Camera,
+    queue: FrameQueue,
+    at_least: int,
+    end_s: float,
+    interval_s: float = _LOOK_S,
+) -> Generator[list[Frame]]:
+    """Yield blocks of `at_least` frames, at most one per `interval_s`; the queue drops older frames.
+
+    The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one block
+    at least; until its source ends; or until the caller stops iterating. It is then stopped. Errors of the
+    camera, and frames that no camera may deliver, are raised here.
+    """
+    errors: list[Exception] = []
+    delivered = CheckedFrames()
+
+    def acquire() -> None:
+        try:
+            while (frame := camera.read(_TIMEOUT_S)) is not None:
+                if queue.put(delivered.checked(frame)) is None or ended.is_set():
+                    break
+        except Exception as error:
+            errors.append(error)
+        finally:
+            queue.close()
+
+    ended = threading.Event()
+    camera.start()
+    thread = threading.Thread(target=acquire, name="camera", daemon=True)
+    thread.start()
+    try:
+        while not queue.drained:
+            frames: list[Frame] = []
+            while len(frames) < at_least and not queue.drained:
+                frames += queue.take(at_least - len(frames), 0.1)
+            if frames:
+                yield frames
+            if time.monotonic() >= end_s:
+                break
+            time.sleep(interval_s)
+        if errors:
+            raise errors[0]
+    finally:
+        ended.set()
+        queue.close()
+        camera.stop()
+        thread.join(_TIMEOUT_S)

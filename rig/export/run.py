@@ -10,10 +10,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.digest import known_sha256_of, sha256_of
+from acquisition.record.digest import known_sha256_of, sha256_of, utc
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
-from acquisition.record.utc import utc
 from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.units import NS_PER_S, conversion, unit_of_name

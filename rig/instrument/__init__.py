@@ -8,17 +8,23 @@ from rig.instrument.balance import (
     advice_for,
     balance_failures,
     balance_verdicts,
+    balls,
+    check_materials,
     height_of,
+    material,
     nominal_effects,
+    pendulum_on_ball,
     run_balance_verdicts,
     sensor_room,
     turn_text,
 )
-from rig.instrument.beam_verdict import NO_STRAY_LIGHT, beam_quality
+from rig.instrument.beam_verdict import LESS_BEAM, NO_STRAY_LIGHT, BeamCorrection, beam_quality
 from rig.instrument.calibration import fill_from_files, judge_calibration
 from rig.instrument.configured_camera import (
+    ObserverGuard,
     camera_settings,
     check_full_scale,
+    complete,
     frame_policy,
     make_camera,
     pulse_faults,
@@ -27,9 +33,6 @@ from rig.instrument.configured_camera import (
     shutter_of,
     with_read_back,
 )
-from rig.instrument.kernels import prepare_kernels
-from rig.instrument.less_beam import LESS_BEAM, LessBeam
-from rig.instrument.pendulum import balls, check_materials, material, pendulum_on_ball
 from rig.instrument.pipeline import Block, Deflector, Optics, Pipeline, optics_of, sensor_model
 from rig.instrument.provenance import (
     CONFIGURATION_NAME,
@@ -37,10 +40,9 @@ from rig.instrument.provenance import (
     configuration_attachments,
     frame_shape,
     inputs_sha256,
+    prepare_kernels,
     recorded_configuration,
     session_metadata,
     versions,
 )
-from rig.instrument.run_now import CameraClock, Phase, RunNow, Told, rate_text, told_in
-from rig.instrument.simulated_rig import complete
-from rig.instrument.wall import Wall
+from rig.instrument.run_now import CameraClock, Phase, RecordContents, RunNow, rate_text, told_in

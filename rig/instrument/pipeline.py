@@ -9,15 +9,14 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from calibration import GLOBAL, Axes, Lever, Shutter, deflection_unit, deflections, displacements
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.estimate import Estimate
 from processing.spot import SensorModel, Spot, SpotTracker
-from processing.swing import Swing, SwingDetector
-from rig.instrument.configured_camera import shutter_of
-from rig.instrument.wall import Wall
+from processing.swing import HalfCycle, TurningPointDetector
+from rig.instrument.configured_camera import ObserverGuard, shutter_of
 from rig.settings import Configuration
 
 Found = TypeVar("Found")
@@ -76,7 +75,7 @@ class Block(NamedTuple):
 
     spots: list[Spot]
     deflections: Deflections
-    swings: list[Swing]
+    swings: list[HalfCycle]
     balances: list[Balance]
     references: Sequence[Spot] = ()
 
@@ -144,19 +143,19 @@ class Pipeline:
         *,
         shutter: Shutter = GLOBAL,
         beside: bool = False,
-        wall: Wall | None = None,
+        wall: ObserverGuard | None = None,
         reference: tuple[SpotTracker, int] | None = None,
     ) -> None:
         self.tracker = tracker
         self._spots = BothSpots(tracker, reference)
         self._deflector = Deflector(lever, axes, sensor_shape, shutter)
-        self._detector = SwingDetector()
+        self._detector = TurningPointDetector()
         estimator = BalanceEstimator()
         self._swings = BesideThread(self._swings_in, "swings") if beside else None
         self._balances = BesideThread(estimator.update, "balance") if beside else None
         self._detect = self._swings_in if self._swings is None else self._swings.update
         self._balance = (self._balances or estimator).update
-        self._wall = wall or Wall()
+        self._wall = wall or ObserverGuard()
 
     def process(self, frames: Sequence[Frame]) -> Block:
         """Track the spot in some consecutive frames, and continue with `measure`."""
@@ -178,10 +177,10 @@ class Pipeline:
         balances: list[Balance] = self._wall.past(_BALANCE, [], self._balance, deflections)
         return Block(spots, deflections, swings, balances)
 
-    def _swings_in(self, samples: Deflections) -> list[Swing]:
+    def _swings_in(self, samples: Deflections) -> list[HalfCycle]:
         return self._detector.update(samples.times_ns, samples.y, samples.u_y)
 
-    def finish(self) -> list[Swing]:
+    def finish(self) -> list[HalfCycle]:
         """Swings that are completed by the end of the samples."""
         waiting = [] if self._swings is None else self._swings.finish()
         return waiting + self._detector.finish()
@@ -259,7 +258,7 @@ class Optics:
         return Deflector(self.lever, self.axes, sensor_shape, self.shutter)
 
     def pipeline(
-        self, sensor_shape: tuple[int, int], *, beside: bool = False, wall: Wall | None = None
+        self, sensor_shape: tuple[int, int], *, beside: bool = False, wall: ObserverGuard | None = None
     ) -> Pipeline:
         """A new pipeline from frames to deflections and half-cycles."""
         return Pipeline(

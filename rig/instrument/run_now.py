@@ -29,12 +29,12 @@ from acquisition.record.topics import (
     RecordedLosses,
     RecordedNote,
     RecordedPhase,
-    Timed,
+    TimedMessage,
 )
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import seconds
 
 _TELLS_PPM = 100.0
@@ -77,7 +77,7 @@ class CameraClock:
 
 
 _Value = TypeVar("_Value")
-_STATES: Final[dict[str, type[Timed]]] = {
+_STATES: Final[dict[str, type[TimedMessage]]] = {
     PHASE.topic: RecordedPhase,
     LIGHT.topic: RecordedLight,
     CAMERA_STEP.topic: RecordedClockStep,
@@ -105,7 +105,7 @@ class Phase(StrEnum):
 _PHASES: Final = {phase.value: phase for phase in Phase}
 
 
-class Told(NamedTuple):
+class RecordContents(NamedTuple):
     """What a record was told of its run in one piece: half-cycles, balances, events, the session's messages.
 
     `start_ns` is the time of the record's first frame, `last_ns` that of the last one so far; both are 0
@@ -114,10 +114,10 @@ class Told(NamedTuple):
 
     start_ns: int = 0
     last_ns: int = 0
-    swings: Sequence[Swing] = ()
+    swings: Sequence[HalfCycle] = ()
     balances: Sequence[Balance] = ()
     events: Sequence[Event] = ()
-    messages: Sequence[Timed] = ()
+    messages: Sequence[TimedMessage] = ()
 
     def of(self, kind: type[_Value]) -> list[_Value]:
         """The messages of one kind."""
@@ -129,10 +129,10 @@ class Told(NamedTuple):
         return seconds(self.last_ns - self.start_ns)
 
 
-def told_in(reader: RecordReader, piece: Piece, start_ns: int, last_ns: int) -> Told:
+def told_in(reader: RecordReader, piece: Piece, start_ns: int, last_ns: int) -> RecordContents:
     """What a piece of a record tells; notes are among the events."""
     notes = reader.values(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ()))
-    return Told(
+    return RecordContents(
         start_ns,
         last_ns,
         reader.swings(piece.get(SWING.topic, ())),
@@ -210,7 +210,7 @@ class RunNow:
         of_light = ("light", "interlock", "trip", "darkness", "controller", "alarm")
         return RunNow(**{name: getattr(self, name) for name in (*of_rig, *of_light)})
 
-    def after(self, told: Told, unit: DeflectionUnit) -> "RunNow":
+    def after(self, told: RecordContents, unit: DeflectionUnit) -> "RunNow":
         """The state after what was told; amplitudes are in `unit`."""
         changes: dict[str, Any] = {}
         for message in told.messages:
@@ -227,7 +227,7 @@ class RunNow:
             changes["balance"] = told.balances[-1]
         return replace(self, **changes) if changes else self
 
-    def _changed_by(self, message: Timed, before: Mapping[str, Any]) -> dict[str, Any]:
+    def _changed_by(self, message: TimedMessage, before: Mapping[str, Any]) -> dict[str, Any]:
         """What a message of the session changes, after the changes `before` it."""
         clock: CameraClock = before.get("clock", self.clock)
         match message:

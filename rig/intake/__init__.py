@@ -9,8 +9,8 @@ from rig.intake.doubts import (
     why_no_laws,
 )
 from rig.intake.film import FilmAsked, film_trajectory, films_in, is_filmed
-from rig.intake.oscillations import fast_oscillation, fast_part, second_frequency
 from rig.intake.table import TableColumns, read_columns
+from rig.intake.times import fast_oscillation, fast_part, second_frequency
 from rig.intake.trajectory import (
     Trajectory,
     along_and_across,

@@ -13,7 +13,7 @@ from processing.errors import ConfigurationError, DataError
 from rig.intake.cell_text import counts_rows, is_moment, moments_ns
 from rig.intake.cells import Cells
 from rig.intake.times import number
-from rig.intake.units import TIME_NAME, Named, is_time, known_unit, named_unit
+from rig.intake.units import TIME_NAME, ColumnName, is_time, known_unit, named_unit
 
 _RUN_NAME: Final = re.compile(
     r"(?:run|trial|lauf|versuch|messung|messreihe|serie|series|experiment|essai|repeat|repetition|"
@@ -27,7 +27,7 @@ _MOST_ROWS: Final = 0.95
 """Of a second direction, that have to be numbers."""
 
 
-class Columns:
+class HeaderColumns:
     """The columns of a table, as its header names them or by number, and the unit that each states."""
 
     def __init__(self, path: Path, cells: Cells) -> None:
@@ -118,13 +118,13 @@ class Columns:
         )
         raise ConfigurationError(f"{self._path}: has no column {name!r}; columns: {known}")
 
-    def _unit_of(self, column: int) -> Named:
-        named = named_unit(self.names[column]) if self._cells.names else Named(self.names[column], "")
+    def _unit_of(self, column: int) -> ColumnName:
+        named = named_unit(self.names[column]) if self._cells.names else ColumnName(self.names[column], "")
         beside = self._cells.units[column]
         if not beside:
             return named
         unit = known_unit(beside)
-        return Named(named.name, unit or named.unit, "" if unit or named.unit else beside)
+        return ColumnName(named.name, unit or named.unit, "" if unit or named.unit else beside)
 
 
 _FEWEST_ROWS: Final = 8
@@ -132,7 +132,7 @@ _FEWEST_ROWS: Final = 8
 _MISSING: Final = ("", "nan")
 
 
-class Run(NamedTuple):
+class RowsOfRun(NamedTuple):
     """One run: its name, its rows, and what tells the runs apart."""
 
     name: str
@@ -140,7 +140,7 @@ class Run(NamedTuple):
     told_by: str = ""
 
 
-def runs_of(cells: Cells, columns: Columns, t_column: int | None) -> list[Run]:
+def runs_of(cells: Cells, columns: HeaderColumns, t_column: int | None) -> list[RowsOfRun]:
     """The runs of a table; one without a name where there is only one."""
     numbered = columns.run()
     if numbered is not None and numbered != t_column:
@@ -148,12 +148,12 @@ def runs_of(cells: Cells, columns: Columns, t_column: int | None) -> list[Run]:
         counts = Counter(label for label in labels if label.lower() not in _MISSING)
         if len(counts) > 1 and len(labels) >= _FEWEST_ROWS * len(counts):
             told_by = f"the column {columns.names[numbered]}"
-            return [Run(name, _part(cells, labels, name), told_by) for name in counts]
+            return [RowsOfRun(name, _part(cells, labels, name), told_by) for name in counts]
     blocks = _blocks(cells, t_column)
     if len(set(blocks)) > 1:
         told_by = "blank lines between them" if t_column is None else "times that begin again"
-        return [Run(name, _part(cells, blocks, name), told_by) for name in dict.fromkeys(blocks)]
-    return [Run("", cells)]
+        return [RowsOfRun(name, _part(cells, blocks, name), told_by) for name in dict.fromkeys(blocks)]
+    return [RowsOfRun("", cells)]
 
 
 def _label(cell: str) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from processing.decay_summary import DecaySummary, summarise_decay
 from processing.envelope import unsigned_period_s
 from processing.errors import ConfigurationError, DataError
-from processing.swing import Swing, turning_points
+from processing.swing import HalfCycle, turning_points
 from processing.units import conversion, seconds
 from rig.intake.cell_text import MOMENT, is_missing
 from rig.intake.times import likely_units, number
@@ -45,7 +45,7 @@ _LAST_S: Final = 253_402_300_800.0
 _YEAR_S: Final = 31_556_952.0
 
 
-def of_spreadsheet(first_ns: int) -> bool:
+def is_spreadsheet_time(first_ns: int) -> bool:
     """Whether a time in days is likely one of a spreadsheet; since 1970, it would be after 2052."""
     return _DAYS[0] * _DAY_NS < first_ns < _DAYS[1] * _DAY_NS
 
@@ -193,7 +193,7 @@ def judge_sign(path: Path, trajectory: Trajectory) -> None:
         )
 
 
-def judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[Swing]] = ()) -> None:
+def judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[HalfCycle]] = ()) -> None:
     """Refuse times that are hardly s where nothing states it: ms, numbers of rows, parts of a day."""
     step_s = float(np.median(np.diff(seconds(trajectory.times_ns))))
     periods_s = [summarise_decay(turning_points(part)).period_s.value for part in decays]

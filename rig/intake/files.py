@@ -257,7 +257,7 @@ def rows_of_workbook(raw: bytes) -> Sheet:
         }
     except CalamineError as error:
         raise ValueError(str(error)) from None
-    counts = {title: _of_numbers(rows) for title, rows in read.items()}
+    counts = {title: _numeric_rows(rows) for title, rows in read.items()}
     # a few constants above the table, on a sheet of their own, are not the table
     least = max(2, math.ceil(_SHARE * max(counts.values(), default=0)))
     holding = [title for title, count in counts.items() if count >= least]
@@ -296,7 +296,7 @@ def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:
     return plain, hides
 
 
-def _of_numbers(rows: list[list[str]]) -> int:
+def _numeric_rows(rows: list[list[str]]) -> int:
     """Rows that may be of a table: two numbers, or nothing else."""
     values = ([_is_value(cell) for cell in row if cell] for row in rows)
     return sum(sum(row) > 1 or (len(row) == 1 and all(row)) for row in values)

@@ -11,11 +11,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraSettings
+from acquisition.camera import CameraSettings, Image
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.files.sources import IMAGES, images_in, is_film, natural_key
-from acquisition.frame import Image
 from processing.arrays import Floats
 from processing.errors import ConfigurationError, DataError
 from processing.spot import SensorModel, Spot, SpotFlag, SpotTracker, fixed_light
@@ -167,7 +166,7 @@ def film_trajectory(
 
 
 @dataclass
-class _Followed:
+class _TrackedFilm:
     """What was seen of a film: of every frame its time and place, of some the picture and its spot."""
 
     dark: bool
@@ -184,15 +183,15 @@ def _follow(
     asked: FilmAsked,
     progress: Callable[[int, int], None] | None,
     less: Floats | None = None,
-) -> _Followed:
+) -> _TrackedFilm:
     """Follow what swings from the first frame to the last, in pictures less some light that stays."""
     camera.start()
     fine = _FINER if less is not None and full_dn <= _DEEPEST else 1
-    found: _Followed | None = None
+    found: _TrackedFilm | None = None
     every = 1
     while (frame := camera.read(1.0)) is not None:
         if found is None:
-            found = _Followed(looks_dark(frame.image) if asked.dark is None else asked.dark)
+            found = _TrackedFilm(looks_dark(frame.image) if asked.dark is None else asked.dark)
             tracker = SpotTracker(_sensor(full_dn * fine, fine, dark=found.dark))
         image = inverted(frame.image, full_dn) if found.dark else frame.image
         if less is not None:

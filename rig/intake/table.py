@@ -12,16 +12,16 @@ from processing.errors import ConfigurationError, DataError
 from processing.units import conversion, seconds
 from rig.intake.cell_text import is_moment, moments_ns
 from rig.intake.cells import Cells, read_cells
-from rig.intake.columns import Columns, Run, runs_of
+from rig.intake.columns import HeaderColumns, RowsOfRun, runs_of
 from rig.intake.doubts import (
     SPREADSHEET_ZERO_NS,
+    is_spreadsheet_time,
     judge_begin,
     judge_clock_digits,
     judge_size,
     judge_time_unit,
     judge_words,
     judge_zones,
-    of_spreadsheet,
     unwrapped,
 )
 from rig.intake.times import M_SS, SORT, clock_form, number, placed, read_times, rising
@@ -75,10 +75,10 @@ class TableColumns:
         cells, chosen, every = self._runs(path)
         return [self._trajectory(path, cells, run, every) for run in chosen]
 
-    def _runs(self, path: Path) -> tuple[Cells, list[Run], list[Run]]:
+    def _runs(self, path: Path) -> tuple[Cells, list[RowsOfRun], list[RowsOfRun]]:
         """The whole table, the runs that are asked for, and all of them."""
         cells = read_cells(path, self.decimal)
-        columns = Columns(path, cells)
+        columns = HeaderColumns(path, cells)
         every = runs_of(cells, columns, columns.time(self.time, self.rate_hz, self.time_unit))
         chosen = [run for run in every if self.run in ("", run.name)]
         if not chosen:
@@ -86,14 +86,14 @@ class TableColumns:
             raise ConfigurationError(f"{path}: --run {self.run}: is not there; {known}")
         return cells, chosen, every
 
-    def _trajectory(self, path: Path, whole: Cells, run: Run, every: list[Run]) -> Trajectory:
+    def _trajectory(self, path: Path, whole: Cells, run: RowsOfRun, every: list[RowsOfRun]) -> Trajectory:
         said = [f"{_listed(every)}; this is {run.name}"] if len(every) > 1 else []
         without = len(whole.rows) - sum(len(one.cells.rows) for one in every)
         said += [f"left out: {without} rows that are of no run"] if without else []
         return _Reading(path, self, run, said).trajectory()
 
 
-def _listed(runs: Sequence[Run]) -> str:
+def _listed(runs: Sequence[RowsOfRun]) -> str:
     named = ", ".join(f"{run.name} ({len(run.cells.rows)} rows)" for run in runs)
     return f"{len(runs)} runs, told apart by {runs[0].told_by}: {named}"
 
@@ -101,10 +101,10 @@ def _listed(runs: Sequence[Run]) -> str:
 class _Reading:
     """One reading of one run of a table."""
 
-    def __init__(self, path: Path, asked: TableColumns, run: Run, said: Sequence[str] = ()) -> None:
+    def __init__(self, path: Path, asked: TableColumns, run: RowsOfRun, said: Sequence[str] = ()) -> None:
         self._path, self._asked, self._run = path, asked, run.name
         self._cells: Cells = run.cells
-        self._columns = Columns(path, run.cells)
+        self._columns = HeaderColumns(path, run.cells)
         self._names = self._columns.names
         self._said: list[str] = [*run.cells.said, *said]
         self._time_is_assumed = False
@@ -213,7 +213,7 @@ class _Reading:
         if unit == "s":
             judge_clock_digits(self._path, self._names[column], seconds(times_ns + first_ns))
         self._said.append(f"time: {self._names[column]}, in {unit} ({source})")
-        if unit == "d" and of_spreadsheet(first_ns):
+        if unit == "d" and is_spreadsheet_time(first_ns):
             first_ns -= SPREADSHEET_ZERO_NS
             self._said.append("time: days since 1899-12-30, as spreadsheets count")
         return times_ns, good, unit, first_ns
@@ -299,6 +299,6 @@ class _Reading:
 def read_columns(path: Path, columns: Sequence[str], time_unit: str = "") -> Trajectory:
     """Time and any number of columns of a table, all but the time without names; see `TableColumns`."""
     asked = TableColumns(None, tuple(columns), time_unit=time_unit)
-    found = _Reading(path, asked, Run("", read_cells(path))).columns()
+    found = _Reading(path, asked, RowsOfRun("", read_cells(path))).columns()
     judge_time_unit(path, found)
     return found

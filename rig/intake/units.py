@@ -69,7 +69,7 @@ _FACTOR: Final = re.compile(
 """What makes the unit beside it another one: ``* 1000``, tenths of a second."""
 
 
-class Named(NamedTuple):
+class ColumnName(NamedTuple):
     """A column's name without the unit, and the unit as written here (``us``); empty where it states none.
 
     `strange`: what stands in the unit's place and is none that is known.
@@ -101,11 +101,11 @@ def is_time(unit: str) -> bool:
     return bool(unit) and dict(size(unit).powers) == dict(size("s").powers)
 
 
-def named_unit(name: str) -> Named:
+def named_unit(name: str) -> ColumnName:
     """Take a column's name apart."""
     text = _APART.sub(r"\1", name.strip())
     if factor := _FACTOR.search(text):
-        return Named(text, "", factor[0].strip())
+        return ColumnName(text, "", factor[0].strip())
     bracketed = [
         (each.span(), next(filter(None, each.groups()), "").strip()) for each in _BRACKETS.finditer(text)
     ]
@@ -113,13 +113,13 @@ def named_unit(name: str) -> Named:
     # behind the unit a letter is the channel or the run
     units = [item for k, item in enumerate(units) if not k or len(item[1]) > 1]
     if len({unit for _, unit in units}) > 1:
-        return Named(text, "", " and ".join(text[a:b] for (a, b), _ in units))
+        return ColumnName(text, "", " and ".join(text[a:b] for (a, b), _ in units))
     if units:
         ((begin, end), unit), *_ = units
-        return Named(" ".join(f"{text[:begin].rstrip()} {text[end:].lstrip()}".split()), unit)
+        return ColumnName(" ".join(f"{text[:begin].rstrip()} {text[end:].lstrip()}".split()), unit)
     plain = _BRACKETS.sub(" ", text).strip()
     if found := _without_brackets(plain):
-        return Named(found[0] if plain == text else text, found[1])
+        return ColumnName(found[0] if plain == text else text, found[1])
     of_time = TIME_NAME.fullmatch(plain)
     strange = [
         inside
@@ -132,7 +132,7 @@ def named_unit(name: str) -> Named:
         strange.append(behind)
     elif of_time and _COUNTS.fullmatch(plain):
         strange.append(plain.split()[-1])
-    return Named(plain, "", strange[-1] if strange else "")
+    return ColumnName(plain, "", strange[-1] if strange else "")
 
 
 def _unit(text: str) -> str:
@@ -176,7 +176,7 @@ NOT_STATED_TIME: Final = "nothing states another"
 TIME_UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
 
 
-def unit_of_time(path: Path, title: str, named: Named, asked: str) -> tuple[str, str]:
+def unit_of_time(path: Path, title: str, named: ColumnName, asked: str) -> tuple[str, str]:
     """The unit of a column of times, and who says so. Raises ConfigurationError for another, or for two."""
     if asked and not is_time(known_unit(asked)):
         raise ConfigurationError(
@@ -204,7 +204,7 @@ def unit_of_time(path: Path, title: str, named: Named, asked: str) -> tuple[str,
 
 
 def unit_of_positions(
-    path: Path, titles: Sequence[str], named: Sequence[Named], asked: str
+    path: Path, titles: Sequence[str], named: Sequence[ColumnName], asked: str
 ) -> tuple[str, str]:
     """The unit that one or two columns of positions share, and who says so. Raises ConfigurationError."""
     stated = known_unit(asked) or asked

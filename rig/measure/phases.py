@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedPhase
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, DeviceError, RecordError
-from processing.robust import robust_scatter
+from processing.noise_models import robust_scatter
 from processing.units import ARCSEC_RAD, NS_PER_S, nanoseconds
-from rig.devices import Audited, Devices, FrameStream, OpenCamera, through_controller, wait_for_command
+from rig.devices import AuditEntry, Devices, FrameStream, OpenCamera, through_controller, wait_for_command
 from rig.instrument import Optics, Phase
 from rig.measure.end_of_run import StopRequest
-from rig.measure.preflight import TrialFrames, device_checks, frame_checks, rest_checks, vault_checks
-from rig.measure.recent_frames import PhaseWait, RecentFrames, Stopped, Watch
+from rig.measure.preflight import TrialFrames, frame_checks, rest_checks, vault_checks
+from rig.measure.recent_frames import PhaseWait, RecentFrames, WaitStopped, Watch
 from rig.presentation import Verdict, failures
 from rig.settings import Configuration
 
@@ -101,7 +101,7 @@ class PhasesBeforeRecord:
             if self._attempt == 1:
                 self._look()
             self._release()
-        except Stopped:
+        except WaitStopped:
             return [], self._wait.events
         finally:
             self._brake(False)
@@ -115,7 +115,7 @@ class PhasesBeforeRecord:
         seconds = _preflight_s(self._config)
         frames = RecentFrames(stream, self._optics, seconds, seconds)
         self._wait = PhaseWait(frames, report, stop)
-        with suppress(NoGo, Stopped):
+        with suppress(NoGo, WaitStopped):
             if self._config.start.way == "at once":
                 self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.seen >= _AT_ONCE_FRAMES)
                 self._check(resting=False)
@@ -224,8 +224,8 @@ class PhasesBeforeRecord:
         limits = config.preflight
         look = frames.look(resting, _preflight_s(config))
         self.verdicts = [
-            device_checks.camera(self._camera.info.driver, self._camera.notes),
-            device_checks.shutter(
+            frame_checks.camera(self._camera.info.driver, self._camera.notes),
+            frame_checks.shutter(
                 self._camera.info.shutter, config.shutter, config.axes, pulsed=config.laser.pulse_us > 0
             ),
             *frame_checks.check_look(
@@ -235,11 +235,11 @@ class PhasesBeforeRecord:
                 frames.window_bytes(),
                 free_bytes(self._folder),
             ),
-            device_checks.controller(self._devices.now(), config.controller.kind != "none"),
-            device_checks.laser(self._devices.laser_now(), through_controller(config.laser)),
+            frame_checks.controller(self._devices.now(), config.controller.kind != "none"),
+            frame_checks.laser(self._devices.laser_now(), through_controller(config.laser)),
             self._witness(look),
             vault_checks.reference(look, config.reference, limits),
-            device_checks.air(
+            frame_checks.air(
                 self._devices.environment(),
                 config.environment_sensor.kind != "none",
                 limits,
@@ -254,7 +254,7 @@ class PhasesBeforeRecord:
         if against and not self._force:
             raise NoGo(against)
         if against:
-            self._devices.audit(Audited.FORCE, f"preflight said no-go: {against}")
+            self._devices.audit(AuditEntry.FORCE, f"preflight said no-go: {against}")
 
     def _unless_dark(self) -> None:
         """Raises DeviceError if the laser that this program has lit is dark: that is the cause."""

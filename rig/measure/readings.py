@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import astuple
 from typing import Final
 
-from acquisition.camera import Camera, HasFeatures
-from acquisition.frame import Frame
+from acquisition.camera import Camera, Frame, HasFeatures
 from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event
 from acquisition.record.topics import (
@@ -27,7 +26,7 @@ from acquisition.record.topics import (
 from processing.errors import DeviceError
 from processing.units import nanoseconds
 from rig.devices import ClockAnchors, ClockRate, FrameStream
-from rig.instrument import CameraClock, Wall
+from rig.instrument import CameraClock, ObserverGuard
 from rig.measure.run_parts import RunParts, features_json
 
 _LOSSES_NS = 1_000_000_000
@@ -114,7 +113,7 @@ class SideReadings:
     no other one says anything.
     """
 
-    def __init__(self, parts: RunParts, losses: LossLog, wall: Wall, start_ns: int) -> None:
+    def __init__(self, parts: RunParts, losses: LossLog, wall: ObserverGuard, start_ns: int) -> None:
         self._parts, self._losses, self._wall, self._start_ns = parts, losses, wall, start_ns
         on_demand = parts.stream.policy == "wait"
         self._anchors = None if on_demand else ClockAnchors()

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from acquisition.frame import Frame, Image
+from acquisition.camera import Frame, Image
 from acquisition.record.events import Event
 from acquisition.record.topics import REFERENCE, Recorded, RecordedNote, RecordedReference
 from acquisition.record.writer import RecordWriter

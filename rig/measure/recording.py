@@ -7,22 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import LOSSES, Recorded, RecordedHealth, RecordedNote, RecordedPhase
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
+from processing.slope_uncertainty import KickWatch, StepWatch
 from processing.spot import SpotFlag
-from processing.step_watch import KickWatch, StepWatch
 from processing.units import nanoseconds, seconds
-from rig.instrument import Block, LessBeam, Phase, Told, Wall
+from rig.instrument import BeamCorrection, Block, ObserverGuard, Phase, RecordContents
 from rig.measure.end_of_run import EndOfRun, StopRequest
-from rig.measure.frame_counts import FrameCounts
 from rig.measure.readings import LossLog, SideReadings
+from rig.measure.recent_frames import FrameCounts
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run_parts import RunParts
 from rig.measure.run_status import RunStatus
-from rig.measure.start_judge import StartJudge
+from rig.measure.session_orders import StartJudge
 from rig.posterior import Posterior
 
 _LIVE_FIT = "the live fit"
@@ -90,7 +90,7 @@ class Recording:
         losses: LossLog,
         recorder: Recorder,
         judge: StartJudge | None,
-        wall: Wall,
+        wall: ObserverGuard,
         first: Frame,
     ) -> None:
         self._parts = parts
@@ -111,7 +111,7 @@ class Recording:
         self._less = (
             None
             if gain is None
-            else LessBeam(parts.optics.deflector(shape), gain, beside=not self._on_demand)
+            else BeamCorrection(parts.optics.deflector(shape), gain, beside=not self._on_demand)
         )
         self._end = EndOfRun(parts.end_limits)
         self._steps = StepEvents(parts.optics.unit)
@@ -262,7 +262,7 @@ class Recording:
         """Tell those who watch what the record was told."""
         values, counts = [value for _, value in messages], self._counts
         swings, balances = ([], []) if block is None else (block.swings, block.balances)
-        self._status.tell(Told(counts.start_ns, counts.last_ns, swings, balances, events, values))
+        self._status.tell(RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, values))
 
     def _notes(self) -> list[RecordedNote]:
         """What operators have noted since the last call, on the frames' clock."""

@@ -13,7 +13,7 @@ from processing.errors import ConfigurationError, RecordError
 from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
-from rig.measure.notices import announced
+from rig.measure.notices import Sleep, Waiting, announced, check_waiting
 from rig.measure.run import ready_for_frames
 from rig.measure.session import (
     SessionOptions,
@@ -24,7 +24,6 @@ from rig.measure.session import (
     report,
 )
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, end_noted, read_session
-from rig.measure.waiting import Sleep, Waiting, check_waiting
 from rig.posterior import check_stop_when
 from rig.presentation import say
 from rig.settings import (
@@ -60,7 +59,9 @@ def measure_sessions(
     names = [source.stem for source in sources]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise ConfigurationError(f"{twice}: named twice; each session needs a folder of its own name")
-    configs = [_of_place(_checked(source, overrides), place) for place, source in enumerate(sources)]
+    configs = [
+        _numbered_configuration(_checked(source, overrides), place) for place, source in enumerate(sources)
+    ]
     folder = output or configs[0].session.output
     worst = 0
     for source, config in zip(sources, configs, strict=True):
@@ -97,7 +98,7 @@ def _checked(source: Path, overrides: Sequence[str]) -> Configuration:
     return config
 
 
-def _of_place(config: Configuration, place: int) -> Configuration:
+def _numbered_configuration(config: Configuration, place: int) -> Configuration:
     """The simulated rig has other random numbers in each session of a list, as in each run of one."""
     if not config.simulated or place == 0:
         return config

@@ -9,18 +9,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedPhase
 from processing.errors import DataError, DeviceError
-from rig.instrument import Phase, RunNow, Told, Wall
+from rig.instrument import ObserverGuard, Phase, RecordContents, RunNow
 from rig.measure.end_of_run import StopRequest
 from rig.measure.readings import LossLog
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
 from rig.measure.run_parts import RunOutcome, RunParts, set_aside
 from rig.measure.run_status import RunStatus
-from rig.measure.start_judge import StartJudge
+from rig.measure.session_orders import StartJudge
 from rig.terminal import reason_of
 
 _log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ def ready_for_frames(*, live: bool) -> Iterator[None]:
         sys.setswitchinterval(usual_turn_s)
 
 
-class Run:
+class MeasurementRun:
     """One run: camera thread -> bounded queue -> processing thread -> recorder thread.
 
     The main thread displays the run.
@@ -66,7 +66,7 @@ class Run:
     def __init__(self, parts: RunParts) -> None:
         self._parts = parts
         self._stream = parts.stream
-        self._wall = Wall()
+        self._wall = ObserverGuard()
         self._status = RunStatus(parts.watchers, parts.devices, parts.optics.unit, self._wall)
         self._stop = StopRequest(parts.stream)
         self._done = threading.Event()
@@ -246,7 +246,7 @@ class Run:
     def _shut_down(self) -> None:
         self._stop.close_stream()
         done = RecordedPhase(0, self.now.elapsed_s, Phase.DONE.value, reason=self._stop.reason)
-        self._status.tell(Told(messages=[self._losses.last(0), done]))
+        self._status.tell(RecordContents(messages=[self._losses.last(0), done]))
 
 
 def utc_offset_ns(frame: Frame) -> int:

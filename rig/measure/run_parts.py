@@ -6,20 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquisition.camera import Camera, HasFeatures
-from acquisition.frame import Frame
+from acquisition.camera import Camera, Frame, HasFeatures
 from acquisition.record import pixels_beside
 from acquisition.record.writer import RecordWriter
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError
 from processing.units import ARCSEC_RAD
-from rig.devices import Devices, FrameStream, OpenCamera, TypedLeave
+from rig.devices import Devices, FrameStream, OpenCamera, TypedAcknowledgement
 from rig.instrument import Optics, RunNow, configuration_attachments, session_metadata
 from rig.measure.end_of_run import EndLimits
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run_status import Watcher
-from rig.measure.session_orders import Notes
-from rig.measure.start_judge import StartLimits, start_limits
+from rig.measure.session_orders import Notes, StartLimits, start_limits
 from rig.orders import SessionNews
 from rig.posterior import LivePosterior
 from rig.presentation import Verdict, table_tree
@@ -88,7 +86,7 @@ class RunParts:
     phases: PhasesBeforeRecord | None = None
     watchers: Sequence[Watcher] = ()
     posterior: LivePosterior | None = None
-    typed_leave: TypedLeave | None = None
+    typed_leave: TypedAcknowledgement | None = None
 
     @property
     def end_limits(self) -> EndLimits:

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from contextlib import suppress
 
-from processing import decay_forecast
+from processing import decay_summary
 from processing.errors import ConfigurationError, RecordError
-from rig.devices import Devices, OpenCamera, TypedLeave
+from rig.devices import Devices, OpenCamera, TypedAcknowledgement
 from rig.instrument import RunNow, optics_of, prepare_kernels
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
-from rig.measure.run import Run
+from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunOutcome, RunParts, RunPlan
 from rig.measure.screen import RunDisplay
 from rig.posterior import LivePosterior, live_posterior
@@ -110,15 +110,15 @@ def _execute(
         phases=phases,
         watchers=(display, *plan.watchers),
         posterior=posterior,
-        typed_leave=TypedLeave(devices),
+        typed_leave=TypedAcknowledgement(devices),
     )
     prepare_kernels(optics.sensor, say)
-    decay_forecast.prepare()
+    decay_summary.prepare()
     # only now: compiling and importing take time, and a laser may be lit only while frames are processed
     if lit := devices.light():
         say(lit)
     with display:
-        return Run(parts).execute(show)
+        return MeasurementRun(parts).execute(show)
 
 
 def _say_if_heard(text: str) -> None:

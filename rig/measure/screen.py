@@ -16,12 +16,12 @@ from rich.live import Live
 
 from acquisition.record.events import EventKind
 from processing.balance import Balance
-from processing.decay_forecast import Forecast, forecast
+from processing.decay_summary import Forecast, forecast
 from processing.deflections import DeflectionUnit
 from processing.units import seconds
-from rig.instrument import Phase, RunNow, Told
+from rig.instrument import Phase, RecordContents, RunNow
 from rig.measure.end_of_run import BELOW_IN_A_ROW
-from rig.measure.run_panel import Rates, estimate_rows, run_panel
+from rig.measure.run_status import Rates, estimate_rows, run_panel
 from rig.presentation import Verdict, loud, print_json_line, print_verdicts, say, table_tree
 from rig.settings import StopCondition
 
@@ -84,7 +84,7 @@ class RunDisplay:
 
     # -- as a watcher, in the run's thread -----------------------------------
 
-    def take(self, told: Told) -> None:
+    def take(self, told: RecordContents) -> None:
         """Keep half-cycles for the forecast, and lines of the log."""
         for swing in told.swings:
             if not swing.flags:

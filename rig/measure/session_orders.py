@@ -2,25 +2,34 @@
 
 import _thread
 import json
+import math
 import os
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from acquisition.record.events import Level
+from acquisition.record.events import Severity
+from processing.balance import Balance
+from processing.deflections import DeflectionUnit
 from processing.errors import RigError
+from processing.swing import HalfCycle
+from processing.units import ARCSEC_RAD
 from rig.control import LightRefused
-from rig.devices import Audited, Devices, ask_leave, at_terminal, wait_for_command
+from rig.devices import AuditEntry, Devices, ask_leave, at_terminal, wait_for_command
+from rig.instrument import Optics
 from rig.orders import Orders, SessionNews
+from rig.settings import Configuration
 
 NOTES_NAME = "notes.jsonl"
 _MOST_CHARACTERS = 2000
 
 
-class Typed(NamedTuple):
+class OperatorNote(NamedTuple):
     """A note; `host_time_ns` is the computer's monotonic clock."""
 
     host_time_ns: int
@@ -37,7 +46,7 @@ class Notes:
 
     def __init__(self, folder: Path, author: str) -> None:
         self._path, self._author = folder / NOTES_NAME, author
-        self._typed: deque[Typed] = deque()
+        self._typed: deque[OperatorNote] = deque()
         self._writing = threading.Lock()
 
     def write(self, text: str) -> str:
@@ -47,7 +56,7 @@ class Notes:
             raise RigError("an empty note: type some text")
         if len(text) > _MOST_CHARACTERS:
             raise RigError(f"a note of {len(text)} characters: at most {_MOST_CHARACTERS}; split it in two")
-        typed = Typed(time.monotonic_ns(), author, text)
+        typed = OperatorNote(time.monotonic_ns(), author, text)
         utc = datetime.now(UTC).isoformat(timespec="milliseconds")
         line = json.dumps({"utc": utc, "author": author, "text": text}, ensure_ascii=False)
         with self._writing:
@@ -61,7 +70,7 @@ class Notes:
             self._typed.append(typed)
         return f"noted: {text}"
 
-    def take(self) -> list[Typed]:
+    def take(self) -> list[OperatorNote]:
         """The notes since the last call, oldest first."""
         found = []
         while self._typed:
@@ -83,7 +92,7 @@ def orders(devices: Devices, notes: Notes) -> Orders:
         if value not in ("on", "off"):
             raise RigError(f"brake {value!r}: should be on or off")
         wait_for_command(devices.required_control("the brake").brake(value == "on"))
-        devices.audit(Audited.BRAKE, "ordered", on=value == "on")
+        devices.audit(AuditEntry.BRAKE, "ordered", on=value == "on")
         return f"brake {value}"
 
     def acknowledge(value: str) -> str:
@@ -126,7 +135,7 @@ def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool 
     trip = devices.permit.latched
     if (trip or devices.waits_for_asking) and session_news.watched and not at_terminal():
         what = "light is to be asked for" if trip is None else trip.text
-        session_news.note("interlock", f"{what}: the next run waits for a person", Level.ALARM)
+        session_news.note("interlock", f"{what}: the next run waits for a person", Severity.ALARM)
         while session_news.watched and (devices.permit.latched or devices.waits_for_asking):
             time.sleep(_LOOK_S)
     if devices.permit.latched or devices.waits_for_asking:
@@ -136,3 +145,111 @@ def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool 
         if devices.state.path is not None and trip is not None:
             remedy = f"{devices.remedy}, then {remedy}"
         raise LightRefused(f"{what}; {remedy}")
+
+
+_SURELY = 2.0
+"""Standard uncertainties beyond the limit of the rotation."""
+
+
+@dataclass(frozen=True, slots=True)
+class StartLimits:
+    """Limits of the first amplitude, of the transverse motion and of the rotation about the vertical.
+
+    Amplitudes are in `unit`; in px they are not limited, because the limits are configured in arcsec.
+    After `attempts` rejected starts the run fails.
+    """
+
+    lowest_amplitude: float
+    highest_amplitude: float
+    highest_transverse_ratio: float
+    highest_spin_deg_per_min: float
+    patience_s: float
+    attempts: int
+    unit: DeflectionUnit
+
+
+def start_limits(config: Configuration, optics: Optics) -> StartLimits:
+    """The configured limits."""
+    wanted_rad = config.session.initial_amplitude_arcsec * ARCSEC_RAD
+    start, in_px = config.start, optics.unit is DeflectionUnit.PX
+    return StartLimits(
+        lowest_amplitude=0.0 if in_px else start.lowest_amplitude * wanted_rad,
+        highest_amplitude=math.inf if in_px else start.highest_amplitude * wanted_rad,
+        highest_transverse_ratio=start.max_transverse_ratio,
+        highest_spin_deg_per_min=config.balance.spin_deg_per_min,
+        patience_s=start.patience_s,
+        attempts=start.attempts,
+        unit=optics.unit,
+    )
+
+
+class StartJudge:
+    """Judges one start by its first two unflagged half-cycles and the balance of its first periods.
+
+    After that the rotation is judged once, by the first balance that knows it, about five periods after the
+    release. `first_amplitude` is the larger amplitude of these half-cycles, 0 before the first.
+    """
+
+    def __init__(self, limits: StartLimits) -> None:
+        self._limits = limits
+        self._accepted = False
+        self._good = 0
+        self._balance_seen = False
+        self._rotation_judged = False
+        self.first_amplitude = 0.0
+
+    def rejection(self, swings: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float) -> str:
+        """Why the start is rejected; empty while it is being judged and after it was accepted."""
+        return self._first_half_cycles_fault(swings, balances, elapsed_s) or self._rotation_fault(balances)
+
+    def _rotation_fault(self, balances: Sequence[Balance]) -> str:
+        for balance in balances:
+            rate, u = (
+                math.degrees(value) * 60.0
+                for value in (balance.rotation_rad_per_s, balance.u_rotation_rad_per_s)
+            )
+            if self._rotation_judged or not math.isfinite(rate):
+                continue
+            self._rotation_judged = True
+            highest = self._limits.highest_spin_deg_per_min
+            if abs(rate) - _SURELY * u > highest:
+                return (
+                    f"the plane of swing turns by {rate:+.2f} deg/min, at most {highest:g} deg/min is "
+                    "allowed: let the pendulum settle before the release"
+                )
+        return ""
+
+    def _first_half_cycles_fault(
+        self, swings: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float
+    ) -> str:
+        limits = self._limits
+        if self._accepted:
+            return ""
+        for swing in swings:
+            if not swing.flags:
+                self._good += 1
+                self.first_amplitude = max(self.first_amplitude, swing.amplitude)
+        if (
+            self._good >= 2
+            and not limits.lowest_amplitude <= self.first_amplitude <= limits.highest_amplitude
+        ):
+            first, lowest, highest = (
+                amplitude / limits.unit.shown_size
+                for amplitude in (self.first_amplitude, limits.lowest_amplitude, limits.highest_amplitude)
+            )
+            return (
+                f"first amplitude {first:.1f} {limits.unit.shown}, {lowest:.1f} to {highest:.1f} are required"
+            )
+        for balance in balances:
+            if balance.amplitude < 0.5 * limits.lowest_amplitude:
+                continue
+            self._balance_seen = True
+            if balance.transverse_ratio > limits.highest_transverse_ratio:
+                return (
+                    f"transverse motion is {100 * balance.transverse_ratio:.1f} % of the swing, "
+                    f"at most {100 * limits.highest_transverse_ratio:.1f} % is allowed"
+                )
+        self._accepted = self._good >= 2 and self._balance_seen
+        if not self._accepted and elapsed_s > limits.patience_s:
+            return f"no two clean half-cycles within {limits.patience_s:g} s"
+        return ""

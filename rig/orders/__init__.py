@@ -5,6 +5,6 @@ key that opens it; only its user can read that file. It only ever answers: nothi
 without one nothing is prepared.
 """
 
-from rig.orders.line import Line, NoSession, SessionBusy, running_sessions
+from rig.orders.line import NoSession, OrderConnection, SessionBusy, running_sessions
 from rig.orders.server import LOOPBACK, ORDERS_NAME, Orders, OrderSocket, devices_now, light_told
 from rig.orders.session_news import PATH_S, SessionNews, SessionPicture, thinned_path

@@ -28,7 +28,7 @@ class SessionBusy(NoSession):
     """A session is connected, or its connection is being made, but it does not answer in time."""
 
 
-class Line:
+class OrderConnection:
     """Connected to the session that runs in a folder. May be used from any thread, by one at a time.
 
     Raises NoSession, as every method does, where no session answers; SessionBusy if it may do so later.
@@ -175,7 +175,7 @@ def running_sessions(output: Path) -> Iterator[Path]:
             stated.append((path.stat().st_mtime, path.parent))
     for _, folder in sorted(stated, reverse=True):
         try:
-            with Line(folder) as line:
+            with OrderConnection(folder) as line:
                 line.news()
         except (NoSession, OSError):
             continue

@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraSettings
-from acquisition.frame import Frame, Image
-from acquisition.record.events import Level
+from acquisition.camera import CameraSettings, Frame, Image
+from acquisition.record.events import Severity
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.units import NS_PER_S
@@ -140,7 +139,7 @@ class SessionNews:
 
     # -- for those that answer -----------------------------------------------
 
-    def note(self, kind: str, text: str, level: str = Level.INFORMATION) -> None:
+    def note(self, kind: str, text: str, level: str = Severity.INFORMATION) -> None:
         """Add a line to the events that no record has."""
         with self._lock:
             self._event_number += 1

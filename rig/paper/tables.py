@@ -191,7 +191,7 @@ def table4(found: Sequence[PairSeries]) -> Table:
     )  # fmt: skip
 
 
-class _Compared(NamedTuple):
+class _PrintedRow(NamedTuple):
     """A printed value beside the fitted ones; `remark` stands behind the verdict, `note` below the table."""
 
     pair: PrintedPair
@@ -216,7 +216,7 @@ class _Compared(NamedTuple):
 def _fitted(
     series: PairSeries, parameter: str, unit: str, printed: float, scale: float = 1.0,
     last_digit: float = 0.001, note: str = "",
-) -> _Compared:  # fmt: skip
+) -> _PrintedRow:  # fmt: skip
     """Row of one fitted parameter: it agrees within its 95 % interval, or within the rounding of the
     paper."""
     exact, other = (series.series.fits[method][parameter] for method in (_EXACT, _ASYMPTOTIC))
@@ -225,7 +225,7 @@ def _fitted(
     verdict = _agreement(off, exact.expanded_uncertainty_95 / scale, last_digit)
     verdict = verdict or f"differs by {abs(off) / u:.1f} u"
     label, of_other = PARAMETERS[parameter], other.value / scale
-    return _Compared(series.pair, label, unit, printed, value, u, of_other, verdict, note=note)
+    return _PrintedRow(series.pair, label, unit, printed, value, u, of_other, verdict, note=note)
 
 
 def _agreement(difference: float, half: float, last_digit: float) -> str:
@@ -235,7 +235,7 @@ def _agreement(difference: float, half: float, last_digit: float) -> str:
     return f"{_AGREES} as rounded" if abs(difference) <= 0.5 * last_digit else ""
 
 
-def _energy(series: PairSeries, form: str) -> _Compared:
+def _energy(series: PairSeries, form: str) -> _PrintedRow:
     """Row of the surface energy: the form used in Table 2 must agree, Eq. 2 as printed is known to differ."""
     printed = series.pair.surface_energy_j_per_m2 * 1e3
     exact, asymptotic = (series.series.fits[method]["c"] for method in (_EXACT, _ASYMPTOTIC))
@@ -243,7 +243,7 @@ def _energy(series: PairSeries, form: str) -> _Compared:
     other = value / exact.value * asymptotic.value
     if form == "eq2":
         label, remark = "σ, Eq. 2: m g c/(2a)", " with Table 2"
-        return _Compared(series.pair, label, "mJ/m²", printed, value, u, other, CONTRADICTION, remark)
+        return _PrintedRow(series.pair, label, "mJ/m²", printed, value, u, other, CONTRADICTION, remark)
     half = u * exact.expanded_uncertainty_95 / exact.standard_uncertainty
     of_printed_c = surface_energy(Estimate(series.pair.c, 0.0), series.pendulum).table2.value * 1e3
     verdict = _agreement(value - printed, half, 0.1)
@@ -251,20 +251,20 @@ def _energy(series: PairSeries, form: str) -> _Compared:
         off = f"{100 * abs(printed / of_printed_c - 1):.1f} %"
         verdict = f"{_AGREES} with the printed c (σ {of_printed_c:.2f}, {off} off)"
     verdict = verdict or f"differs by {abs(value - printed) / u:.1f} u"
-    return _Compared(series.pair, "σ, m g R c/(2a²)", "mJ/m²", printed, value, u, other, verdict)
+    return _PrintedRow(series.pair, "σ, m g R c/(2a²)", "mJ/m²", printed, value, u, other, verdict)
 
 
-def _arae(series: PairSeries, key: str, label: str) -> _Compared:
+def _arae(series: PairSeries, key: str, label: str) -> _PrintedRow:
     """Row of a relative error, which is not comparable: it depends on the noise, which is that of the
     simulation."""
     printed = getattr(series.pair, key)
     exact, other = (float(getattr(series.run.fits[method], key)) for method in (_EXACT, _ASYMPTOTIC))
-    return _Compared(
+    return _PrintedRow(
         series.pair, label, "1", printed, exact, math.nan, other, "not comparable", ": another noise"
     )
 
 
-def _compared(name: str, title: str, rows: Sequence[_Compared]) -> Table:
+def _compared(name: str, title: str, rows: Sequence[_PrintedRow]) -> Table:
     shown = []
     before: PrintedPair | None = None
     for row in rows:

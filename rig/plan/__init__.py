@@ -1,7 +1,7 @@
 """What runs to come will tell, from one that was made or a configuration: table and picture of `rig plan`."""
 
 from rig.plan.expected import (
-    Expected,
+    PlannedContact,
     expected_of,
     expected_of_run,
     expected_of_table,

@@ -26,7 +26,7 @@ _AMPLITUDE_RAD = 3e-4
 _FULL_SCALE_DN = 255.0
 
 
-class Expected(NamedTuple):
+class PlannedContact(NamedTuple):
     """The contact's values by key, the pendulum, what makes its turning points scatter, the time limit."""
 
     values: dict[str, float]
@@ -35,7 +35,7 @@ class Expected(NamedTuple):
     longest_s: float = math.inf
 
 
-def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> Expected:
+def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> PlannedContact:
     """What is to be expected of a complete configuration.
 
     What a rig does not know before its first run is taken from [simulation]: the contact, the spot's size and
@@ -55,7 +55,7 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
     truth = contact.model_dump() | {DRAG.key: contact.whole_drag_s}
     values = {name: float(truth[name]) for name in DEFAULT_LAW.names(drag=drag.fitted)}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
-    u_rad, u_time_s, of_sine = _of_swings(config, noise_rad)
+    u_rad, u_time_s, of_sine = _half_cycle_uncertainties(config, noise_rad)
     conditions = Conditions(
         u_rad,
         u_time_s * _AMPLITUDE_RAD,
@@ -64,12 +64,12 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
         known_drag_s=drag.known_s,
         witness_noise=_witness_noise(config),
     )
-    return Expected(values, pendulum, conditions, config.session.max_duration_s)
+    return PlannedContact(values, pendulum, conditions, config.session.max_duration_s)
 
 
 def planned_expectation(
     source: Path, overrides: Sequence[str], noise_arcsec: float | None, contact: Path | None
-) -> Expected:
+) -> PlannedContact:
     """What is to be expected of a configuration file.
 
     `noise_arcsec` is the noise of one frame, `contact` a results.json whose first fitted run has the contact.
@@ -84,16 +84,16 @@ def planned_expectation(
     return expected._replace(values={name: known.get(name, own) for name, own in expected.values.items()})
 
 
-def expected_of_run(run: AnalysedRun) -> Expected:
+def expected_of_run(run: AnalysedRun) -> PlannedContact:
     """Contact, noise and ground of a run that was made. Raises DataError where it has no fit."""
     exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
     if exact is None or pendulum is None:
         raise DataError(f"{run.record}: a plan needs a fitted run: {run.results.problem or 'it has no fit'}")
     values = {name: exact.estimate(name).value for name in exact.contact_names}
-    return Expected(values, pendulum, Conditions.of(exact, run.points))
+    return PlannedContact(values, pendulum, Conditions.of(exact, run.points))
 
 
-def expected_of_table(results: Path) -> Expected:
+def expected_of_table(results: Path) -> PlannedContact:
     """Contact, noise and ground of the longest decay of a table or film, as its results have them.
 
     Raises
@@ -123,7 +123,7 @@ def expected_of_table(results: Path) -> Expected:
         0.0 if ground is None else ground.density_rad_per_s2_rthz.value,
     )
     names = DEFAULT_LAW.names(drag=DRAG.key in exact.parameters)
-    return Expected({name: exact.parameters[name].value for name in names}, pendulum, conditions)
+    return PlannedContact({name: exact.parameters[name].value for name in names}, pendulum, conditions)
 
 
 def _contact_of(results: Path) -> dict[str, float]:
@@ -186,7 +186,9 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
     return float(np.nanmedian(found))
 
 
-def _of_swings(config: Configuration, noise_rad: float) -> tuple[float, float, NDArray[np.float64] | None]:
+def _half_cycle_uncertainties(
+    config: Configuration, noise_rad: float
+) -> tuple[float, float, NDArray[np.float64] | None]:
     """Uncertainties of amplitude (rad) and time (s) that the swing detector finds at this noise of a frame,
     and the covariance of the harmonics in quadrature.
 

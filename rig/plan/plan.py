@@ -15,7 +15,7 @@ from processing.contact import DRAG
 from processing.errors import DataError
 from processing.fit import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.units import ARCSEC_RAD
-from rig.plan.expected import Expected
+from rig.plan.expected import PlannedContact
 from rig.presentation import Cell, Table, answer, palette, percent, plain, print_tables, quantity
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class Plan:
 
 
 def plan_expected(
-    expected: Expected,
+    expected: PlannedContact,
     first_arcsec: Sequence[float],
     last_arcsec: Sequence[float],
     ground_rad_per_s2_rthz: float | None = None,

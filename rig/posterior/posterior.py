@@ -14,10 +14,10 @@ from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from processing.fit import Evidence, points_in_true_time
-from processing.swing import HarmonicsWatch, Swing, SwingHarmonics
+from processing.swing import HalfCycle, HarmonicsWatch, SwingHarmonics
 from rig.analysis import clock_rate_of, evidence_of, known_drag, loss_of, stated_surroundings
 from rig.instrument import pendulum_on_ball
-from rig.posterior.worker import Asked, FittedModel, FittedParameters
+from rig.posterior.worker import FittedModel, FittedParameters, PosteriorInput
 from rig.settings import Configuration
 from rig.terminal import start_python
 
@@ -41,7 +41,7 @@ class FittingProcess:
     def pid(self) -> int:
         return self._process.pid
 
-    def fit(self, asked: Asked) -> FittedParameters | None:
+    def fit(self, asked: PosteriorInput) -> FittedParameters | None:
         """Fit, and wait for the answer; None if the process has died."""
         self._send(asked)
         if self._process.stdout is None:
@@ -123,13 +123,13 @@ class LivePosterior:
     def __init__(
         self,
         model: FittedModel,
-        evidence_of: Callable[[Sequence[Swing], SwingHarmonics], Evidence],
+        evidence_of: Callable[[Sequence[HalfCycle], SwingHarmonics], Evidence],
         *,
         in_step: bool = False,
     ) -> None:
         self._model, self._evidence_of, self._in_step = model, evidence_of, in_step
         self._changed = threading.Condition()
-        self._swings: list[Swing] = []
+        self._swings: list[HalfCycle] = []
         self._sent = 0
         self._unsent: list[Deflections] = []
         self._waveform = HarmonicsWatch()
@@ -168,7 +168,7 @@ class LivePosterior:
             self._due_half_cycles = FIRST_HALF_CYCLES
             self._latest = NOTHING
 
-    def take(self, swings: Sequence[Swing], deflections: Deflections) -> None:
+    def take(self, swings: Sequence[HalfCycle], deflections: Deflections) -> None:
         """Deflections that follow, and the half-cycles that end with them."""
         good = [swing for swing in swings if not swing.flags]
         if self._over:
@@ -242,7 +242,7 @@ class LivePosterior:
                         self._latest = Posterior(count, found.estimates, found.points)
                 self._changed.notify_all()
 
-    def _next(self) -> tuple[int, Asked] | None:
+    def _next(self) -> tuple[int, PosteriorInput] | None:
         """Number of half-cycles and message of the next fit once it is due; None at the end."""
         with self._changed:
             while not self._over:
@@ -259,7 +259,7 @@ class LivePosterior:
             new, self._sent = swings[self._sent :], len(swings)
             unsent, self._unsent = self._unsent, []
         samples = joined(unsent, DeflectionUnit.RAD)
-        return len(swings), Asked(run, new, samples, self._evidence_of(swings, harmonics))
+        return len(swings), PosteriorInput(run, new, samples, self._evidence_of(swings, harmonics))
 
     def _end(self, why: str) -> None:
         with self._changed:
@@ -275,7 +275,7 @@ def live_posterior(config: Configuration) -> LivePosterior | None:
         return None
     clock_rate = clock_rate_of(config)
 
-    def evidence(swings: Sequence[Swing], harmonics: SwingHarmonics) -> Evidence:
+    def evidence(swings: Sequence[HalfCycle], harmonics: SwingHarmonics) -> Evidence:
         period_s = mean_period(points_in_true_time(swings, clock_rate))
         drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
         return evidence_of(drag, harmonics)

@@ -27,12 +27,12 @@ from processing.fit import (
     Evidence,
     FitOfSwings,
     FitResult,
-    Linearised,
+    LinearisedFit,
     fitted_twice,
     with_misfit,
 )
 from processing.least_squares import Loss
-from processing.swing import Swing, TurningPoints, turning_points
+from processing.swing import HalfCycle, TurningPoints, turning_points
 from rig.analysis import PassingDeflections, PlaneBalances, follow_plane
 
 
@@ -54,14 +54,14 @@ class FittedModel(NamedTuple):
         return DEFAULT_LAW.fit_names(calibrated=True, drag=self.drag)[:-2]
 
 
-class Asked(NamedTuple):
+class PosteriorInput(NamedTuple):
     """What has come since the last message: half-cycles without a flag, and the deflections, in rad.
 
     All of the same `run` are fitted, restrained by the `evidence`.
     """
 
     run: int
-    swings: Sequence[Swing]
+    swings: Sequence[HalfCycle]
     deflections: Deflections
     evidence: Evidence = NO_EVIDENCE
 
@@ -83,7 +83,7 @@ _MOST = 300
 
 
 def fitted_points(
-    swings: Sequence[Swing], points: TurningPoints, fit: FitResult, pendulum: PendulumOnBall
+    swings: Sequence[HalfCycle], points: TurningPoints, fit: FitResult, pendulum: PendulumOnBall
 ) -> list[RecordedFittedPoint]:
     """The exact fit beside its data: `points` are the unflagged `swings` in true time.
 
@@ -124,8 +124,8 @@ class MeasuredRun:
         self._axes = axes
         self._making: PlaneBalances | None = None
         self._balances: list[Balance] = []
-        self._stand: list[Swing] = []
-        self._open: list[Swing] = []
+        self._stand: list[HalfCycle] = []
+        self._open: list[HalfCycle] = []
         self._blocks: list[Deflections] = []
         self._near: FitResult | None = None
 
@@ -134,7 +134,7 @@ class MeasuredRun:
         """Deflections that are kept."""
         return sum(map(len, self._blocks))
 
-    def take(self, swings: Sequence[Swing], deflections: Deflections) -> None:
+    def take(self, swings: Sequence[HalfCycle], deflections: Deflections) -> None:
         """Half-cycles and deflections that follow."""
         self._open += swings
         if not len(deflections):
@@ -146,7 +146,7 @@ class MeasuredRun:
         if self._making is not None:
             self._balances += self._making.of(deflections)
 
-    def fitted(self, fit: FitOfSwings) -> tuple[Sequence[Swing], FitResult]:
+    def fitted(self, fit: FitOfSwings) -> tuple[Sequence[HalfCycle], FitResult]:
         """All of them as they stand, and the fit to them; raises DataError where there is none.
 
         Where the plane of swing turns, they are those in it.
@@ -155,9 +155,9 @@ class MeasuredRun:
         found, self._near = fitted_twice(swings, blocks, fit, self._near, self._stand)
         if found.exact is not None and self.samples > self._most:
             self._let_go(found.swings)
-        return found.swings, with_misfit(Linearised.of(fit.points(found.swings), fit.pendulum, self._near))
+        return found.swings, with_misfit(LinearisedFit.of(fit.points(found.swings), fit.pendulum, self._near))
 
-    def _in_plane(self) -> tuple[Sequence[Swing], Iterable[Deflections]]:
+    def _in_plane(self) -> tuple[Sequence[HalfCycle], Iterable[Deflections]]:
         """The half-cycles that do not stand yet and their deflections, turned into the plane of swing."""
         whole = PassingDeflections(self._blocks, DeflectionUnit.RAD)
         plane = follow_plane([*self._stand, *self._open], whole, self._axes, balances=self._balances)
@@ -172,7 +172,7 @@ class MeasuredRun:
         numbered = [replace(one, index=one.index + shift) for one in plane.swings if not one.flags]
         return [one for one in numbered if one.index in known], plane.deflections
 
-    def _let_go(self, swings: Sequence[Swing]) -> None:
+    def _let_go(self, swings: Sequence[HalfCycle]) -> None:
         half = len(self._open) // 2
         if half < _BEFORE:
             return
@@ -195,7 +195,7 @@ def main() -> None:
     with suppress(EOFError, OSError):
         model: FittedModel = pickle.load(incoming)
         while True:
-            asked: Asked = pickle.load(incoming)
+            asked: PosteriorInput = pickle.load(incoming)
             if asked.run != of_run:
                 of_run, run = asked.run, MeasuredRun(axes=model.axes)
             run.take(asked.swings, asked.deflections)
@@ -207,7 +207,7 @@ def main() -> None:
             outgoing.flush()
 
 
-def _fitted(run: MeasuredRun, asked: Asked, model: FittedModel) -> FittedParameters:
+def _fitted(run: MeasuredRun, asked: PosteriorInput, model: FittedModel) -> FittedParameters:
     began_s = time.process_time()
     how = FitOfSwings(model.pendulum, model.clock_rate, model.drag, asked.evidence, model.loss)
     try:

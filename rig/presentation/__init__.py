@@ -13,27 +13,30 @@ from processing.number_text import (
     with_uncertainty,
 )
 from rig.presentation import palette
-from rig.presentation.json_object import answer, one_json_object
-from rig.presentation.keys import Keys
 from rig.presentation.latex import latex_rows, latex_table
 from rig.presentation.printing import (
     Cell,
-    Line,
     Table,
+    TableRow,
     TimeLeft,
+    answer,
     columns_of,
     harmless_line,
     harmless_text,
     loud,
+    one_json_object,
     plain_values,
     print_json_line,
     print_line,
+    print_tables,
     say,
+    screen_width,
     written,
 )
 from rig.presentation.quantities import (
     SOURCES,
-    Shown,
+    Keys,
+    QuantityDisplay,
     balance_drawn,
     balance_numbers,
     balance_panels,
@@ -42,5 +45,4 @@ from rig.presentation.quantities import (
     quantity,
     unit_of,
 )
-from rig.presentation.terminal import print_tables, screen_width
 from rig.presentation.verdict import Verdict, failures, print_verdicts, table_tree

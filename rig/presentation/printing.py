@@ -2,6 +2,8 @@
 
 import contextlib
 import csv
+import dataclasses
+import datetime
 import io
 import json
 import math
@@ -11,9 +13,17 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel
+from rich.cells import cell_len
+from rich.console import Console
+from rich.table import Table as RichTable
 
 from processing.errors import ConfigurationError, RecordError
 
@@ -23,7 +33,7 @@ _FORMULA_WITHIN = re.compile(r"([,;|](?:\s*(?=[=@]))?\"?)([=+@-])")
 """Behind what may part cells: a sign directly, = and @ also behind a blank or a quote."""
 
 
-class Line(NamedTuple):
+class TableRow(NamedTuple):
     """A line of a table: cells for the file, and texts for the user, none where it is only in the file."""
 
     cells: Sequence[Cell]
@@ -52,7 +62,7 @@ class Table:
         title: str,
         columns: str | Sequence[str],
         head: Sequence[str],
-        lines: Sequence[Line],
+        lines: Sequence[TableRow],
         note: str = "",
     ) -> "Table":
         """A table of lines; `columns` may be words in one text."""
@@ -217,3 +227,153 @@ def plain_values(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+_FOUND: ContextVar[dict[str, Any] | None] = ContextVar("found", default=None)
+
+
+def answer(**found: object) -> None:
+    """Say beside what is printed for a person what a program is to read; without ``--json`` nothing happens.
+
+    A list that is stated again is continued: records, files, tables.
+    """
+    told = _FOUND.get()
+    if told is None:
+        return
+    for name, value in found.items():
+        if isinstance(value, list) and name in told:
+            told[name] += value
+        else:
+            told[name] = value
+
+
+@contextlib.contextmanager
+def one_json_object() -> Iterator[None]:
+    """What is printed within it goes to stderr, and at its end one JSON object to stdout.
+
+    After an error there is none: its line on stderr and the exit status say it.
+    """
+    found: dict[str, Any] = {}
+    before = _FOUND.set(found)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        _FOUND.reset(before)
+    print(json.dumps(plain_values(_plain(found)), ensure_ascii=False), flush=True)
+
+
+def _plain(value: Any) -> Any:
+    """Nested values as JSON has them."""
+    if isinstance(value, Table):
+        rows = [_plain(list(row)) for row in value.rows]
+        return {"name": value.name, "title": value.title, "columns": list(value.columns), "rows": rows}
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {item.name: _plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return _plain(value._asdict())
+    if isinstance(value, dict):
+        return {str(key): _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, datetime.datetime | datetime.date):
+        return value.isoformat()
+    return str(value) if isinstance(value, Path) else value
+
+
+_NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")
+_WIDE = 170
+"""Columns of a file or a pipe."""
+_GAP = 2
+"""Between columns; rich counts it behind the last one, too."""
+
+
+def screen_width() -> int:
+    """Columns of the terminal, or of what a table takes where nobody looks at one."""
+    return columns_of(sys.stdout) or _WIDE
+
+
+def print_tables(tables: Sequence[Table]) -> None:
+    """Print tables; columns that consist mostly of numbers are right-aligned.
+
+    Numbers are never broken, texts only between words; columns that do not fit beside each other follow
+    below, with the first column again.
+    """
+    answer(tables=list(tables))
+    width = screen_width()
+    console = Console(width=width, markup=False)
+    for content in tables:
+        title = content.title
+        for places in _parts(content, width):
+            console.print(_drawn(content, title, places, width))
+            title = ""
+        if content.note:
+            print_line(content.note)
+        console.print()
+
+
+def _parts(content: Table, width: int) -> list[list[int]]:
+    """The places of the columns that stand beside each other, the first column in every part."""
+    least = _least_widths(content)
+    if not least:
+        return []
+    parts = [[0]]
+    for place in range(1, len(least)):
+        used = sum(least[one] + _GAP for one in parts[-1])
+        if len(parts[-1]) > 1 and used + least[place] + _GAP > width:
+            parts.append([0])
+        parts[-1].append(place)
+    return parts
+
+
+def _drawn(content: Table, title: str, places: Sequence[int], width: int) -> RichTable:
+    least, widths = _least_widths(content), _natural_widths(content)
+    while sum(widths[place] + _GAP for place in places) > width:
+        can = [place for place in places if widths[place] > least[place]]
+        if not can:
+            break
+        widths[max(can, key=lambda place: widths[place])] -= 1
+    drawn = RichTable(title=title or None, title_justify="left", box=None, pad_edge=False)
+    for place in places:
+        drawn.add_column(
+            content.head[place],
+            justify="right" if _is_of_numbers(content, place) else "left",
+            width=widths[place],
+        )
+    for row in content.shown:
+        drawn.add_row(*(_folded(row[place], widths[place]) for place in places))
+    return drawn
+
+
+def _folded(cell: str, width: int) -> str:
+    return "\n".join(folded(line, width) for line in cell.split("\n"))
+
+
+def _is_of_numbers(content: Table, place: int) -> bool:
+    return 2 * sum(row[place].startswith(_NUMBERS_BEGIN_WITH) for row in content.shown) > len(content.shown)
+
+
+def _natural_widths(content: Table) -> list[int]:
+    return [
+        max(map(cell_len, (heading, *(row[place] for row in content.shown))), default=0)
+        for place, heading in enumerate(content.head)
+    ]
+
+
+def _least_widths(content: Table) -> list[int]:
+    """So that no word is broken, and of a column of numbers no cell."""
+    found = []
+    for place, heading in enumerate(content.head):
+        cells = [row[place] for row in content.shown]
+        lines = [line for cell in cells for line in cell.split("\n")]
+        whole = (
+            cells if _is_of_numbers(content, place) else [w for line in lines for w in unbroken_words(line)]
+        )
+        found.append(max(map(cell_len, (*whole, *heading.split())), default=0))
+    return found

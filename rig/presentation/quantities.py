@@ -1,13 +1,19 @@
 """How the declared quantities are shown to the user: symbol, unit, factor, name; drawn, of the balance."""
 
+import contextlib
+import os
+import select
+import sys
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+from types import TracebackType
+from typing import IO, TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
 
+from processing.ambient import AmbientConditions
 from processing.number_text import with_uncertainty
 from processing.quantity import Quantity, quantities_of
-from processing.surroundings import Surroundings
 from processing.units import ARCSEC_RAD, unit_of_name
 from rig.presentation import palette
 
@@ -15,11 +21,12 @@ if TYPE_CHECKING:
     from processing.balance import Balance
     from processing.contact import Parameter
 
+
 _ANGLE = ("arcsec", "rad")
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class QuantityDisplay:
     """Presentation of a quantity: the number shown, in `unit`, is `factor` times the stored value.
 
     `unit` is empty for a dimensionless quantity.
@@ -41,30 +48,30 @@ class Shown:
         """Text of a stored value and its standard uncertainty, in the unit shown."""
         return with_uncertainty(value * self.factor, u * self.factor)
 
-    def in_px(self) -> "Shown":
+    def in_px(self) -> "QuantityDisplay":
         """The same quantity without a calibrated lever, where deflections are stored in px."""
         if not self.unit.startswith("arcsec"):
             return self
         return replace(self, unit=self.unit.replace("arcsec", "px"), factor=self.factor * ARCSEC_RAD)
 
 
-def quantity(key: str, unit: str = "arcsec") -> Shown:
+def quantity(key: str, unit: str = "arcsec") -> QuantityDisplay:
     """Presentation of the quantity with this key; an unknown key is shown as it is.
 
     `unit` is that in which deflections are shown: arcsec, or px without a calibrated lever.
     """
     declared = declaration(key)
     if declared is None:
-        return Shown(key.replace("_", " "), "", key.replace("_", " "))
+        return QuantityDisplay(key.replace("_", " "), "", key.replace("_", " "))
     si = "" if declared.unit == "1" else declared.unit
-    found = Shown(declared.symbol, declared.shown or si, declared.meaning, declared.factor)
+    found = QuantityDisplay(declared.symbol, declared.shown or si, declared.meaning, declared.factor)
     return found.in_px() if unit == "px" else found
 
 
 def declaration(key: str) -> Quantity | None:
     """What is declared of the quantity with this key; None of an unknown one."""
-    known = {**quantities_of(Surroundings), **quantities_of(Traces)}
-    return known[key] if key in known else _of_balances().get(key) or _of_fits().get(key)
+    known = {**quantities_of(AmbientConditions), **quantities_of(Traces)}
+    return known[key] if key in known else _balance_quantities().get(key) or _fit_quantities().get(key)
 
 
 def unit_of(key: str) -> str:
@@ -74,7 +81,7 @@ def unit_of(key: str) -> str:
 
 
 @cache
-def _of_balances() -> Mapping[str, Quantity]:
+def _balance_quantities() -> Mapping[str, Quantity]:
     """Imported only here, because its compiled functions take longer to load than most commands."""
     from processing.balance import Balance
 
@@ -82,13 +89,13 @@ def _of_balances() -> Mapping[str, Quantity]:
 
 
 @cache
-def _of_fits() -> Mapping[str, Quantity]:
+def _fit_quantities() -> Mapping[str, Quantity]:
     """Imported only here, because the viewer's process does not need the fits and should start fast."""
-    from processing.fit import Derived, FitQuality, Work
+    from processing.fit import DerivedQuantity, FitQuality, Work
     from processing.quantity import OfDecay, OfInstrument
 
     parameters = {key: parameter.quantity for key, parameter in law_parameters().items()}
-    kinds = (OfInstrument, Derived, FitQuality, Work, OfDecay)
+    kinds = (OfInstrument, DerivedQuantity, FitQuality, Work, OfDecay)
     return {name: one for kind in kinds for name, one in quantities_of(kind).items()} | parameters
 
 
@@ -150,7 +157,7 @@ class Traces:
     pixels: Annotated[float, Quantity("lg(1 + pixels)", "pixels of a grey value, as a logarithm", unit="1")]
 
 
-class Drawn(NamedTuple):
+class RerunStyle(NamedTuple):
     """Name of a quantity's entity in Rerun, its colour, and its panel (empty: in the table only)."""
 
     entity: str
@@ -158,26 +165,26 @@ class Drawn(NamedTuple):
     panel: str = ""
 
 
-BALANCE: Final[Mapping[str, Drawn]] = {
-    "period_s": Drawn("period"),
-    "amplitude": Drawn("amplitude"),
-    "transverse": Drawn("transverse", palette.X_COLOUR, "Transverse amplitude"),
-    "transverse_ratio": Drawn("transverse_ratio", palette.VERMILLION, "Transverse, width"),
-    "width_ratio": Drawn("width_ratio", palette.YELLOW, "Transverse, width"),
-    "line_angle_rad": Drawn("line_angle", palette.BLUISH_GREEN, "Tilt of the line"),
-    "rotation_rad_per_s": Drawn("rotation", palette.REDDISH_PURPLE, "Rotation of the line"),
-    "rest_x": Drawn("rest_x", palette.X_COLOUR, "Rest position X"),
-    "rest_y": Drawn("rest_y", palette.Y_COLOUR, "Rest position Y"),
-    "drift_x_per_s": Drawn("drift_x", palette.X_COLOUR, "Drift X, Y"),
-    "drift_y_per_s": Drawn("drift_y", palette.Y_COLOUR, "Drift X, Y"),
-    "period_ratio": Drawn("period_ratio", palette.BLUISH_GREEN, "T_V / T_U"),
+BALANCE: Final[Mapping[str, RerunStyle]] = {
+    "period_s": RerunStyle("period"),
+    "amplitude": RerunStyle("amplitude"),
+    "transverse": RerunStyle("transverse", palette.X_COLOUR, "Transverse amplitude"),
+    "transverse_ratio": RerunStyle("transverse_ratio", palette.VERMILLION, "Transverse, width"),
+    "width_ratio": RerunStyle("width_ratio", palette.YELLOW, "Transverse, width"),
+    "line_angle_rad": RerunStyle("line_angle", palette.BLUISH_GREEN, "Tilt of the line"),
+    "rotation_rad_per_s": RerunStyle("rotation", palette.REDDISH_PURPLE, "Rotation of the line"),
+    "rest_x": RerunStyle("rest_x", palette.X_COLOUR, "Rest position X"),
+    "rest_y": RerunStyle("rest_y", palette.Y_COLOUR, "Rest position Y"),
+    "drift_x_per_s": RerunStyle("drift_x", palette.X_COLOUR, "Drift X, Y"),
+    "drift_y_per_s": RerunStyle("drift_y", palette.Y_COLOUR, "Drift X, Y"),
+    "period_ratio": RerunStyle("period_ratio", palette.BLUISH_GREEN, "T_V / T_U"),
 }
 """By the name in `processing.balance.Balance`."""
 
 
-def balance_drawn(key: str) -> Drawn:
+def balance_drawn(key: str) -> RerunStyle:
     """How a quantity of the balance is drawn; one that is not listed has its own name and no panel."""
-    return BALANCE.get(key) or Drawn(key)
+    return BALANCE.get(key) or RerunStyle(key)
 
 
 def balance_panels(unit: str) -> dict[str, list[str]]:
@@ -206,3 +213,125 @@ def balance_table(numbers: Mapping[str, tuple[float, float]], unit: str) -> str:
         shown = quantity(key, unit)
         lines.append(f"| {shown.label} | {shown.text(value, u)} |")
     return "\n".join(lines)
+
+
+_SEQUENCES: Final = {b"[A": "up", b"[B": "down", b"[C": "right", b"[D": "left", b"OC": "right", b"OD": "left"}
+_ESCAPE: Final = 0x1B
+_LONGEST_SEQUENCE: Final = 8
+
+
+class KeyParser:
+    """Converts bytes from a terminal to names of keys: a character, or ``right`` and so on for arrows.
+
+    The bytes of a key may arrive in pieces. ``enter``, ``backspace``, ``space`` and ``escape`` have
+    names; escape sequences of other keys are ignored.
+    """
+
+    def __init__(self) -> None:
+        self._waiting = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        """The keys that these bytes complete."""
+        self._waiting += data
+        keys: list[str] = []
+        while self._waiting:
+            if self._waiting[0] == _ESCAPE:
+                length = _sequence_length(self._waiting)
+                if not length:
+                    break
+                name = "escape" if length == 1 else _SEQUENCES.get(self._waiting[1:length])
+                keys += [name] if name else []
+                self._waiting = self._waiting[length:]
+                continue
+            character, self._waiting = self._waiting[:1].decode("latin-1"), self._waiting[1:]
+            keys.append(_name(character))
+        return keys
+
+    def flush(self) -> list[str]:
+        """Complete the last key if nothing follows: a single escape character is the key ``escape``."""
+        alone = self._waiting == bytes([_ESCAPE])
+        self._waiting = b""
+        return ["escape"] if alone else []
+
+
+class Keys:
+    """Context manager that reads keys from the terminal at the standard input, if there is one.
+
+    `there` is True if keys can be read: this process is in the foreground of a terminal. The settings
+    of the terminal are restored at the end.
+    """
+
+    def __init__(self, stream: IO[Any] | None = None) -> None:
+        stream = sys.stdin if stream is None else stream
+        self._number = -1
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            number = stream.fileno()
+            if os.isatty(number) and _in_foreground(number):
+                self._number = number
+        self._parser = KeyParser()
+        self._before: list[Any] | None = None
+
+    @property
+    def there(self) -> bool:
+        return self._number >= 0
+
+    def __enter__(self) -> Self:
+        if self.there:
+            import termios
+            import tty
+
+            self._before = termios.tcgetattr(self._number)
+            tty.setcbreak(self._number)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._before is not None:
+            import termios
+
+            with contextlib.suppress(termios.error):
+                termios.tcsetattr(self._number, termios.TCSADRAIN, self._before)
+
+    def pressed(self, wait_s: float) -> list[str]:
+        """Keys pressed since the last call; waits at most `wait_s` for the first one."""
+        if not self.there:
+            time.sleep(max(wait_s, 0.0))
+            return []
+        ready, _, _ = select.select([self._number], [], [], max(wait_s, 0.0))
+        if not ready:
+            return self._parser.flush()
+        try:
+            data = os.read(self._number, 1024)
+        except OSError:
+            data = b""
+        if not data:
+            # the terminal was closed; no more keys
+            self._number = -1
+        return self._parser.feed(data)
+
+
+def _sequence_length(data: bytes) -> int:
+    """Length in bytes of the escape sequence at the start of `data`; 0 if it is incomplete."""
+    if len(data) > 1 and data[1:2] not in (b"[", b"O"):
+        return 1
+    for end in range(2, min(len(data), _LONGEST_SEQUENCE)):
+        if 0x40 <= data[end] <= 0x7E:
+            return end + 1
+    return len(data) if len(data) >= _LONGEST_SEQUENCE else 0
+
+
+def _name(character: str) -> str:
+    names = {"\n": "enter", "\r": "enter", "\x7f": "backspace", "\b": "backspace", " ": "space"}
+    return names.get(character, character)
+
+
+def _in_foreground(number: int) -> bool:
+    """Whether this process may change the terminal; a background process would be stopped."""
+    if os.name != "posix":
+        return False
+    try:
+        return os.tcgetpgrp(number) == os.getpgrp()
+    except OSError:
+        # not the controlling terminal of this process, which therefore cannot stop it
+        return True

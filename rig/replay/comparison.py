@@ -12,7 +12,7 @@ from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.spot import Spot
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import NS_PER_S, seconds
 from rig.analysis import RunResults
 
@@ -51,7 +51,7 @@ class ReplayDifferences:
         return self.spots_changed == 0 and self.swings_changed == 0
 
 
-class Change(NamedTuple):
+class ParameterDifference(NamedTuple):
     """One parameter, recorded and replayed, each a value with its standard uncertainty."""
 
     name: str
@@ -98,7 +98,7 @@ class ReplayComparison:
                 self._largest = (float(in_u[row]), int(rows["sequence"][row]))
 
     def finish(
-        self, recorded: Sequence[Swing], replayed: Sequence[Swing], *, from_start: bool, to_end: bool
+        self, recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle], *, from_start: bool, to_end: bool
     ) -> ReplayDifferences:
         """Compare the half-cycles too.
 
@@ -138,13 +138,13 @@ class ReplayComparison:
         )
 
 
-def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[Change]:
+def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[ParameterDifference]:
     """Fitted parameters that two results of a run have in common, in the order of the replayed one.
 
     Contact parameters are named ``fits.exact.b`` and so on, what other pendulums report as in the table.
     """
     old, new = ({**_contact(run), **_instrument(run)} for run in (recorded, replayed))
-    return [Change(name, old[name], new[name]) for name in new if name in old]
+    return [ParameterDifference(name, old[name], new[name]) for name in new if name in old]
 
 
 def _contact(run: RunResults) -> dict[str, Estimate]:
@@ -162,20 +162,20 @@ def _instrument(run: RunResults) -> dict[str, Estimate]:
     return {row.quantity: Estimate(*row) for row in rows}
 
 
-def _reach_ns(swings: Sequence[Swing]) -> float:
+def _reach_ns(swings: Sequence[HalfCycle]) -> float:
     """Largest time difference of two turning points that count as the same."""
     half_s = [swing.half_period_s for swing in swings if math.isfinite(swing.half_period_s)]
     return _SAME_SWING * NS_PER_S * float(np.median(half_s)) if half_s else 0.0
 
 
 def _pairs(
-    recorded: Sequence[Swing], replayed: Sequence[Swing], reach_ns: float
-) -> list[tuple[Swing, Swing]]:
+    recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle], reach_ns: float
+) -> list[tuple[HalfCycle, HalfCycle]]:
     """Pairs of half-cycles with the same turning point; their numbers may differ."""
     if not recorded:
         return []
     times_ns = np.array([swing.turn_time_ns for swing in recorded])
-    pairs: list[tuple[Swing, Swing]] = []
+    pairs: list[tuple[HalfCycle, HalfCycle]] = []
     taken: set[int] = set()
     for swing in replayed:
         row = int(np.argmin(np.abs(times_ns - swing.turn_time_ns)))
@@ -185,7 +185,7 @@ def _pairs(
     return pairs
 
 
-def _swing_change_u(old: Swing, new: Swing) -> float:
+def _swing_change_u(old: HalfCycle, new: HalfCycle) -> float:
     return max(
         abs(new.amplitude - old.amplitude) / old.u_amplitude,
         seconds(abs(new.turn_time_ns - old.turn_time_ns)) / old.u_turn_time_s,
@@ -197,7 +197,7 @@ def _same(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
     return same
 
 
-def _equal(old: Swing, new: Swing) -> bool:
+def _equal(old: HalfCycle, new: HalfCycle) -> bool:
     """True if equal bit for bit; NaN equals NaN."""
     return all(
         a == b or (isinstance(a, float) and isinstance(b, float) and math.isnan(a) and math.isnan(b))

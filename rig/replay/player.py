@@ -9,7 +9,7 @@ from typing import Final, Protocol
 from acquisition.record.events import Event
 from processing.spot import SpotFlag
 from processing.units import nanoseconds
-from rig.instrument import RunNow, Told
+from rig.instrument import RecordContents, RunNow
 from rig.presentation import Keys
 from rig.replay.replay import Replay, Replayed, ReplayStep
 from rig.view import ScratchView
@@ -133,7 +133,10 @@ class Player:
         step = self._replay.advance(until_s, most)
         if step is None:
             return None
-        block, now = step.block, self._now.after(Told(swings=step.block.swings), step.block.deflections.unit)
+        block, now = (
+            step.block,
+            self._now.after(RecordContents(swings=step.block.swings), step.block.deflections.unit),
+        )
         missing = int(step.sequences[-1]) - self._last_sequence - len(step.sequences)
         self._last_sequence = int(step.sequences[-1])
         self._now = replace(

@@ -25,7 +25,7 @@ from rig.analysis import (
 from rig.instrument import RunNow, configuration_attachments, recorded_configuration
 from rig.presentation import (
     Keys,
-    Shown,
+    QuantityDisplay,
     Table,
     answer,
     columns_of,
@@ -36,10 +36,10 @@ from rig.presentation import (
     say,
     signed,
 )
-from rig.replay.comparison import Change, ReplayDifferences, parameter_changes
+from rig.replay.comparison import ParameterDifference, ReplayDifferences, parameter_changes
 from rig.replay.player import HELP, MOST_FRAMES, Player
 from rig.replay.replay import Replay, Replayed
-from rig.settings import Configuration, Watched
+from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import Terminated
 from rig.view import Mode, ScratchHead, ScratchView
 
@@ -162,7 +162,7 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
         )
 
 
-def print_changes(changes: Sequence[Change], source: str) -> None:
+def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
     """Print the changes of the recorded fitted parameters; one line if nothing changed.
 
     Of the two fits of the contact laws the exact one is shown with values, the other only with changes.
@@ -182,13 +182,13 @@ def print_changes(changes: Sequence[Change], source: str) -> None:
             continue
         other = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
         parameter = name.removeprefix(_EXACT)
-        shown = quantity(parameter) if parameter != name else Shown(name, "", name)
+        shown = quantity(parameter) if parameter != name else QuantityDisplay(name, "", name)
         of_other = [_in_u(other) if other else ""] if asymptotic else []
         rows.append([shown.label, shown.text(*change.recorded), _in_u(change), *of_other])
     print_tables([Table("changes", "", head, rows, head, rows)])
 
 
-def _in_u(change: Change) -> str:
+def _in_u(change: ParameterDifference) -> str:
     return "?" if math.isnan(change.in_u) else signed(change.in_u)
 
 
@@ -248,7 +248,7 @@ def replay_record(
         )
     with RecordReader(record) as reader:
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
-        watched = Watched(recorded_configuration(reader, overrides), overrides, remedy)
+        watched = KeyUseMonitor(recorded_configuration(reader, overrides), overrides, remedy)
         config = watched.config
         if reader.truncated:
             say(reader.cut_notice)

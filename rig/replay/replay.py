@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import CAMERA_STEP, WINDOW, RecordedClockStep, RecordedWindow
 from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
 from rig.devices import ClockRate
 from rig.instrument import Block, CameraClock, frame_shape, optics_of, recorded_configuration, shutter_of
@@ -42,7 +42,7 @@ class Replayed(NamedTuple):
     `beam` is what the spots say of the beam. `deflections` are in the pieces in which they were processed.
     """
 
-    swings: list[Swing]
+    swings: list[HalfCycle]
     deflections: list[Deflections]
     dropped_frames: int
     comparison: ReplayDifferences
@@ -219,7 +219,7 @@ class Replay:
         self._images = self._reader.images(from_ns)
         self._image: Frame | None = None
         self._begun_ns = self._position_ns = max(time_ns, self.start_ns)
-        self._swings: list[Swing] = []
+        self._swings: list[HalfCycle] = []
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
         self._rate = None if self._config.on_demand else ClockRate(beside=False)

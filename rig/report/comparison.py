@@ -1,11 +1,15 @@
 """`rig compare`: series of several samples, days, humidities beside each other."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from math import isfinite, nan
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from acquisition import atomic_write
+from processing.ambient import AmbientConditions, in_other_unit
 from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
@@ -14,17 +18,154 @@ from processing.series import Combined, Comparison, combine, compare_series
 from rig.analysis import SURFACE_ENERGY, ResultRow, RunResults, SessionResults, read_results
 from rig.presentation import (
     Cell,
-    Line,
     Table,
+    TableRow,
+    palette,
     plain,
     quantity,
     written,
 )
 from rig.report import html
-from rig.report.against import against_figure, against_table, chosen_surrounding, seen_runs
-from rig.report.drawing import styled
+from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, canvas, styled
 from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
+
+_FEWEST = 3
+"""Runs of a straight line with an uncertainty."""
+
+
+class RunUnderConditions(NamedTuple):
+    """One run of a series: where it lies, and the exact parameters with their standard uncertainties."""
+
+    series: str
+    run: str
+    at: float
+    parameters: Mapping[str, Estimate]
+
+
+def chosen_surrounding(name: str) -> str:
+    """The name of a quantity of the surroundings, which may be given without its unit.
+
+    Raises
+    ------
+    ConfigurationError
+        There is none of that name.
+    """
+    known = {field.name: field.name for field in fields(AmbientConditions)}
+    known |= {key.rpartition("_")[0]: key for key in list(known)}
+    if name not in known:
+        short = sorted(set(known) - set(known.values()))
+        raise ConfigurationError(f"--against {name}: there is no such quantity; there are {', '.join(short)}")
+    return known[name]
+
+
+def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnderConditions]:
+    """The fitted runs of which a quantity of the surroundings is known.
+
+    Raises
+    ------
+    RecordError
+        It is known of fewer than two.
+    """
+    found = []
+    fitted = [(label, run) for label, one in sessions.items() for run in one.runs if run.fits]
+    for label, run in fitted:
+        at = nan if run.surroundings is None else getattr(run.surroundings, name)
+        if isfinite(at):
+            exact = run.fits[FitMethod.EXACT]
+            values = {key: exact.estimate(key) for key in DEFAULT_LAW.names()}
+            found.append(RunUnderConditions(label, run.record, at, values))
+    if len(found) < 2:
+        raise RecordError(
+            f"--against {name}: known for {len(found)} of {len(fitted)} fitted runs, two are needed: state "
+            "it in the configuration or let a sensor read it"
+        )
+    return found
+
+
+def against_table(runs: Sequence[RunUnderConditions], name: str) -> Table:
+    """Every run for the file; for the eye the straight line through all runs of each parameter."""
+    columns: list[str] = ["series", "run", name]
+    for key in DEFAULT_LAW.names():
+        columns += [key, f"u_{key}"]
+    rows: list[list[Cell]] = []
+    for run in runs:
+        cells: list[Cell] = [run.series, run.run, run.at]
+        for key in DEFAULT_LAW.names():
+            cells += run.parameters.get(key, (nan, nan))
+        rows.append(cells)
+    over = quantity(name)
+    shown = []
+    for key in DEFAULT_LAW.names():
+        slope, u, chance = _line(runs, key)
+        if isfinite(u):
+            of = quantity(key)
+            factor = of.factor / over.factor
+            unit = f"{of.unit or '1'}/{over.unit}"
+            shown.append([of.symbol, plain(slope * factor, 3), plain(u * factor, 2), unit, plain(chance, 2)])
+    note = f"{len(runs)} runs. Slope of a straight line, with u from the scatter of the runs about it; "
+    note += "chance: the probability of a slope this steep if there is no dependence."
+    if not shown:
+        note = f"{len(runs)} runs: too few, or all at the same value, for a line."
+    other = in_other_unit(name, {f"{run.series} {run.run}": run.at for run in runs})
+    note += f" {other}." if other else ""
+    return Table(
+        "against", f"Parameters against {over.name}", columns, rows,
+        ("", "slope", "u", "unit", "chance"), shown, note,
+    )  # fmt: skip
+
+
+def _line(runs: Sequence[RunUnderConditions], key: str) -> tuple[float, float, float]:
+    """Slope, its standard uncertainty and the chance of one so large; NaN where there is no line."""
+    from scipy.special import stdtr
+
+    known = np.array([(run.at, *tuple(run.parameters[key])) for run in runs if key in run.parameters])
+    if len(known) < _FEWEST or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
+        return nan, nan, nan
+    weight = known[:, 2] ** -2.0
+    x = known[:, 0] - np.average(known[:, 0], weights=weight)
+    y = known[:, 1] - np.average(known[:, 1], weights=weight)
+    power = float(weight @ x**2)
+    slope = float(weight @ (x * y)) / power
+    dof = len(known) - 2
+    u = float(np.sqrt(weight @ (y - slope * x) ** 2 / dof / power))
+    return slope, u, 2 * float(stdtr(dof, -abs(slope) / u)) if u else 0.0
+
+
+def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigure:
+    """One panel a parameter, one point a run with its standard uncertainty, one colour a series."""
+    names = [key for key in DEFAULT_LAW.names() if any(key in run.parameters for run in runs)]
+    rows = (len(names) + 2) // 3
+    figure = canvas(0.5 + 1.9 * rows)
+    panels = figure.subplots(rows, 3, squeeze=False, sharex=True)
+    figure.subplots_adjust(left=0.1, right=0.985, bottom=0.13, top=0.86, wspace=0.5, hspace=0.45)
+    over = quantity(name)
+    labels = list(dict.fromkeys(run.series for run in runs))
+    colours = dict(zip(labels, (DATA, EXACT, ASYMPTOTIC, *palette.SEQUENCE) * len(labels), strict=False))
+    for axes, key in zip(panels.flat, names, strict=False):
+        of = quantity(key)
+        for label in labels:
+            seen = [run for run in runs if run.series == label and key in run.parameters]
+            if seen:
+                value, u = np.array([tuple(run.parameters[key]) for run in seen]).T * of.factor
+                at = np.array([run.at for run in seen]) * over.factor
+                style = {"color": colours[label], "label": label}
+                axes.errorbar(at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9, **style)
+        axes.set_title(of.label)
+        axes.tick_params(axis="y", labelsize=7)
+        axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))
+    for axes in panels[-1]:
+        axes.set_xlabel(over.label)
+    figure.legend(*panels.flat[0].get_legend_handles_labels(), loc="upper center", ncols=4)
+    for axes in list(panels.flat)[len(names) :]:
+        axes.set_visible(False)
+    return ReportFigure(
+        "against",
+        f"Parameters against {over.name}",
+        "Exact fit of every run with its standard uncertainty, of the swings alone.",
+        figure,
+    )
+
 
 _OF_ANY_DECAY = ("mean_period_s", "log_decrement")
 """What is compared where no run was fitted."""
@@ -47,7 +188,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     over = chosen_surrounding(against) if against else ""
     sessions = [read_results(folder) for folder in folders]
     labels = [
-        _label(folder, folders) + _of_origin(found) for folder, found in zip(folders, sessions, strict=True)
+        _label(folder, folders) + _origin_text(found) for folder, found in zip(folders, sessions, strict=True)
     ]
     fitted = any(_combined_of(found) or any(run.fits for run in found.runs) for found in sessions)
     series = {
@@ -85,7 +226,7 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
     return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
 
 
-def _of_origin(session: SessionResults) -> str:
+def _origin_text(session: SessionResults) -> str:
     return " (SIMULATED)" if any(run.simulated for run in session.runs) else ""
 
 
@@ -184,7 +325,7 @@ def values_table(
             else:
                 cells += [row.value, row.u_total, row.lower, row.upper, row.verdict]
         texts = ("–" if row is None else row.text for row in items)
-        lines.append(Line(cells, [quantity(name).label, *texts]))
+        lines.append(TableRow(cells, [quantity(name).label, *texts]))
     what = ("value", "u_total", "lower_95", "upper_95", "verdict")
     columns = [f"{label}_{each}" for label in series for each in what]
     runs = ", ".join(f"{label}: {len(_runs(one))}" for label, one in series.items())
@@ -225,7 +366,7 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
         told = verdict in ("differ", "not tested")
         shown = [f"{item.first} − {item.second}", of.label, of.text(*difference), chance, verdict]
         cells: list[Cell] = [item.first, item.second, item.name, *difference, item.p_value, verdict]
-        lines.append(Line(cells, shown if told else ()))
+        lines.append(TableRow(cells, shown if told else ()))
     tested = len(lines) - untested
     said = []
     if tested:

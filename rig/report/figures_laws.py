@@ -9,7 +9,7 @@ from processing.errors import DataError
 from processing.fit import FitMethod
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
-from rig.analysis import ComparedLaws, Curves, MomentsWithoutLaw
+from rig.analysis import ComparedLaws, Curves, ModelFreeMoments
 from rig.presentation import palette
 from rig.report.drawing import (
     ASYMPTOTIC,
@@ -204,7 +204,7 @@ def loss_figure(
 _SEVERAL = (EXACT, ASYMPTOTIC, *palette.SEQUENCE)
 
 
-def moments_figure(laws: ComparedLaws, free: MomentsWithoutLaw) -> ReportFigure:
+def moments_figure(laws: ComparedLaws, free: ModelFreeMoments) -> ReportFigure:
     """The contact's moments without a law with their bands, and over them those of the laws that remain."""
     figure = canvas(4.6)
     panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.6, 1.0])

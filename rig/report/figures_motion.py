@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from processing.damping import amplitude_at
-from processing.fit import BaseMotion, Ground, WitnessSpectra
+from processing.fit import BaseMotion, Ground, SeismometerSpectra
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.swing import ResidualSpectrum
 from rig.analysis import PositionErrors, RunResults, StoredTurningPoints
@@ -341,7 +341,7 @@ def _binned(
     )
 
 
-def witness_figure(spectra: WitnessSpectra) -> ReportFigure:
+def witness_figure(spectra: SeismometerSpectra) -> ReportFigure:
     """Spectra near the pendulum's frequency, and the squared coherence of pendulum and witness."""
     frequency_hz = spectra.frequency_hz
     figure = canvas(2.9)

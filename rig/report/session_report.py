@@ -16,7 +16,7 @@ from rig.intake import write_positions
 from rig.presentation import Table, latex_table, quantity, written
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg
-from rig.report.figures_instruments import instrument_figures
+from rig.report.figures_contact import instrument_figures
 from rig.report.figures_motion import damped_figure, place_figure, witness_figure
 from rig.report.source import ReportSource, RunData, read_source
 from rig.report.summary import notes_of, sentence, summary_of, title_of
@@ -157,7 +157,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         drawings.append(damped_figure(run.stored, run.results, motion.unit))
     if run.results.position_errors is not None:
         drawings.append(place_figure(run.results.position_errors))
-    if run.results.instrument is not None or run.of_table:
+    if run.results.instrument is not None or run.is_table:
         # figures of the paper have its numbers, which mean nothing here
         drawings = [
             replace(each, title=re.sub(r"^Fig\. \d+: (.)", lambda found: found[1].upper(), each.title))

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.frame import Frame
-from acquisition.record.digest import known_sha256_of
+from acquisition.camera import Frame
+from acquisition.record.digest import RecordedCamera, known_sha256_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.recorded_camera import RecordedCamera
 from acquisition.record.topics import RecordedNote
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
@@ -86,7 +85,7 @@ class RunData:
         return bool(self.results.simulated)
 
     @property
-    def of_table(self) -> bool:
+    def is_table(self) -> bool:
         """Whether it is a decay of a table or a film, which knows nothing of frames and cameras."""
         return self.results.decay is not None
 

@@ -8,7 +8,7 @@ from processing.fit import Budget
 from processing.instruments import INSTRUMENTS
 from rig.analysis import (
     SURFACE_ENERGY,
-    WithRows,
+    RowsByName,
     decay_lines,
     dominant_text,
     has_apparatus,
@@ -34,7 +34,7 @@ def title_of(source: ReportSource) -> tuple[str, str]:
         run = first.results.decay.run
         name = Path(first.results.record).name + (f", run {run}" if run else "")
     title = session.get("sample") or name
-    counted = "decay" if first.of_table else "run"
+    counted = "decay" if first.is_table else "run"
     words = [f"{len(source.runs)} {counted}{'s' if len(source.runs) > 1 else ''}"]
     if session.get("operator"):
         words.append(f"operator {session['operator']}")
@@ -124,7 +124,7 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
         rows.append((run.title, text if alike else f"{text}; {surroundings or f'air {_NOT_STATED}'}"))
     if alike:
         rows.append(("surroundings", around[0] or _NOT_STATED))
-    if first.of_table:
+    if first.is_table:
         rows.append(("positions from", first.results.record))
     else:
         driver = first.provenance.get("camera", {}).get("driver", "")
@@ -150,7 +150,7 @@ def _surroundings(run: RunData) -> str:
     return ", ".join(said)
 
 
-def _key_results(found: WithRows, budget: Mapping[str, Budget]) -> list[tuple[str, str]]:
+def _key_results(found: RowsByName, budget: Mapping[str, Budget]) -> list[tuple[str, str]]:
     """Labels and values; with what dominates the whole uncertainty where the apparatus has a part."""
     names = [SURFACE_ENERGY, *DEFAULT_LAW.names(drag=True)]
     shown = []
@@ -162,7 +162,7 @@ def _key_results(found: WithRows, budget: Mapping[str, Budget]) -> list[tuple[st
     return shown
 
 
-def _to_copy(source: ReportSource, found: WithRows) -> list[str]:
+def _to_copy(source: ReportSource, found: RowsByName) -> list[str]:
     """A sentence with the values and what to cite, and a row for a table in LaTeX."""
     rows = [found.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in found.rows]
     first = source.runs[0]
@@ -190,7 +190,7 @@ def sentence(run: RunData) -> str:
     left_out = len(run.stored.left_out_flags)
     taken = (
         f"{results.frames} rows"
-        if run.of_table
+        if run.is_table
         else f"{results.frames} frames, {results.dropped_frames} dropped"
     )
     return (

@@ -23,8 +23,8 @@ from rig.presentation import (
     NOT_KNOWN,
     SOURCES,
     Cell,
-    Line,
     Table,
+    TableRow,
     Verdict,
     decimals,
     plain,
@@ -180,7 +180,7 @@ def adhesion_table(results: RunResults) -> Table:
     """The contact with adhesion, where c is determined; Hertz's is in the table of results."""
     rows = [row for row in results.table if row.fit in _THEORIES]
     lines = [
-        Line(
+        TableRow(
             [f"{row.quantity} ({row.fit})", *row],
             [f"{row.shown.symbol}, {row.fit}", row.text, row.shown.unit],
         )
@@ -210,7 +210,7 @@ def work_table(results: RunResults) -> Table:
             if c is not None and results.pendulum is not None:
                 moment_n_m = weight_moment(results.pendulum)
                 texts[1] = c.scaled_text(1e15 * 4 * moment_n_m * item.amplitude_arcsec * ARCSEC_RAD)
-        lines.append(Line(cells, [plain(item.amplitude_arcsec, 4), *texts, share]))
+        lines.append(TableRow(cells, [plain(item.amplitude_arcsec, 4), *texts, share]))
     return Table.of(
         "work", "Work over one cycle", "amplitude_arcsec 4A_j u_4A_j 4A_t_j u_4A_t_j",
         ("α / arcsec", "4A / fJ", "4Aₜ / fJ", "share of adhesion"), lines,
@@ -222,7 +222,7 @@ def correlation_table(results: RunResults) -> Table:
     found = results.fits[FitMethod.EXACT].correlation
     symbols = [quantity(name).symbol for name in found.names]
     lines = [
-        Line([name, *row], [symbol, *(decimals(one, 3) for one in row)])
+        TableRow([name, *row], [symbol, *(decimals(one, 3) for one in row)])
         for name, symbol, row in zip(found.names, symbols, found.matrix, strict=True)
     ]
     return Table.of(

@@ -7,7 +7,7 @@ from typing import Final
 
 from processing.quantity import OfInstrument
 from rig.analysis import INSTRUMENT, InstrumentSeries, ResultRow, RunResults
-from rig.presentation import Cell, Line, Table
+from rig.presentation import Cell, Table, TableRow
 
 _MOST_FIRST = 4
 _ORDER: Final = [field.name for field in fields(OfInstrument)]
@@ -38,7 +38,7 @@ def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple
     found = [(_labelled(_name(row), row.shown.unit), row.text) for row in _rows(results)]
     if series is not None:
         many = series.time_s is not None and series.time_s.places > 1
-        of_series = [*_ratios(series), *(_of_places(series) if many else ())]
+        of_series = [*_ratios(series), *(_place_rows(series) if many else ())]
         of_series_text = [(_labelled(name, row.shown.unit), row.text) for name, row in of_series]
         found = [*of_series_text, *([] if many else found)]
     return found[:_MOST_FIRST]
@@ -52,7 +52,7 @@ def instrument_table(results: RunResults) -> Table:
     for check in checks:
         limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
         cells: list[Cell] = [check.name, check.value, check.standard_uncertainty]
-        lines.append(Line(cells, [check.name, f"{check.value:.5g}", check.unit, limits]))
+        lines.append(TableRow(cells, [check.name, f"{check.value:.5g}", check.unit, limits]))
     head = ("", "value ± u", "unit", *(["standard"] if checks else []))
     return Table.of("instrument", "What this kind of pendulum reports", _COLUMNS, head, lines)
 
@@ -60,13 +60,13 @@ def instrument_table(results: RunResults) -> Table:
 _COLUMNS = "quantity value standard_uncertainty"
 
 
-def _line(key: str, name: str, row: ResultRow, more: list[str]) -> Line:
-    return Line([key, *row], [name, row.text, row.shown.unit, *more])
+def _line(key: str, name: str, row: ResultRow, more: list[str]) -> TableRow:
+    return TableRow([key, *row], [name, row.text, row.shown.unit, *more])
 
 
 def instrument_series_table(series: InstrumentSeries) -> Table:
     """What the places of a sample say together, and their ratio to a reference."""
-    found = [*_ratios(series), *_of_places(series)]
+    found = [*_ratios(series), *_place_rows(series)]
     if series.reference_time_s is not None:
         value, u = series.reference_time_s
         row = ResultRow(quantity="damping_time_s", value=value, u_total=u)
@@ -75,7 +75,7 @@ def instrument_series_table(series: InstrumentSeries) -> Table:
     return Table.of("series", "The series", _COLUMNS, ("", "value ± u", "unit"), lines)
 
 
-def _of_places(series: InstrumentSeries) -> Iterator[tuple[str, ResultRow]]:
+def _place_rows(series: InstrumentSeries) -> Iterator[tuple[str, ResultRow]]:
     for key, found in (("damping_time_s", series.time_s), ("damping_swings", series.swings)):
         if found is not None:
             row = ResultRow(quantity=key, value=found.value, u_total=found.standard_uncertainty)

@@ -9,8 +9,8 @@ from processing.errors import ConfigurationError
 from rig.analysis import (
     ModelCurve,
     RunResults,
+    SeismometerSource,
     SessionResults,
-    StatedWitness,
     analyse_record,
     analyse_table,
     analyse_trajectory,
@@ -21,8 +21,7 @@ from rig.analysis import (
 )
 from rig.campaigns import Campaign, StatedCampaign, answer_of, read_campaign, runs_of_folders, save_campaign
 from rig.intake import FilmAsked, TableColumns, film_trajectory
-from rig.scripting.given import columns_of, overrides_of, path_of, several, text_of
-from rig.scripting.session import Record, Session
+from rig.scripting.session import Record, Session, columns_of, overrides_of, path_of, several, text_of
 from rig.settings import load_configuration
 
 Recorded = str | Path | Record | Session
@@ -69,7 +68,7 @@ def fit(
     changes = overrides_of(overrides)
     paths = [path for one in several(source, (Record, Session), "source") for path in _paths(one)]
     refuse_copies(paths)
-    ground = None if witness is None else StatedWitness(path_of(witness, "witness")).read()
+    ground = None if witness is None else SeismometerSource(path_of(witness, "witness")).read()
     runs = [analyse_record(path, changes, witness=ground) for path in paths]
     if laws := _laws(law, elastic):
         runs = [with_laws(run, laws) for run in runs]
@@ -215,7 +214,7 @@ def fit_table(
     if law is not None and configuration is None:
         raise ConfigurationError("law: has no effect without configuration, which gives the pendulum")
     table = path_of(path, "path")
-    ground = None if witness is None else StatedWitness(path_of(witness, "witness")).read()
+    ground = None if witness is None else SeismometerSource(path_of(witness, "witness")).read()
     config = None
     if configuration is not None:
         config = load_configuration(path_of(configuration, "configuration"), needs_camera=False)

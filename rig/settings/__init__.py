@@ -11,6 +11,7 @@ from rig.settings.configuration_file import (
     SCHEMA,
     SCHEMA_KEY,
     FaultyConfiguration,
+    KeyUseMonitor,
     apply_overrides,
     keys_with_faults,
     load_configuration,
@@ -21,9 +22,7 @@ from rig.settings.configuration_file import (
     unnumbered,
     validate_configuration,
 )
-from rig.settings.effect import Watched
+from rig.settings.number_input import StopCondition, number, optional, quantity
 from rig.settings.sections import BalanceSettings, InstrumentSettings, PreflightSettings, TimebaseSettings
-from rig.settings.stop_conditions import StopCondition
-from rig.settings.typed import number, optional, quantity
-from rig.settings.wording import in_words, validated, wanted
+from rig.settings.validation_messages import in_words, validated, wanted
 from rig.settings.written_file import copy_shipped, refuse_existing, write_configuration

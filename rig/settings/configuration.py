@@ -11,22 +11,22 @@ from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from calibration import Axes, Lever, Shutter, deflection_unit
+from processing.ambient import POSSIBLE
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel
-from processing.surroundings import POSSIBLE
-from rig.control import LASERS, ControllerSettings, EnvironmentSettings, LaserSettings, WitnessSettings
-from rig.settings.camera import CameraSection
+from rig.control import LASERS, ControllerSettings, EnvironmentSettings, LaserSettings, SeismometerSettings
+from rig.settings.number_input import StopCondition, stop_conditions
 from rig.settings.sections import (
     BalanceSettings,
     CalibrationSettings,
+    CameraSection,
     InstrumentSettings,
     PhaseSettings,
     PreflightSettings,
     StartSettings,
     TimebaseSettings,
 )
-from rig.settings.stop_conditions import StopCondition, stop_conditions
 
 _OF_THE_RIG = ("controller.", "laser.", "session.output")
 """Keys that say which rig it is, and where its sessions are."""
@@ -132,7 +132,7 @@ class ReferenceSettings(Section, frozen=True):
     u_gain: float = Field(default=0.0, ge=0, lt=100)
 
     @model_validator(mode="after")
-    def _of_a_gain(self) -> Self:
+    def _gain_is_known(self) -> Self:
         if self.u_gain and self.gain is None:
             raise ValueError(f"u_gain = {self.u_gain:g}: has no effect without gain; state both, or neither")
         return self
@@ -241,7 +241,7 @@ class Configuration(Section, frozen=True):
     controller: ControllerSettings = ControllerSettings()
     laser: LaserSettings = LaserSettings()
     environment_sensor: EnvironmentSettings = EnvironmentSettings()
-    witness: WitnessSettings = WitnessSettings()
+    witness: SeismometerSettings = SeismometerSettings()
     preflight: PreflightSettings = PreflightSettings()
     phases: PhaseSettings = PhaseSettings()
     start: StartSettings = StartSettings()

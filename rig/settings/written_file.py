@@ -14,7 +14,7 @@ from calibration import toml_value
 from processing.errors import ConfigurationError, RecordError
 from rig.settings.configuration import Configuration
 from rig.settings.configuration_file import SCHEMA, SCHEMA_KEY, load_configuration, read_toml, shipped
-from rig.settings.wording import section_fields, section_of
+from rig.settings.validation_messages import section_fields, section_of
 
 EXAMPLE_NAME = "my_steel"
 """What a table with names of the user's own is called where none is stated."""

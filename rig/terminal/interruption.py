@@ -1,18 +1,20 @@
-"""Ctrl-C, SIGTERM and SIGHUP (a closed terminal) as one kind of exception.
-
-The ``with`` blocks that clean up after any error then also clean up here: the record is completed,
-the laser is switched off, ports are closed.
-"""
+"""Ctrl-C and a terminal that closes, child processes that it spares, characters that it lacks."""
 
 import _thread
+import codecs
 import contextlib
+import io
 import os
 import signal
+import socket
 import stat
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import FrameType
+from typing import Any, Final
 
 BY_USER = "stopped by the user"
 _SAID = {"SIGTERM": "terminated", "SIGHUP": "terminated: the terminal was closed"}
@@ -163,3 +165,73 @@ def _silence(descriptors: list[int]) -> None:
     for descriptor in descriptors:
         os.dup2(nowhere, descriptor)
     os.close(nowhere)
+
+
+LOOPBACK = "127.0.0.1"
+
+
+def own_group() -> dict[str, Any]:
+    """Arguments of `subprocess.Popen` for a process in a process group of its own, without a console."""
+    if sys.platform == "win32":
+        return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
+    return {"start_new_session": True}
+
+
+def start_python(*words: str, **how: Any) -> "subprocess.Popen[Any]":
+    """Start this interpreter in a group of its own, with this program importable; `how` as for `Popen`.
+
+    What `env` states is added to this process's own environment.
+    """
+    project = str(Path(__file__).resolve().parents[2])
+    path = os.pathsep.join(part for part in (project, os.environ.get("PYTHONPATH")) if part)
+    environment = {**os.environ, **how.pop("env", {}), "PYTHONPATH": path}
+    return subprocess.Popen([sys.executable, "-P", *words], env=environment, **how, **own_group())
+
+
+def free_port(preferred: int) -> int:
+    """The preferred port of 127.0.0.1 if it is free, otherwise any free one (also if it is 0)."""
+    for port in (preferred, 0):
+        with socket.socket() as probe:
+            if os.name == "posix":
+                # Connections of a server that has just ended (TIME_WAIT) do not prevent the use of its port.
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((LOOPBACK, port))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise OSError(f"no free port on {LOOPBACK}")
+
+
+_SUPERSCRIPTS: Final = dict(zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹ᵖ", "-0123456789p", strict=True))
+_SPELLED: Final = {
+    "±": "+-", "×": "x", "−": "-", "–": "-", "…": "...", "°": " deg", "µ": "u", "₀": "0", "ₜ": "t",
+    "α": "alpha", "γ": "gamma", "κ": "kappa", "σ": "sigma", "χ": "chi", "ν": "nu", "φ": "phi",
+}  # fmt: skip
+
+
+def spelled(text: str) -> str:
+    """The text in ASCII; a character without a replacement becomes a question mark."""
+    parts = []
+    raised = False
+    for character in text:
+        if character in _SUPERSCRIPTS:
+            parts.append(("" if raised else "^") + _SUPERSCRIPTS[character])
+        else:
+            parts.append(character if character.isascii() else _SPELLED.get(character, "?"))
+        raised = character in _SUPERSCRIPTS
+    return "".join(parts)
+
+
+def spell_out_what_is_missing() -> None:
+    """Make stdout and stderr replace characters that their encoding lacks, instead of raising an error."""
+    codecs.register_error("spelled", _spell)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="spelled")
+
+
+def _spell(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return spelled(error.object[error.start : error.end]), error.end

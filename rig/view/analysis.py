@@ -26,8 +26,7 @@ from rig.analysis import (
 )
 from rig.presentation import Table, palette
 from rig.view import layout
-from rig.view.graticule import Graticule, faded, graticule_marks
-from rig.view.values import Curve, Panel
+from rig.view.graticule import AnalysisCurve, Graticule, Panel, faded, graticule_marks
 
 TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "decay": ("time / s", "amplitude / {unit}"),
@@ -63,23 +62,25 @@ def run_analysis(record: Path) -> RunAnalysis:
     return RunAnalysis(record, results, stored.points(), DeflectionUnit(stored.unit))
 
 
-def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
+def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[AnalysisCurve]:
     """Decay and T(alpha) with both fits and their residuals; only the data of a run without fits.
 
     Of several runs, in common axes, the data and the exact fit's residuals, named by the run.
     """
-    drawn: list[Curve] = []
+    drawn: list[AnalysisCurve] = []
     alone = len(runs) == 1
     for name, run in runs.items():
         points, size = run.points, run.unit.shown_size
         amplitude, u = points.amplitude / size, points.u_amplitude / size
         data = "measured" if alone else name
-        drawn.append(Curve("decay", data, points.time_s, amplitude, u if alone else None, "points"))
+        drawn.append(AnalysisCurve("decay", data, points.time_s, amplitude, u if alone else None, "points"))
         curves = curves_of(points, run.results)
         if curves is None:
             continue
         at, u_period_s = curves.period_rad / size, curves.u_period_s
-        drawn.append(Curve("period", data, at, curves.period_s, u_period_s if alone else None, "points"))
+        drawn.append(
+            AnalysisCurve("period", data, at, curves.period_s, u_period_s if alone else None, "points")
+        )
         models = {
             FitMethod.ASYMPTOTIC: (curves.asymptotic_rad / size, curves.asymptotic_period_s),
             FitMethod.EXACT: (curves.exact_rad / size, curves.exact_period_s),
@@ -90,12 +91,15 @@ def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[Curve]:
                 continue
             fit = f"{method} fit" if alone else name
             if alone:
-                drawn += [Curve("decay", fit, points.time_s, decay), Curve("period", fit, at, period_s)]
+                drawn += [
+                    AnalysisCurve("decay", fit, points.time_s, decay),
+                    AnalysisCurve("period", fit, at, period_s),
+                ]
             u_bars, u_bars_ms = (u, 1e3 * u_period_s) if alone and exact else (None, None)
             off_ms = 1e3 * (curves.period_s - period_s)
             drawn += [
-                Curve("residuals", fit, points.time_s, amplitude - decay, u_bars, "points"),
-                Curve("period_residuals", fit, at, off_ms, u_bars_ms, "points"),
+                AnalysisCurve("residuals", fit, points.time_s, amplitude - decay, u_bars, "points"),
+                AnalysisCurve("period_residuals", fit, at, off_ms, u_bars_ms, "points"),
             ]
     return drawn
 
@@ -139,7 +143,9 @@ def _markdown(table: Table) -> str:
     return "\n".join([line(head), line(["---"] * len(head)), *map(line, rows)])
 
 
-def draw_fits(stream: rr.RecordingStream, drawn: Sequence[Curve], text: str, run: str, unit: str) -> None:
+def draw_fits(
+    stream: rr.RecordingStream, drawn: Sequence[AnalysisCurve], text: str, run: str, unit: str
+) -> None:
     """Draw axes and curves of each panel, and the report's text (Markdown).
 
     They are static entities (without a time), as they hold for the whole run.
@@ -175,7 +181,7 @@ def draw_fits(stream: rr.RecordingStream, drawn: Sequence[Curve], text: str, run
 def _draw_curve(
     stream: rr.RecordingStream,
     root: str,
-    curve: Curve,
+    curve: AnalysisCurve,
     graticule: Graticule,
     colour: str,
     following: int,

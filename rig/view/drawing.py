@@ -8,17 +8,14 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from acquisition.record.events import Event, EventKind, Level
+from acquisition.record.events import Event, EventKind, Severity
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.units import ARCSEC_RAD
-from rig.presentation import Shown, balance_drawn, balance_table, palette, quantity
+from rig.presentation import QuantityDisplay, balance_drawn, balance_table, palette, quantity
 from rig.view import layout
-from rig.view.across import AcrossTheSwing
-from rig.view.gathering import Breaks, Decimator, Gathering
-from rig.view.graticule import spot_cross
-from rig.view.lissajous import Lissajous
-from rig.view.values import Floats, Setup, is_drawn
+from rig.view.graticule import Floats, Setup, is_drawn, spot_cross
+from rig.view.transverse import Breaks, Decimator, Gathering, Lissajous, TransverseCurves
 
 DRAWN_RATE_HZ, REFERENCE_RATE_HZ = 100.0, 10.0
 """Largest rates of the samples that are drawn; the reference spot is watched for what drifts."""
@@ -26,10 +23,10 @@ SAMPLES_GAP, POINTS_GAP = 1.0, 4.0
 """Periods of the slow mode without a value after which a curve is broken: that of the samples, and those of
 half-cycles and balance, which have a value at least every period."""
 LEVELS = {
-    Level.INFORMATION: rr.TextLogLevel.INFO,
-    Level.WARNING: rr.TextLogLevel.WARN,
-    Level.ALARM: rr.TextLogLevel.ERROR,
-    Level.TRIP: rr.TextLogLevel.CRITICAL,
+    Severity.INFORMATION: rr.TextLogLevel.INFO,
+    Severity.WARNING: rr.TextLogLevel.WARN,
+    Severity.ALARM: rr.TextLogLevel.ERROR,
+    Severity.TRIP: rr.TextLogLevel.CRITICAL,
 }
 
 _GOOD, _BAD, _OVER = palette.BLUISH_GREEN, palette.VERMILLION, palette.GREY
@@ -61,7 +58,7 @@ _CHANGES: Final[dict[str, dict[str, str]]] = {
 }
 
 
-class Lanes:
+class RunLanes:
     """Draws the lanes of all runs into one stream."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
@@ -102,7 +99,7 @@ class Drawing:
         self.setup = setup
         self.stream = stream
         self._gathered = Gathering(stream, gather_s, gather_rows)
-        self._lanes = Lanes(stream)
+        self._lanes = RunLanes(stream)
         alone = len(setup.runs) < 2
         self._lissajous = Lissajous(
             stream, self._gathered, setup.unit, setup.amplitude, setup.period_s if alone else None
@@ -110,7 +107,7 @@ class Drawing:
         self._breaks = Breaks()
         self._decimators: dict[str, Decimator] = {}
         self._named: set[str] = set()
-        self._across: dict[str, AcrossTheSwing] = {}
+        self._across: dict[str, TransverseCurves] = {}
         self._reference_origin_px: dict[str, tuple[float, float]] = {}
 
     def send(self, *, now: bool = False) -> None:
@@ -138,7 +135,7 @@ class Drawing:
 
     def _draw_across(self, run: str, time_s: Floats, x: Floats, y: Floats) -> None:
         """What of X is the fast mode, and what the slow one leaks into it."""
-        parts = self._across.setdefault(run, AcrossTheSwing()).samples(time_s, x, y)
+        parts = self._across.setdefault(run, TransverseCurves()).samples(time_s, x, y)
         if parts is not None:
             label = "slow mode's leakage"
             self._gather(run, layout.LEAKAGE, parts.time_s, parts.leakage, label, palette.BLUE)
@@ -180,7 +177,7 @@ class Drawing:
         """The balance at one moment (see `balance_numbers`), as curves and as a table."""
         unit = self.setup.unit
         size = ARCSEC_RAD if unit == "arcsec" else 1.0
-        self._across.setdefault(run, AcrossTheSwing()).balance(time_s, numbers, size)
+        self._across.setdefault(run, TransverseCurves()).balance(time_s, numbers, size)
         # what has waited for the first balance
         self._draw_across(run, *[np.empty(0)] * 3)
         for name, (value, u) in numbers.items():
@@ -309,7 +306,7 @@ class Drawing:
         self.stream.set_time(layout.TIMELINE, duration=time_s)
 
 
-def parameter_shown(key: str) -> Shown:
+def parameter_shown(key: str) -> QuantityDisplay:
     """A parameter as its panel shows it: the viewer's axes have no powers of ten, and c is some 10⁻⁸."""
     shown = quantity(key)
     return replace(shown, symbol="10⁹ c", factor=1e9 * shown.factor) if key == "c" else shown

@@ -28,14 +28,14 @@ from processing.deflections import DeflectionUnit
 from processing.errors import RecordError
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
-from rig.instrument import Phase, RunNow, Told, advice_for, recorded_configuration, told_in
+from rig.instrument import Phase, RecordContents, RunNow, advice_for, recorded_configuration, told_in
 from rig.presentation import balance_numbers
 from rig.settings import Configuration
 from rig.view import layout
 from rig.view.drawing import Drawing
-from rig.view.values import Floats, is_drawn
+from rig.view.graticule import Floats, is_drawn
 
 _STATE_NS, _LOSSES_NS = 1_000_000_000, 10_000_000_000
 """Intervals of run time at which state and losses are drawn if nothing changes."""
@@ -43,7 +43,7 @@ _KEPT_PIECES = 64
 """Pieces whose spots are kept for the pictures."""
 
 
-class Follower:
+class RecordDrawer:
     """Draws a record under the name of a run (empty for a single one).
 
     `picture_interval_s` is the shortest interval of pictures in run time.
@@ -155,7 +155,7 @@ class Follower:
         x_px, y_px = (np.where(lost, np.nan, rows[name]) for name in ("x_px", "y_px"))
         self._drawing.reference(self._run, self._times_s(rows["time_ns"]), x_px, y_px)
 
-    def _draw_half_cycles(self, swings: Sequence[Swing]) -> None:
+    def _draw_half_cycles(self, swings: Sequence[HalfCycle]) -> None:
         size = self._reader.deflection_unit.shown_size
         columns = (
             [swing.amplitude / size for swing in swings],
@@ -174,7 +174,7 @@ class Follower:
             if not self._advised and (advice := self._advise(balance)):
                 self._drawing.text(self._run, layout.ADVICE, at_s, advice)
 
-    def _draw_session(self, told: Told, before: RunNow) -> None:
+    def _draw_session(self, told: RecordContents, before: RunNow) -> None:
         """What the session says of itself: phase, clock, estimates."""
         clock, drawing, run = self._now.clock, self._drawing, self._run
         for health in told.of(RecordedHealth):

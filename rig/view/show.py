@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from acquisition.record.digest import is_being_written
 from acquisition.record.events import EventKind, end_of
-from acquisition.record.file_lock import is_being_written
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import HEALTH, REFERENCE
 from processing.contact.laws import DEFAULT_LAW
@@ -20,11 +20,11 @@ from processing.errors import ConfigurationError, RecordError
 from rig.instrument import pendulum_on_ball
 from rig.presentation import say
 from rig.settings import Configuration
-from rig.view.values import LayoutName, Setup, ShowMode
+from rig.view.graticule import LayoutName, Setup, ShowMode
 
 if TYPE_CHECKING:
     from rig.view.drawing import Drawing
-    from rig.view.follower import Follower
+    from rig.view.follower import RecordDrawer
     from rig.view.rerun_program import ViewerProgram
 
 _LOOK_S = 0.05
@@ -157,7 +157,7 @@ class _Records:
 
         from rig.view import layout
         from rig.view.drawing import Drawing
-        from rig.view.follower import Follower
+        from rig.view.follower import RecordDrawer
 
         with ExitStack() as stack:
             readers = [stack.enter_context(_opened(path)) for path in self._paths]
@@ -173,7 +173,7 @@ class _Records:
             drawing = Drawing(stream, setup, gather_s=gather_s, gather_rows=rows)
             followers = []
             for reader, name in zip(readers, self._names, strict=True):
-                follower = Follower(reader, drawing, name, picture_interval_s=interval_s)
+                follower = RecordDrawer(reader, drawing, name, picture_interval_s=interval_s)
                 followers.append(follower)
                 if not self._followed(reader, follower, drawing):
                     return False
@@ -186,7 +186,7 @@ class _Records:
             stream.disconnect()
             return end is not None and end.kind == EventKind.REJECTED
 
-    def _followed(self, reader: RecordReader, follower: "Follower", drawing: "Drawing") -> bool:
+    def _followed(self, reader: RecordReader, follower: "RecordDrawer", drawing: "Drawing") -> bool:
         """Draw a record to its end; False where nobody looks any more."""
         for _ in reader.follow(_LOOK_S):
             follower.take()
@@ -200,7 +200,7 @@ class _Records:
         follower.finish()
         return True
 
-    def _draw_ends(self, followers: Sequence["Follower"], drawing: "Drawing") -> None:
+    def _draw_ends(self, followers: Sequence["RecordDrawer"], drawing: "Drawing") -> None:
         """What can be said of whole records: what is in them, and their fits."""
         from rig.view import layout
         from rig.view.analysis import analysis_curves, draw_fits, report_text, run_analysis

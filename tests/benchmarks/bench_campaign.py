@@ -16,7 +16,7 @@ from processing.series import (
     SEEN,
     Effect,
     Form,
-    Level,
+    LatentNumber,
     SeriesModel,
     SeriesPosterior,
     find_change,
@@ -89,20 +89,20 @@ def calibration(count: int) -> dict[str, float]:
         truth = from_priors(seed)
         found = fit_series(truth.made.runs, model, seed=seed)
         effective.append(found.effective)
-        of_runs, u_runs = found.of_runs
+        run_values, u_runs = found.run_values
         for own, (place, name) in enumerate(((0, "b"), (2, "c"))):
             for level, value in (
-                (Level("mean", name), truth.mean[place]),
-                (Level("between runs", name), truth.scatter[place]),
-                (Level("between contacts", name), truth.between[place]),
-                (Level("contact", name, "contact 1"), truth.of_contact[place]),
+                (LatentNumber("mean", name), truth.mean[place]),
+                (LatentNumber("between runs", name), truth.scatter[place]),
+                (LatentNumber("between contacts", name), truth.between[place]),
+                (LatentNumber("contact", name, "contact 1"), truth.of_contact[place]),
             ):
                 add(f"{level.kind} {name}", found.below(found.draws(level), float(value)))
             # of one run the moments are known, not draws
-            pull = (truth.made.truth[3][own] - of_runs[3, own]) / u_runs[3, own]
+            pull = (truth.made.truth[3][own] - run_values[3, own]) / u_runs[3, own]
             add(f"run {name} (normal)", float(ndtr(pull)))
         add("slope", found.below(found.draws(effect_of(found)), truth.slope))
-        add("air", found.below(found.draws(Level("shared", "air")), truth.air))
+        add("air", found.below(found.draws(LatentNumber("shared", "air")), truth.air))
     p_values = {name: float(kstest(of, "uniform").pvalue) for name, of in ranks.items()}
     for name, p in p_values.items():
         print(f"  {name:<22} p = {p:.3f}")
@@ -111,7 +111,7 @@ def calibration(count: int) -> dict[str, float]:
     return p_values
 
 
-def effect_of(found: SeriesPosterior) -> Level:
+def effect_of(found: SeriesPosterior) -> LatentNumber:
     """The one effect of a campaign."""
     return next(level for level in found.levels if level.kind == "effect")
 

@@ -14,7 +14,7 @@ from processing.swing import TurningPoints
 from rig.measure.end_of_run import EndLimits, EndOfRun
 from rig.posterior import FIRST_HALF_CYCLES
 from rig.posterior.posterior import following
-from rig.settings.stop_conditions import stop_conditions
+from rig.settings.number_input import stop_conditions
 from tests.benchmarks.coverage import coverage, held, lines, named
 from tests.processing.fit.decays import paper_pair, truth
 from tests.processing.fit.driven import driven_decay

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from processing.errors import RigError
-from rig.orders import Line
+from rig.orders import OrderConnection
 from tests.rig.desk.board_process import BoardProcess, board_process
 from tests.rig.desk.conftest import RIG
 from tests.rig.desk.desk_page import Page, desk_page
@@ -104,7 +104,7 @@ def _lit_again(page: Page, board: BoardProcess) -> None:
 def _ordered_again(runs: Path, board: BoardProcess) -> None:
     """Acknowledge and ask for light until there is light: a session that was stopped trips once more."""
     end_s = time.monotonic() + 120.0
-    with Line(next(runs.glob("*/.orders.json")).parent) as line:
+    with OrderConnection(next(runs.glob("*/.orders.json")).parent) as line:
         while not board.lit:
             assert time.monotonic() < end_s, line.news()["safety"]
             trip = line.news()["safety"]["trip"]

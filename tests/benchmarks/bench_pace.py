@@ -21,16 +21,16 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from acquisition.camera import CameraSettings
-from calibration.axes import Axes
+from calibration.axes_fit import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
-from rig.instrument.kernels import prepare_kernels
 from rig.instrument.pipeline import Optics
+from rig.instrument.provenance import prepare_kernels
 from rig.instrument.run_now import RunNow
 from rig.measure.recorder import Entry, Recorder
-from rig.measure.run import Run, ready_for_frames
+from rig.measure.run import MeasurementRun, ready_for_frames
 from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
@@ -156,7 +156,7 @@ def real_time(
             {"camera": {"driver": "simulated"}, "session": {"max_duration_s": 1e9}}, ""
         )
         config = config.model_copy(update={"lever": lever})
-        run = Run(
+        run = MeasurementRun(
             RunParts(
                 plan=RunPlan(config, Path(), Path(folder) / "run.mcap", "run 1", session_news=news),
                 camera=opened,

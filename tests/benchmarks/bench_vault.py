@@ -22,7 +22,7 @@ from processing.fit.evidence import Evidence
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
 from processing.fit.known_drive import KnownDrive
-from processing.fit.seismometer import WitnessUse, fit_with_witness
+from processing.fit.seismometer import SeismometerUse, fit_with_witness
 from processing.fit.seismometer_terms import Witness
 from processing.swing import TurningPoints
 from tests.benchmarks.bound import bound, true_columns
@@ -156,7 +156,7 @@ class Run(NamedTuple):
 
     alone: FitResult
     fit: FitResult
-    use: WitnessUse
+    use: SeismometerUse
     bound: Floats | None
     bound_with_response: Floats | None
     cpu_s: float

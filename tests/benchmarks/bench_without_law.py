@@ -14,7 +14,7 @@ from processing.contact import PendulumOnBall
 from processing.contact.law import ContactParameters
 from processing.contact.moments import elastic_moment, friction_moment
 from processing.errors import RigError
-from processing.fit import fit_without_law
+from processing.fit import fit_model_free
 from processing.fit.model_free import FreeMoments
 from tests.benchmarks.bench_ground import Case, basement, simulated_case
 from tests.processing.fit.decays import ARCSEC, PAIRS, decay, paper_pair
@@ -49,7 +49,7 @@ def measured(case: Case, seeds: int) -> dict[str, Any]:
         points = case.points(seed)
         began_s = process_time()
         try:
-            free = fit_without_law(points, pendulum)
+            free = fit_model_free(points, pendulum)
         except RigError:
             failed += 1
             continue

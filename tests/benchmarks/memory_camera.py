@@ -7,9 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame, FrameTimeout
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.frame import Frame
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 
 RING_S = 0.1

@@ -15,7 +15,7 @@ from typing import Any
 from unittest.mock import patch
 
 from processing.errors import RigError
-from rig.orders import Line, NoSession
+from rig.orders import NoSession, OrderConnection
 from tests.benchmarks.safety_program import PLACES
 from tests.benchmarks.safety_row import Row
 from tests.rig.command_line import CONFIGS
@@ -144,7 +144,7 @@ class Trial:
     def _listen(self) -> None:
         folder = self.out / "one" if self.path == "list" else self.out
         while not self._listening.wait(0.05):
-            with suppress(NoSession, RigError, OSError), Line(folder) as line:
+            with suppress(NoSession, RigError, OSError), OrderConnection(folder) as line:
                 while not self._listening.wait(0.05):
                     if line.news()["safety"]["light"] == "on":
                         self.says_on_s = time.monotonic()

@@ -14,7 +14,7 @@ from unittest.mock import patch
 from processing.errors import RigError
 from rig.control import rig_state_path, state_folder
 from rig.control.presses import Presses
-from rig.devices import leave
+from rig.devices import acknowledgement
 from rig.measure import session_orders
 from rig.measure.session_orders import Notes
 from tests.benchmarks.safety_world import (
@@ -114,12 +114,12 @@ def type_at_terminal(world: World) -> None:
 
     with (
         patched_wait(program),
-        patch.object(leave, "at_terminal", lambda: True),
+        patch.object(acknowledgement, "at_terminal", lambda: True),
         patch.object(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in typed))),
-        patch.object(leave, "_forget_what_was_typed"),
-        patch.object(leave, "say"),
+        patch.object(acknowledgement, "_forget_what_was_typed"),
+        patch.object(acknowledgement, "say"),
     ):
-        leave.ask_leave(program)
+        acknowledgement.ask_leave(program)
     if trip is not None and program.permit.latched is None:
         acknowledged(world, right)
 

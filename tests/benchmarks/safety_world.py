@@ -24,7 +24,7 @@ from rig.control.lasers import serial_laser
 from rig.control.serial_port import PortLost
 from rig.devices import Devices
 from rig.devices import laser as laser_module
-from rig.devices.light_watch import LightWatch
+from rig.devices.acknowledgement import LightWatch
 from rig.settings import Configuration, validate_configuration
 from tests.rig.control.instruments import Instrument
 from tests.rig.control.lasers.pairs import FAMILIES

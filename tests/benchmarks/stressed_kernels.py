@@ -84,7 +84,7 @@ def _small(random: np.random.Generator) -> list[Callable[[], None]]:
 def _real(_: np.random.Generator) -> list[Callable[[], None]]:
     from processing import swing as swings
     from processing.spot import SensorModel
-    from rig.instrument.kernels import compile_tracker
+    from rig.instrument.provenance import compile_tracker
 
     def follow(full_scale_dn: float) -> None:
         gain_e_per_dn = 10_000.0 / full_scale_dn

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.orders import OrderSocket, SessionNews

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from calibration.axes_fit import AxesFit, fit_axes
-from calibration.oscillation import require_rest
+from calibration.axes_window import require_rest
 from calibration.pointing import stability
 from calibration.timebase import relate_clocks, unwrap_counter
 from processing.errors import DataError

@@ -8,8 +8,7 @@ import pytest
 
 from calibration.ladder import LadderSteps
 from calibration.lever_fit import check_scale, fit_ladder, lever_from_shifts, lever_from_tilts, moved_between
-from calibration.lever_geometry import LeverGeometry, lever_from_geometry, trace_m
-from calibration.light_lever import Lever
+from calibration.light_lever import Lever, LeverGeometry, lever_from_geometry, trace_m
 from processing.errors import DataError
 from processing.units import ARCSEC_RAD
 from tests.calibration.ladders import LADDERS, pull

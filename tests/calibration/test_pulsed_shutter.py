@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.pulsed_shutter import fit_row_time_of_pulses
+from calibration.shutter import fit_row_time_of_pulses
 from processing.errors import DataError
 
 ROWS, EXPOSURE_S = 480, 8e-3

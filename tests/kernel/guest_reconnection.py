@@ -13,12 +13,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from acquisition.camera import CameraSettings
-from acquisition.cameras.device_settings import V4l2Settings
+from acquisition.camera import CameraSettings, Frame
+from acquisition.cameras.drivers import V4l2Settings
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.camera import V4l2Camera
 from acquisition.cameras.v4l2.devices import list_devices
-from acquisition.frame import Frame
 from rig.devices.frame_stream import FrameStream
 from tests.kernel.scenarios import run_scenarios
 

@@ -17,10 +17,10 @@ import numpy as np
 import usb.backend.libusb1
 
 from acquisition.camera import CameraLost, CameraSettings
-from acquisition.cameras.device_settings import Usb3VisionSettings
+from acquisition.cameras.drivers import Usb3VisionSettings
 from acquisition.cameras.usb3vision import camera as driver
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.cameras.usb3vision.discovery import find_cameras
+from acquisition.cameras.usb3vision.link import find_cameras
 from acquisition.cameras.usb3vision.transfers import LibusbTransfers
 from tests.acquisition.cameras.aravis.namespace import Missing, python_path
 from tests.acquisition.cameras.usb3vision.device import VisionDevice

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, PixelFormat
-from acquisition.cameras.device_settings import V4l2Settings
+from acquisition.cameras.drivers import V4l2Settings
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.camera import V4l2Camera
 from acquisition.cameras.v4l2.devices import list_devices

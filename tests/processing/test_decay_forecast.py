@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from acquisition.simulation.ground_settings import GroundTruth
 from acquisition.simulation.settings import ContactTruth, SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
-from processing.decay_forecast import forecast
+from processing.decay_summary import forecast
 
 ARCSEC = math.pi / 648000
 PAIRS = {

@@ -4,7 +4,7 @@ from dataclasses import MISSING, fields
 
 import pytest
 
-from processing.balance.faults import BalanceLimits
+from processing.balance.balance import BalanceLimits
 from processing.contact import Material
 from processing.spot import SensorModel
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from processing.step_watch import Step, StepWatch
+from processing.slope_uncertainty import Step, StepWatch
 
 
 def steps_in(values: np.ndarray, least: float = 3.0) -> list[Step]:

@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from processing.fit import WitnessSpectra
+from processing.fit import SeismometerSpectra
 from rig.instrument import complete
 from rig.plan import expected_of, plan_expected, plan_figure
 from rig.report import draw_run, styled
@@ -64,7 +64,7 @@ def _small_spectra() -> Figure:
     """As many curves as the picture of the vault has, of three frequencies."""
     three = (1e-8, 2e-8, 1e-8)
     densities = {f"{name}_rad_per_s2_rthz": three for name in ("pendulum", "witness", "left", "measurement")}
-    found = WitnessSpectra(
+    found = SeismometerSpectra(
         frequency_hz=(0.2, 0.24, 0.28), coherence=(0.5, 1.0, 0.5), stretches=10, **densities
     )
     with styled():

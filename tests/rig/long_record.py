@@ -9,7 +9,7 @@ from acquisition.record.writer import RecordWriter
 from acquisition.simulation.true_path import true_path
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
-from processing.swing import SwingDetector
+from processing.swing import TurningPointDetector
 from rig.instrument import complete, configuration_attachments
 from rig.settings import load_configuration
 
@@ -34,7 +34,7 @@ def make_long_record(path: Path, spots: int, *, windows: bool = True) -> Path:
     config = complete(load_configuration(CONFIG, friction))
     truth = true_path(config.simulation, spots / RATE_HZ, RATE_HZ)
     metadata = {"frame": {"width_px": "1280", "height_px": "1024"}, "camera": {"full_scale_dn": "255"}}
-    detector = SwingDetector()
+    detector = TurningPointDetector()
     spot = [Spot(640.0, 512.0, 0.01, 0.01, 9.0, 9.0, 0.0, 200.0, 8.0, 1.0, 0)] * FLUSH_SPOTS
     writer = RecordWriter(
         path,

@@ -23,7 +23,7 @@ from calibration.store import read_calibration
 from processing.errors import RigError
 from rig.analysis import encoded, read_results
 from rig.archive import list_runs
-from rig.archive.catalogue import write_sessions, writing
+from rig.archive.listing import write_sessions, writing
 from rig.balance import history
 from rig.calibrate.inputs import read_ladder, read_transfer
 from rig.intake.table import TableColumns

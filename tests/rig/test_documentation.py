@@ -16,7 +16,7 @@ import typer.main
 from rig.calibrate.inputs import read_transfer
 from rig.cli import app
 from rig.settings import Configuration, load_configuration, validate_configuration
-from rig.settings.wording import section_fields, section_of
+from rig.settings.validation_messages import section_fields, section_of
 from tests.rig.command_line import SMALL, rig, set_words
 from tests.rig.replay.replay_record import RATE_HZ, make_record
 

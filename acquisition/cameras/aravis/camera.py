@@ -14,19 +14,20 @@ from acquisition.camera import (
     CameraSettings,
     CameraStatus,
     FeatureValue,
+    Frame,
     FrameTimeout,
 )
 from acquisition.cameras import wiring
-from acquisition.cameras.aravis.buffers import SHORT_IDS, BufferReader
 from acquisition.cameras.aravis.library import (
+    SHORT_IDS,
     AravisDevice,
     AravisFeatures,
+    BufferReader,
     Library,
     find_camera,
     load_library,
 )
-from acquisition.cameras.device_settings import AravisSettings, kept_frames
-from acquisition.frame import Frame
+from acquisition.cameras.drivers import AravisSettings, kept_frames
 from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError
 
@@ -68,7 +69,7 @@ class AravisCamera:
         self._closings = 0
         self._gone = threading.Event()
         self._halted = threading.Event()
-        self._parting = _Parting()
+        self._parting = _ClosingActions()
         self._asking: threading.Thread | None = None
         self._heard_s = 0.0
         self._buffers: BufferReader | None = None
@@ -297,7 +298,7 @@ class AravisCamera:
             ) from None
 
 
-class _Parting:
+class _ClosingActions:
     """Runs the final actions on a camera in threads, one after the other, and waits for them only briefly:
     libaravis waits 2.5 s for each reply of one that is gone.
     """

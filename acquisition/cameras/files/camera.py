@@ -15,6 +15,8 @@ from acquisition.camera import (
     CameraLost,
     CameraSettings,
     CameraStatus,
+    Frame,
+    Image,
     without_features,
 )
 from acquisition.cameras.files.frame_source import (
@@ -26,7 +28,6 @@ from acquisition.cameras.files.frame_source import (
     frame_times,
 )
 from acquisition.cameras.files.sources import open_source
-from acquisition.frame import Frame, Image
 from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)

@@ -14,18 +14,17 @@ from acquisition.camera import (
     CameraSettings,
     CameraStatus,
     FeatureValue,
+    Frame,
     FrameTimeout,
 )
-from acquisition.cameras.device_settings import Usb3VisionSettings
-from acquisition.cameras.usb3vision.discovery import find_camera
+from acquisition.cameras.drivers import Usb3VisionSettings
 from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
-from acquisition.cameras.usb3vision.link import UsbLink
+from acquisition.cameras.usb3vision.link import UsbLink, find_camera
 from acquisition.cameras.usb3vision.node_map import load_genapi
 from acquisition.cameras.usb3vision.open_camera import UsbConnection
 from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, LibusbTransfers, Transfers
-from acquisition.frame import Frame
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.node_map import NodeMap
-from acquisition.cameras.usb3vision.registers import (
+from acquisition.cameras.usb3vision.packets import (
     Identity,
     StreamRegisters,
     read_identity,

@@ -18,20 +18,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraLost, CameraStatus, ColourPlane
+from acquisition.camera import CameraLost, CameraStatus, ColourPlane, Frame
 from acquisition.cameras.pixel_formats import Format, plane_of
-from acquisition.cameras.reading import Reading
+from acquisition.cameras.reading import CameraRun
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
     TRAILER_START,
     Leader,
+    TransferPlan,
     announced_type,
     parse_leader,
     parse_trailer,
 )
-from acquisition.cameras.usb3vision.registers import TransferPlan
 from acquisition.cameras.usb3vision.transfers import Transfers
-from acquisition.frame import Frame
 from acquisition.frames.losses import BlockNumbers, Place
 from processing.errors import DeviceError, RigError
 
@@ -138,7 +137,7 @@ class UsbFrameStream:
         self._trouble_since_s: float | None = None
         self._numbers = BlockNumbers(link.name, _COUNTERS, has_clock=expected.has_clock)
         self._disturbed = False
-        self.reading = Reading(self._step, transfers.cancel)
+        self.reading = CameraRun(self._step, transfers.cancel)
         with suppress(RigError):  # the first step meets it again, and deals with it
             self._fill()
 

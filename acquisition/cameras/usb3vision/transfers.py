@@ -20,7 +20,7 @@ from processing.errors import DeviceError
 Bytes = NDArray[np.uint8]
 
 
-class Arrived(NamedTuple):
+class CompletedTransfer(NamedTuple):
     """A completed transfer: number of bytes, and the host's monotonic clock at its end."""
 
     byte_count: int
@@ -46,7 +46,7 @@ class Transfers(Protocol):
         """Queue a read into this buffer, which must stay untouched until it has ended."""
         ...
 
-    def wait(self, timeout_s: float) -> Arrived:
+    def wait(self, timeout_s: float) -> CompletedTransfer:
         """Wait for the end of the oldest read.
 
         Raises TimeoutError (the read remains queued), StreamHalted (it is removed from the queue),
@@ -83,7 +83,7 @@ class BlockingTransfers:
         """Queue a read; it starts when it is the oldest and `wait` is called."""
         self._queued.append(buffer.view(TransferBuffer))
 
-    def wait(self, timeout_s: float) -> Arrived:
+    def wait(self, timeout_s: float) -> CompletedTransfer:
         link = self._link
         buffer = self._queued[0]
         timeout_ms = max(1, round(timeout_s * 1000))
@@ -106,7 +106,7 @@ class BlockingTransfers:
             raise TimeoutError
         self._queued.popleft()
         total, self._filled = self._filled, 0
-        return Arrived(total, now_ns)
+        return CompletedTransfer(total, now_ns)
 
     def cancel(self) -> None:
         """Remove all reads; none is pending between two calls of `wait`."""
@@ -256,7 +256,7 @@ class LibusbTransfers:
         span = _TimeValue(microseconds // 1_000_000, microseconds % 1_000_000)
         self._lib.libusb_handle_events_timeout_completed(self._context, byref(span), byref(done))
 
-    def wait(self, timeout_s: float) -> Arrived:
+    def wait(self, timeout_s: float) -> CompletedTransfer:
         """Handle libusb's events until the oldest read has ended; see `Transfers.wait`."""
         read = self._reads[0]
         deadline_s = time.monotonic() + timeout_s
@@ -269,7 +269,7 @@ class LibusbTransfers:
         status, count = read.transfer.contents.status, read.transfer.contents.actual_length
         self._free(read)
         if status == _COMPLETED:
-            return Arrived(count, read.host_time_ns)
+            return CompletedTransfer(count, read.host_time_ns)
         if status == _NO_DEVICE:
             raise unplugged(self._link)
         meaning = _STATUS_NAMES.get(status, f"status {status}")

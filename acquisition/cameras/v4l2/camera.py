@@ -11,11 +11,11 @@ from acquisition.camera import (
     CameraSettings,
     CameraStatus,
     FeatureValue,
+    Frame,
     FrameTimeout,
 )
-from acquisition.cameras.device_settings import V4l2Settings
-from acquisition.cameras.reading import Reading
-from acquisition.frame import Frame
+from acquisition.cameras.drivers import V4l2Settings
+from acquisition.cameras.reading import CameraRun
 from processing.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class V4l2Camera:
         self._lock = threading.RLock()
         self._source: LinuxSource | None = None
         self._known: VideoDevice | None = None
-        self._run: _Run | None = None
+        self._run: _Streaming | None = None
         self._before = CameraStatus()
         self._was_lost = False
 
@@ -69,7 +69,7 @@ class V4l2Camera:
             self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
             self._run = None
             source.start()
-            self._run = _Run(source)
+            self._run = _Streaming(source)
 
     def read(self, timeout_s: float) -> Frame | None:
         run = self._run
@@ -126,14 +126,14 @@ class V4l2Camera:
             raise DeviceError(f"video camera: is running; {remedy}")
 
 
-class _Run:
+class _Streaming:
     """The frames from one start to the next stop, numbered from 0, and their counts."""
 
     def __init__(self, source: "LinuxSource") -> None:
         self._source = source
         self._last = self._number = -1
         self._lost = CameraStatus()
-        self.reading = Reading(self._step, source.stop)
+        self.reading = CameraRun(self._step, source.stop)
 
     @property
     def status(self) -> CameraStatus:

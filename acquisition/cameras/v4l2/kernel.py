@@ -89,7 +89,7 @@ class Rectangle(NamedTuple):
     height: int
 
 
-class Filled(NamedTuple):
+class FilledBuffer(NamedTuple):
     """Number of a buffer that the driver has filled; `time_ns` is the driver's timestamp of the frame."""
 
     buffer: int
@@ -229,7 +229,7 @@ def queue(device: int, index: int) -> None:
     _call(device, _QUEUE, _buffer(index))
 
 
-def dequeue(device: int) -> Filled | None:
+def dequeue(device: int) -> FilledBuffer | None:
     """The next filled buffer; None if there is none yet."""
     try:
         values = _BUFFER.unpack(_call(device, _DEQUEUE, _buffer(0)))
@@ -237,7 +237,9 @@ def dequeue(device: int) -> Filled | None:
         if error.errno == errno.EAGAIN:
             return None
         raise
-    return Filled(values[0], values[2], values[3], values[5] * 1_000_000_000 + values[6] * 1000, values[8])
+    return FilledBuffer(
+        values[0], values[2], values[3], values[5] * 1_000_000_000 + values[6] * 1000, values[8]
+    )
 
 
 def stream(device: int, on: bool) -> None:

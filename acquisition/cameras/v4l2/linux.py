@@ -17,15 +17,24 @@ from acquisition.camera import (
     CameraSettings,
     ColourPlane,
     FeatureValue,
+    Image,
     PixelFormat,
     without_wires,
 )
-from acquisition.cameras.device_settings import V4l2Settings, kept_frames
+from acquisition.cameras.drivers import V4l2Settings, kept_frames
 from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px
 from acquisition.cameras.v4l2 import kernel
-from acquisition.cameras.v4l2.devices import VideoDevice, find_again, find_device, refusal
-from acquisition.cameras.v4l2.layouts import LAYOUTS, choose, image_bytes, possible, to_image
-from acquisition.frame import Image
+from acquisition.cameras.v4l2.devices import (
+    LAYOUTS,
+    VideoDevice,
+    choose,
+    find_again,
+    find_device,
+    image_bytes,
+    possible,
+    refusal,
+    to_image,
+)
 from processing.errors import DeviceError
 
 _FEWEST_BUFFERS, _MOST_BUFFERS = 4, 32

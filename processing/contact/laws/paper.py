@@ -14,7 +14,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.contact.asymptotic import PeriodStart, StartValues, cosine_moment, from_straight, to_straight
-from processing.contact.coordinates import ComplexOrReal, Scaling, Straight
+from processing.contact.coordinates import ComplexOrReal, Scaling, ValleyCoordinates
 from processing.contact.law import (
     DRAG,
     PERIOD,
@@ -73,7 +73,7 @@ def _moments(parameters: Floats, _: float, __: float) -> Moments | None:
     return Moments(friction_moment(b, p, c), elastic_moment(n, kappa, rho, (3, 4, 7)))
 
 
-def _straight(drag: bool) -> Straight:
+def _straight(drag: bool) -> ValleyCoordinates:
     """Coordinates that differ from the parameters where these are strongly correlated.
 
     - Adhesion. By harmonic balance it leaves the fraction ``q = 1 - 2 kappa J`` of the stiffness at the
@@ -123,7 +123,7 @@ def _straight(drag: bool) -> Straight:
     # the valley of a drag runs along ln b, so that b is held by means of p's column; the column of adhesion
     # has the sign of gamma, which a Newton step must not change
     held = (HeldColumn(int(drag)), *map(HeldColumn, (1, 2, 3)), HeldColumn(4, keeps_sign=True))
-    return Straight(scaled, coordinates, held, limits, 0 if drag else None, at_limit)
+    return ValleyCoordinates(scaled, coordinates, held, limits, 0 if drag else None, at_limit)
 
 
 def _likely(found: StartValues, _: float) -> list[dict[str, float]]:

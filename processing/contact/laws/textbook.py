@@ -26,7 +26,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.contact.asymptotic import StartValues, cosine_moment
-from processing.contact.coordinates import ComplexOrReal, Scaling, Straight, logarithms_of
+from processing.contact.coordinates import ComplexOrReal, Scaling, ValleyCoordinates, logarithms_of
 from processing.contact.law import CONSTANT, DRAG, FREE_PERIOD, PERIOD, HeldColumn, Parameter
 from processing.contact.memory import Arrays, Branch, branch_law, masing
 from processing.contact.memoryless import NO_MOMENT, Moment, Moments, memoryless_law
@@ -174,7 +174,7 @@ MASING = branch_law(
         "q": Scaling(),
         "c": Scaling(1.0),
     },
-    Straight(
+    ValleyCoordinates(
         _scaled, _coordinates, (HeldColumn(1), HeldColumn(0), HeldColumn(2)), lambda _: {1: (1e-4, 0.6)}
     ),
     _likely,

@@ -12,7 +12,7 @@ import time
 
 from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
 from rig.control.lasers.serial_laser import SerialLaser, rounded_down
-from rig.control.link import ReplyTimeout
+from rig.control.usbtmc import ReplyTimeout
 
 _CLOSED = ("ON", "OK", "1", "CLOSED")
 _WARMING_UP = 0x100

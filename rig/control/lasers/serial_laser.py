@@ -13,8 +13,8 @@ from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen, PowerLimit
 from rig.control.lasers.laser import ON_WITHIN_S, LaserIdentity, LaserRefused, LaserState, never
 from rig.control.lasers.settings import LaserSettings
-from rig.control.link import ReplyTimeout
 from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
+from rig.control.usbtmc import ReplyTimeout
 
 _log = logging.getLogger(__name__)
 _RETRIES = 2

@@ -65,7 +65,7 @@ def build(desk: Desk, tab: Tab) -> None:
             pendulum = ui.html(sanitize=False).classes("drawn")
         with ui.element("div").classes("grid halves"):
             with ui.column().classes("box"):
-                way = charts.Trajectory()
+                way = charts.TrajectoryChart()
             judged = ui.column().classes("box scrolls")
             with judged.props('role="region" aria-label="faults and history" tabindex="0"'):
                 ui.html("faults against their limits", tag="h3", sanitize=False).classes("title")
@@ -162,7 +162,9 @@ def _arrow(x: float, y: float, sense: float) -> str:
     )
 
 
-def fault_bars(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any]]) -> list[tables.Bar]:
+def fault_bars(
+    faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str, Any]]
+) -> list[tables.LimitBar]:
     """A bar for each fault; what is not known is grey, and never go."""
     rows = []
     before = [_in_its_unit(fault) for fault in before]
@@ -172,7 +174,9 @@ def fault_bars(faults: Sequence[Mapping[str, Any]], before: Sequence[Mapping[str
         meaning = str(fault["meaning"]) if fault["ok"] is False else ""
         note = "; ".join(filter(None, (meaning, f"limit {fault['limit']:g} {fault['unit']}".rstrip(), was)))
         shown = f"{_STATE[fault['ok']][1]} {_number(fault)}"
-        rows.append(tables.Bar(str(fault["name"]), shown, part, limit_part, _STATE[fault["ok"]][0], note))
+        rows.append(
+            tables.LimitBar(str(fault["name"]), shown, part, limit_part, _STATE[fault["ok"]][0], note)
+        )
     return rows
 
 

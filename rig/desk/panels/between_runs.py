@@ -199,7 +199,8 @@ class RunResult:
         self._others.set_content(tables.table(over.others, "all parameters") if over.others else "")
         self._words.set_content("<br>".join(map(html.escape, desk.last_words())))
         bars = [
-            tables.Bar(one.name, f"{100 * one.share:.0f} %", one.share, None, "dim") for one in over.limits
+            tables.LimitBar(one.name, f"{100 * one.share:.0f} %", one.share, None, "dim")
+            for one in over.limits
         ]
         self._limits.set_content(tables.bars(bars, "sources of the uncertainty, by their share"))
         self._report.set_visibility(over.report is not None)

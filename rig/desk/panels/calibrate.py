@@ -6,7 +6,7 @@ from functools import partial
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError
-from rig.calibrate import Filed, Filing
+from rig.calibrate import CalibrationReport, Filing
 from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibrating
 from rig.desk.desk import Desk
@@ -49,7 +49,7 @@ class CalibrationForm:
         self._calibrating: Calibrating = desk.calibrating
         self._name, self._kind = name, desk.calibrating.kinds[name]
         self._offered: object = None
-        self._drawn: Filed | None = None
+        self._drawn: CalibrationReport | None = None
         kind = self._kind
         with ui.column().classes("box full-width") as self.box:
             ui.html(html.escape(kind.title), tag="h3", sanitize=False).classes("middle")
@@ -155,7 +155,7 @@ def _days(text: str | None) -> float:
         raise ConfigurationError(f"valid for / days: {error}") from None
 
 
-def _result(made: Filed) -> str:
+def _result(made: CalibrationReport) -> str:
     parts = [
         tables.table(
             [

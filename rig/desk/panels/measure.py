@@ -9,7 +9,7 @@ from nicegui import run, ui
 from processing.errors import RigError
 from rig.control import STALE_S
 from rig.desk import charts, tables
-from rig.desk.charts import Chart, Curve, Mark, Points
+from rig.desk.charts import Chart, ChartCurve, Mark, Points
 from rig.desk.desk import Desk
 from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, RunResult, build_form
@@ -40,7 +40,7 @@ def build(desk: Desk, tab: Tab) -> None:
             with ui.column().classes("box"):
                 LivePicture(tab, _SIZE, lambda: desk.following.running, lambda: no_frame_yet(desk.following))
         with ui.column().classes("box"):
-            way = charts.Trajectory()
+            way = charts.TrajectoryChart()
             way.chart.element.style("width: min(100%, max(240px, 32vh))")
             RunCharts(desk, tab)
         with ui.column().classes("stack"):
@@ -182,13 +182,13 @@ _KEYS = {"decay": "amplitude", "period": "period_s"}
 _MOST_PARAMETERS = 3
 
 
-def _with_fit(key: str) -> tuple[Curve, ...]:
+def _with_fit(key: str) -> tuple[ChartCurve, ...]:
     """Curves of a quantity, of its fit, and of what the fit leaves over."""
     left = f"{key.removesuffix('_s')}_residual_in_u"
     return (
-        Curve(key, name="measured", style="points"),
-        Curve(key, name="fit", colour="second"),
-        Curve(left, style="points", row=1),
+        ChartCurve(key, name="measured", style="points"),
+        ChartCurve(key, name="fit", colour="second"),
+        ChartCurve(left, style="points", row=1),
     )
 
 
@@ -233,10 +233,10 @@ class RunCharts:
         )
 
 
-def _parameters(estimates: Mapping[str, Sequence[Sequence[float]]]) -> tuple[list[Curve], list[Points]]:
+def _parameters(estimates: Mapping[str, Sequence[Sequence[float]]]) -> tuple[list[ChartCurve], list[Points]]:
     """A row with its band for each parameter, in the units shown."""
     keys = list(estimates)[:_MOST_PARAMETERS]
-    curves = [Curve(key, style="band", row=row) for row, key in enumerate(keys)]
+    curves = [ChartCurve(key, style="band", row=row) for row, key in enumerate(keys)]
     points: list[Points] = [
         [(t, value * quantity(key).factor, u * quantity(key).factor) for t, value, u in estimates[key]]
         for key in keys

@@ -14,7 +14,7 @@ from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError
 from rig.desk import tables
 from rig.desk.aligner import EXPOSE, Aligner
-from rig.desk.charts import Chart, Curve
+from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.panels.between_runs import as_typed, number_field
@@ -133,7 +133,7 @@ class CameraControls:
             self._note = ui.label().props('role="status"')
             self._setting("exposure_us", "exposure / µs", {"-": (1 / _STEP, 0.0), "+": (_STEP, 0.0)})
             self._setting("gain_db", "gain / dB", {"-": (1.0, -_STEP_DB), "+": (1.0, _STEP_DB)})
-            bars, line = (Curve("pixels", style="bars"),), (Curve("sharpness_per_px"),)
+            bars, line = (ChartCurve("pixels", style="bars"),), (ChartCurve("sharpness_per_px"),)
             self._histogram = Chart("histogram", "level_dn", bars, height="100px")
             self._focus = Chart("focus", "elapsed_s", line, height="110px")
             with at_once(ui.expansion("figures", value=True)).classes("full-width"):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from calibration import Stability, stability
 from processing.arrays import Floats
 from processing.balance import BalanceEstimator, BalanceLimits

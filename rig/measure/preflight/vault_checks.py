@@ -13,14 +13,13 @@ from acquisition.record.topics import RecordedWitness
 from processing.arrays import Floats
 from processing.errors import DataError
 from processing.fit import Witness
-from processing.pendulum_at_rest import ground_at_rest, swing_at_rest
+from processing.pendulum_at_rest import SeismometerAtRest, ground_at_rest, swing_at_rest, witness_at_rest
 from processing.reference_gain import ReferenceAtRest, gain_in_swings, reference_at_rest
 from processing.reference_spot import common_motion
 from processing.spot import Spot, SpotFlag
 from processing.units import seconds
-from processing.witness_at_rest import WitnessAtRest, witness_at_rest
 from rig.analysis import taken
-from rig.control import WitnessSettings
+from rig.control import SeismometerSettings
 from rig.measure.preflight.rest_checks import TrialFrames, longer, not_at_rest
 from rig.presentation import Verdict, percent, plain, with_uncertainty
 from rig.settings import PreflightSettings, ReferenceSettings
@@ -35,7 +34,7 @@ _VALUES = ("first", "second", "third")
 def witness(
     look: TrialFrames,
     problem: str | None,
-    settings: WitnessSettings,
+    settings: SeismometerSettings,
     samples: Sequence[RecordedWitness],
     stated: ReferenceSettings | None,
 ) -> Verdict:
@@ -101,7 +100,7 @@ def _alive(reason: str, kind: str) -> Verdict:
     return Verdict("witness", True, reason, measured=f"{kind}, alive", limit=_COMES, made=False)
 
 
-def _gives(found: WitnessAtRest, ground_seen: bool, kind: str) -> Verdict:
+def _gives(found: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
     in_all = f"squared coherence {plain(found.coherence, 3)} in {found.steps} periods"
     if not found.related:
         chance = f"{in_all}; unrelated records reach {plain(found.by_chance, 2)}"
@@ -126,7 +125,7 @@ def _gives(found: WitnessAtRest, ground_seen: bool, kind: str) -> Verdict:
     )
 
 
-class _Axis(NamedTuple):
+class _ReferenceAxis(NamedTuple):
     name: str
     found: ReferenceAtRest
 
@@ -149,7 +148,7 @@ def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: Prefl
         period_s = swing_at_rest(at.times_s, at.y).period_s
         ours, theirs = _places(look.spots), _places(look.references)
         axes = [
-            _Axis(
+            _ReferenceAxis(
                 name,
                 reference_at_rest(
                     at.times_ns,
@@ -170,7 +169,7 @@ def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: Prefl
     return _takes_off(axes, stated, seen, limit)
 
 
-def _takes_off(axes: Sequence[_Axis], stated: ReferenceSettings, seen: str, limit: str) -> Verdict:
+def _takes_off(axes: Sequence[_ReferenceAxis], stated: ReferenceSettings, seen: str, limit: str) -> Verdict:
     said, wrong, useless = [], [], True
     for name, found in axes:
         if not found.share > 0:

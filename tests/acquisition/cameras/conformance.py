@@ -14,8 +14,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
-from acquisition.frame import Frame
+from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout, PixelFormat
 from processing.errors import DeviceError
 
 FRAMES_NEEDED = 20

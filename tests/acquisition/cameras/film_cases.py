@@ -13,10 +13,9 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraSettings
+from acquisition.camera import CameraSettings, Frame
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.frame_source import FilesSettings
-from acquisition.frame import Frame
 from processing.errors import DeviceError
 from tests.acquisition.cameras.made_films import BLACK, Film, picture, places, write_film
 

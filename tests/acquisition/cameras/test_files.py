@@ -13,11 +13,10 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, PixelFormat
+from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, PixelFormat
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.files.sources import IMAGES, natural_key
-from acquisition.frame import Frame
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 

@@ -3,7 +3,7 @@
 import pytest
 
 from acquisition.camera import CameraSettings
-from acquisition.cameras.device_settings import kept_frames
+from acquisition.cameras.drivers import kept_frames
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, Transfers

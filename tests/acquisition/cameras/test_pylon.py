@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Camera, CameraSettings, FrameTimeout, PixelFormat
-from acquisition.cameras.device_settings import PylonSettings
+from acquisition.cameras.drivers import PylonSettings
 from acquisition.cameras.pylon import PylonCamera
 from processing.errors import DeviceError
 from rig.instrument import setting_differences

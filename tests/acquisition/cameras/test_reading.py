@@ -6,9 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraLost
-from acquisition.cameras.reading import Reading
-from acquisition.frame import Frame
+from acquisition.camera import CameraLost, Frame
+from acquisition.cameras.reading import CameraRun
 
 FRAME = Frame(np.zeros((2, 2), np.uint8), 0, -1, 0)
 
@@ -44,7 +43,7 @@ def in_thread(action: Callable[[], object]) -> tuple[threading.Thread, list[obje
 
 def test_without_a_frame_in_time_it_can_be_read_again() -> None:
     frames = iter([None, None, FRAME])
-    reading = Reading(lambda _: next(frames), lambda: None)
+    reading = CameraRun(lambda _: next(frames), lambda: None)
     with pytest.raises(TimeoutError):
         reading.read(0.0)
     assert reading.read(5.0) is FRAME
@@ -54,7 +53,7 @@ def test_without_a_frame_in_time_it_can_be_read_again() -> None:
 
 def test_a_stop_ends_the_read_of_another_thread_and_then_the_run_once() -> None:
     camera = Waiting()
-    reading = Reading(camera.step, camera.end)
+    reading = CameraRun(camera.step, camera.end)
     reader, returned = in_thread(lambda: reading.read(10.0))
     assert camera.asked.wait(10.0)
     assert not reading.stop(0.0), "the camera is still waiting"
@@ -72,7 +71,7 @@ def test_a_stop_ends_the_read_of_another_thread_and_then_the_run_once() -> None:
 
 def test_a_stop_that_nobody_reads_ends_the_run_itself() -> None:
     camera = Waiting()
-    reading = Reading(camera.step, camera.end)
+    reading = CameraRun(camera.step, camera.end)
     assert reading.stop(0.0)
     assert camera.ends == ["end"]
     assert reading.read(10.0) is None
@@ -85,7 +84,7 @@ def test_an_error_ends_the_run_and_is_said_again() -> None:
     def step(timeout_s: float) -> Frame | None:
         raise CameraLost("plug it in again")
 
-    reading = Reading(step, lambda: ends.append("end"))
+    reading = CameraRun(step, lambda: ends.append("end"))
     for _ in range(2):
         with pytest.raises(CameraLost, match="plug it in again"):
             reading.read(10.0)

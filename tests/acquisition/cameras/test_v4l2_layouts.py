@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from acquisition.camera import ColourPlane
+from acquisition.cameras.v4l2.devices import choose, image_bytes, to_image
 from acquisition.cameras.v4l2.kernel import PixelLayout
-from acquisition.cameras.v4l2.layouts import choose, image_bytes, to_image
 
 
 @pytest.mark.parametrize(("fourcc", "bits", "group"), [("Y10P", 10, 4), ("Y12P", 12, 2)])

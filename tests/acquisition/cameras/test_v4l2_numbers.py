@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from acquisition.cameras.v4l2.camera import _Run
+from acquisition.camera import Frame
+from acquisition.cameras.v4l2.camera import _Streaming
 from acquisition.cameras.v4l2.linux import RawFrame
-from acquisition.frame import Frame
 
 
 class Counted:
@@ -25,7 +25,7 @@ class Counted:
 
 def test_numbers_go_on_where_the_driver_counts_again_and_every_frame_has_a_reason() -> None:
     shown = [(7, True), (8, False), (10, True), (11, True), (0, True), (1, True), (3, True)]
-    run = _Run(Counted(shown))  # type: ignore[arg-type]
+    run = _Streaming(Counted(shown))  # type: ignore[arg-type]
     frames = [frame for frame in (run._step(0.1) for _ in shown) if isinstance(frame, Frame)]
     numbers = [frame.sequence for frame in frames]
     assert numbers == [0, 3, 4, 5, 6, 8]

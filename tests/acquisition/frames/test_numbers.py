@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition.camera import CameraLost, CameraStatus
-from acquisition.cameras.aravis.buffers import SHORT_IDS, Underruns
+from acquisition.cameras.aravis.library import SHORT_IDS, Underruns
 from acquisition.frames.losses import BlockNumbers
 
 

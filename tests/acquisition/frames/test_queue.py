@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.frames.queue import MOST_BYTES, Backlog, FrameQueue, most_waiting
 
 

@@ -5,13 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.topics import ENVIRONMENT, Environment
 from acquisition.record.writer import RecordWriter
 from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from processing.swing import Swing
+from processing.swing import HalfCycle
 
 EPOCH_OFFSET_NS = 1_790_000_000_000_000_000
 FRAME_NS = 10_000_000
@@ -30,7 +30,7 @@ class Expected(NamedTuple):
     spots: list[Spot]
     deflections: np.ndarray
     windows: list[tuple[int, np.ndarray, tuple[int, int]]]
-    swings: list[Swing]
+    swings: list[HalfCycle]
     images: list[Frame]
     balances: list[Balance]
 
@@ -79,7 +79,7 @@ def write_sample(
                 done.windows.append((sequence, pixels, (sequence % 7, 3)))
                 writer.write_window(sequence, sequence * FRAME_NS, pixels, sequence % 7, 3, about_it)
             time_ns = int(times[-1])
-            swing = Swing(first, time_ns, 1e-6, *rng.normal(size=5).tolist(), (-1) ** first, 0)
+            swing = HalfCycle(first, time_ns, 1e-6, *rng.normal(size=5).tolist(), (-1) ** first, 0)
             done.swings.append(swing)
             writer.write_swing(swing)
             done.balances.append(sample_balance(rng, time_ns, unit))

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import Finding, check_record
-from acquisition.record.contents import Contents
+from acquisition.record.chunk import Contents
 from acquisition.record.digest import sha256_of
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.frame import Frame
-from acquisition.record.file_lock import is_being_written
+from acquisition.camera import Frame
+from acquisition.record.digest import is_being_written
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 

@@ -14,7 +14,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.writer import RecordWriter
 from processing.errors import RecordError
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS
 
 IMAGE_BYTES = 32 * 1024 * 1024
@@ -65,7 +65,7 @@ def test_what_was_flushed_survives(drive: tuple[Path, Path], tmp_path: Path) -> 
     path = folder / "run.mcap"
     writer = RecordWriter(path, EPOCH_OFFSET_NS, flush_interval_s=1e9)
     for index in range(100):
-        writer.write_swing(Swing(index, index, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
+        writer.write_swing(HalfCycle(index, index, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
         if index == 59:
             writer.flush()
     cut_power(folder)

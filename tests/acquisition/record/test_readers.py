@@ -20,7 +20,7 @@ from acquisition.record import pixels_beside
 from acquisition.record.chunk import messages_in
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import METADATA_COPY, PIXEL_TOPICS, PREVIEW_TOPIC, SPOT
-from processing.swing import SwingFlag
+from processing.swing import HalfCycleFlag
 from processing.units import ARCSEC_RAD
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, write_sample
 from tests.rig.replay.replay_record import make_record
@@ -134,7 +134,7 @@ def test_a_stranger_plots_the_decay(mcap_packages: Path, tmp_path: Path) -> None
     assert "arc" in found["comments"]["amplitude_arcsec"]
     assert "standard uncertainty" in found["comments"]["u_amplitude_rad"]
     assert "UTC" in found["comments"]["turn_time_ns"]
-    assert found["enums"]["Flag"] == {"FLAG_NONE": 0, **{f"FLAG_{flag.name}": flag for flag in SwingFlag}}
+    assert found["enums"]["Flag"] == {"FLAG_NONE": 0, **{f"FLAG_{flag.name}": flag for flag in HalfCycleFlag}}
     assert found["enums"]["Side"] == {"SIDE_NONE": 0, "SIDE_POSITIVE": 1, "SIDE_NEGATIVE": -1}
     assert found["attachments"]["record.md"].startswith("# Records")
 

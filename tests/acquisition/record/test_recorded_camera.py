@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from acquisition.camera import CameraInfo, ShutterKind
-from acquisition.record.recorded_camera import RecordedCamera, camera_metadata
+from acquisition.record.digest import RecordedCamera, camera_metadata
 
 INFO = CameraInfo("v4l2", "Maker", "Model", "7", 640, 480, 255, has_clock=True)
 

@@ -36,7 +36,7 @@ from processing.balance import names_with_units
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from tests.acquisition.record.samples import (
     EPOCH_OFFSET_NS,
@@ -248,7 +248,7 @@ def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
     writer.close()
     writer.close()
     writer.flush()
-    swing = Swing(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0)
+    swing = HalfCycle(0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 0)
     for write in (
         lambda: writer.write_event(0, "late", ""),
         lambda: writer.write_swing(swing),

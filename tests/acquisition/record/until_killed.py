@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot

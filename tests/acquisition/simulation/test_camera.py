@@ -7,10 +7,9 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
+from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout, PixelFormat
 from acquisition.cameras.drivers import make_camera
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.frame import Frame
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import ConfigurationError, DeviceError

@@ -4,9 +4,9 @@ from math import pi, sqrt
 
 import pytest
 
+from processing.ambient import humid_air
 from processing.contact import bar_of, expected_drag_s, vane_drag_s_per_m2
-from processing.contact.air_drag import Bar
-from processing.surroundings import humid_air
+from processing.contact.free_swing import UniformBar
 from tests.processing.fit.decays import paper_pair
 
 PENDULUM = paper_pair("glass_k8")[1]
@@ -28,7 +28,7 @@ def test_a_thick_bar_feels_the_boundary_layer_alone() -> None:
     weight = PENDULUM.mass_kg * PENDULUM.gravity_m_per_s2 * PENDULUM.ball_radius_m
     for radius_m in (1.0, 10.0):
         thin = 2 * sqrt(2) * pi * radius_m * sqrt(air.density_kg_per_m3 * air.viscosity_pa_s * omega)
-        found = expected_drag_s(air, Bar(0.5, 2 * radius_m), PENDULUM, PERIOD_S)
+        found = expected_drag_s(air, UniformBar(0.5, 2 * radius_m), PENDULUM, PERIOD_S)
         assert found == pytest.approx(thin * 0.5**3 / 12 / weight, rel=0.01 / radius_m)
     # a vane of 1 m2 has two faces, in a flow that is not faster at its sides
     faces = 2 * sqrt(0.5 * air.density_kg_per_m3 * air.viscosity_pa_s * omega)
@@ -40,5 +40,5 @@ def test_a_bar_has_the_pendulums_inertia_unless_it_is_stated() -> None:
     inertia = PENDULUM.mass_kg * bar.length_m**2 / 12
     stiffness = PENDULUM.mass_kg * PENDULUM.gravity_m_per_s2 * PENDULUM.ball_radius_m
     assert 2 * pi * sqrt(inertia / stiffness) == pytest.approx(PERIOD_S)
-    assert bar_of(PENDULUM, PERIOD_S, 0.4) == Bar(0.4, 0.08)
-    assert bar_of(PENDULUM, PERIOD_S, 0.4, 0.02) == Bar(0.4, 0.02)
+    assert bar_of(PENDULUM, PERIOD_S, 0.4) == UniformBar(0.4, 0.08)
+    assert bar_of(PENDULUM, PERIOD_S, 0.4, 0.02) == UniformBar(0.4, 0.02)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from processing.contact import Columns
+from processing.contact import SolverCoordinates
 from processing.contact.law import PendulumOnBall
 from processing.contact.laws import PAPER
 from processing.swing import TurningPoints
@@ -30,7 +30,7 @@ def points() -> TurningPoints:
     return decay(*paper_pair("steel"), noise_arcsec=0.005, seed=1)
 
 
-def columns_of(points: TurningPoints, drag: bool, calibrated: bool = True) -> Columns:
+def columns_of(points: TurningPoints, drag: bool, calibrated: bool = True) -> SolverCoordinates:
     pendulum: PendulumOnBall | None = paper_pair("steel")[1] if calibrated else None
     return PAPER.columns(points, pendulum, PAPER.fit_names(calibrated=calibrated, drag=drag))
 

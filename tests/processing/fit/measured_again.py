@@ -8,8 +8,8 @@ import numpy as np
 from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.deflections import Deflections, slow_deflections
 from processing.fit.exact import fit_exact
-from processing.fit.remeasure import known_motion, measured_again
-from processing.swing import Swing, turning_points
+from processing.fit.refinement import known_motion, measured_again
+from processing.swing import HalfCycle, turning_points
 from tests.processing.swing.truth import BALL_RADIUS_M, CONTACTS, GRAVITY, MASS_KG, PX_PER_RAD, Record
 
 NOISE_RAD = 0.02 / PX_PER_RAD
@@ -45,7 +45,7 @@ def noisy(clean: Record, seed: int) -> Record:
     )
 
 
-def again_with_fit(record: Record, swings: list[Swing], contact: str) -> list[Swing]:
+def again_with_fit(record: Record, swings: list[HalfCycle], contact: str) -> list[HalfCycle]:
     """The same swings, measured again on the motion of the exact fit to them."""
     pendulum = contact_truth(contact)[1]
     exact = fit_exact(turning_points(swings), pendulum)

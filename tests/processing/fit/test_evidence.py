@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.estimate import Estimate
-from processing.fit import Evidence, Linearised, drift_term, fit_exact, waveform_of
+from processing.fit import Evidence, LinearisedFit, drift_term, fit_exact, waveform_of
 from processing.fit.evidence import Waveform
 from processing.swing import SwingHarmonics, TurningPoints
 from tests.processing.fit.changing import World, changing_path
@@ -139,7 +139,7 @@ def test_no_drift_moves_nothing_where_points_scatter_more_than_stated(
     louder = replace(points, u_amplitude=points.u_amplitude / 8, u_time_s=points.u_time_s / 8)
     known = Estimate(DRAG_S + 8e-5, 2e-5)
     fit = fit_exact(louder, PENDULUM, drag=True, evidence=Evidence(waveform(harmonics), known))
-    at = Linearised.of(louder, PENDULUM, fit)
+    at = LinearisedFit.of(louder, PENDULUM, fit)
     still = at.described(drift_term(at, {}))
     assert np.all(np.abs(still.values - fit.values) < 0.03 * fit.standard_uncertainty)
 

@@ -12,7 +12,7 @@ from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.determination import _Held, identifiability, profile_likelihood
+from processing.fit.determination import _ConditionalModel, identifiability, profile_likelihood
 from processing.fit.drag import DragFinding, drag_verdict
 from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact, fit_exact_with
@@ -160,7 +160,7 @@ def test_held_parameters_have_the_right_derivatives(drag_s: float) -> None:
     result = fit_exact(points, pendulum, drag=drag_s > 0)
     model, best = ExactModel.of(points, pendulum, result)
     for name in result.names[:-2]:
-        held = _Held(model, name, best)
+        held = _ConditionalModel(model, name, best)
         value, free = result.estimate(name).value, best[held.free]
         np.testing.assert_allclose(held.full(value, free)[0], best, rtol=1e-6)
         # a limit may lie nearer than the next number

@@ -14,7 +14,7 @@ from processing.fit import (
     ChangeKind,
     Evidence,
     FitResult,
-    Linearised,
+    LinearisedFit,
     compare_laws,
     drift_term,
     drifts_of,
@@ -59,13 +59,13 @@ def not_described(world: World, seed: int) -> tuple[TurningPoints, FitResult]:
 
 
 def against_law_of(points: TurningPoints, fit: FitResult) -> float:
-    misfit = with_misfit(Linearised.of(points, PENDULUM, fit)).misfit
+    misfit = with_misfit(LinearisedFit.of(points, PENDULUM, fit)).misfit
     assert misfit is not None
     return misfit.against_law
 
 
 def changes_of(points: TurningPoints, fit: FitResult, explained: float = 0.0) -> tuple[Change, ...]:
-    return with_changes(Linearised.of(points, PENDULUM, fit), 0.0, explained).changes
+    return with_changes(LinearisedFit.of(points, PENDULUM, fit), 0.0, explained).changes
 
 
 def test_two_integrations_agree() -> None:
@@ -85,7 +85,7 @@ def test_two_integrations_agree() -> None:
 )
 def test_a_law_that_does_not_describe_costs_uncertainty(world: World) -> None:
     points, fit = not_described(world, 1)
-    described = with_misfit(Linearised.of(points, PENDULUM, fit))
+    described = with_misfit(LinearisedFit.of(points, PENDULUM, fit))
     assert described.misfit is not None
     assert described.misfit.seen
     b, u = described.estimate("b")
@@ -105,7 +105,7 @@ def test_a_true_law_costs_nothing() -> None:
     for seed, q in ((2, 0.0), (3, 8e-9)):
         points = decay(World(), seed, q)
         fit = fitted(points)
-        described = with_misfit(Linearised.of(points, PENDULUM, fit))
+        described = with_misfit(LinearisedFit.of(points, PENDULUM, fit))
         assert described.misfit is not None
         assert not described.misfit.seen
         assert np.array_equal(described.covariance, fit.covariance)
@@ -115,7 +115,7 @@ def test_a_true_law_costs_nothing() -> None:
 @pytest.mark.slow
 def test_what_every_run_lacks_is_not_averaged_away() -> None:
     runs = [not_described(OTHER_AIR, seed) for seed in (1, 2)]
-    fits = [with_misfit(Linearised.of(points, PENDULUM, fit)) for points, fit in runs]
+    fits = [with_misfit(LinearisedFit.of(points, PENDULUM, fit)) for points, fit in runs]
     both = combine_runs(fits).parameters["b"]
     assert both.standard_uncertainty > 0.95 * min(fit.estimate("b").standard_uncertainty for fit in fits)
 
@@ -123,7 +123,7 @@ def test_what_every_run_lacks_is_not_averaged_away() -> None:
 @pytest.mark.slow
 def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> None:
     points, fit = not_described(OTHER_AIR, 1)
-    described = with_misfit(Linearised.of(points, PENDULUM, fit))
+    described = with_misfit(LinearisedFit.of(points, PENDULUM, fit))
     assert MISFIT in described.terms
     assert fitted_contact(described).part(MISFIT)[0, 0] == described.part(MISFIT)[0, 0]
     plain, wide = (compare_laws(points, PENDULUM, [PAPER], like=one) for one in (fit, described))
@@ -135,7 +135,7 @@ def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> 
 @pytest.mark.slow
 def test_another_fit_of_the_law_shares_what_the_exact_one_found() -> None:
     points, fit = not_described(OTHER_AIR, 1)
-    described = with_misfit(Linearised.of(points, PENDULUM, fit))
+    described = with_misfit(LinearisedFit.of(points, PENDULUM, fit))
     assert MISFIT in described.terms
     other = fit_asymptotic(points, PENDULUM, drag=True, exact=described)
     wider = other.with_terms_of(described, MISFIT)
@@ -143,7 +143,7 @@ def test_another_fit_of_the_law_shares_what_the_exact_one_found() -> None:
     added = wider.covariance[at, at] - other.covariance[at, at]
     assert added == pytest.approx(described.part(MISFIT)[at, at])
     with pytest.raises(DataError):
-        with_misfit(Linearised.of(points, PENDULUM, other))
+        with_misfit(LinearisedFit.of(points, PENDULUM, other))
 
 
 def test_a_slip_is_found_and_dated() -> None:
@@ -176,7 +176,7 @@ def test_a_step_that_is_not_found_is_in_the_uncertainties() -> None:
     for slip in (0.0, 0.005):
         points = decay(World(event_s=370.0, slip=slip), seed=2, q=8e-9)
         before = fitted(points)
-        fit = with_changes(Linearised.of(points, PENDULUM, before), 0.01)
+        fit = with_changes(LinearisedFit.of(points, PENDULUM, before), 0.01)
         assert fit.changes == ()
         (c, u), u_before = fit.estimate("c"), before.estimate("c").standard_uncertainty
         found.append((c, u, u / u_before))
@@ -214,7 +214,7 @@ def test_what_drifts_do_to_the_parameters() -> None:
 def test_drifts_can_be_fitted_about_nought() -> None:
     points = decay(World(ageing=0.01, lasting_s=740.0), q=0.0)
     fit = fitted(points)
-    near = Linearised.of(points, PENDULUM, fit)
+    near = LinearisedFit.of(points, PENDULUM, fit)
     free = near.described(drift_term(near, {"ageing": 0.01, "period_drift": 1e-5}))
     at = fit.names.index("p")
     p, u = free.estimate("p")

@@ -5,7 +5,7 @@ import pytest
 
 from processing.contact import spline_law
 from processing.contact.law_of_splines import MomentSplines
-from processing.fit import fit_exact, fit_without_law
+from processing.fit import fit_exact, fit_model_free
 from tests.benchmarks.bench_without_law import true_moments
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.test_vanes import DRAG_S, run_of
@@ -14,7 +14,7 @@ from tests.processing.fit.test_vanes import DRAG_S, run_of
 @pytest.mark.parametrize("flat", ["glass_k8", "silicon"])
 def test_the_truth_lies_in_the_bands(flat: str) -> None:
     parameters, pendulum = paper_pair(flat)
-    free = fit_without_law(decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=20), pendulum)
+    free = fit_model_free(decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=20), pendulum)
     found = free.moments()
     friction, elastic = true_moments(found, parameters, pendulum)
     assert np.all(found.u_friction_n_m < 0.01 * friction)
@@ -28,7 +28,7 @@ def test_air_is_no_friction_of_the_contact() -> None:
     """Integrated in 1.7 ms of drag, on moving ground, seen by frames: the waveform tells both apart."""
     run = run_of(0.0, 5)
     parameters, pendulum = paper_pair("glass_k8")
-    free = fit_without_law(run.points, pendulum, like=run.fit)
+    free = fit_model_free(run.points, pendulum, like=run.fit)
     # over the stiffness that is gravity's in the splines' terms
     in_terms = (free.fit.estimate("period0_s").value / parameters.period0_s) ** 2
     drag_s, u_drag_s = free.fit.estimate("drag_s")
@@ -37,18 +37,18 @@ def test_air_is_no_friction_of_the_contact() -> None:
     friction, _ = true_moments(found, parameters, pendulum)
     assert np.all(np.abs(found.friction_n_m - friction) < 3.5 * found.u_friction_n_m)
     # as if there were no air
-    blind = fit_without_law(run.points, pendulum).moments(found.phi_rad)
+    blind = fit_model_free(run.points, pendulum).moments(found.phi_rad)
     assert np.mean(blind.friction_n_m / friction) > 1.3
-    law = free.of_law(run.fit, found.phi_rad)
+    law = free.moments_of_law(run.fit, found.phi_rad)
     np.testing.assert_allclose(law.friction_n_m, friction, rtol=0.03)
 
 
 def test_a_fitted_law_is_told_in_the_same_terms() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=2, last_arcsec=60)
-    free = fit_without_law(points, pendulum)
+    free = fit_model_free(points, pendulum)
     phi_rad = np.array([70.0, 90.0, 110.0]) * ARCSEC
-    law = free.of_law(fit_exact(points, pendulum), phi_rad)
+    law = free.moments_of_law(fit_exact(points, pendulum), phi_rad)
     friction, elastic = true_moments(law, parameters, pendulum)
     np.testing.assert_allclose(law.friction_n_m, friction, rtol=1e-3)
     np.testing.assert_allclose(law.elastic_n_m, elastic, rtol=0.03)

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquisition.simulation.seismometer import SimulatedSeismometer
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path
-from acquisition.simulation.witness import SimulatedWitness
 from processing.arrays import Floats
 from processing.estimate import Estimate
 from processing.fit import FitResult, Witness, fit_exact, fit_with_witness
 from processing.fit.exact_model import Errors, ExactModel
-from processing.fit.seismometer import WitnessVerdict
+from processing.fit.seismometer import SeismometerVerdict
 from processing.swing import TurningPoints, swings_of, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair, truth, with_noise
@@ -121,7 +121,7 @@ def test_its_own_noise_leaves_what_it_must() -> None:
 def test_one_that_is_unrelated_is_refused_and_changes_nothing(seed: int) -> None:
     points, alone = on_white()
     found = fit_with_witness(points, PENDULUM, witness(white(seed)), alone, averaged=False)
-    assert found.use.verdict is WitnessVerdict.NO_GAIN
+    assert found.use.verdict is SeismometerVerdict.NO_GAIN
     assert found.fit is alone
 
 
@@ -135,7 +135,7 @@ def test_of_two_components_the_unrelated_one_is_left_out() -> None:
 def test_one_of_another_hour_is_refused() -> None:
     points, alone = on_white()
     found = fit_with_witness(points, PENDULUM, witness(white(3), CLOCK + 1e5), alone, averaged=False)
-    assert found.use.verdict is WitnessVerdict.ABSENT
+    assert found.use.verdict is SeismometerVerdict.ABSENT
     assert "do not overlap" in found.use.reason
     assert found.fit is alone
 
@@ -218,7 +218,7 @@ def delay_found(seed: int, late_s: float) -> Estimate:
     swings = swings_of(path.times_ns, path.y_rad, u)
     points = turning_points(swings)
     begin_s = next(1e-9 * one.turn_time_ns for one in swings if not one.flags)
-    felt = SimulatedWitness(settings).until(900.0, 0)
+    felt = SimulatedSeismometer(settings).until(900.0, 0)
     seen = Witness(felt.time_s - begin_s, felt.counts[:, :1], ("along",))
     found = fit_with_witness(points, PENDULUM, seen, fit_exact(points, PENDULUM))
     assert found.use.used

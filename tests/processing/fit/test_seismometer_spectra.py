@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.arrays import Floats
-from processing.fit import WitnessSpectra, fit_with_witness
+from processing.fit import SeismometerSpectra, fit_with_witness
 from tests.processing.fit.test_seismometer import (
     CLOCK,
     PENDULUM,
@@ -23,7 +23,7 @@ LINE_HZ, LINE = 0.27, 3e-8
 
 
 @cache
-def spectra(noise: float = 0.0) -> WitnessSpectra:
+def spectra(noise: float = 0.0) -> SeismometerSpectra:
     points, alone = on_white()
     seen = white(3) + noise * white(4)
     found = fit_with_witness(points, PENDULUM, witness(seen), alone, averaged=False).use.spectra
@@ -31,7 +31,7 @@ def spectra(noise: float = 0.0) -> WitnessSpectra:
     return found
 
 
-def near(found: WitnessSpectra, tenths: float = 1.0) -> np.ndarray:
+def near(found: SeismometerSpectra, tenths: float = 1.0) -> np.ndarray:
     """Which frequencies lie within so many tenths of the pendulum's."""
     frequency = np.array(found.frequency_hz)
     middle = np.median(frequency)

@@ -8,7 +8,7 @@ import pytest
 from processing.fit import (
     Evidence,
     FitResult,
-    Linearised,
+    LinearisedFit,
     fit_exact,
     steeper_drag,
     waveform_of,
@@ -37,7 +37,7 @@ def test_a_tenth_of_the_drag_is_found_and_b_holds_what_it_does() -> None:
     b, u_b = fit.estimate("b")
     # what is printed where nobody asks
     assert b - PARAMETERS.b > 10 * u_b
-    found = steeper_drag(Linearised.of(points, PENDULUM, fit))
+    found = steeper_drag(LinearisedFit.of(points, PENDULUM, fit))
     assert found.seen
     value, u = found.steeper
     assert abs(value - STEEPER) < 3 * u
@@ -53,7 +53,7 @@ def test_a_tenth_of_the_drag_is_found_and_b_holds_what_it_does() -> None:
 
 def test_none_is_found_where_there_is_none() -> None:
     points, fit = seen(0.0, 1)
-    found = steeper_drag(Linearised.of(points, PENDULUM, fit))
+    found = steeper_drag(LinearisedFit.of(points, PENDULUM, fit))
     assert not found.seen
     assert abs(found.steeper.value) < 3 * found.steeper.standard_uncertainty < 0.4 * STEEPER
     same = with_steeper_drag(fit, found)

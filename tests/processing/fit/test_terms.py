@@ -5,8 +5,8 @@ import pytest
 
 from processing.arrays import Floats
 from processing.errors import DataError
-from processing.fit import Linearised, Term, fit_exact
-from processing.fit.terms import Restricted, solve
+from processing.fit import LinearisedFit, Term, fit_exact
+from processing.fit.terms import RestrictedLikelihood, solve
 from tests.processing.fit.decays import decay, paper_pair
 
 ROWS, LAW = 60, 4
@@ -47,7 +47,7 @@ def test_terms_are_those_of_generalised_least_squares(linear: tuple[Floats, Floa
     law = np.linalg.inv(jacobian.T @ jacobian) + by @ by.T
     size = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     np.testing.assert_allclose(law / size, covariance / size, atol=1e-9)
-    restricted = Restricted(residuals, jacobian, [columns[:, :1], columns[:, 1:2], columns[:, 2:]])
+    restricted = RestrictedLikelihood(residuals, jacobian, [columns[:, :1], columns[:, 1:2], columns[:, 2:]])
     assert restricted.deviance(PRIOR) == pytest.approx(float(deviance), rel=1e-9)
     for group, size in enumerate(PRIOR):
         tried = restricted.deviances(PRIOR, group, np.array([0.0, size]))
@@ -76,7 +76,7 @@ def test_what_nothing_determines_is_infinite_and_what_is_known_stays(
 def test_a_fit_with_terms_does_not_ask_for_their_order() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=30)
-    at = Linearised.of(points, pendulum, fit_exact(points, pendulum))
+    at = LinearisedFit.of(points, pendulum, fit_exact(points, pendulum))
     shared = Term("shared", at.by_points(amplitude=1e-9 * np.ones((len(points), 1))), 1.0, "cover")
     late = Term("late", at.by_points(time_s=1e-3 * points.amplitude[:, None]), 1.0, "cover")
     both = at.solved(shared, late)

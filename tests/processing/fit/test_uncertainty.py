@@ -10,7 +10,7 @@ from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
-from processing.fit import READING, InputQuantity, Linearised, RigQuantities, by_sensor
+from processing.fit import READING, InputQuantity, LinearisedFit, RigQuantities, by_sensor
 from processing.fit.exact import fit_exact
 from processing.fit.reported import (
     FittedContact,
@@ -245,7 +245,7 @@ def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: T
     u_s = 0.5e-6
     rolling = rig(row_time_s=InputQuantity(15e-6, u_s))
     exact = fit_exact(points, rolling.pendulum())
-    near = Linearised.of(points, rolling.pendulum(), exact)
+    near = LinearisedFit.of(points, rolling.pendulum(), exact)
     tables = budgets(replace(fitted_contact(exact), by_inputs=by_sensor(near, rolling)), rolling)
     rows = np.tan(2 * points.amplitude) / 3.45e-6 * (1 - 2 * (points.index % 2))
     again = fit_exact(replace(points, time_s=points.time_s + 3 * u_s * rows), rolling.pendulum(), near=exact)
@@ -265,7 +265,7 @@ def test_an_error_of_all_amplitudes_moves_the_parameters_by_what_the_budget_says
     u_rad = 0.001 * ARCSEC_RAD
     filmed = rig(common_amplitude_rad=InputQuantity(0.0, u_rad))
     exact = fit_exact(points, filmed.pendulum())
-    near = Linearised.of(points, filmed.pendulum(), exact)
+    near = LinearisedFit.of(points, filmed.pendulum(), exact)
     tables = budgets(replace(fitted_contact(exact), by_inputs=by_sensor(near, filmed)), filmed)
     moved = replace(points, amplitude=points.amplitude + 3 * u_rad)
     again = fit_exact(moved, filmed.pendulum(), near=exact)

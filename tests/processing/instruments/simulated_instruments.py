@@ -24,12 +24,10 @@ from acquisition.simulation.true_path import (
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.estimate import Estimate
 from processing.fit.exact import fit_exact
-from processing.instruments.circular import circular_error
-from processing.instruments.damping_fit import damping, ratio
+from processing.instruments.crossings import circular_error
+from processing.instruments.damping_fit import ValueWithSharedErrors, damping, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS
-from processing.instruments.friction_law import fit_friction_law, rolling_friction
-from processing.instruments.hardness import herbert_hardness
-from processing.instruments.shared_uncertainty import Reading
+from processing.instruments.friction_law import fit_friction_law, herbert_hardness, rolling_friction
 from processing.instruments.turning import refined
 from processing.swing import TurningPoints, swings_of, turning_points
 from rig.analysis.passing_deflections import PassingDeflections
@@ -129,7 +127,8 @@ def _damped(kind: str, seed: int) -> Mapping[str, Recovered]:
         plate = damping(points_of(glass, 0.9 * end, seed + 1000), start * DEGREE_RAD, end * DEGREE_RAD)
         glass_s = _damping_truth(glass, start, end)
         recovered["ratio"] = Recovered(
-            ratio(Reading(*found.time_s), Reading(*plate.time_s)), truth_s / glass_s
+            ratio(ValueWithSharedErrors(*found.time_s), ValueWithSharedErrors(*plate.time_s)),
+            truth_s / glass_s,
         )
         recovered["glass_time_s"] = Recovered(plate.time_s, glass_s)
     return recovered

@@ -9,7 +9,7 @@ from processing.instruments.crossings import inferred_swings, joined_swings
 from processing.instruments.damping_fit import damping
 from processing.instruments.descriptions import DEGREE_RAD
 from processing.instruments.turning import refined
-from processing.swing import Swing, SwingFlag, TurningPoints, swings_of, turning_points
+from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints, swings_of, turning_points
 from tests.processing.instruments.simulated_instruments import (
     Samples,
     samples,
@@ -25,8 +25,10 @@ def seen(found: Samples, limit_deg: float, rest_rad: float = 0.0) -> np.ndarray:
     return np.where(np.abs(place) < limit_deg * DEGREE_RAD, place, np.nan)
 
 
-def points(swings: list[Swing]) -> TurningPoints:
-    bare = [Swing(**{**{name: getattr(s, name) for name in Swing.__slots__}, "flags": 0}) for s in swings]
+def points(swings: list[HalfCycle]) -> TurningPoints:
+    bare = [
+        HalfCycle(**{**{name: getattr(s, name) for name in HalfCycle.__slots__}, "flags": 0}) for s in swings
+    ]
     return turning_points(bare)
 
 
@@ -38,7 +40,7 @@ def test_amplitudes_off_the_sensor(kind: str, limit_deg: float, rest_rad: float)
     found = samples(settings, 1.1 * limit_deg, seed=1, noise_rad=1e-5)
     swings = inferred_swings(found.times_ns, seen(found, limit_deg, rest_rad), found.u_rad)
     assert len(swings) > 0.9 * len(truth.time_s)
-    assert all(swing.flags == SwingFlag.INFERRED for swing in swings)
+    assert all(swing.flags == HalfCycleFlag.INFERRED for swing in swings)
     time_s = np.array([swing.turn_time_ns * 1e-9 for swing in swings])
     matched = [int(np.argmin(np.abs(truth.time_s - t))) for t in time_s]
     assert len({m - swing.index for m, swing in zip(matched, swings, strict=True)}) == 1

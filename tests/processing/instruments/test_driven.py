@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from processing.estimate import Estimate
-from processing.instruments.damping_fit import damping
+from processing.instruments.damping_fit import damping, drive_step, with_drive
 from processing.instruments.descriptions import DEGREE_RAD
-from processing.instruments.hardness import herbert_hardness
-from processing.instruments.shared_uncertainty import drive_step, with_drive
+from processing.instruments.friction_law import herbert_hardness
 from processing.swing import TurningPoints
 
 PERIOD_S, RATE, HALVES = 1.4, 0.01, 160

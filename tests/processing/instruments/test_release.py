@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from processing.arrays import Floats
-from processing.instruments.hardness import HerbertHardness, herbert_hardness
+from processing.instruments.friction_law import HerbertHardness, herbert_hardness
 from processing.instruments.release import with_release
 from processing.instruments.turning import refined
 from processing.swing import swings_of, turning_points

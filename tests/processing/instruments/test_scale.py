@@ -7,11 +7,10 @@ import pytest
 
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.instruments.circular import circular_error
-from processing.instruments.damping_fit import Damping, damping
+from processing.instruments.crossings import circular_error
+from processing.instruments.damping_fit import DampingTime, SharedError, damping, with_shared
 from processing.instruments.descriptions import DEGREE_RAD
 from processing.instruments.friction_law import rolling_friction
-from processing.instruments.shared_uncertainty import SharedError, with_shared
 from processing.swing import TurningPoints
 from tests.processing.instruments.test_instruments import decay, exponential
 
@@ -39,7 +38,7 @@ def test_damping_time_scatters_as_claimed_where_friction_is_constant() -> None:
     """Records read with wrong scales, drawn with the stated uncertainty."""
     u_scale, random = 0.01, np.random.default_rng(5)
 
-    def reduce(points: TurningPoints) -> Damping:
+    def reduce(points: TurningPoints) -> DampingTime:
         return damping(points, 12 * DEGREE_RAD, 4 * DEGREE_RAD)
 
     times_s = [
@@ -69,7 +68,7 @@ def test_amplitudes_that_only_just_suffice() -> None:
     points = exponential(7.0, 0.01, 86)
     assert points.amplitude[-1] * 1.02 > 3 * DEGREE_RAD > points.amplitude[-1]
 
-    def reduce(at: TurningPoints) -> Damping:
+    def reduce(at: TurningPoints) -> DampingTime:
         return damping(at, 6 * DEGREE_RAD, 3 * DEGREE_RAD)
 
     wide = SharedError("arm", scale=0.02)

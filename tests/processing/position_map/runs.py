@@ -12,7 +12,7 @@ from processing.contact import ContactParameters, PendulumOnBall
 from processing.deflections import Deflections, slow_deflections
 from processing.fit import fit_exact, known_motion
 from processing.position_map import PositionMap, PositionMapSearch
-from processing.swing import CycleWatch, Swing, swings_of_blocks, turning_points
+from processing.swing import CycleWatch, HalfCycle, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
@@ -25,7 +25,7 @@ RATE = 50.0
 
 
 class Run(NamedTuple):
-    swings: list[Swing]
+    swings: list[HalfCycle]
     deflections: Deflections
     parameters: ContactParameters
     pendulum: PendulumOnBall

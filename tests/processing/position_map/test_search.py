@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from processing.fit import fit_exact, known_motion
-from processing.position_map.normal_equations import Accumulator
-from processing.position_map.position_map import Splines
+from processing.position_map.fixed_pattern import Splines
+from processing.position_map.search import Accumulator
 from processing.swing import CycleWatch, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.position_map.runs import NOISE, PX, Floats, fringes, nothing, run, searched

@@ -13,10 +13,10 @@ from processing.series import (
     Bound,
     CompressedRun,
     Effect,
+    EndSide,
     Form,
-    Level,
+    LatentNumber,
     SeriesModel,
-    Side,
     compare_forms,
     find_change,
     fit_series,
@@ -30,7 +30,7 @@ from tests.processing.series.simulated_series import AIR, NAMES, World, made
 CENTRE = np.array([-5.6, 0.94, -18.4])
 SCATTER = np.array([0.02, 0.002, 0.1])
 HUMIDITY = Effect(parameter="c", covariate="humidity_percent", form=Form.LINEAR, reference=45.0)
-C = Level("contact", "c", "sample")
+C = LatentNumber("contact", "c", "sample")
 
 
 def world(**changes: object) -> World:
@@ -62,11 +62,13 @@ def test_what_runs_share_does_not_shrink_with_their_number() -> None:
     for count in (10, 40):
         found = fit_series(made(world(), count, np.random.default_rng(1)).runs, SeriesModel(names=NAMES))
         for place, name in enumerate(NAMES):
-            assert found.estimate(Level("contact", name, "sample")).standard_uncertainty > 0.9 * abs(
+            assert found.estimate(LatentNumber("contact", name, "sample")).standard_uncertainty > 0.9 * abs(
                 AIR[place]
             )
         # nothing in these runs tells the air: it stays as it was known
-        assert found.estimate(Level("shared", "air")).standard_uncertainty == pytest.approx(1.0, abs=0.12)
+        assert found.estimate(LatentNumber("shared", "air")).standard_uncertainty == pytest.approx(
+            1.0, abs=0.12
+        )
 
 
 def test_a_slope_is_found_and_none_is_invented() -> None:
@@ -101,14 +103,14 @@ def test_a_bad_run_is_named_and_does_little() -> None:
     assert np.sort(found.bad)[-2] < 0.3
     before, after = without.estimate(C), found.estimate(C)
     assert abs(after.value - before.value) < 0.5 * before.standard_uncertainty
-    assert found.estimate(Level("between runs", "c")).value < 0.3
+    assert found.estimate(LatentNumber("between runs", "c")).value < 0.3
 
 
 def test_a_bound_pulls_as_far_as_it_reaches() -> None:
     runs = [plain_run(-18.0, 0.3), plain_run(-18.0, 0.3), plain_run(-18.0, 0.3)]
     bound = CompressedRun(
         label="bounded", contact="sample", names=(), values=np.empty(0), covariance=np.empty((0, 0)),
-        bounds={"c": Bound(-18.4, Side.UPPER, 0.05)},
+        bounds={"c": Bound(-18.4, EndSide.UPPER, 0.05)},
     )  # fmt: skip
     model = SeriesModel(names=("c",), scatter=())
     found = fit_series([*runs, bound], model)
@@ -117,7 +119,7 @@ def test_a_bound_pulls_as_far_as_it_reaches() -> None:
     assert bounded.value < -18.3
     # of the run that only bounds nothing scatters
     assert 0.0 < found.predictive_check() <= 1.0
-    far = replace(bound, bounds={"c": Bound(-15.0, Side.UPPER, 0.05)})
+    far = replace(bound, bounds={"c": Bound(-15.0, EndSide.UPPER, 0.05)})
     assert fit_series([*runs, far], model).estimate(C).value == pytest.approx(free.value, abs=0.02)
 
 
@@ -167,7 +169,7 @@ def test_an_unknown_side_of_a_step_costs_and_does_not_mislead() -> None:
     assert np.mean([run.covariates["humidity_percent"].value for run in known]) < 45.0
     unknown = [replace(run, covariates={}) for run in humid[4:8]]
     model = SeriesModel(names=NAMES, effects=(step,), sizes={"c": 1.0})
-    level = Level("effect", step.label)
+    level = LatentNumber("effect", step.label)
     told, mixed = (fit_series(runs, model).estimate(level) for runs in (known, [*known, *unknown]))
     assert abs(told.value - wet) < 2 * told.standard_uncertainty
     assert abs(mixed.value - wet) < 2 * mixed.standard_uncertainty
@@ -204,8 +206,8 @@ def test_friction_that_grows_during_runs_is_told_from_the_exponent() -> None:
     during = Effect(parameter=FRICTION, covariate="", form=Form.DURING)
     model = SeriesModel(names=NAMES, effects=(during,), scatter=())
     found = fit_series(runs, model)
-    p = found.estimate(Level("contact", "p", "sample"))
-    alone = fit_series(runs, replace(model, effects=())).estimate(Level("contact", "p", "sample"))
+    p = found.estimate(LatentNumber("contact", "p", "sample"))
+    alone = fit_series(runs, replace(model, effects=())).estimate(LatentNumber("contact", "p", "sample"))
     assert abs(alone.value - 0.94) > 20 * alone.standard_uncertainty
     assert abs(p.value - 0.94) < 3 * p.standard_uncertainty
     growth = found.estimate(next(level for level in found.levels if level.kind == "effect"))
@@ -224,7 +226,7 @@ def test_draws_without_priors_count_where_runs_hardly_scatter() -> None:
     runs = [plain_run(-18.0 + 0.001 * (i % 3), 0.002) for i in range(30)]
     found = fit_series(runs, SeriesModel(names=("c",)).without_priors())
     assert found.effective > 300
-    assert found.estimate(Level("between runs", "c")).value < 0.003
+    assert found.estimate(LatentNumber("between runs", "c")).value < 0.003
 
 
 def test_equivalence_needs_a_narrow_band() -> None:
@@ -244,7 +246,7 @@ def test_a_sampler_agrees() -> None:
     quick, sampled = fit_series(runs, model, draws=4000), sample_series(runs, model, steps=400)
     assert sampled.settled
     assert min(sampled.effective.values()) > 130
-    for level in (C, Level("between runs", "c")):
+    for level in (C, LatentNumber("between runs", "c")):
         one, other = quick.estimate(level), sampled.posterior.estimate(level)
         assert other.value == pytest.approx(one.value, abs=0.15 * one.standard_uncertainty)
         assert other.standard_uncertainty == pytest.approx(one.standard_uncertainty, rel=0.15)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.frame import Image
+from acquisition.camera import Image
 from processing.spot import SensorModel, SpotTracker
 from tests.processing.spot.frames import exposed
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.swing import Swing, SwingDetector, compile_kernels
+from processing.swing import HalfCycle, TurningPointDetector, compile_kernels
 from processing.swing.arc import _walk_kernel
 from processing.swing.half_cycle_fit import fit_half_cycle
 from processing.swing.mode_fit import _equations
@@ -33,7 +33,7 @@ RECORD = troubled_record()
 WHOLE = detect(RECORD, block=len(RECORD.times_ns))
 
 
-def same(a: list[Swing], b: list[Swing]) -> bool:
+def same(a: list[HalfCycle], b: list[HalfCycle]) -> bool:
     """Bit for bit (NaN equals NaN)."""
     return repr(a) == repr(b)
 
@@ -52,8 +52,8 @@ def test_blocks_of_one_size(block: int) -> None:
 @given(st.lists(st.integers(0, len(RECORD.times_ns)), max_size=30))
 def test_any_blocks(cuts: list[int]) -> None:
     edges = [0, *sorted(cuts), len(RECORD.times_ns)]
-    detector = SwingDetector()
-    swings: list[Swing] = []
+    detector = TurningPointDetector()
+    swings: list[HalfCycle] = []
     for i, j in pairwise(edges):
         swings += detector.update(RECORD.times_ns[i:j], RECORD.deflection[i:j], RECORD.u_deflection[i:j])
     assert same(swings + detector.finish(), WHOLE)
@@ -61,7 +61,7 @@ def test_any_blocks(cuts: list[int]) -> None:
 
 def test_a_swing_is_out_within_a_quarter_period_of_its_end() -> None:
     record = damped_sinusoid(np.random.default_rng(22), 300.0, 100.0, 40)
-    detector = SwingDetector()
+    detector = TurningPointDetector()
     waits = []
     for i in range(len(record.times_ns)):
         for swing in detector.update(
@@ -77,7 +77,7 @@ def test_a_swing_is_out_within_a_quarter_period_of_its_end() -> None:
 
 
 def test_memory_stays_flat_on_an_endless_stream() -> None:
-    detector = SwingDetector()
+    detector = TurningPointDetector()
     period, per_block = 4.0, 4000
     rng = np.random.default_rng(23)
     peaks = []
@@ -96,7 +96,7 @@ def test_memory_stays_flat_on_an_endless_stream() -> None:
 
 
 def test_memory_stays_flat_while_nothing_swings() -> None:
-    detector = SwingDetector()
+    detector = TurningPointDetector()
     rng = np.random.default_rng(24)
     block = 50_000
     sizes = []

@@ -7,7 +7,7 @@ import pytest
 
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
-from processing.swing import SwingFlag
+from processing.swing import HalfCycleFlag
 from tests.processing.swing.truth import ARCSEC_RAD, CONTACTS, Errors, Record, detect, errors, rms
 
 PER_ACCELERATION = 2e-4 / (9.80665 * 6.05e-3)
@@ -88,7 +88,7 @@ def test_a_knock_on_a_driven_pendulum_is_flagged() -> None:
         swings = detect(record.plus(disturbance))
         for place in places:
             hit = [s for s in swings if abs(s.turn_time_ns * 1e-9 - turns[place]) < 3.1]
-            assert any(s.flags & SwingFlag.VIBRATION for s in hit)
+            assert any(s.flags & HalfCycleFlag.VIBRATION for s in hit)
 
 
 def air(count: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from processing.arrays import Floats
-from processing.swing import Swing, SwingDetector, SwingFlag, with_learned_weights
+from processing.swing import HalfCycle, HalfCycleFlag, TurningPointDetector, with_learned_weights
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
@@ -15,13 +15,13 @@ SLOW_RAD = 0.02 * ARCSEC_RAD
 FRAMES_PER_S = 50.0
 
 
-def swings(slow: Floats | float, seed: int = 0) -> list[Swing]:
+def swings(slow: Floats | float, seed: int = 0) -> list[HalfCycle]:
     """Half-cycles of the first 330 s of a decay, seen in white noise and what is slow besides."""
     _, _, path = driven_path(PARAMETERS, PENDULUM, q=0.0, seed=1, frames_per_s=FRAMES_PER_S)
     path = path[: round(330 * FRAMES_PER_S)]
     seen = path + slow + NOISE_RAD * np.random.default_rng([seed, 21]).standard_normal(len(path))
     times_ns = np.arange(len(path), dtype=np.int64) * round(1e9 / FRAMES_PER_S)
-    return SwingDetector().update(times_ns, seen, np.full(len(path), NOISE_RAD))
+    return TurningPointDetector().update(times_ns, seen, np.full(len(path), NOISE_RAD))
 
 
 def slow_noise(seed: int) -> Floats:
@@ -55,10 +55,10 @@ def test_a_quiet_record_stays_as_it_is() -> None:
         assert weighted.u_turn_time_s == pytest.approx(raw.u_turn_time_s, rel=0.03)
 
 
-def swing(index: int, u_amplitude: float, u_time_s: float, flags: int = 0) -> Swing:
+def swing(index: int, u_amplitude: float, u_time_s: float, flags: int = 0) -> HalfCycle:
     """A half-cycle of a falling amplitude."""
     half_s = np.nan if index == 0 else 2.0
-    return Swing(
+    return HalfCycle(
         index,
         2_000_000_000 * index,
         u_time_s,
@@ -75,7 +75,7 @@ def swing(index: int, u_amplitude: float, u_time_s: float, flags: int = 0) -> Sw
 def test_time_counts_by_the_arc_and_nothing_becomes_smaller_or_later() -> None:
     arc = 0.05
     found = [swing(k, 0.01 if k < 5 else 0.1, 1e-5 if k < 5 else arc * (1 + k) / 100.0) for k in range(100)]
-    found[1] = swing(1, 0.01, 1e-5, int(SwingFlag.VIBRATION))
+    found[1] = swing(1, 0.01, 1e-5, int(HalfCycleFlag.VIBRATION))
     found[2] = swing(2, 7.0, 7.0)
     out = with_learned_weights(found)
     assert (out[1].u_amplitude, out[1].u_turn_time_s) == (0.01, 1e-5)

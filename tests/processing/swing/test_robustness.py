@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
-from processing.swing import Swing, SwingDetector, SwingFlag, swings_of
+from processing.swing import HalfCycle, HalfCycleFlag, TurningPointDetector, swings_of
 from tests.processing.swing.truth import Record, contact_decay, damped_sinusoid, detect, errors, rms
 
 
@@ -15,7 +15,7 @@ def decay(seed: int = 1) -> Record:
     return damped_sinusoid(np.random.default_rng(seed), 300.0, 60.0, 60)
 
 
-def assert_none_wrong(record: Record, swings: list[Swing], fewest: int, limit: float = 5.0) -> None:
+def assert_none_wrong(record: Record, swings: list[HalfCycle], fewest: int, limit: float = 5.0) -> None:
     e = errors(record, swings)
     assert len(e) >= fewest
     assert np.abs(e.amplitude).max() < limit
@@ -23,7 +23,7 @@ def assert_none_wrong(record: Record, swings: list[Swing], fewest: int, limit: f
     assert [s.index for s in swings] == sorted({s.index for s in swings})
 
 
-def indices_match(record: Record, swings: list[Swing]) -> bool:
+def indices_match(record: Record, swings: list[HalfCycle]) -> bool:
     """Whether differences of indices are numbers of half periods."""
     nearest = [int(np.argmin(np.abs(record.turn_time_s - s.turn_time_ns * 1e-9))) for s in swings]
     return len({s.index - k for s, k in zip(swings, nearest, strict=True)}) == 1
@@ -53,7 +53,7 @@ def test_gap(start_s: float, length_s: float, lost: bool) -> None:
     assert_none_wrong(gapped, swings, fewest=60 - math.ceil(length_s / 2.0) - 4)
     assert indices_match(record, swings)
     inside = [s for s in swings if start_s < s.turn_time_ns * 1e-9 < start_s + length_s]
-    assert all(s.flags & SwingFlag.GAP for s in inside)
+    assert all(s.flags & HalfCycleFlag.GAP for s in inside)
 
 
 def test_half_period_is_unknown_after_a_missing_half_cycle() -> None:
@@ -82,7 +82,7 @@ def test_burst_of_vibration(size_px: float, length_s: float, frequency_hz: float
     assert_none_wrong(disturbed, swings, fewest=60 - math.ceil(length_s / 2.0) - 5)
     assert indices_match(record, swings)
     hit = [s for s in swings if s.turn_time_ns * 1e-9 + 1.0 > 60.3 and s.turn_time_ns * 1e-9 - 1.0 < 60.8]
-    assert any(s.flags & (SwingFlag.VIBRATION | SwingFlag.START) for s in hit)
+    assert any(s.flags & (HalfCycleFlag.VIBRATION | HalfCycleFlag.START) for s in hit)
 
 
 def test_wild_samples_cost_nothing() -> None:
@@ -101,7 +101,7 @@ def test_release_from_a_hold_in_the_middle_of_a_record() -> None:
     record = contact_decay("glass", 40, noise=0.02, rng=np.random.default_rng(5), start_s=20.0, hold=True)
     swings = detect(record)
     first = [s for s in swings if s.turn_time_ns * 1e-9 < 20.5]
-    assert all(s.flags & SwingFlag.START for s in first)
+    assert all(s.flags & HalfCycleFlag.START for s in first)
     assert_none_wrong(record, swings, fewest=37)
 
 
@@ -136,7 +136,7 @@ def test_a_faint_swing_before_a_push_is_not_the_first_half_cycle(phase: float, r
     y = np.where(since_s < 0, 0.0, pushed) + 0.03 * np.cos(0.5 * math.pi * time_s + phase) + noise
     swings = swings_of(np.round(1e9 * time_s).astype(np.int64), y, np.full(len(y), 0.0026))
     assert min(swing.amplitude for swing in swings if not swing.flags) > 90
-    assert swings[0].flags & SwingFlag.START
+    assert swings[0].flags & HalfCycleFlag.START
 
 
 @pytest.mark.parametrize(("factor", "phase"), [(2.0, 0.3), (0.5, 2.0), (0.4, 0.1), (1.0, 0.02)])
@@ -168,7 +168,7 @@ def test_kick_in_the_middle(factor: float, phase: float) -> None:
     assert all(s.flags for s in disturbed)
     kept = [s for s in swings if abs(s.turn_time_ns * 1e-9 - kick) > 0.5 * half]
     assert_none_wrong(record, kept, fewest=88)
-    assert any(s.flags & (SwingFlag.START | SwingFlag.VIBRATION) for s in swings if s.index > 3)
+    assert any(s.flags & (HalfCycleFlag.START | HalfCycleFlag.VIBRATION) for s in swings if s.index > 3)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_faint_swings_are_flagged() -> None:
     swings = detect(record)
     faint = [s for s in swings if s.amplitude < 4.0 * s.u_amplitude]
     assert len(faint) > 3
-    assert all(s.flags & SwingFlag.LOW_AMPLITUDE for s in faint)
+    assert all(s.flags & HalfCycleFlag.LOW_AMPLITUDE for s in faint)
 
 
 @pytest.mark.parametrize("kind", ["rest", "noise", "lost", "nothing"])
@@ -213,13 +213,13 @@ def test_no_oscillation_no_swings(kind: str) -> None:
         "lost": np.full(n, np.nan),
         "nothing": np.zeros(n),
     }[kind]
-    detector = SwingDetector()
+    detector = TurningPointDetector()
     assert detector.update(times_ns, deflection, np.full(n, 0.02)) == []
     assert detector.finish() == []
 
 
 def test_empty() -> None:
-    detector = SwingDetector()
+    detector = TurningPointDetector()
     assert detector.update(np.empty(0, np.int64), np.empty(0), np.empty(0)) == []
     assert detector.finish() == []
 
@@ -239,7 +239,7 @@ def test_empty() -> None:
 def test_bad_input_is_refused_and_changes_nothing(
     times: list[int], values: list[float], u: list[float], words: str
 ) -> None:
-    detector = SwingDetector()
+    detector = TurningPointDetector()
     detector.update([0, 1], [0.0, 0.0], [1.0, 1.0])
     with pytest.raises(DataError, match=words) as caught:
         detector.update(times, values, u)

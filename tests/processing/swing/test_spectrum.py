@@ -6,7 +6,7 @@ from scipy.signal import welch
 
 from processing.errors import DataError
 from processing.swing import residual_spectrum
-from processing.swing.spectrum import segment_powers
+from processing.swing.noise import segment_powers
 from tests.processing.swing.truth import damped_sinusoid, detect
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from processing.swing import Swing, SwingDetector
+from processing.swing import HalfCycle, TurningPointDetector
 
 Floats = NDArray[np.float64]
 ARCSEC_RAD = math.pi / 648000.0
@@ -169,10 +169,10 @@ def _integrated(
     )
 
 
-def detect(record: Record, block: int = 10_000) -> list[Swing]:
+def detect(record: Record, block: int = 10_000) -> list[HalfCycle]:
     """All swings of a record."""
-    detector = SwingDetector()
-    swings: list[Swing] = []
+    detector = TurningPointDetector()
+    swings: list[HalfCycle] = []
     for i in range(0, len(record.times_ns), block):
         j = i + block
         swings += detector.update(record.times_ns[i:j], record.deflection[i:j], record.u_deflection[i:j])
@@ -193,7 +193,7 @@ class Errors:
         return len(self.index)
 
 
-def errors(record: Record, swings: list[Swing]) -> Errors:
+def errors(record: Record, swings: list[HalfCycle]) -> Errors:
     """Errors of the unflagged swings.
 
     The Cramer-Rao bound is that of one half-cycle's own samples with all else known: for noise s and

@@ -17,7 +17,7 @@ from rig.align.look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
 from rig.instrument import camera_settings, make_camera
 from rig.presentation import palette
-from rig.presentation.keys import Keys
+from rig.presentation.quantities import Keys
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
 

@@ -10,14 +10,14 @@ import numpy as np
 
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import TruePath, noisy, true_path
+from processing.ambient import AmbientConditions
 from processing.deflections import Deflections, DeflectionUnit
-from processing.surroundings import Surroundings
 from processing.swing import swings_of_blocks
 from processing.units import ARCSEC_RAD
+from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults
 from rig.analysis.series import AnalysedRun
-from rig.analysis.swings_fit import analyse_swings
 from rig.analysis.table_fit import analyse_table
 from rig.instrument import complete
 from rig.intake.table import TableColumns
@@ -99,7 +99,7 @@ def analysed(seen: Deflections, config: Configuration, file: Path) -> AnalysedRu
     file.touch()
     blocks = [seen[first : first + 4096] for first in range(0, len(seen), 4096)]
     passing = PassingDeflections(blocks, seen.unit)
-    return analyse_swings(file, swings_of_blocks(blocks), config, passing, Surroundings())
+    return analyse_swings(file, swings_of_blocks(blocks), config, passing, AmbientConditions())
 
 
 class Held(NamedTuple):

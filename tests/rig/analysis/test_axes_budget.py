@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.axes import Axes
+from calibration.axes_fit import Axes
 from calibration.shutter import Shutter
 from processing.arrays import Floats
 from processing.deflections import Deflections, DeflectionUnit

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.frame import Frame
 from acquisition.record.reader import RecordReader
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.run_conditions import run_clock

@@ -11,8 +11,8 @@ from processing.swing import HarmonicsWatch, turning_points
 from processing.units import ARCSEC_RAD
 from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swings
 from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.recorded_seismometer import OPEN_DRAG, evidence_of
 from rig.analysis.results_file import read_results, write_results
-from rig.analysis.surroundings import OPEN_DRAG, evidence_of
 from rig.report.drawing import svg
 from rig.report.figures_motion import place_figure
 from rig.settings import FitSettings

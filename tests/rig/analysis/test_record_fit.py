@@ -44,7 +44,7 @@ def test_a_clock_that_is_slow_makes_the_period_longer(runs: list[AnalysedRun]) -
 
 
 def test_what_all_fits_warn_of_is_said_once_and_what_one_does_with_its_name(runs: list[AnalysedRun]) -> None:
-    from rig.analysis.swings_fit import _fit_warnings
+    from rig.analysis.half_cycle_fits import _fit_warnings
 
     fits = runs[0].fits
     names = list(fits)

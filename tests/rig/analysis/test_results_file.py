@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, RecordError
-from processing.fit import Change, ChangeKind, Misfit
+from processing.fit import Change, ChangeKind, DiscrepancySize
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import decoded, encoded, read_results, results_schema, write_results
 
@@ -69,7 +69,7 @@ def test_what_a_law_does_not_describe_is_stored(measured_series: Path) -> None:
     change = Change(
         kind=ChangeKind.FRICTION, half_cycle=143, time_s=296.0, size=0.047, u_size=0.001, gain=445.0
     )
-    misfit = Misfit(loss=0.04, against_law=278.0, widened={"b": 10.4})
+    misfit = DiscrepancySize(loss=0.04, against_law=278.0, widened={"b": 10.4})
     fits = {**run.fits, "exact": replace(run.fits["exact"], changes=(change,), misfit=misfit)}
     written = replace(session, runs=(replace(run, fits=fits), *session.runs[1:]))
     again = decoded(json.loads(json.dumps(encoded(written))), measured_series)

@@ -9,7 +9,7 @@ pytest.importorskip("av", reason="films are not read without PyAV: pip install a
 
 from calibration import Axes
 from rig.analysis import read_results
-from rig.analysis.swings_fit import why_no_half_cycles
+from rig.analysis.half_cycle_fits import why_no_half_cycles
 from tests.acquisition.cameras.made_films import Film, write_film
 from tests.rig.command_line import rig
 from tests.rig.intake.test_film_positions import PERIOD_S, swing

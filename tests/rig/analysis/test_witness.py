@@ -13,14 +13,14 @@ import pytest
 import rig
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
-from processing.fit import Response, WitnessUse
-from processing.fit.seismometer import WitnessVerdict
+from processing.fit import Response, SeismometerUse
+from processing.fit.seismometer import SeismometerVerdict
 from rig.analysis import AnalysedTable, analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
 from rig.analysis.run_remarks import witness_sentences
+from rig.analysis.seismometer_file import FitStart, SeismometerSource
 from rig.analysis.table_fit import TableColumns, analyse_table
-from rig.analysis.witness_file import Begin, StatedWitness
 from rig.archive.session_rows import row_of_results
 from rig.report import make_table_report
 from rig.settings import load_configuration
@@ -75,7 +75,7 @@ def decay(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @cache
 def analysed(folder: Path, *columns: str) -> AnalysedTable:
     config = load_configuration(folder / "rig.toml", needs_camera=False)
-    witness = StatedWitness(folder / "witness.csv", columns).read() if columns else None
+    witness = SeismometerSource(folder / "witness.csv", columns).read() if columns else None
     return analyse_table(folder / "decay.csv", config, TableColumns(unit="arcsec"), witness)
 
 
@@ -135,7 +135,7 @@ def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_
 def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> None:
     alone, found = fitted(decay), fitted(decay, "east")
     assert found.witness is not None
-    assert found.witness.verdict is WitnessVerdict.NO_GAIN
+    assert found.witness.verdict is SeismometerVerdict.NO_GAIN
     assert encoded(replace(found, witness=None)) == encoded(alone)
     (said,) = witness_sentences(found.witness)
     assert said.startswith("Witness of the ground refused")
@@ -150,36 +150,36 @@ def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the
     path = tmp_path / "w.csv"
     path.write_text("\n".join(["time_s,z", *(f"{time:.1f},{k % 7}" for k, time in enumerate(times))]))
     record = measured_series / "run-1.mcap"
-    alone, found = analyse_record(record), analyse_record(record, witness=StatedWitness(path).read())
+    alone, found = analyse_record(record), analyse_record(record, witness=SeismometerSource(path).read())
     assert found.results.witness is not None
-    assert found.results.witness.verdict is WitnessVerdict.ABSENT
+    assert found.results.witness.verdict is SeismometerVerdict.ABSENT
     results = [session_results([run], tmp_path) for run in (alone, found)]
     without = [replace(one, runs=(replace(one.runs[0], witness=None),)) for one in results]
     assert encoded(without[0]) == encoded(without[1])
 
 
 def test_times_are_put_on_the_clock_of_the_turning_points(tmp_path: Path) -> None:
-    begin = Begin(in_file_ns=3_000_000_000, utc_ns=1_500_000_005_000_000_000)
+    begin = FitStart(in_file_ns=3_000_000_000, utc_ns=1_500_000_005_000_000_000)
     times = np.arange(10.0)
-    relative = StatedWitness(csv(tmp_path / "a.csv", "time_s,z", 2 + times, times)).read()
+    relative = SeismometerSource(csv(tmp_path / "a.csv", "time_s,z", 2 + times, times)).read()
     witness, known = relative.beside(begin)
     assert witness.time_s[0] == pytest.approx(-1.0)
     assert not known
-    stated = replace(StatedWitness(tmp_path / "a.csv"), offset_s=0.25).read()
+    stated = replace(SeismometerSource(tmp_path / "a.csv"), offset_s=0.25).read()
     witness, known = stated.beside(begin)
     assert witness.time_s[0] == pytest.approx(-0.75)
     assert known
     in_ns = [f"{1_500_000_000_000_000_000 + 100_000_000 * k},{k}" for k in range(10)]
     (tmp_path / "b.csv").write_text("\n".join(["time_ns,z", *in_ns]))
-    witness, known = StatedWitness(tmp_path / "b.csv").read().beside(begin)
+    witness, known = SeismometerSource(tmp_path / "b.csv").read().beside(begin)
     assert witness.time_s[0] == pytest.approx(-5.0, abs=1e-6)
     assert known
-    assert not StatedWitness(tmp_path / "b.csv").read().beside(Begin(0))[1]
+    assert not SeismometerSource(tmp_path / "b.csv").read().beside(FitStart(0))[1]
 
 
 def test_a_column_that_is_not_there_is_said(decay: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"no column 'up'; columns: time_s, east, north"):
-        StatedWitness(decay / "witness.csv", ("up",)).read()
+        SeismometerSource(decay / "witness.csv", ("up",)).read()
 
 
 def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_path: Path) -> None:
@@ -188,23 +188,23 @@ def test_the_unit_of_its_times_can_be_stated_and_is_asked_for_by_its_option(tmp_
     with pytest.raises(
         ConfigurationError, match=r"'0:00' in 't' may be .* state --witness-time-unit m:ss or"
     ):
-        StatedWitness(path).read()
+        SeismometerSource(path).read()
     for unit, step_s in (("m:ss", 1), ("h:mm", 60)):
-        found = StatedWitness(path, time_unit=unit).read()
+        found = SeismometerSource(path, time_unit=unit).read()
         assert set(np.diff(found.times_ns).tolist()) == {step_s * 10**9}
     backwards = csv(tmp_path / "b.csv", "t,z", np.arange(9.0)[::-1], np.arange(9.0))
     with pytest.raises(DataError, match="call the time column time_s"):
-        StatedWitness(backwards).read()
-    in_ms = StatedWitness(
+        SeismometerSource(backwards).read()
+    in_ms = SeismometerSource(
         csv(tmp_path / "c.csv", "t,z", np.arange(9.0), np.arange(9.0)), time_unit="ms"
     ).read()
     assert in_ms.times_ns[-1] == 8_000_000
     with pytest.raises(
         ConfigurationError, match=r"unit of 't', .* 1 s apart; state --witness-time-unit .* d$"
     ):
-        StatedWitness(tmp_path / "c.csv").read()
+        SeismometerSource(tmp_path / "c.csv").read()
     with pytest.raises(ConfigurationError, match=r"--witness-time-unit s: .* has times of its own"):
-        StatedWitness(tmp_path / "w.mseed", time_unit="s").read()
+        SeismometerSource(tmp_path / "w.mseed", time_unit="s").read()
 
 
 @pytest.mark.slow
@@ -215,7 +215,7 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     samples[9] = "x," + samples[9].partition(",")[2]
     path = tmp_path / "w.csv"
     path.write_text("\n".join([head, *samples]))
-    record = StatedWitness(path).read()
+    record = SeismometerSource(path).read()
     assert record.names == ("east", "north")
     assert len(record.times_ns) == len(samples) - 1
     told = " ".join(record.understood)
@@ -232,7 +232,7 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     assert (found.source, found.understood) == ("w.csv", record.understood)
     assert "Of the witness w.csv: left out" in witness_sentences(found)[-1]
     with pytest.raises(DataError, match="column 'name' has no numbers"):
-        StatedWitness(path, ("name",)).read()
+        SeismometerSource(path, ("name",)).read()
 
 
 def test_without_obspy_a_seismic_file_says_what_to_install(
@@ -240,7 +240,7 @@ def test_without_obspy_a_seismic_file_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "obspy", None)
     with pytest.raises(ConfigurationError, match=r"w\.mseed: --witness with miniSEED or SAC .* needs obspy"):
-        StatedWitness(tmp_path / "w.mseed").read()
+        SeismometerSource(tmp_path / "w.mseed").read()
 
 
 BEGIN_S = 1_772_600_000
@@ -291,7 +291,7 @@ def test_records_are_read_with_the_times_of_their_own(
     tmp_path: Path, records: list[tuple[str, float, int]], step_ns: int, span_s: float, lost: int, said: str
 ) -> None:
     """ObsPy takes records that are early or late by less than half a sample for ones without a gap."""
-    found = StatedWitness(seismic(tmp_path / "w.mseed", *records, step_ns=step_ns)).read()
+    found = SeismometerSource(seismic(tmp_path / "w.mseed", *records, step_ns=step_ns)).read()
     since_s = found.times_ns * 1e-9
     assert found.absolute
     assert found.first_ns == BEGIN_S * 10**9
@@ -307,14 +307,14 @@ def test_records_are_read_with_the_times_of_their_own(
 def test_of_several_sensors_one_is_asked_for(tmp_path: Path, other: str) -> None:
     path = seismic(tmp_path / "w.mseed", (Z, 0.0, 300), (other, 0.0, 200))
     with pytest.raises(ConfigurationError, match=r"holds 2 sensors.*; state one: --witness-column") as caught:
-        StatedWitness(path).read()
+        SeismometerSource(path).read()
     assert {f"{Z[:-1]}?", f"{other[:-1]}?"} <= set(re.split("[ ,;']+", str(caught.value)))
     for name, count in ((Z, 300), (other, 200)):
         for stated in (name, f"{name[:-1]}?"):
-            found = StatedWitness(path, (stated,)).read()
+            found = SeismometerSource(path, (stated,)).read()
             assert (found.names, len(found.value)) == ((name[-3:],), count)
         assert f"not used: {other if name == Z else Z}" in found.understood
-    assert StatedWitness(path, (Z, other)).read().names == (Z, other)
+    assert SeismometerSource(path, (Z, other)).read().names == (Z, other)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -324,29 +324,29 @@ def test_a_seismic_file_is_read_with_its_damage_and_its_components(tmp_path: Pat
     data = bytearray(path.read_bytes())
     data[2 * 4096 + 200] ^= 0x55
     path.write_bytes(data)
-    found = StatedWitness(path).read()
+    found = SeismometerSource(path).read()
     assert found.names == ("BHE", "BHZ")
     assert np.isnan(found.value).sum(axis=0).tolist() == [300, 0]
     assert "left out: 1 records that cannot be decoded" in found.understood
-    assert StatedWitness(path, ("BHZ",)).read().names == ("BHZ",)
+    assert SeismometerSource(path, ("BHZ",)).read().names == ("BHZ",)
     with pytest.raises(ConfigurationError, match="no channel 'BHN'; channels: BHE, BHZ"):
-        StatedWitness(path, ("BHN",)).read()
+        SeismometerSource(path, ("BHN",)).read()
     obspy = pytest.importorskip("obspy")
     trace = obspy.Trace(np.arange(1000, dtype=np.float32), {"sampling_rate": 20.0, "channel": "BHZ"})
     trace.write(str(tmp_path / "w.sac"), format="SAC")
-    of_sac = StatedWitness(tmp_path / "w.sac").read()
+    of_sac = SeismometerSource(tmp_path / "w.sac").read()
     assert of_sac.names == ("BHZ",)
     assert of_sac.value[:, 0] == pytest.approx(np.arange(1000.0))
     (tmp_path / "bad.mseed").write_text("no samples")
     with pytest.raises(DataError, match="as neither miniSEED nor SAC"):
-        StatedWitness(tmp_path / "bad.mseed").read()
+        SeismometerSource(tmp_path / "bad.mseed").read()
     with pytest.raises(DataError, match="BHZ holds no samples"):
-        StatedWitness(seismic(tmp_path / "none.mseed", (Z, 0.0, 0))).read()
+        SeismometerSource(seismic(tmp_path / "none.mseed", (Z, 0.0, 0))).read()
 
 
 def test_results_keep_what_a_witness_told_and_sentences_say_it() -> None:
-    use = WitnessUse(
-        verdict=WitnessVerdict.USED,
+    use = SeismometerUse(
+        verdict=SeismometerVerdict.USED,
         explained=0.98,
         ground_alone_rad_per_s2_rthz=Estimate(1e-7, 5e-9),
         ground_left_rad_per_s2_rthz=Estimate(1.4e-8, 1e-9),

@@ -14,8 +14,8 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
 from rig.archive import add_folders, check_archive, list_runs, selected, update_archive
-from rig.archive.catalogue import write_sessions, writing
-from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, of_row
+from rig.archive.listing import write_sessions, writing
+from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, row_columns
 from tests.rig.command_line import rig
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -305,7 +305,9 @@ def test_numbers_are_kept_to_the_last_digit(tmp_path: Path) -> None:
 def test_every_column_stands_in_the_reference() -> None:
     text = (ROOT / "docs" / "reference" / "archive.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"^\| `(\w+)` \| .+ \|$", text, re.MULTILINE))
-    of_rows = {column for name in (*PARAMETERS, *DERIVED) for column in (*of_row(name), f"verdict_{name}")}
+    of_rows = {
+        column for name in (*PARAMETERS, *DERIVED) for column in (*row_columns(name), f"verdict_{name}")
+    }
     assert listed == {name for name in COLUMNS if name not in of_rows}
     for name in PARAMETERS:
         assert f"`{name}`" in text

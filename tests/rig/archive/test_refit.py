@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from rig.archive import add_folders, refit_runs, selected
-from rig.archive.refitting import Task, Work, _in_processes
+from rig.archive.updating import Task, Work, _in_processes
 from rig.replay import analyse_replayed
 from tests.rig.archive.deadly import Deadly, outcome_of
 from tests.rig.command_line import rig
@@ -34,7 +34,7 @@ def in_this_process(work: Work, tasks: Sequence[Task], processes: int | None) ->
 def test_results_made_again_stand_beside_the_earlier_ones_and_are_listed(
     archive: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.archive.refitting._in_processes", in_this_process)
+    monkeypatch.setattr("rig.archive.updating._in_processes", in_this_process)
     series = archive.parent / "runs" / "series"
     earlier = (series / "results.json").read_bytes()
     words = ("--where", "state = 'whole'", "--set", "fit.robust=true", "--law", "viscous")
@@ -68,7 +68,7 @@ def test_each_level_begins_further_back(archive: Path) -> None:
 
 
 def test_what_cannot_be_done_is_said_and_not_written(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.archive.refitting._in_processes", in_this_process)
+    monkeypatch.setattr("rig.archive.updating._in_processes", in_this_process)
     refused = rig("archive", "refit", "--set", "fit.colour=red", "--archive", archive)
     assert refused.returncode == 2
     assert "fit.colour" in refused.stderr

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.simulation.settings import AxesTruth, SimulationSettings
-from acquisition.simulation.true_path import noisy, true_path
-from acquisition.simulation.weights import TrimmedPendulum, TrimWeight, imperfect_weights
+from acquisition.simulation.true_path import TrimmedPendulum, TrimWeight, imperfect_weights, noisy, true_path
 from processing.balance import Balance, BalanceEstimator, BalanceLimits, WeightResponses, mass_centre_height_m
 from processing.deflections import Deflections, DeflectionUnit
 from processing.units import ARCSEC_RAD

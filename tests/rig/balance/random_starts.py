@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.simulation.settings import AxesTruth, SensorTruth, SimulationSettings
-from acquisition.simulation.true_path import noisy, true_path
-from acquisition.simulation.weights import TrimWeight
+from acquisition.simulation.true_path import TrimWeight, noisy, true_path
 from processing.balance import BalanceEstimator, BalanceLimits, Turn, Unreachable
 from processing.deflections import Deflections, DeflectionUnit
 from processing.units import ARCSEC_RAD

@@ -10,8 +10,8 @@ import pytest
 
 from processing.balance import Balance, Turn, find_faults
 from rig.balance import history
+from rig.balance.dialogue import OnTerminal
 from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
-from rig.balance.reporter import OnTerminal
 from tests.rig.balance.random_starts import LIMITS, follow, modelled_look, random_start
 from tests.rig.command_line import CONFIGS, rig
 

@@ -9,7 +9,7 @@ import numpy as np
 from acquisition.atomic_write import write_new
 from acquisition.simulation.settings import AxesTruth, ContactTruth, FastModeTruth, ReleaseTruth
 from acquisition.simulation.true_path import true_path
-from calibration.axes import deflections
+from calibration.axes_fit import deflections
 from calibration.lever_fit import lever_from_tilts
 from calibration.store import CalibrationFile, Kind, write_calibration
 from processing.deflections import slow_deflections

@@ -17,7 +17,7 @@ from acquisition.simulation.settings import (
     SimulationSettings,
 )
 from acquisition.simulation.true_path import true_turning_points
-from calibration.axes import Axes
+from calibration.axes_fit import Axes
 from calibration.light_lever import Lever
 from calibration.shutter import GLOBAL, Shutter, ShutterFit, fit_row_time
 from processing.contact import PendulumOnBall

@@ -22,8 +22,8 @@ from rig.calibrate import (
     check_known_angle,
     filed,
 )
-from rig.calibrate.filing import Filing
 from rig.calibrate.frame_times import off_line
+from rig.calibrate.inputs import Filing
 from rig.instrument import complete
 from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
 from rig.measure.session import simulate_record

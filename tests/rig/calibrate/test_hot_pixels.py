@@ -9,7 +9,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from acquisition.simulation.settings import SensorTruth
 from rig.calibrate import calibrate_sensor
-from rig.calibrate.filing import Filing
+from rig.calibrate.inputs import Filing
 from rig.instrument.calibration import fill_from_files
 from rig.instrument.provenance import recorded_configuration
 from rig.measure.session import simulate_record

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraInfo
-from acquisition.frame import Frame
+from acquisition.camera import CameraInfo, Frame
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from processing.ambient import AmbientConditions
 from processing.contact import PendulumOnBall, surface_energy
 from processing.estimate import Estimate
 from processing.fit import Budget, FitMethod
 from processing.fit.uncertainty import BudgetSource
-from processing.surroundings import Surroundings
 from processing.units import ARCSEC_RAD
 from rig.analysis import Correlation, Fit, RunResults, SessionResults, StoredTurningPoints, write_results
 
@@ -60,7 +60,7 @@ def run(
         fits={FitMethod.EXACT: fit},
         pendulum=PENDULUM,
         budget=budget,
-        surroundings=Surroundings(temperature_c=20.0, humidity_percent=humidity_percent),
+        surroundings=AmbientConditions(temperature_c=20.0, humidity_percent=humidity_percent),
         turning_points=StoredTurningPoints(
             index=np.arange(len(time_s)), time_s=time_s, u_time_s=time_s * 0 + 1e-3,
             amplitude=np.linspace(6e-4, 1e-5, len(time_s)), u_amplitude=time_s * 0 + 1e-8,

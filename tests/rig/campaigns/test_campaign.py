@@ -13,7 +13,7 @@ from processing.errors import ConfigurationError
 from processing.units import ARCSEC_RAD
 from rig.analysis import read_results
 from rig.archive import selected
-from rig.archive.catalogue import write_sessions, writing
+from rig.archive.listing import write_sessions, writing
 from rig.campaigns import StatedCampaign, answer_of, read_campaign, runs_of_folders
 from rig.campaigns.likelihoods import FoundRun, compressed
 from rig.campaigns.sources import _IN_ORDER

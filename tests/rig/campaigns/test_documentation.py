@@ -39,10 +39,10 @@ def test_the_commands_and_the_file_of_the_page(tmp_path: Path) -> None:
 def test_forms_and_covariates_that_are_named_exist() -> None:
     from dataclasses import fields
 
+    from processing.ambient import AmbientConditions
     from processing.series import Form
-    from processing.surroundings import Surroundings
 
     forms = set(re.findall(r"^\| `(\w+)` \|", TEXT, re.MULTILINE))
     assert forms == set(map(str, Form))
-    named = {field.name for field in fields(Surroundings)} - {"temperature_change_k"}
+    named = {field.name for field in fields(AmbientConditions)} - {"temperature_change_k"}
     assert all(f"`{name}`" in TEXT for name in named)

@@ -11,20 +11,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from acquisition.camera import CameraSettings
+from acquisition.camera import CameraSettings, Frame
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.cameras.usb3vision import discovery
-from acquisition.cameras.usb3vision.discovery import FoundCamera, UsbSpeed
+from acquisition.cameras.usb3vision import link
+from acquisition.cameras.usb3vision.link import FoundCamera, UsbSpeed
 from acquisition.cameras.usb3vision.node_map import FeatureReading
-from acquisition.frame import Frame
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from rig.cli import app
 from rig.devices import doctor as camera_checks
 from rig.devices import picture as camera_picture
-from rig.devices.camera_features import feature_lines
 from rig.devices.doctor import check_usb_camera, check_usb_memory
 from rig.devices.picture import find_exposure
+from rig.devices.udev import feature_lines
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
@@ -150,7 +149,7 @@ def usb_camera(monkeypatch: pytest.MonkeyPatch) -> VisionDevice:
     """A USB3 Vision camera as the only one that libusb finds."""
     device = VisionDevice("EYE-7", frames_inside=100_000)
     backend = InProcessBackend(device)
-    monkeypatch.setattr(discovery, "_libusb", lambda: backend)
+    monkeypatch.setattr(link, "_libusb", lambda: backend)
     return device
 
 
@@ -173,9 +172,9 @@ def test_the_doctor_looks_at_a_usb_camera(usb_camera: VisionDevice, tmp_path: Pa
 def test_the_doctor_explains_what_to_do_without_permission(
     usb_camera: VisionDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (found,) = discovery.find_cameras()
+    (found,) = link.find_cameras()
     forbidden = replace(found, accessible=False)
-    monkeypatch.setattr(discovery, "find_cameras", lambda backend=None: (forbidden,))
+    monkeypatch.setattr(link, "find_cameras", lambda backend=None: (forbidden,))
     monkeypatch.setattr(camera_checks, "find_cameras", lambda: (forbidden,))
     done = CliRunner().invoke(app, ["doctor", DEMO, *USB, "--json"])
     assert done.exit_code == 1

@@ -5,11 +5,11 @@ from typing import Any, get_args
 import pytest
 import typer
 
-from rig.archive.refitting import Level
+from rig.archive.updating import Level
 from rig.cli import app
 from rig.export.session_export import Format as ExportFormat
 from rig.settings.configuration import ViewSettings
-from rig.view.values import LayoutName, Mode
+from rig.view.graticule import LayoutName, Mode
 from tests.rig.commands.wrong_inputs import commands
 
 

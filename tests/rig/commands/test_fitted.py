@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.cli import GROUPS, app
-from rig.commands.inputs import kind_of
+from rig.commands.arguments import kind_of
 from tests.rig.command_line import CONFIGS, rig
 
 

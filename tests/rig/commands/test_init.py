@@ -8,7 +8,7 @@ import pytest
 
 from acquisition.camera import PluggedCamera
 from processing.errors import ConfigurationError, RigError
-from rig.commands.first_configuration import ask, questions
+from rig.commands.init import ask, questions
 from rig.settings import load_configuration, quantity, write_configuration
 from tests.rig.command_line import rig
 

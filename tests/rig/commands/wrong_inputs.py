@@ -10,7 +10,7 @@ from pydantic.fields import FieldInfo
 
 from rig.cli import app
 from rig.settings import Configuration
-from rig.settings.wording import section_fields, section_of
+from rig.settings.validation_messages import section_fields, section_of
 
 _MEANT = "tin"
 _STATED = {"config", "file", "ladder", "frames", "lever", "plan", "vanes"}

@@ -11,12 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.control import environment as environment_module
-from rig.control.controller_answers import AirReading
-from rig.control.environment import EnvironmentService, parse_environment
+from rig.control import settings as environment_module
 from rig.control.firmware.bme280 import Bme280, Calibration, compensate
+from rig.control.protocol import AirReading
 from rig.control.serial_port import PortLost, SerialLine
-from rig.control.settings import EnvironmentSettings
+from rig.control.settings import EnvironmentService, EnvironmentSettings, parse_environment
 from tests.rig.control.instruments import Instrument
 from tests.rig.control.stepped import Clock, InstrumentLine, stepped_clock, turn
 

@@ -6,14 +6,14 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.control.controller import Controller, InterlockOpen, PowerLimit
-from rig.control.controller_answers import AirReading
 from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, LightRefused, Stage
-from rig.control.link import CommandRefused
+from rig.control.protocol import AirReading
 from rig.control.safety_state import SafetyState, TripCause
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
-from rig.control.worker import Overdue, Worker
+from rig.control.usbtmc import CommandRefused
+from rig.control.worker import JobExpired, Worker
 from tests.rig.control.stepped import Clock, SpoiledLine, SteppedBoard, stepped_clock, turn
 
 HEARTBEAT_S, WATCHDOG_S = 0.5, 2.0
@@ -448,7 +448,7 @@ class TestWorker:
         clock.sleep(0.1)
         self.work_off(worker)
         assert first.result(0) is urgent.result(0) is None
-        with pytest.raises(Overdue, match="not executed"):
+        with pytest.raises(JobExpired, match="not executed"):
             late.result(0)
         assert order == ["urgent", "first"]
 

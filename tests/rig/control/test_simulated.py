@@ -11,11 +11,10 @@ from collections.abc import Iterator
 import pytest
 
 from rig.control.controller import InterlockOpen, PowerLimit
-from rig.control.controller_answers import AirReading
-from rig.control.environment import EnvironmentService
 from rig.control.light_permit import LightRefused
+from rig.control.protocol import AirReading
 from rig.control.service import ControlService, ControlState
-from rig.control.settings import ControllerSettings, EnvironmentSettings, SerialFaults
+from rig.control.settings import ControllerSettings, EnvironmentService, EnvironmentSettings, SerialFaults
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 from tests.waiting import until
 

@@ -17,9 +17,9 @@ from rig.control import (
     Trip,
     TripCause,
 )
-from rig.control.controller_answers import ControllerStatus, Latch
+from rig.control.protocol import ControllerStatus, Latch
 from rig.desk.following import Following
-from rig.measure.preflight import device_checks
+from rig.measure.preflight import frame_checks
 from rig.presentation import plain_values
 
 
@@ -39,10 +39,10 @@ def test_preflight_judges_the_interlock_whatever_its_words(
     monkeypatch: pytest.MonkeyPatch, words: str
 ) -> None:
     monkeypatch.setattr(DevicesNow, "text", words)
-    assert device_checks.controller(opened(), wanted=True).ok
-    assert not device_checks.controller(opened(interlock_closed=False), wanted=True).ok
-    assert not device_checks.controller(DevicesNow(None, ControlState.LOST), wanted=True).ok
-    assert device_checks.controller(opened(), wanted=True).measured == words
+    assert frame_checks.controller(opened(), wanted=True).ok
+    assert not frame_checks.controller(opened(interlock_closed=False), wanted=True).ok
+    assert not frame_checks.controller(DevicesNow(None, ControlState.LOST), wanted=True).ok
+    assert frame_checks.controller(opened(), wanted=True).measured == words
 
 
 @pytest.mark.parametrize("laser", [None, LaserNow(Light.ON, power_w=5e-4), LaserNow(Light.INTERLOCK_OPEN)])

@@ -10,10 +10,10 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from nicegui import Client
 from nicegui.page import page
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
-from rig.desk.charts import Chart, Curve, chart_options, trajectory_ends
+from rig.desk.charts import Chart, ChartCurve, chart_options, trajectory_ends
 from rig.orders import OrderSocket, SessionNews
 from rig.presentation import quantity
 from rig.settings import Configuration
@@ -24,7 +24,7 @@ OF = "getElement(Number(document.querySelector('[aria-label=\"trajectory\"]').id
 
 
 def test_axes_are_named_by_the_catalogue_and_a_band_is_as_wide_as_it_says() -> None:
-    curves = (Curve("amplitude"), Curve("period_s", style="band", row=1))
+    curves = (ChartCurve("amplitude"), ChartCurve("period_s", style="band", row=1))
     found = chart_options(
         quantity("elapsed_s"), curves, [[(0.0, 2.0)], [(0.0, 4.0, 0.5)]], "px", [], None, ""
     )
@@ -35,7 +35,7 @@ def test_axes_are_named_by_the_catalogue_and_a_band_is_as_wide_as_it_says() -> N
 
 
 def test_rows_below_each_other_have_the_same_time() -> None:
-    curves = (Curve("amplitude"), Curve("period_s", row=1))
+    curves = (ChartCurve("amplitude"), ChartCurve("period_s", row=1))
     points = [[(1.0, 2.0), (9.0, 1.0)], [(3.0, 4.0), (5.0, 4.0)]]
     found = chart_options(quantity("elapsed_s"), curves, points, "arcsec", [], None, "")
     assert [(axis["min"], axis["max"]) for axis in found["xAxis"]] == [(1.0, 9.0), (1.0, 9.0)]
@@ -54,7 +54,7 @@ def test_ends_of_a_trajectory_are_labels(high: float) -> None:
 
 
 def test_words_in_an_empty_row_go_when_it_is_filled() -> None:
-    curves = (Curve("amplitude"), Curve("amplitude_residual_in_u", row=1))
+    curves = (ChartCurve("amplitude"), ChartCurve("amplitude_residual_in_u", row=1))
     with Client(page("/")):
         chart = Chart("decay", "elapsed_s", curves)
         chart.show([[(0.0, 2.0)], []], below="no fit yet")

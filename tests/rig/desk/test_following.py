@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RigError
 from processing.spot import Spot

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("starlette", reason="rig desk is not installed: pip install '.[desk]'")
 
-from rig.desk.guard import Guard
+from rig.desk.server import Guard
 
 KEY, PORT, OFF_PORT = "the-key", 8642, 8643
 HOST, OFF_HOST = f"127.0.0.1:{PORT}", f"127.0.0.1:{OFF_PORT}"

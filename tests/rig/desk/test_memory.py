@@ -18,7 +18,7 @@ from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate, Record
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from rig.orders import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import Page
@@ -64,7 +64,7 @@ class ToldRun:
         while self._swings * HALF_S < end_s:
             at_s, self._swings = self._swings * HALF_S, self._swings + 1
             size = 100.0 * math.exp(-at_s / 2e4)
-            swings.append(Swing(self._swings, int(at_s * 1e9), 0.0, size, 0.1, HALF_S, 1e-4, 0.0, 1, 0))
+            swings.append(HalfCycle(self._swings, int(at_s * 1e9), 0.0, size, 0.1, HALF_S, 1e-4, 0.0, 1, 0))
         row = self._spot._replace(x_px=0.0)
         numbers = range(self._frames, self._frames + len(times_ns))
         self._frames += len(times_ns)

@@ -13,10 +13,10 @@ from processing.errors import ConfigurationError, RigError
 from rig.balance import BalanceStage
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
-from rig.desk.charts import Curve, in_last_row
+from rig.desk.charts import ChartCurve, in_last_row
 from rig.desk.desk import Desk
+from rig.desk.lighting import refusal
 from rig.desk.panels.balance import net_of
-from rig.desk.safety import refusal
 from rig.desk.sessions import session_row
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
@@ -137,7 +137,7 @@ def test_turns_in_two_parts_are_summed_in_words() -> None:
 
 
 def test_an_empty_row_of_a_chart_says_why() -> None:
-    curves = [Curve("amplitude"), Curve("amplitude_residual_in_u", row=1)]
+    curves = [ChartCurve("amplitude"), ChartCurve("amplitude_residual_in_u", row=1)]
     assert in_last_row(curves, "after the first fit")["style"]["text"] == "after the first fit"
     assert in_last_row(curves, "x")["top"] == "66.5%"
 

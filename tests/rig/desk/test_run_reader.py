@@ -11,9 +11,9 @@ from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate, Record
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import nanoseconds
-from rig.desk.run_reader import RunReader, decimated
+from rig.desk.run_reader import RecordFollower, decimated
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
@@ -26,8 +26,8 @@ def until(state: Callable[[], bool]) -> None:
 
 
 @pytest.fixture
-def reader(tmp_path: Path) -> Iterator[RunReader]:
-    found = RunReader(tmp_path / "run-1.mcap")
+def reader(tmp_path: Path) -> Iterator[RecordFollower]:
+    found = RecordFollower(tmp_path / "run-1.mcap")
     yield found
     found.close()
 
@@ -45,7 +45,9 @@ def spots(record: RecordWriter, at_s: float, count: int = 16) -> None:
     record.write_spots(range(count), times_ns.tolist(), times_ns.tolist(), [SPOT] * count, at)
 
 
-def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name(reader: RunReader) -> None:
+def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name(
+    reader: RecordFollower,
+) -> None:
     assert not reader.begun
     with writer(reader.record) as record:
         spots(record, 0.0)
@@ -66,11 +68,11 @@ def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name
         until(lambda: reader.path()["y"] == [0.5] * 4)
 
 
-def test_estimates_and_the_fit_are_told_at_the_times_of_the_record(reader: RunReader) -> None:
+def test_estimates_and_the_fit_are_told_at_the_times_of_the_record(reader: RecordFollower) -> None:
     start_ns = nanoseconds(50.0)
     with writer(reader.record) as record:
         spots(record, 0.0)
-        swing = Swing(0, start_ns + nanoseconds(1.0), 1e-4, 3.0, 0.1, 2.0, 1e-4, 0.0, 1, 0)
+        swing = HalfCycle(0, start_ns + nanoseconds(1.0), 1e-4, 3.0, 0.1, 2.0, 1e-4, 0.0, 1, 0)
         record.write_swing(swing)
         for at_s in (10.0, 12.0):
             time_ns = start_ns + nanoseconds(at_s)

@@ -8,7 +8,7 @@ import pytest
 
 from rig.control import LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause
 from rig.desk.following import Following
-from rig.desk.safety import Safety, lamps
+from rig.desk.lighting import Safety, lamps
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from processing.errors import DeviceError
 from rig.control import LightRefused, SafetyState, TripCause
 from rig.control.simulated import SimulatedBoard
-from rig.devices import Audited, Devices
+from rig.devices import AuditEntry, Devices
 from rig.devices.audit import AUDIT_NAME, AuditLog, check_log
 from rig.measure.session_orders import await_leave
 from rig.orders import SessionNews
@@ -122,7 +122,7 @@ def test_a_log_that_leads_elsewhere_is_not_followed(
     elsewhere.write_text("a file of somebody else")
     (tmp_path / "audit.jsonl").symlink_to(elsewhere)
     devices = Devices(Configuration(camera={"driver": "simulated"}), tmp_path)
-    devices.audit(Audited.WEIGHT, "as advised")
+    devices.audit(AuditEntry.WEIGHT, "as advised")
     devices._log.wait()
     assert elsewhere.read_text() == "a file of somebody else"
     assert "audit.jsonl: the audit log cannot be written" in capsys.readouterr().err
@@ -135,7 +135,7 @@ def chained(tmp_path: Path) -> tuple[Path, SafetyState]:
     for count in (3, 2):
         log = AuditLog(tmp_path, "Ada", "test", state)
         for number in range(count):
-            log.append(Audited.LIT, "asked for", number=number)
+            log.append(AuditEntry.LIT, "asked for", number=number)
         log.wait()
     assert check_log(tmp_path, state) == []
     return tmp_path / AUDIT_NAME, state
@@ -162,7 +162,7 @@ def test_a_torn_line_and_what_follows_it(chained: tuple[Path, SafetyState]) -> N
     path, state = chained
     path.write_bytes(path.read_bytes()[:-20])
     log = AuditLog(path.parent, "Ada", "test", state)
-    log.append(Audited.DARK, "later")
+    log.append(AuditEntry.DARK, "later")
     log.wait()
     assert check_log(path.parent, state) == ["line 5 is incomplete"]
 
@@ -171,7 +171,7 @@ def test_lines_of_before_there_was_a_chain_stand_at_its_beginning(tmp_path: Path
     (tmp_path / AUDIT_NAME).write_text('{"what": "laser switched on"}\n')
     state = SafetyState()
     log = AuditLog(tmp_path, "Ada", "test", state)
-    log.append(Audited.DARK, "later")
+    log.append(AuditEntry.DARK, "later")
     log.wait()
     assert check_log(tmp_path, state) == []
     with (tmp_path / AUDIT_NAME).open("a") as file:
@@ -182,6 +182,6 @@ def test_lines_of_before_there_was_a_chain_stand_at_its_beginning(tmp_path: Path
 def test_a_disk_without_locks_keeps_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     without_locks(monkeypatch)
     log = AuditLog(tmp_path, "Ada", "test", SafetyState())
-    log.append(Audited.DARK, "asked for")
+    log.append(AuditEntry.DARK, "asked for")
     log.wait()
     assert [line["what"] for line in lines_of(tmp_path)] == ["dark"]

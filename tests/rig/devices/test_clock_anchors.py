@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.events import EventKind
 from processing.errors import DeviceError
 from rig.devices.clocks import ClockAnchors, HostClockReading, read_clocks

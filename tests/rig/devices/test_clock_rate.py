@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.topics import RecordedClockStep
 from rig.devices import clocks
 from rig.devices.clocks import ClockRate

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rig.devices import Devices, confirmed_dark
+from rig.devices import Devices, laser
 from rig.settings import Configuration, validate_configuration
 from tests.rig.control.wires import FirmwareBoard
 
@@ -103,7 +103,7 @@ def test_ctrl_c_in_the_wait_is_heard_after_one_of_the_two_lines(
     answers: bool,
 ) -> None:
     board = make_board(through_wire=True)
-    usual, interrupts = confirmed_dark.wait_for_command, iter(range(2))
+    usual, interrupts = laser.wait_for_command, iter(range(2))
 
     def interrupted(*words: Any) -> None:
         for _ in interrupts:
@@ -116,7 +116,7 @@ def test_ctrl_c_in_the_wait_is_heard_after_one_of_the_two_lines(
             assert board.wire is not None
             if not answers:
                 board.wire.to_host = lambda _: b""
-            monkeypatch.setattr(confirmed_dark, "wait_for_command", interrupted)
+            monkeypatch.setattr(laser, "wait_for_command", interrupted)
 
     with pytest.raises(KeyboardInterrupt):
         session()

@@ -11,9 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, FrameTimeout
-from acquisition.frame import Frame
-from acquisition.frames.guard import ClockWatch, Counts, Delivered, HangingRead, asking, checked_info, ended
+from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame, FrameTimeout
+from acquisition.frames.guard import (
+    CheckedFrames,
+    ClockWatch,
+    Counts,
+    HangingRead,
+    asking,
+    checked_info,
+    ended,
+)
 from processing.errors import DeviceError
 from rig.devices import Devices, OpenCamera, frame_stream
 from rig.devices.frame_stream import FrameStream
@@ -45,7 +52,7 @@ def frame(number: int = 0, ny: int = 12, nx: int = 10, **instead: Any) -> Frame:
     ],
 )
 def test_what_no_camera_may_deliver(second: object, said: str) -> None:
-    delivered = Delivered()
+    delivered = CheckedFrames()
     delivered.checked(frame(0))
     with pytest.raises(DeviceError, match=said) as raised:
         delivered.checked(second)
@@ -53,14 +60,14 @@ def test_what_no_camera_may_deliver(second: object, said: str) -> None:
 
 
 def test_a_time_of_day_is_no_time_of_arrival() -> None:
-    delivered = Delivered(in_real_time=True)
+    delivered = CheckedFrames(in_real_time=True)
     with pytest.raises(DeviceError, match=r"host_time_ns of frame 0 is .* s from now; .*monotonic_ns"):
         delivered.checked(frame(0, host_time_ns=time.time_ns()))
     delivered.checked(frame(1, host_time_ns=time.monotonic_ns()))
 
 
 def test_a_buffer_that_is_filled_again() -> None:
-    delivered, buffer = Delivered(), np.zeros((480, 160), np.uint8)
+    delivered, buffer = CheckedFrames(), np.zeros((480, 160), np.uint8)
     delivered.checked(frame(0, image=buffer))
     buffer[:] = 7
     with pytest.raises(DeviceError, match=r"image of frame 0 has changed since it was delivered.*copy"):
@@ -68,7 +75,7 @@ def test_a_buffer_that_is_filled_again() -> None:
 
 
 def test_the_image_that_has_changed_is_named_by_its_own_number_also_behind_a_gap() -> None:
-    delivered, buffer = Delivered(), np.zeros((480, 160), np.uint8)
+    delivered, buffer = CheckedFrames(), np.zeros((480, 160), np.uint8)
     delivered.checked(frame(3, image=buffer))
     buffer[:] = 7
     with pytest.raises(DeviceError, match="image of frame 3 has changed"):
@@ -78,7 +85,7 @@ def test_the_image_that_has_changed_is_named_by_its_own_number_also_behind_a_gap
 @pytest.mark.parametrize("buffers", [1, 2, 4])
 def test_a_ring_of_buffers_is_found_as_one_buffer_is(buffers: int) -> None:
     """Frames whose times are in doubt wait for others, and would be overwritten."""
-    delivered, ring = Delivered(), np.zeros((buffers, 480, 160), np.uint8)
+    delivered, ring = CheckedFrames(), np.zeros((buffers, 480, 160), np.uint8)
     for number in range(buffers):
         ring[number] = 50 + number
         delivered.checked(frame(number, image=ring[number]))
@@ -88,7 +95,7 @@ def test_a_ring_of_buffers_is_found_as_one_buffer_is(buffers: int) -> None:
 
 
 def test_numbers_of_numpy_become_plain_ones_and_the_same_image_may_come_again() -> None:
-    delivered, still = Delivered(), np.zeros((480, 160), np.uint16)
+    delivered, still = CheckedFrames(), np.zeros((480, 160), np.uint16)
     for number in range(3):
         times: Any = np.int32(number), np.uint64(number), np.int64(number)
         found = delivered.checked(Frame(still, *times))

@@ -12,10 +12,9 @@ from typing import cast
 import numpy as np
 import pytest
 
-from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, FrameTimeout
+from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, Frame, FrameTimeout
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.frame import Frame
 from acquisition.frames.guard import HangingRead
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.queue import Policy

@@ -14,7 +14,7 @@ import pytest
 from processing.errors import DeviceError
 from rig.control import LaserNow, Light, LightRefused
 from rig.devices.session_devices import Devices
-from rig.measure.preflight import device_checks
+from rig.measure.preflight import frame_checks
 from rig.settings import Configuration, validate_configuration
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
 from tests.rig.control.test_ending import ENDED_WITHIN_S, command
@@ -240,14 +240,14 @@ def test_without_the_relay_sigterm_darkens_it_and_sigkill_does_not(
 
 
 def test_preflight_says_how_the_laser_stands() -> None:
-    assert device_checks.laser(None, True).ok
-    dark = device_checks.laser(LaserNow(Light.OFF), True)
+    assert frame_checks.laser(None, True).ok
+    dark = frame_checks.laser(LaserNow(Light.OFF), True)
     assert not dark.ok
     assert dark.remedy
-    well = device_checks.laser(LaserNow(Light.ON, 0.5e-3), True)
+    well = frame_checks.laser(LaserNow(Light.ON, 0.5e-3), True)
     assert well.ok
     assert not well.remedy
-    warning = device_checks.laser(LaserNow(Light.ON, 0.5e-3), False)
+    warning = frame_checks.laser(LaserNow(Light.ON, 0.5e-3), False)
     assert warning.ok
     assert "killed" in warning.reason
     assert "relay" in warning.remedy

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraInfo, CameraSettings, CameraStatus
-from acquisition.frame import Frame
+from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame
 from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError
 from rig.control import LightPermit

@@ -13,16 +13,16 @@ import pytest
 from numpy.typing import NDArray
 
 import rig
+from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.frame import Frame
 from processing.errors import DeviceError, RigError
-from rig.balance.look import LooksView, look
+from rig.balance.balancing import LooksView, look
 from rig.control import ControlService, LightRefused, Stage, TripCause
 from rig.control.light_permit import LONGEST_PAUSE_S, OVER
 from rig.control.simulated import SimulatedBoard
 from rig.desk.aligner import Aligner
 from rig.devices import Devices, LightWatch
-from rig.devices.leave import TypedLeave
+from rig.devices.acknowledgement import TypedAcknowledgement
 from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
 from rig.measure.session_orders import Notes, orders
@@ -179,7 +179,7 @@ def ordered(config: Configuration, folder: Path) -> None:
 
 def typed(config: Configuration, folder: Path) -> None:
     with Devices(config) as devices:
-        TypedLeave(devices)._light()
+        TypedAcknowledgement(devices)._light()
         devices.light()
 
 
@@ -419,8 +419,8 @@ def test_a_session_that_waits_in_the_dark_does_not_light_after_a_trip(
     config: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lit: Lit
 ) -> None:
     """Between two tries of a run whose preflight said no-go the door is opened for a moment."""
+    from rig.measure.notices import Waiting
     from rig.measure.session import measure_session
-    from rig.measure.waiting import Waiting
 
     loop = Loop(monkeypatch)
     opened: list[Devices] = []

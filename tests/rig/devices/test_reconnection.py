@@ -16,11 +16,10 @@ import cv2
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, FrameTimeout
+from acquisition.camera import CameraInfo, CameraLost, CameraSettings, Frame, FrameTimeout
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.frame import Frame
 from acquisition.frames.losses import FrameLosses
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream

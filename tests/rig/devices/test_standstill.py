@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import pytest
 
 from processing.errors import DeviceError
-from rig.devices.standstill import Awake, Standstill, read_awake
+from rig.devices.frame_stream import AwakeTime, Standstill, read_awake
 
 S = 10**9
 
@@ -18,7 +18,7 @@ S = 10**9
 def standstill(readings: Sequence[tuple[float, float]]) -> tuple[Standstill, list[str]]:
     """One that reads these clocks, in s, and what it tells."""
     told: list[str] = []
-    left = [Awake(round(awake_s * S), round(with_sleep_s * S)) for awake_s, with_sleep_s in readings]
+    left = [AwakeTime(round(awake_s * S), round(with_sleep_s * S)) for awake_s, with_sleep_s in readings]
     return Standstill(told.append, lambda: left.pop(0)), told
 
 
@@ -53,7 +53,7 @@ def test_the_clocks_agree_while_nothing_sleeps() -> None:
 
 PROGRAM = """
 import threading
-from rig.devices.standstill import Standstill
+from rig.devices.frame_stream import Standstill
 told = threading.Event()
 standstill = Standstill(lambda text: (print(text, flush=True), told.set()))
 standstill.begin()

@@ -16,7 +16,7 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.units import size
 from rig.analysis import InstrumentSeries, Series, read_results, write_results
-from rig.analysis.instrument_results import OverPlaces
+from rig.analysis.decay_values import MeanOverPlaces
 from rig.analysis.record_fit import analyse_record
 from rig.analysis.series import session_results
 from rig.export.session_export import export_session
@@ -89,8 +89,8 @@ def test_a_run_without_fit_shifts_no_number(measured_series: Path, tmp_path: Pat
 
 KOENIG = InstrumentSeries(
     kind="koenig",
-    time_s=OverPlaces(80.8, 0.1, 3, 0.17, 0.43),
-    swings=OverPlaces(57.7, 0.08, 3, 0.14, 0.34),
+    time_s=MeanOverPlaces(80.8, 0.1, 3, 0.17, 0.43),
+    swings=MeanOverPlaces(57.7, 0.08, 3, 0.14, 0.34),
     reference_time_s=Estimate(250.0, 0.5),
     ratio=Estimate(0.323, 0.0008),
 )

@@ -5,12 +5,12 @@ import threading
 import numpy as np
 import pytest
 
-from calibration.axes import Axes
+from calibration.axes_fit import Axes
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError
 from processing.spot import SensorModel, SpotTracker
-from processing.swing import SwingDetector
+from processing.swing import TurningPointDetector
 from rig.instrument import Pipeline
 from rig.instrument.pipeline import BesideThread
 
@@ -34,7 +34,7 @@ def swinging(duration_s: float) -> list[Deflections]:
 
 def test_the_same_swings_and_balances_as_in_line() -> None:
     blocks = swinging(40.0)
-    detector = SwingDetector()
+    detector = TurningPointDetector()
     swings = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
     swings += detector.finish()
     assert len(swings) > 15

@@ -10,18 +10,18 @@ from contextlib import contextmanager
 import pytest
 
 from processing.spot import SensorModel
-from rig.instrument import kernels
+from rig.instrument import provenance
 
 # A process of its own: here other tests have compiled things already.
 PROGRAM = """
 import gc, json, sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.pixels import PixelEncoder
-from calibration.axes import Axes
+from calibration.axes_fit import Axes
 from processing.spot import SensorModel, SpotTracker
-from rig.instrument.kernels import prepare_kernels
+from rig.instrument.provenance import prepare_kernels
 from rig.instrument.pipeline import Pipeline
 
 full_scale = float(sys.argv[1])
@@ -89,10 +89,10 @@ def test_a_long_compilation_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch
         call(False)
         yield
 
-    monkeypatch.setattr(kernels, "STILL_S", 0.01)
-    monkeypatch.setattr(kernels, "at_compilation", compiling)
-    monkeypatch.setattr(kernels, "compile_tracker", lambda _: told.wait(30.0))
-    kernels.prepare_kernels(SensorModel(gain_e_per_dn=40.0, read_noise_e=7.0, full_scale_dn=255.0), say)
+    monkeypatch.setattr(provenance, "STILL_S", 0.01)
+    monkeypatch.setattr(provenance, "at_compilation", compiling)
+    monkeypatch.setattr(provenance, "compile_tracker", lambda _: told.wait(30.0))
+    provenance.prepare_kernels(SensorModel(gain_e_per_dn=40.0, read_noise_e=7.0, full_scale_dn=255.0), say)
     assert told.is_set()
     assert "compiling" in said[0]
     assert not [thread for thread in threading.enumerate() if thread.name == "compilation"]

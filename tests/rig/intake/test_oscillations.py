@@ -7,8 +7,8 @@ import pytest
 
 from processing.errors import DataError
 from rig.analysis.table_fit import analyse_table
-from rig.intake.oscillations import second_frequency
 from rig.intake.table import TableColumns
+from rig.intake.times import second_frequency
 
 T_S = np.arange(0.0, 100.0, 0.05)
 T_NS = np.round(T_S * 1e9).astype(np.int64)

@@ -13,7 +13,7 @@ from acquisition.record.topics import CAMERA_TEMPERATURE
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument import optics_of
-from rig.measure.run import Run
+from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunParts, RunPlan
 from rig.settings import Configuration
 from tests.acquisition.cameras.usb3vision import description as layout
@@ -45,7 +45,7 @@ def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) 
         optics=optics_of(ONE_SECOND, 255),
         stream=FrameStream(camera, asked),
     )
-    outcome = Run(parts).execute()
+    outcome = MeasurementRun(parts).execute()
     assert outcome.failure is None
     assert outcome.last.reason == "time limit of 1 s reached"
     with RecordReader(path) as reader:
@@ -63,7 +63,7 @@ def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
     asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0, gain_db=-6.0)
     opened = OpenCamera(camera, info, (), camera.configure(asked), 100_000)
     record = tmp_path / "run.mcap"
-    run = Run(
+    run = MeasurementRun(
         RunParts(
             plan=RunPlan(ONE_SECOND, Path(), record, "run 1"),
             camera=opened,

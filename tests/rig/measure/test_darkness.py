@@ -22,7 +22,7 @@ from rig.control import SafetyState, Stage, light_permit
 from rig.control.simulated import SimulatedBoard
 from rig.devices import lit_devices
 from rig.devices.audit import check_log
-from rig.orders import Line, NoSession
+from rig.orders import NoSession, OrderConnection
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 
 pytestmark = pytest.mark.timeout(300)
@@ -165,7 +165,7 @@ def watch_in_the_dark(folder: Path, asks: bool) -> None:
     """As a desk: watch the session, and when its laser is dark, and its controller is back, ask for light."""
     heard = False
     while not heard or (folder / ".orders.json").exists():
-        with suppress(NoSession), Line(folder) as line:
+        with suppress(NoSession), OrderConnection(folder) as line:
             while True:
                 heard = True
                 safety = line.news()["safety"]

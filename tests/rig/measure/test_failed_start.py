@@ -12,7 +12,7 @@ from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from rig.archive.session_rows import session_rows
 from rig.measure.phases import PhasesBeforeRecord
-from rig.measure.run import Run
+from rig.measure.run import MeasurementRun
 from rig.measure.session import simulate_record
 from rig.measure.session_file import RunState, SessionFile, read_session
 from rig.settings import load_configuration, stored_configuration
@@ -112,15 +112,15 @@ def test_another_configuration_is_for_resume(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = Run._watch
+    usual = MeasurementRun._watch
 
-    def failing(run: Run, *words: object) -> object:
-        monkeypatch.setattr(Run, "_watch", usual)
+    def failing(run: MeasurementRun, *words: object) -> object:
+        monkeypatch.setattr(MeasurementRun, "_watch", usual)
         while run.now.frames < 1000:
             time.sleep(0.001)
         raise RuntimeError("a defect of the program")
 
-    monkeypatch.setattr(Run, "_watch", failing)
+    monkeypatch.setattr(MeasurementRun, "_watch", failing)
     out = tmp_path / "out"
     words = ("run", CONFIGS / "demo.toml", "-o", out, *set_words({**QUICK, "session.max_duration_s": "600"}))
     assert rig(*words).returncode != 0

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from acquisition.record.reader import RecordReader
-from processing.swing import SwingFlag
+from processing.swing import HalfCycleFlag
 from tests.rig.command_line import CONFIGS, QUICK, Done, rig, set_words
 
 
@@ -78,7 +78,7 @@ def test_a_disturbance_flags_half_cycles_and_goes_on(fault: str, tmp_path: Path)
     assert "Traceback" not in done.stderr
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         swings = reader.swings()
-    disturbed = SwingFlag.VIBRATION | SwingFlag.START
+    disturbed = HalfCycleFlag.VIBRATION | HalfCycleFlag.START
     flagged = [swing for swing in swings if swing.flags & disturbed and swing.index > 2]
     assert flagged
     assert all(20 < swing.turn_time_ns * 1e-9 - 1.0 < 50 for swing in flagged)

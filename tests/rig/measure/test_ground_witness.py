@@ -16,8 +16,8 @@ import pytest
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WITNESS
 from processing.errors import ConfigurationError
-from rig.analysis import StatedWitness, analyse_record, read_results
-from rig.analysis.recorded_witness import recorded_witness
+from rig.analysis import SeismometerSource, analyse_record, read_results
+from rig.analysis.recorded_seismometer import recorded_witness
 from rig.instrument import recorded_configuration
 from rig.measure import measure_session
 from rig.settings import load_configuration
@@ -100,7 +100,7 @@ def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: 
     own = fitted_once(record).results
     assert own.witness is not None
     for name in ("utc.csv", "relative.csv"):
-        found = analyse_record(record, witness=StatedWitness(tmp_path / name).read()).results
+        found = analyse_record(record, witness=SeismometerSource(tmp_path / name).read()).results
         assert found.witness is not None
         assert found.witness.used, name
         assert [response.name for response in found.witness.responses] == ["counts"]

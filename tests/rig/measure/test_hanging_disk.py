@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.frames.queue import FrameQueue
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter

@@ -10,7 +10,7 @@ from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from rig.instrument import RunNow
 from rig.measure.end_of_run import HELD_FITS, EndLimits, EndOfRun
-from rig.measure.run_panel import estimate_rows
+from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
 from tests.rig.command_line import CONFIGS, SMALL

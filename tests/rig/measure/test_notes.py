@@ -11,7 +11,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.errors import RigError
 from rig.measure.session_orders import NOTES_NAME, Notes
-from rig.orders import Line, NoSession
+from rig.orders import NoSession, OrderConnection
 from rig.report.source import read_source
 from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
@@ -31,7 +31,7 @@ def note_when_measuring(folder: Path, said: list[str]) -> None:
     """As a desk: note two lines once the record has begun."""
     deadline_s = time.monotonic() + 55.0
     while not said and time.monotonic() < deadline_s:
-        with suppress(NoSession), Line(folder) as line:
+        with suppress(NoSession), OrderConnection(folder) as line:
             while not said:
                 state = line.news()["state"]
                 if (state.get("elapsed_s") or 0.0) > 1.0:

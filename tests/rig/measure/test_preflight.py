@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from calibration import Axes, Shutter
 from calibration.pointing import stability
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.control import ControlState, DevicesNow, LaserNow, Light
-from rig.measure.preflight import TrialFrames, device_checks, frame_checks, rest_checks
+from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
 from rig.presentation import failures
 from rig.presentation.verdict import Verdict, print_verdicts
 from rig.settings import PendulumSettings
@@ -116,7 +116,7 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     verdicts = [
         *rest_checks.stillness(SWINGING, LIMITS),
         frame_checks.spot_found(spots(100), LIMITS),
-        device_checks.laser(LaserNow(Light.ON, 0.5e-3), goes_dark_by_itself=False),
+        frame_checks.laser(LaserNow(Light.ON, 0.5e-3), goes_dark_by_itself=False),
         frame_checks.disk(1, 5000.0, 500.0, 3600.0),
     ]
     text = StringIO()
@@ -271,36 +271,36 @@ def test_disk_holds_the_longest_run_or_not() -> None:
 def test_a_rolling_shutter_is_advised_where_it_matters() -> None:
     across, along = Axes(slow_angle_rad=0.02), Axes(slow_angle_rad=math.pi / 2 - 0.05)
     for axes in (None, across):
-        advised = device_checks.shutter("Rolling", None, axes)
+        advised = frame_checks.shutter("Rolling", None, axes)
         assert advised.ok
         assert "row time unknown" in advised.measured
         assert "turn the camera" in advised.remedy
-    assert not device_checks.shutter("Rolling", None, along).remedy
-    known = device_checks.shutter("Rolling", Shutter(row_time_s=1.5e-5, u_row_time_s=2e-7), across)
+    assert not frame_checks.shutter("Rolling", None, along).remedy
+    known = frame_checks.shutter("Rolling", Shutter(row_time_s=1.5e-5, u_row_time_s=2e-7), across)
     assert not known.remedy
     assert "15.00 ± 0.20 µs a row" in known.measured
-    assert not device_checks.shutter("GlobalReset", None, across).remedy
-    assert not device_checks.shutter("", None, across).made
+    assert not frame_checks.shutter("GlobalReset", None, across).remedy
+    assert not frame_checks.shutter("", None, across).made
 
 
 def test_air_and_controller() -> None:
     nothing = (math.nan, math.nan, math.nan)
-    assert_go(device_checks.air(nothing, False, LIMITS))
-    assert_no(device_checks.air(nothing, True, LIMITS))
-    of_controller = device_checks.air(nothing, True, LIMITS, optional=True)
+    assert_go(frame_checks.air(nothing, False, LIMITS))
+    assert_no(frame_checks.air(nothing, True, LIMITS))
+    of_controller = frame_checks.air(nothing, True, LIMITS, optional=True)
     assert of_controller.ok
     assert "BME280" in of_controller.remedy
-    assert_no(device_checks.air((60.0, 40.0, 1e5), True, LIMITS))
+    assert_no(frame_checks.air((60.0, 40.0, 1e5), True, LIMITS))
     dry = PreflightSettings(min_humidity_percent=20, max_humidity_percent=35)
-    assert_go(device_checks.air((20.0, 30.0, 1e5), True, dry))
-    assert_no(device_checks.air((20.0, 40.0, 1e5), True, dry))
+    assert_go(frame_checks.air((20.0, 30.0, 1e5), True, dry))
+    assert_no(frame_checks.air((20.0, 40.0, 1e5), True, dry))
     # a band that nobody can see is not met
-    assert_no(device_checks.air((20.0, math.nan, 1e5), True, dry))
-    assert_no(device_checks.air(nothing, True, dry, optional=True))
-    assert_go(device_checks.air((20.0, math.nan, 1e5), True, LIMITS))
-    assert_go(device_checks.controller(opened(), True))
-    assert_no(device_checks.controller(DevicesNow(controller=ControlState.LOST), True))
-    assert_go(device_checks.controller(DevicesNow(), False))
+    assert_no(frame_checks.air((20.0, math.nan, 1e5), True, dry))
+    assert_no(frame_checks.air(nothing, True, dry, optional=True))
+    assert_go(frame_checks.air((20.0, math.nan, 1e5), True, LIMITS))
+    assert_go(frame_checks.controller(opened(), True))
+    assert_no(frame_checks.controller(DevicesNow(controller=ControlState.LOST), True))
+    assert_go(frame_checks.controller(DevicesNow(), False))
 
 
 def test_what_stands_against_a_run_is_one_line() -> None:

@@ -11,15 +11,15 @@ from acquisition.record.topics import REFERENCE, SPOT
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.errors import ConfigurationError
 from processing.spot import Spot, SpotFlag
-from processing.swing import Swing, swings_of_blocks
+from processing.swing import HalfCycle, swings_of_blocks
 from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record, read_results
 from rig.analysis.passing_deflections import less_beam_motion
 from rig.devices import FrameStream
 from rig.instrument import (
     LESS_BEAM,
+    BeamCorrection,
     Block,
-    LessBeam,
     camera_settings,
     complete,
     frame_policy,
@@ -75,7 +75,7 @@ def test_every_frame_has_both_spots(recorded: Path) -> None:
     assert np.all(reference["u_y_px"] < 0.05)
 
 
-def scatter(swings: Sequence[Swing]) -> tuple[float, float]:
+def scatter(swings: Sequence[HalfCycle]) -> tuple[float, float]:
     """Of the amplitudes about the simulator's own, in arcsec, and over what is said of it."""
     true = true_turning_points(load_configuration(CONFIGS / "demo.toml").simulation, max_duration_s=70.0)
     good = [swing for swing in swings if not swing.flags]
@@ -143,7 +143,7 @@ def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path, besid
         blocks = blocks_of(reader, config)
     optics = optics_of(config, full_scale_dn=255.0)
     assert optics.reference_gain is not None
-    less = LessBeam(optics.deflector((720, 160)), optics.reference_gain, beside=beside)
+    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, beside=beside)
     shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
     swings = [swing for block in shown for swing in block.swings] + less.finish()
     assert scatter(swings)[0] < 0.5 * raw[0]
@@ -158,7 +158,7 @@ def test_a_reference_that_is_lost_is_said_and_moves_nothing_at_once(recorded: Pa
         blocks = blocks_of(reader, config, lost=range(1000, 1200))
     optics = optics_of(config, full_scale_dn=255.0)
     assert optics.reference_gain is not None
-    less = LessBeam(optics.deflector((720, 160)), optics.reference_gain, beside=False)
+    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, beside=False)
     shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
     assert [one.split(":")[0] for one in less.take_news()[1:]] == [
         "reference spot lost",

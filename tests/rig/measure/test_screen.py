@@ -14,10 +14,10 @@ from acquisition.frames.losses import FrameLosses
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
-from rig.instrument.run_now import CameraClock, Phase, RunNow, Told
-from rig.measure.run_panel import estimate_rows, estimate_texts
+from rig.instrument.run_now import CameraClock, Phase, RecordContents, RunNow
+from rig.measure.run_status import estimate_rows, estimate_texts
 from rig.measure.screen import RunDisplay
 
 SEEN = RunNow(
@@ -92,10 +92,10 @@ def decaying(output: io.StringIO, longest_s: float) -> RunDisplay:
     console = Console(file=output, width=118, height=40)
     shown = RunDisplay("run 1", 2.0, DeflectionUnit.RAD, longest_s=longest_s, console=console)
     swings = [
-        Swing(n, n * 2_000_000_000, 1e-6, 124 * 0.99**n * ARCSEC_RAD, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
+        HalfCycle(n, n * 2_000_000_000, 1e-6, 124 * 0.99**n * ARCSEC_RAD, 1e-9, 2.0, 1e-6, 0.0, 1, 0)
         for n in range(30)
     ]
-    shown.take(Told(swings=swings))
+    shown.take(RecordContents(swings=swings))
     return shown
 
 

@@ -4,15 +4,15 @@ import math
 
 import pytest
 
-from calibration.axes import Axes
+from calibration.axes_fit import Axes
 from calibration.light_lever import Lever
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.instrument import Optics
-from rig.measure.start_judge import StartJudge, start_limits
+from rig.measure.session_orders import StartJudge, start_limits
 from rig.settings import Configuration
 
 
@@ -24,8 +24,10 @@ def judge(lever: Lever | None) -> StartJudge:
     )
 
 
-def swings(amplitude: float) -> list[Swing]:
-    return [Swing(k, k * 10**9, 1e-5, amplitude, 1e-3 * amplitude, 1.0, 1e-5, 0.0, 1, 0) for k in range(2)]
+def swings(amplitude: float) -> list[HalfCycle]:
+    return [
+        HalfCycle(k, k * 10**9, 1e-5, amplitude, 1e-3 * amplitude, 1.0, 1e-5, 0.0, 1, 0) for k in range(2)
+    ]
 
 
 @pytest.mark.parametrize(("amplitude_arcsec", "accepted"), [(124.0, True), (10.0, False), (1000.0, False)])

@@ -6,7 +6,7 @@ import pytest
 from acquisition.record.events import EventKind
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.instrument import Block
 from rig.measure.recording import StepEvents
@@ -17,7 +17,9 @@ HALF_PERIOD_NS = 2_000_000_000
 def half_cycle(index: int, rest_arcsec: float, background_dn: float) -> Block:
     """One block that ends with a turning point."""
     spots = [Spot(1.0, 2.0, 0.01, 0.01, 6.0, 6.0, 0.0, 150.0, background_dn, 1.0, 0)] * 10
-    swing = Swing(index, index * HALF_PERIOD_NS, 1e-4, 5e-4, 1e-8, 2.0, 1e-4, rest_arcsec * ARCSEC_RAD, 1, 0)
+    swing = HalfCycle(
+        index, index * HALF_PERIOD_NS, 1e-4, 5e-4, 1e-8, 2.0, 1e-4, rest_arcsec * ARCSEC_RAD, 1, 0
+    )
     nothing = Deflections(*[np.empty(0)] * 5, DeflectionUnit.RAD)
     return Block(spots=spots, deflections=nothing, swings=[swing], balances=[])
 
@@ -53,7 +55,7 @@ def test_a_draught_that_pushes_the_swing_is_an_event_whenever_it_comes() -> None
             amplitude = 100.0 * np.exp(-decay * index) + late * 3.0 * np.cos(phase) + noise[index]
             delay_s = late * 3.0 * np.sin(phase) / 85.0 * period_s / (2 * np.pi)
             time_ns = round((index * period_s / 2 + delay_s) * 1e9)
-            swing = Swing(index, time_ns, 1e-4, amplitude * ARCSEC_RAD, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
+            swing = HalfCycle(index, time_ns, 1e-4, amplitude * ARCSEC_RAD, 1e-8, 2.0, 1e-4, 0.0, 1, 0)
             found += events.take(half_cycle(index, 0.0, 0.0)._replace(swings=[swing], spots=[]))
         (event,) = found
         assert event.kind == EventKind.PUSH

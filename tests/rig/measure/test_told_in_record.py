@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acquisition.record.events import Level
+from acquisition.record.events import Severity
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import (
     ESTIMATE,
@@ -25,7 +25,7 @@ from acquisition.record.topics import (
 from rig.control import Light
 from rig.instrument import Phase, RunNow, told_in
 from rig.measure import measure_session
-from rig.measure.run import Run
+from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunOutcome
 from rig.presentation import plain_values
 from rig.settings import load_configuration
@@ -46,13 +46,13 @@ def read_again(record: Path) -> RunNow:
 
 @pytest.mark.slow
 def test_a_record_says_how_its_session_stood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    usual, outcomes = Run.execute, []
+    usual, outcomes = MeasurementRun.execute, []
 
-    def kept(run: Run, *words: Any) -> RunOutcome:
+    def kept(run: MeasurementRun, *words: Any) -> RunOutcome:
         outcomes.append(usual(run, *words))
         return outcomes[-1]
 
-    monkeypatch.setattr(Run, "execute", kept)
+    monkeypatch.setattr(MeasurementRun, "execute", kept)
     # without a limit that holds the fits are made all the same, and waited for: the run repeats exactly
     stated = {**SMALL, "session.max_duration_s": "88", "session.stop_when": '["u(b)/b < 1e-9"]'}
     config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in stated.items()])
@@ -80,7 +80,7 @@ def test_a_record_says_how_its_session_stood(tmp_path: Path, monkeypatch: pytest
     assert len(healths) == pytest.approx(69, abs=3)
     assert np.isnan(healths[-1].frame_age_s)
     assert healths[-1].frames == pytest.approx(frames, abs=200)
-    assert levels["start"] == levels["stop"] == Level.INFORMATION
+    assert levels["start"] == levels["stop"] == Severity.INFORMATION
     last = [one for one in estimates if one.time_ns == estimates[-1].time_ns]
     assert {"b", "c"} <= {one.quantity for one in last}
     assert last[0].half_cycles <= len(swings)

@@ -17,7 +17,7 @@ import pytest
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from rig.devices import FrameStream
-from rig.measure import without_session
+from rig.measure import plain_record
 from rig.terminal.interruption import _may_block
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 
@@ -82,7 +82,7 @@ def test_an_unread_terminal_does_not_hold_a_preflight_up(
 ) -> None:
     words = {**SMALL, "session.output": f"'{tmp_path.as_posix()}'", "preflight.duration_s": "3"}
     over = threading.Event()
-    usual_close, usual_print = FrameStream.close, without_session.print_json_line
+    usual_close, usual_print = FrameStream.close, plain_record.print_json_line
 
     def close(stream: FrameStream) -> None:
         usual_close(stream)
@@ -93,7 +93,7 @@ def test_an_unread_terminal_does_not_hold_a_preflight_up(
         usual_print(kind, values)
 
     monkeypatch.setattr(FrameStream, "close", close)
-    monkeypatch.setattr(without_session, "print_json_line", read_late)
+    monkeypatch.setattr(plain_record, "print_json_line", read_late)
     done = rig("doctor", "--preflight", CONFIGS / "live.toml", "--json", *set_words(words))
     # on a busy machine frames may be lost
     assert done.returncode in (0, 1), done.stderr

@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from acquisition.record.topics import RecordedWitness
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from rig.control import WitnessSettings
-from rig.devices.ground_witness import check_witness
+from rig.control import SeismometerSettings
+from rig.devices.ground_seismometer import check_witness
 from rig.measure import preflight_rig
 from rig.measure.preflight import TrialFrames, vault_checks
 from rig.presentation import Verdict
 from rig.settings import ReferenceSettings, load_configuration
 from rig.settings.sections import PreflightSettings
-from tests.processing.test_witness_at_rest import FRAMES_PER_S, shaken
+from tests.processing.test_seismometer_at_rest import FRAMES_PER_S, shaken
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 
 LIMITS = PreflightSettings()
-SETTINGS = WitnessSettings(kind="serial", port="/dev/any", columns=("z",))
+SETTINGS = SeismometerSettings(kind="serial", port="/dev/any", columns=("z",))
 Floats = NDArray[np.float64]
 
 

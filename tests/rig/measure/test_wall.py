@@ -9,8 +9,8 @@ import pytest
 from acquisition.record.events import EventKind
 from acquisition.record.reader import RecordReader
 from processing.balance import BalanceEstimator
-from processing.swing import SwingDetector
-from rig.instrument import Wall
+from processing.swing import TurningPointDetector
+from rig.instrument import ObserverGuard
 from rig.measure import measure_session, readings, recording
 from rig.measure.screen import RunDisplay
 from rig.posterior import LivePosterior
@@ -61,23 +61,23 @@ def test_what_only_watches_ends_no_run(tmp_path: Path, monkeypatch: pytest.Monke
 def test_an_error_of_what_measures_ends_the_run_and_the_record_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    usual, calls = SwingDetector.update, 0
+    usual, calls = TurningPointDetector.update, 0
 
-    def fails(detector: SwingDetector, *args: Any) -> Any:
+    def fails(detector: TurningPointDetector, *args: Any) -> Any:
         nonlocal calls
         calls += 1
         if calls == 5:
             raise ValueError("no shape fits")
         return usual(detector, *args)
 
-    monkeypatch.setattr(SwingDetector, "update", fails)
+    monkeypatch.setattr(TurningPointDetector, "update", fails)
     events, _ = measured(tmp_path)
     assert [event.kind for event in events[-2:]] == [EventKind.FAILED, EventKind.STOP]
     assert "no shape fits" in events[-1].text
 
 
 def test_a_wall_retries_counts_and_leaves_out() -> None:
-    wall = Wall()
+    wall = ObserverGuard()
     calls = 0
 
     def sometimes(fails: bool) -> int:

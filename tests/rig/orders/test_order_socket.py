@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError, RigError
 from processing.spot import Spot
@@ -24,8 +24,8 @@ from rig.instrument import Block
 from rig.orders import (
     LOOPBACK,
     ORDERS_NAME,
-    Line,
     NoSession,
+    OrderConnection,
     OrderSocket,
     SessionNews,
     running_sessions,
@@ -47,11 +47,14 @@ def told() -> SessionNews:
 
 
 @pytest.fixture
-def line(told: SessionNews, tmp_path: Path) -> Iterator[Line]:
+def line(told: SessionNews, tmp_path: Path) -> Iterator[OrderConnection]:
     folder = tmp_path / "session"
     folder.mkdir()
     orders = {"stop": lambda _: "stopping", "brake": refuse, "acknowledge": lambda number: f"trip {number}"}
-    with OrderSocket(folder, told, orders, lambda: {"opened": Interlock.LASER}), Line(folder) as opened:
+    with (
+        OrderSocket(folder, told, orders, lambda: {"opened": Interlock.LASER}),
+        OrderConnection(folder) as opened,
+    ):
         yield opened
 
 
@@ -67,7 +70,7 @@ def block(number: int, count: int = 16) -> tuple[list[Frame], Block]:
     return frames, Block([SPOT] * count, at, [], [])
 
 
-def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: Line) -> None:
+def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: OrderConnection) -> None:
     told.note("interlock", "waits for a person")
     told.state({"amplitude": float("nan"), "phase": "measuring"}, [("elapsed", "0:02")])
     news = line.news()
@@ -79,7 +82,7 @@ def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: Lin
     assert line.news(event["number"])["events"] == []
 
 
-def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: Line) -> None:
+def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: OrderConnection) -> None:
     told.look(*block(1))
     assert told.pictures == 0
     assert line.picture() is None
@@ -94,7 +97,7 @@ def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: L
     assert line.picture(picture.number) is None
 
 
-def test_a_frame_is_told_with_the_spot_of_its_reference(told: SessionNews, line: Line) -> None:
+def test_a_frame_is_told_with_the_spot_of_its_reference(told: SessionNews, line: OrderConnection) -> None:
     line.picture()
     frames, found = block(1)
     below = SPOT._replace(y_px=5.0, x_px=float("nan"))
@@ -107,7 +110,7 @@ def test_a_frame_is_told_with_the_spot_of_its_reference(told: SessionNews, line:
 
 
 def test_what_is_seen_before_the_record_is_told_until_the_record_tells_it(
-    told: SessionNews, line: Line
+    told: SessionNews, line: OrderConnection
 ) -> None:
     frames, found = block(1)
     line.picture()
@@ -118,7 +121,7 @@ def test_what_is_seen_before_the_record_is_told_until_the_record_tells_it(
     assert line.news()["path"]["y"] == []
 
 
-def test_a_frame_that_can_be_written_to_is_copied(told: SessionNews, line: Line) -> None:
+def test_a_frame_that_can_be_written_to_is_copied(told: SessionNews, line: OrderConnection) -> None:
     line.picture()
     frames, found = block(2)
     told.look(frames, found)
@@ -131,7 +134,7 @@ def test_a_frame_that_can_be_written_to_is_copied(told: SessionNews, line: Line)
 def test_who_is_connected_is_not_answered_after_its_end(told: SessionNews, tmp_path: Path) -> None:
     taken: list[str] = []
     with OrderSocket(tmp_path, told, {"stop": lambda: str(taken.append("stop"))}):
-        line = Line(tmp_path)
+        line = OrderConnection(tmp_path)
         assert line.news()["run"] == "run 1"
     with line:
         with pytest.raises(NoSession):
@@ -141,7 +144,7 @@ def test_who_is_connected_is_not_answered_after_its_end(told: SessionNews, tmp_p
             line.news()
 
 
-def test_orders(line: Line) -> None:
+def test_orders(line: OrderConnection) -> None:
     assert line.order("stop") == "stopping"
     assert line.order("acknowledge 5") == "trip 5"
     with pytest.raises(RigError, match="does not answer; see its cable"):
@@ -151,7 +154,7 @@ def test_orders(line: Line) -> None:
 
 
 @pytest.mark.parametrize("key", [b"", b"another"])
-def test_without_the_key_nothing_is_told_and_nothing_done(line: Line, key: bytes) -> None:
+def test_without_the_key_nothing_is_told_and_nothing_done(line: OrderConnection, key: bytes) -> None:
     stated = json.loads((line.folder / ORDERS_NAME).read_text())
     made = socket.create_connection((LOOPBACK, stated["port"]), timeout=5)
     made.settimeout(None)
@@ -166,7 +169,7 @@ def test_without_the_key_nothing_is_told_and_nothing_done(line: Line, key: bytes
             connection.recv()
 
 
-def test_who_stops_while_proving_the_key_holds_nobody_up(line: Line) -> None:
+def test_who_stops_while_proving_the_key_holds_nobody_up(line: OrderConnection) -> None:
     stated = json.loads((line.folder / ORDERS_NAME).read_text())
     with socket.create_connection((LOOPBACK, stated["port"]), timeout=5):
         assert line.order("stop") == "stopping"
@@ -178,7 +181,7 @@ def test_the_key_is_this_users_own_and_goes_with_the_session(told: SessionNews, 
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert not path.exists()
     with pytest.raises(NoSession, match="no session runs here"):
-        Line(tmp_path)
+        OrderConnection(tmp_path)
 
 
 def test_of_a_killed_session_only_the_file_is_left(told: SessionNews, tmp_path: Path) -> None:
@@ -216,7 +219,7 @@ def test_another_program_at_the_port_of_a_killed_session_is_no_session(
         ended.wait()
         stated = {"port": another.server_address[1], "key": "00ff", "pid": ended.pid}
         (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps(stated))
-        with Line(tmp_path / "killed") as line:
+        with OrderConnection(tmp_path / "killed") as line:
             for ask in (line.beat, lambda: line.order("dark")):
                 with pytest.raises(NoSession, match="another program answers"):
                     ask()
@@ -233,5 +236,5 @@ def test_a_session_at_the_port_of_a_killed_one_does_not_answer_for_it(
     with OrderSocket(tmp_path / "runs", told, {}):
         stated = json.loads((tmp_path / "runs" / ORDERS_NAME).read_text())
         (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps({**stated, "key": "00ff"}))
-        with Line(tmp_path / "killed") as line, pytest.raises(NoSession, match="another program"):
+        with OrderConnection(tmp_path / "killed") as line, pytest.raises(NoSession, match="another program"):
             line.news()

@@ -8,12 +8,12 @@ import pytest
 from calibration import Axes
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit, slow_deflections
-from processing.fit import FitOfSwings, FitResult, Linearised, with_misfit
-from processing.swing import HarmonicsWatch, Swing, SwingDetector
+from processing.fit import FitOfSwings, FitResult, LinearisedFit, with_misfit
+from processing.swing import HalfCycle, HarmonicsWatch, TurningPointDetector
 from processing.units import ARCSEC_RAD
 from rig.analysis import evidence_of, settled_swings
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.surroundings import OPEN_DRAG
+from rig.analysis.recorded_seismometer import OPEN_DRAG
 from rig.analysis.turning_plane import follow_plane
 from rig.posterior.worker import MeasuredRun
 from rig.settings import FitSettings
@@ -25,17 +25,19 @@ STEPS = (60, 90, 120, 150)
 
 
 @cache
-def measured() -> tuple[list[Swing], Deflections]:
+def measured() -> tuple[list[HalfCycle], Deflections]:
     """Half-cycles on ground that moves, and what they were found in: 25 frames a second, 0.02 arcsec."""
     _, _, path = driven_path(PARAMETERS, PENDULUM, q=1e-9, seed=3, frames_per_s=25.0)
     path = path[: 25 * 320]
     noise = 0.02 * ARCSEC_RAD
     seen = path + noise * np.random.default_rng(11).standard_normal(len(path))
     samples = slow_deflections(np.arange(len(path), dtype=np.int64) * 40_000_000, seen, noise)
-    return SwingDetector().update(samples.times_ns, samples.y, samples.u_y), samples
+    return TurningPointDetector().update(samples.times_ns, samples.y, samples.u_y), samples
 
 
-def fed(run: MeasuredRun, swings: list[Swing] | None = None, samples: Deflections | None = None) -> FitResult:
+def fed(
+    run: MeasuredRun, swings: list[HalfCycle] | None = None, samples: Deflections | None = None
+) -> FitResult:
     """What is known in the end, fitted in between, too, as the half-cycles come."""
     if swings is None or samples is None:
         swings, samples = measured()
@@ -49,7 +51,7 @@ def fed(run: MeasuredRun, swings: list[Swing] | None = None, samples: Deflection
     return fit
 
 
-def how(swings: list[Swing], samples: Deflections) -> FitOfSwings:
+def how(swings: list[HalfCycle], samples: Deflections) -> FitOfSwings:
     watch = HarmonicsWatch(swings)
     watch.update(samples)
     return FitOfSwings(PENDULUM, evidence=evidence_of(OPEN_DRAG, watch.found()))
@@ -64,7 +66,7 @@ def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> N
     assert settled.exact is not None
     assert settled.motion is not None
     fit = how(swings, samples)
-    final = with_misfit(Linearised.of(fit.points(settled.swings), PENDULUM, settled.exact))
+    final = with_misfit(LinearisedFit.of(fit.points(settled.swings), PENDULUM, settled.exact))
     detected = fit.of(swings)
     moved = 0.0
     for name in PAPER.names(drag=True):
@@ -77,7 +79,7 @@ def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> N
 
 
 @cache
-def turned() -> tuple[list[Swing], Deflections]:
+def turned() -> tuple[list[HalfCycle], Deflections]:
     """The same without the ground's motion, in a plane that turns by six degrees in five minutes."""
     _, _, path = driven_path(PARAMETERS, PENDULUM, q=0.0, seed=3, frames_per_s=25.0)
     path = path[: 25 * 320]
@@ -88,7 +90,7 @@ def turned() -> tuple[list[Swing], Deflections]:
     u = np.full(len(path), noise)
     times_ns = np.arange(len(path), dtype=np.int64) * 40_000_000
     samples = Deflections(times_ns, seen[0], seen[1], u, u, DeflectionUnit.RAD)
-    return SwingDetector().update(samples.times_ns, samples.y, samples.u_y), samples
+    return TurningPointDetector().update(samples.times_ns, samples.y, samples.u_y), samples
 
 
 def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> None:

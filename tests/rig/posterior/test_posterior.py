@@ -12,7 +12,7 @@ import pytest
 
 from processing.deflections import slow_deflections
 from processing.fit import NO_EVIDENCE, Evidence, fit_exact
-from processing.swing import Swing, SwingHarmonics, TurningPoints, turning_points
+from processing.swing import HalfCycle, SwingHarmonics, TurningPoints, turning_points
 from rig.posterior import FIRST_HALF_CYCLES, FittedModel, LivePosterior, Posterior
 from rig.posterior.posterior import following
 from tests.processing.fit.decays import decay, paper_pair
@@ -21,17 +21,19 @@ PARAMETERS, PENDULUM = paper_pair("glass_k8")
 POINTS = decay(PARAMETERS, PENDULUM, noise_arcsec=0.005, seed=4)
 
 
-def swings(points: TurningPoints) -> list[Swing]:
+def swings(points: TurningPoints) -> list[HalfCycle]:
     """Half-cycles with these turning points."""
     return [
-        Swing(int(index), round(time_s * 1e9), u_s, amplitude, u, 2.0, 1e-4, 0.0, 1 - 2 * (int(index) % 2), 0)
+        HalfCycle(
+            int(index), round(time_s * 1e9), u_s, amplitude, u, 2.0, 1e-4, 0.0, 1 - 2 * (int(index) % 2), 0
+        )
         for index, time_s, u_s, amplitude, u in zip(
             points.index, points.time_s, points.u_time_s, points.amplitude, points.u_amplitude, strict=True
         )
     ]
 
 
-def fed(posterior: LivePosterior, half_cycles: Sequence[Swing]) -> Iterator[Posterior]:
+def fed(posterior: LivePosterior, half_cycles: Sequence[HalfCycle]) -> Iterator[Posterior]:
     """What is known after each half-cycle."""
     for swing in half_cycles:
         posterior.take([swing], NO_SAMPLES)
@@ -41,7 +43,7 @@ def fed(posterior: LivePosterior, half_cycles: Sequence[Swing]) -> Iterator[Post
 NO_SAMPLES = slow_deflections(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
 
 
-def nothing_beside(_: Sequence[Swing], __: SwingHarmonics) -> Evidence:
+def nothing_beside(_: Sequence[HalfCycle], __: SwingHarmonics) -> Evidence:
     """What restrains a fit in vacuum beside the half-cycles."""
     return NO_EVIDENCE
 
@@ -77,7 +79,7 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(in_step: LivePosteri
     assert list(fed(in_step, rising))[-1] == Posterior()
     assert in_step.take_remark() == ""
     in_step.begin()
-    in_step.take([Swing(0, 0, 1.0, 1.0, 1.0, 2.0, 1.0, 0.0, 1, flags=1)] * FIRST_HALF_CYCLES, NO_SAMPLES)
+    in_step.take([HalfCycle(0, 0, 1.0, 1.0, 1.0, 2.0, 1.0, 0.0, 1, flags=1)] * FIRST_HALF_CYCLES, NO_SAMPLES)
     assert in_step.latest == Posterior()
 
 
@@ -102,7 +104,7 @@ def test_beside_a_measurement_a_fit_waits_for_its_share_of_a_core() -> None:
     """At least 50 times the processor time of the one before; that of 40 half-cycles is above 20 ms."""
     asked_s = []
 
-    def asked(given: Sequence[Swing], harmonics: SwingHarmonics) -> Evidence:
+    def asked(given: Sequence[HalfCycle], harmonics: SwingHarmonics) -> Evidence:
         asked_s.append(time.monotonic())
         return nothing_beside(given, harmonics)
 

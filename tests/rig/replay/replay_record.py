@@ -8,7 +8,7 @@ import numpy as np
 
 from acquisition.record.writer import RecordWriter
 from acquisition.simulation.true_path import true_path
-from calibration.axes import Axes
+from calibration.axes_fit import Axes
 from processing.spot import Spot, SpotFlag, SpotTracker
 from rig.instrument import complete, sensor_model
 from rig.instrument.pipeline import Pipeline

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from processing.swing import TurningPoints
 from rig.analysis import Curves, ResultRow, RunResults
 from rig.report.drawing import ReportFigure, amplitude_axis, canvas, from_data, png, styled
-from rig.report.figures_instruments import instrument_figures
+from rig.report.figures_contact import instrument_figures
 from rig.report.figures_laws import decay_figure, period_figure
 from rig.report.source import ShownUnit
 

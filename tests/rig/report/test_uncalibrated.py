@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from rig.analysis import analyse_record, session_results
 from rig.analysis.results_file import write_results
 from rig.instrument.provenance import CONFIGURATION_NAME
@@ -50,7 +50,7 @@ def session_in_pixels(folder: Path, *, lost: bool) -> Path:
             amplitude = 100 * math.exp(-0.02 * index)
             turn_ns = round(0.5 * PERIOD_S * index * 1e9)
             writer.write_swing(
-                Swing(index, turn_ns, 1e-4, amplitude, 0.01, 2.0, 1e-4, 0.0, 1 - 2 * (index % 2), 0)
+                HalfCycle(index, turn_ns, 1e-4, amplitude, 0.01, 2.0, 1e-4, 0.0, 1 - 2 * (index % 2), 0)
             )
     write_results(folder / "results.json", session_results([analyse_record(record)], folder))
     return folder

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from processing.fit import WitnessSpectra
+from processing.fit import SeismometerSpectra
 from rig.report.figures_motion import witness_figure
 
 FREQUENCY_HZ = (0.20, 0.22, 0.24, 0.26, 0.28)
-SPECTRA = WitnessSpectra(
+SPECTRA = SeismometerSpectra(
     frequency_hz=FREQUENCY_HZ,
     pendulum_rad_per_s2_rthz=(5e-8, 4e-8, 3e-8, 4e-8, 6e-8),
     witness_rad_per_s2_rthz=(4e-8, 3.9e-8, 3e-8, 3.9e-8, 5e-8),

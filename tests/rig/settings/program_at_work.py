@@ -11,11 +11,11 @@ import pytest
 from acquisition.camera import CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.inputs import FaultSettings, RigInputs
+from acquisition.simulation.seismometer import SimulatedSeismometer
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
-from acquisition.simulation.witness import SimulatedWitness
 from processing.errors import RigError
-from rig.balance.look import LooksView, look
+from rig.balance.balancing import LooksView, look
 from rig.control import (
     Controller,
     ControllerSettings,
@@ -26,17 +26,17 @@ from rig.control import (
     LaserNow,
     Light,
     SafetyNow,
-    WitnessLines,
-    WitnessSettings,
+    SeismometerLines,
+    SeismometerSettings,
     simulated_controller,
 )
 from rig.control.settings import SerialFaults
 from rig.devices import Devices, FrameStream, OpenCamera
-from rig.devices.ground_witness import ground_witness
+from rig.devices.ground_seismometer import ground_witness
 from rig.instrument import camera_settings, complete, make_camera, optics_of
 from rig.instrument.configured_camera import shift_to_light_ns
 from rig.measure.phases import PhasesBeforeRecord
-from rig.measure.run import Run
+from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.session import measure_session, session_folder
 from rig.settings import Configuration, load_configuration
@@ -133,7 +133,7 @@ def go_through_the_phases(folder: Path) -> None:
     optics = optics_of(config, opened.info.full_scale_dn)
     devices: Any = _Stubs()
     phases = PhasesBeforeRecord(config, devices, opened, optics, folder, force=True)
-    outcome = Run(
+    outcome = MeasurementRun(
         RunParts(
             plan=RunPlan(config, DEMO, folder / "phases.mcap", "run 1"),
             camera=opened,
@@ -256,10 +256,10 @@ def listen_to_the_ground(folder: Path) -> None:
     file = folder / "witness.txt"
     file.touch()
     for settings in (
-        WitnessSettings(kind="serial", port=NOWHERE),
-        WitnessSettings(kind="file", file=file, columns=("time_s", "z")),
+        SeismometerSettings(kind="serial", port=NOWHERE),
+        SeismometerSettings(kind="file", file=file, columns=("time_s", "z")),
     ):
-        with WitnessLines(settings) as service:
+        with SeismometerLines(settings) as service:
             deadline_s = time.monotonic() + 5.0
             while time.monotonic() < deadline_s and not (service.unread_lines or service.take_events()):
                 with file.open("a") as lines:
@@ -267,7 +267,7 @@ def listen_to_the_ground(folder: Path) -> None:
                 time.sleep(0.01)
             assert service.silent or service.last_ns
     truth = SimulationSettings.model_validate({"ground": {"model": "white"}})
-    assert len(SimulatedWitness(truth).until(1.0, 0).counts)
+    assert len(SimulatedSeismometer(truth).until(1.0, 0).counts)
     port = f"'{NOWHERE}'"
     config = configuration(witness__kind="'serial'", witness__port=port, simulation__real_time="true")
     witness = ground_witness(config)

@@ -5,21 +5,20 @@ from typing import Any
 
 import numpy as np
 
-from acquisition.camera import CameraInfo
-from acquisition.frame import Frame
+from acquisition.camera import CameraInfo, Frame
+from processing.ambient import AmbientConditions
 from processing.balance import Balance, find_faults
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from processing.instruments import DEGREE_RAD, SharedError
 from processing.spot import Spot
-from processing.surroundings import Surroundings
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from rig.analysis import clock_rate_of, known_drag
 from rig.analysis.contact_verdicts import base_motion, rig_quantities
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.recorded_seismometer import believed_drifts
 from rig.analysis.series import reduce_series
-from rig.analysis.surroundings import believed_drifts
 from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import (
     height_of,
@@ -28,7 +27,7 @@ from rig.instrument import (
     pendulum_on_ball,
     session_metadata,
 )
-from rig.measure.preflight import device_checks
+from rig.measure.preflight import frame_checks
 from rig.settings import Configuration, InstrumentSettings
 
 RAD = DeflectionUnit.RAD
@@ -52,7 +51,7 @@ def optical_path(config: Configuration) -> Any:
 
 def shutter(config: Configuration) -> Any:
     """Times of some spots, and what preflight says of a camera that rolls."""
-    verdict = device_checks.shutter("rolling", config.shutter, config.axes)
+    verdict = frame_checks.shutter("rolling", config.shutter, config.axes)
     return optical_path(config), verdict.measured
 
 
@@ -61,8 +60,8 @@ def apparatus(config: Configuration) -> Any:
     moved = base_motion(Estimate(1e-8, 1e-9), 2e-8, 4.0, config.pendulum)
     pendulum = pendulum_on_ball(config)
     assert pendulum is not None
-    drag = known_drag(config, Surroundings(), pendulum, 4.0)
-    drifts = believed_drifts(config, Surroundings())
+    drag = known_drag(config, AmbientConditions(), pendulum, 4.0)
+    drifts = believed_drifts(config, AmbientConditions())
     return repr((pendulum, rig_quantities(config), moved, drag, drifts))
 
 
@@ -92,7 +91,7 @@ def balance(config: Configuration) -> Any:
 def instrument(config: Configuration) -> Any:
     """Results of three runs of one decay, as several kinds of pendulum report it."""
     stated: InstrumentSettings = config.instrument
-    air, error = Surroundings(temperature_c=22.0, humidity_percent=48.0), SharedError("arm", scale=1e-3)
+    air, error = AmbientConditions(temperature_c=22.0, humidity_percent=48.0), SharedError("arm", scale=1e-3)
     found: list[Any] = [stated.kind, repr(stated.description().kind)]
     for kind in ("koenig", "herbert", "tomlinson"):
         for references in (stated.reference_runs, ()):
@@ -106,10 +105,10 @@ def instrument(config: Configuration) -> Any:
     return repr(found)
 
 
-def _decay(friction: float) -> list[Swing]:
+def _decay(friction: float) -> list[HalfCycle]:
     half_s, amplitudes = 0.7, 7.0 * DEGREE_RAD * np.exp(-friction * np.arange(150))
     return [
-        Swing(
+        HalfCycle(
             k,
             round(k * half_s * 1e9),
             1e-5,

@@ -3,7 +3,7 @@
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.settings import Configuration, Watched, validate_configuration
+from rig.settings import Configuration, KeyUseMonitor, validate_configuration
 from tests.rig.settings.test_every_key import STATED, leaves
 
 KEYS = [key for key, _ in leaves() if key.partition(".")[0] in STATED]
@@ -23,7 +23,7 @@ def value_at(config: object, key: str) -> object:
 @pytest.mark.parametrize("key", KEYS)
 def test_a_key_is_read_when_its_value_is_taken(key: str) -> None:
     config = stated()
-    watched = Watched(config, [f"{key}=1", "camera.driver=files"], "")
+    watched = KeyUseMonitor(config, [f"{key}=1", "camera.driver=files"], "")
     assert watched.config.model_copy().camera is watched.config.camera
     assert watched.unread == [key, "camera.driver"]
     assert value_at(watched.config, key) == value_at(config, key)
@@ -32,7 +32,7 @@ def test_a_key_is_read_when_its_value_is_taken(key: str) -> None:
 
 
 def test_what_a_section_calculates_reads_its_keys() -> None:
-    watched = Watched(stated(), ["lever.arm_m=1", "lever.u_skew=0", "instrument.period_s=2"], "")
+    watched = KeyUseMonitor(stated(), ["lever.arm_m=1", "lever.u_skew=0", "instrument.period_s=2"], "")
     assert watched.config.lever is not None
     assert watched.config.lever.square().rad_per_px() > 0
     assert watched.unread == ["lever.u_skew", "instrument.period_s"]
@@ -41,7 +41,7 @@ def test_what_a_section_calculates_reads_its_keys() -> None:
 
 
 def test_a_whole_section_is_read_with_any_of_its_keys() -> None:
-    watched = Watched(stated(), ["materials={}", "timebase={}", "shutter={}"], "")
+    watched = KeyUseMonitor(stated(), ["materials={}", "timebase={}", "shutter={}"], "")
     assert watched.config.timebase is not None
     assert watched.config.materials["mine"].poisson_ratio == 0.3
     assert watched.config.timebase.camera_rate == 1.0
@@ -50,7 +50,7 @@ def test_a_whole_section_is_read_with_any_of_its_keys() -> None:
 
 def test_every_key_without_effect_gets_a_line() -> None:
     keys = ("lever.arm_m", "session.runs", "fit.robust")
-    here, there = (Watched(stated(), [f"{key}=1" for key in keys], "try elsewhere") for _ in range(2))
+    here, there = (KeyUseMonitor(stated(), [f"{key}=1" for key in keys], "try elsewhere") for _ in range(2))
     here.refuse_read()
     assert not here.config.fit.robust
     assert there.config.session.runs == 1

@@ -18,12 +18,12 @@ import pytest
 from pydantic import BaseModel, create_model
 
 import acquisition.cameras
-from calibration.axes import Axes
+from calibration.axes_fit import Axes
 from calibration.light_lever import Lever
 from rig.instrument import complete
 from rig.settings import Configuration
 from rig.settings.configuration import RecordSettings
-from rig.settings.wording import section_fields, section_of
+from rig.settings.validation_messages import section_fields, section_of
 from tests.rig.settings import program_at_work as program
 from tests.rig.settings import stated_values as stated
 from tests.rig.settings.example_configuration import _is_table_of

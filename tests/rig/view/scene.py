@@ -21,7 +21,7 @@ from processing.units import ARCSEC_RAD
 from rig.view import layout
 from rig.view.analysis import draw_fits
 from rig.view.drawing import Drawing
-from rig.view.values import Curve, Setup
+from rig.view.graticule import AnalysisCurve, Setup
 
 PERIOD_S = 4.07
 SECONDS = 60.0
@@ -93,7 +93,7 @@ def spot_image(spot: tuple[float, float], random: np.random.Generator) -> NDArra
     return np.clip(light + random.normal(8, 1.5, x.shape), 0, 255).astype(np.uint8)
 
 
-def curves() -> list[Curve]:
+def curves() -> list[AnalysisCurve]:
     """One curve and more for every panel of the analysing layout."""
     random = np.random.default_rng(2)
     time_s = np.arange(0, 1180, PERIOD_S / 2)
@@ -103,13 +103,17 @@ def curves() -> list[Curve]:
     period = PERIOD_S * (1 + 3e-5 * amplitude**0.7)
     noise = random.normal(size=(3, len(time_s)))
     return [
-        Curve("decay", "measured", time_s, amplitude + u * noise[0], u, "points"),
-        Curve("decay", "exact fit", time_s, amplitude),
-        Curve("residuals", "exact", time_s, u * noise[0], u, "points"),
-        Curve("residuals", "asymptotic", time_s, u * noise[1] + 0.004 * np.sin(time_s / 200), None, "points"),
-        Curve("period", "measured", amplitude, period + u_period * noise[2], u_period, "points"),
-        Curve("period", "exact fit", amplitude, period),
-        Curve("period_residuals", "exact", amplitude, 1e3 * u_period * noise[2], 1e3 * u_period, "points"),
+        AnalysisCurve("decay", "measured", time_s, amplitude + u * noise[0], u, "points"),
+        AnalysisCurve("decay", "exact fit", time_s, amplitude),
+        AnalysisCurve("residuals", "exact", time_s, u * noise[0], u, "points"),
+        AnalysisCurve(
+            "residuals", "asymptotic", time_s, u * noise[1] + 0.004 * np.sin(time_s / 200), None, "points"
+        ),
+        AnalysisCurve("period", "measured", amplitude, period + u_period * noise[2], u_period, "points"),
+        AnalysisCurve("period", "exact fit", amplitude, period),
+        AnalysisCurve(
+            "period_residuals", "exact", amplitude, 1e3 * u_period * noise[2], 1e3 * u_period, "points"
+        ),
     ]
 
 

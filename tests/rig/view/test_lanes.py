@@ -7,7 +7,7 @@ import rerun as rr
 
 from acquisition.record.events import Event, EventKind
 from rig.view import layout
-from rig.view.drawing import Lanes
+from rig.view.drawing import RunLanes
 
 
 class Stream:
@@ -31,12 +31,12 @@ class Stream:
 )
 def test_a_lane_changes_with_the_kind_of_an_event(kind: str, lanes: set[str]) -> None:
     stream = Stream()
-    Lanes(cast(rr.RecordingStream, stream)).draw("run 1", kind)
+    RunLanes(cast(rr.RecordingStream, stream)).draw("run 1", kind)
     changed = {entity for entity, thing in stream.drawn if isinstance(thing, rr.StateChange)}
     assert changed == {layout.entity("run 1", lane) for lane in lanes}
 
 
 def test_a_line_that_reads_like_an_event_changes_no_lane() -> None:
     stream = Stream()
-    Lanes(cast(rr.RecordingStream, stream)).draw("", Event(0, EventKind.STOP, "time limit").line)
+    RunLanes(cast(rr.RecordingStream, stream)).draw("", Event(0, EventKind.STOP, "time limit").line)
     assert stream.drawn == []

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from processing.ambient import AmbientConditions
 from processing.balance import Balance
 from processing.contact import LAWS
 from processing.deflections import DeflectionUnit
-from processing.fit import Derived, FitQuality, Work
+from processing.fit import DerivedQuantity, FitQuality, Work
 from processing.quantity import quantities_of
-from processing.surroundings import Surroundings
 from processing.units import ARCSEC_RAD
 from rig.presentation import palette
 from rig.presentation.quantities import (
@@ -28,9 +28,8 @@ from rig.presentation.quantities import (
     law_parameters,
     quantity,
 )
-from rig.view.gathering import Decimator
 from rig.view.graticule import Graticule, reach_beyond, tick_label, ticks, trajectory_graticule
-from rig.view.lissajous import Trail
+from rig.view.transverse import Decimator, Trail
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6), st.integers(3, 12))
@@ -161,7 +160,9 @@ def test_the_parameters_of_every_law_are_shown_as_the_law_says() -> None:
     for law in LAWS.values():
         for parameter in (*law.parameters, *law.uncalibrated.values()):
             assert quantity(parameter.key).symbol == parameter.symbol
-    declared = [quantities_of(kind) for kind in (Balance, Surroundings, FitQuality, Derived, Work)]
+    declared = [
+        quantities_of(kind) for kind in (Balance, AmbientConditions, FitQuality, DerivedQuantity, Work)
+    ]
     names = [*law_parameters(), *(name for one in declared for name in one)]
     assert len(set(names)) == len(names), "a key stands for one quantity"
     assert quantity("gamma_pa").text(28.7e6, 0.52e6) == "28.70 ± 0.52"

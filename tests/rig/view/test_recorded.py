@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acquisition.frame import Frame
+from acquisition.camera import Frame
 from acquisition.record.events import WARNING_KINDS
 from acquisition.record.writer import RecordWriter
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
-from processing.swing import Swing
+from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.view.show import run_names, show_records, write_rrd
 from tests.rig.view import scene as view_scene
@@ -50,7 +50,7 @@ def make_record(
             writer.flush()
         for index in range(4):
             time_ns = int(times_ns[0]) + round(2.035e9 * index)
-            swing = Swing(
+            swing = HalfCycle(
                 index, time_ns, 1e-4, 120 * factor, 0.005 * factor, 2.035, 1e-4, 0.0, 1 - 2 * (index % 2), 0
             )
             writer.write_swing(swing)

@@ -10,12 +10,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
+from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout, PixelFormat
 from acquisition.cameras import drivers
 from acquisition.cameras.aravis.camera import AravisCamera
 from acquisition.cameras.aravis.library import find_cameras, load_library
-from acquisition.cameras.device_settings import AravisSettings
-from acquisition.frame import Frame
+from acquisition.cameras.drivers import AravisSettings
 from acquisition.frames.losses import BlockNumbers, Place
 from processing.errors import DeviceError
 from rig.devices.clocks import wait_for_network_clock

@@ -12,7 +12,7 @@ import pytest
 import usb.backend
 import usb.core
 
-from acquisition.cameras.device_settings import Usb3VisionSettings
+from acquisition.cameras.drivers import Usb3VisionSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from tests.acquisition.cameras.usb3vision import descriptors
 from tests.acquisition.cameras.usb3vision.device import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from acquisition.camera import CameraLost
 from acquisition.cameras.usb3vision.link import StreamHalted
-from acquisition.cameras.usb3vision.transfers import Arrived, Bytes
+from acquisition.cameras.usb3vision.transfers import Bytes, CompletedTransfer
 from tests.acquisition.cameras.usb3vision.device import (
     OverrunError,
     StalledError,
@@ -19,7 +19,7 @@ from tests.acquisition.cameras.usb3vision.device import (
 @dataclass(eq=False)
 class _Read:
     buffer: Bytes
-    arrived: Arrived | None = None
+    arrived: CompletedTransfer | None = None
     error: Exception | None = None
 
 
@@ -51,7 +51,7 @@ class EagerTransfers:
                 read = self._under_way[0]
             try:
                 count = self._device.stream_in(memoryview(read.buffer), 0.005)
-                read.arrived = Arrived(count, time.monotonic_ns())
+                read.arrived = CompletedTransfer(count, time.monotonic_ns())
             except TimeoutError:
                 continue
             except (StalledError, OverrunError, UnpluggedError) as error:
@@ -73,7 +73,7 @@ class EagerTransfers:
                 self._thread = threading.Thread(target=self._work, daemon=True)
                 self._thread.start()
 
-    def wait(self, timeout_s: float) -> Arrived:
+    def wait(self, timeout_s: float) -> CompletedTransfer:
         """The oldest read's end."""
         time.sleep(self._lag_s)
         with self._changed:

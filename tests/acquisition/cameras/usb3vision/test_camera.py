@@ -12,12 +12,11 @@ import pytest
 import usb.backend.libusb1
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, FrameTimeout, PixelFormat
-from acquisition.cameras.device_settings import Usb3VisionSettings
-from acquisition.cameras.drivers import make_camera
+from acquisition.cameras.drivers import Usb3VisionSettings, make_camera
 from acquisition.cameras.usb3vision import camera as driver
-from acquisition.cameras.usb3vision import discovery
+from acquisition.cameras.usb3vision import link
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.cameras.usb3vision.discovery import find_camera, find_cameras
+from acquisition.cameras.usb3vision.link import find_camera, find_cameras
 from processing.errors import DeviceError
 from tests.acquisition.cameras.conformance import CameraConformance, Unplug
 from tests.acquisition.cameras.usb3vision import description
@@ -95,7 +94,7 @@ def test_libusb_of_the_package_serves_where_the_system_has_none(monkeypatch: pyt
     )
     libusb_package.get_libusb1_backend.cache_clear()
     try:
-        assert "libusb_package" in discovery._libusb().lib._name
+        assert "libusb_package" in link._libusb().lib._name
     finally:
         libusb_package.get_libusb1_backend.cache_clear()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from acquisition.camera import CameraLost
-from acquisition.cameras.usb3vision import discovery
+from acquisition.cameras.usb3vision import link
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.node_map import ACCESS, NodeMap
 from acquisition.cameras.usb3vision.open_camera import decode_description
@@ -239,8 +239,8 @@ def test_without_genicam_one_line_says_what_to_install(monkeypatch: pytest.Monke
         DeviceError, match=r"needs genicam: pip install 'optical-pendulum-rig\[usb3vision\]'$"
     ):
         camera_on(device).open()
-    monkeypatch.setattr(discovery, "_libusb", lambda: InProcessBackend(device))
-    (listed,) = discovery.list_cameras()
+    monkeypatch.setattr(link, "_libusb", lambda: InProcessBackend(device))
+    (listed,) = link.list_cameras()
     assert listed.serial == device.serial
     assert listed.problem.endswith("pip install 'optical-pendulum-rig[usb3vision]'")
     monkeypatch.undo()

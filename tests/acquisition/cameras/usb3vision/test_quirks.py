@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraSettings, CameraStatus
+from acquisition.camera import CameraSettings, CameraStatus, Frame
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.frame import Frame
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.device import Faults, VisionDevice

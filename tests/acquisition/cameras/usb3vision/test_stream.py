@@ -10,11 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from acquisition.camera import CameraLost, CameraSettings, FrameTimeout, PixelFormat
-from acquisition.cameras.device_settings import Usb3VisionSettings
+from acquisition.camera import CameraLost, CameraSettings, Frame, FrameTimeout, PixelFormat
+from acquisition.cameras.drivers import Usb3VisionSettings
 from acquisition.cameras.usb3vision import camera as driver
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.frame import Frame
 from processing.errors import DeviceError
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
 from tests.acquisition.cameras.usb3vision.descriptors import STREAM_IN

@@ -1,0 +1,175 @@
+"""Spots, half-cycles, balances and Foxglove's types as messages, and back."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from mcap_protobuf.schema import build_file_descriptor_set
+from numpy.typing import NDArray
+
+from acquisition.camera import Image
+from acquisition.record.schemas import MessageType
+from acquisition.record.topics import (
+    CAMERA_TOPIC,
+    DEFLECTION_FIELDS,
+    LOG_TOPIC,
+    PREVIEW_TOPIC,
+    SENSOR_FRAME,
+    SWING,
+    RecordedLog,
+)
+from processing.balance import Balance, names_with_units
+from processing.deflections import Deflections, DeflectionUnit
+from processing.spot import SPOT_DTYPE, Spot
+from processing.swing import HalfCycle
+from processing.units import ARCSEC_RAD
+
+
+def spot_rows(
+    kind: MessageType,
+    sequences: Sequence[int],
+    device_times_ns: Sequence[int],
+    host_times_ns: Sequence[int],
+    spots: Sequence[Spot],
+    deflections: Deflections,
+) -> NDArray[Any]:
+    """Encoded messages of type `SPOT` or `SPOT_UNCALIBRATED`, one row per frame.
+
+    Parameters
+    ----------
+    kind
+        Message type for the unit of the deflections.
+    sequences, device_times_ns, host_times_ns, spots, deflections
+        Frame numbers, times, spots and deflections of n frames.
+    """
+    rows = kind.wire_rows(len(spots))
+    rows["sequence"] = sequences
+    rows["time_ns"] = deflections.times_ns
+    rows["device_time_ns"] = device_times_ns
+    rows["host_time_ns"] = host_times_ns
+    table = np.array(spots, dtype=SPOT_DTYPE)
+    for name in Spot._fields:
+        rows[name] = table[name]
+    columns = (deflections.x, deflections.y, deflections.u_x, deflections.u_y)
+    for name, values in zip(DEFLECTION_FIELDS[deflections.unit], columns, strict=True):
+        rows[name] = values
+    if deflections.unit is DeflectionUnit.RAD:
+        rows["x_arcsec"], rows["y_arcsec"] = deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD
+    return rows
+
+
+def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:
+    """The deflections in a table of spots."""
+    # copies, so that the deflections do not keep the whole table in memory
+    x, y, u_x, u_y = (np.array(spots[name], dtype=np.float64) for name in DEFLECTION_FIELDS[unit])
+    return Deflections(np.array(spots["time_ns"], dtype=np.int64), x, y, u_x, u_y, unit)
+
+
+def encode_swing(kind: MessageType, swing: HalfCycle) -> bytes:
+    """Message of type `SWING` or `SWING_UNCALIBRATED`."""
+    shown = [2.0 * swing.half_period_s]
+    if kind is SWING:
+        shown.insert(0, swing.amplitude / ARCSEC_RAD)
+    return kind.encode(
+        swing.index,
+        swing.turn_time_ns,
+        swing.u_turn_time_s,
+        swing.amplitude,
+        swing.u_amplitude,
+        swing.half_period_s,
+        swing.u_half_period_s,
+        swing.centre,
+        swing.side,
+        swing.flags,
+        *shown,
+    )
+
+
+def swings_of(table: NDArray[Any]) -> list[HalfCycle]:
+    """Swings from a record's table, whose first fields are those of `HalfCycle` in order."""
+    return [HalfCycle(*row[: len(HalfCycle.__dataclass_fields__)]) for row in table.tolist()]
+
+
+def encode_balance(kind: MessageType, balance: Balance) -> bytes:
+    """Message of type `BALANCE` or `BALANCE_UNCALIBRATED`, as the balance's unit is."""
+    return kind.encode(*[getattr(balance, name) for name in names_with_units(balance.unit)])
+
+
+def balances_of(table: NDArray[Any], unit: DeflectionUnit) -> list[Balance]:
+    """Balances from a record's table."""
+    names = names_with_units(unit)
+    return [
+        Balance(**{name: row[key] for name, key in names.items()}, unit=unit)
+        for row in (dict(zip(table.dtype.names or (), row, strict=True)) for row in table.tolist())
+    ]
+
+
+_PREVIEW_PX = 480
+"""Longest side of a preview; larger images are reduced by a whole number."""
+_MESSAGES: Mapping[str, Any] = {
+    LOG_TOPIC: Log,
+    CAMERA_TOPIC: CameraCalibration,
+    PREVIEW_TOPIC: CompressedImage,
+}
+
+
+def foxglove_schema(topic: str) -> tuple[str, bytes]:
+    """Name of the schema of a topic with a Foxglove type, and its descriptor."""
+    message = _MESSAGES[topic]
+    return message.DESCRIPTOR.full_name, build_file_descriptor_set(message).SerializeToString()
+
+
+def encode_preview(utc_ns: int, image: Image, full_scale_dn: int) -> bytes:
+    """Encoded foxglove.CompressedImage of an image (ny, nx), for the eye: 8 bits, small, JPEG."""
+    step = preview_step((image.shape[0], image.shape[1]))
+    small = image[::step, ::step]
+    if image.itemsize > 1:
+        small = np.minimum(small * (255.0 / full_scale_dn), 255.0).astype(np.uint8)
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(small))
+    message = CompressedImage(format="jpeg", data=data.tobytes(), frame_id=SENSOR_FRAME)
+    message.timestamp.FromNanoseconds(utc_ns)
+    return message.SerializeToString()
+
+
+def decode_preview(data: bytes) -> bytes:
+    """The JPEG of a small picture; see `encode_preview`."""
+    return bytes(CompressedImage.FromString(data).data)
+
+
+def preview_step(shape: tuple[int, int]) -> int:
+    """By which whole number an image (ny, nx) is reduced for its small picture."""
+    return -(-max(shape) // _PREVIEW_PX)
+
+
+def encode_log(utc_ns: int, level: int, source: str, text: str) -> bytes:
+    """Encoded foxglove.Log; `level` from 1 (debug) to 5 (fatal)."""
+    message = Log(level=level, message=text, name=source)  # type: ignore[arg-type]
+    message.timestamp.FromNanoseconds(utc_ns)
+    return message.SerializeToString()
+
+
+def decode_log(time_ns: int, data: bytes) -> RecordedLog:
+    """Line of the log from a foxglove.Log; `time_ns` is its time on the frames' clock."""
+    line = Log.FromString(data)
+    return RecordedLog(time_ns, line.level, line.name, line.message)
+
+
+def encode_camera_calibration(
+    utc_ns: int, sensor_shape: tuple[int, int], distance_px: float, reference_px: tuple[float, float]
+) -> bytes:
+    """Encoded foxglove.CameraCalibration without distortion; see `RecordWriter.write_camera_calibration`."""
+    x_px, y_px = reference_px
+    message = CameraCalibration(
+        frame_id=SENSOR_FRAME,
+        width=sensor_shape[1],
+        height=sensor_shape[0],
+        K=[distance_px, 0.0, x_px, 0.0, distance_px, y_px, 0.0, 0.0, 1.0],
+        R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        P=[distance_px, 0.0, x_px, 0.0, 0.0, distance_px, y_px, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )
+    message.timestamp.FromNanoseconds(utc_ns)
+    return message.SerializeToString()

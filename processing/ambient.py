@@ -1,0 +1,111 @@
+"""What surrounded a run: the air, its density and viscosity, and the age of the contact and its surfaces."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from math import exp, isfinite, nan
+from typing import Annotated, Final, NamedTuple
+
+from processing.quantity import Quantity
+
+_ZERO_C_K = 273.15
+_DRY_J_PER_KG_K, _VAPOUR_J_PER_KG_K = 287.05, 461.5
+
+POSSIBLE: Final = {
+    "temperature_c": (-100.0, 200.0),
+    "humidity_percent": (-10.0, 120.0),
+    "pressure_pa": (1e4, 2e5),
+}
+"""What a sensor of a laboratory's air can say, in damp air beyond its scale too.
+
+Beyond this it, or its wire, is broken, which many tell by -127 or -999.
+"""
+
+
+def is_possible(name: str, value: float) -> bool:
+    """Whether a reading of this name is one of air."""
+    lowest, highest = POSSIBLE[name]
+    return isfinite(value) and lowest < value < highest
+
+
+class Air(NamedTuple):
+    """What resists a body that moves in it."""
+
+    density_kg_per_m3: float
+    viscosity_pa_s: float
+
+
+def humid_air(temperature_c: float, humidity_percent: float, pressure_pa: float) -> Air:
+    """Density of the mixture of two ideal gases, and viscosity of dry air, to half a per cent each.
+
+    Saturation by Magnus's formula (WMO guide no. 8), viscosity by Sutherland's: 17.16 uPa s at 0 degrees
+    Celsius, with 110.4 K.
+    """
+    kelvin = temperature_c + _ZERO_C_K
+    vapour_pa = 0.01 * humidity_percent * 611.2 * exp(17.62 * temperature_c / (243.12 + temperature_c))
+    density = (pressure_pa - vapour_pa) / (_DRY_J_PER_KG_K * kelvin) + vapour_pa / (
+        _VAPOUR_J_PER_KG_K * kelvin
+    )
+    viscosity = 17.16e-6 * (kelvin / _ZERO_C_K) ** 1.5 * (_ZERO_C_K + 110.4) / (kelvin + 110.4)
+    return Air(density, viscosity)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AmbientConditions:
+    """Air and history of a run's contact; NaN for what is neither read nor stated.
+
+    Air: mean sensor readings during the run, otherwise as stated. `temperature_change_k` is the change of
+    temperature from the first reading to the last, by a straight line through them. `dwell_s` is the time
+    from setting the ball on its place to the run's first frame, `age_s` that from the last cleaning of the
+    surfaces.
+    """
+
+    temperature_c: Annotated[float, Quantity("temperature", "temperature")] = nan
+    humidity_percent: Annotated[float, Quantity("humidity", "relative humidity")] = nan
+    pressure_pa: Annotated[float, Quantity("pressure", "pressure of the air", "hPa")] = nan
+    dwell_s: Annotated[float, Quantity("dwell", "dwell of the ball on its place", "h")] = nan
+    temperature_change_k: Annotated[
+        float, Quantity("temperature change", "change of the temperature over the run", "K")
+    ] = nan
+    age_s: Annotated[float, Quantity("age", "age of the surfaces since cleaning", "h")] = nan
+
+    def known(self) -> dict[str, float]:
+        """What is known, by name."""
+        return {name: value for name, value in asdict(self).items() if isfinite(value)}
+
+
+_IN_PERCENT = 1.0
+"""Humidity in per cent up to which a fraction may have been meant: air in a room is never as dry."""
+_OTHER_UNIT = 30.0
+"""Ratio to the others beyond which a value is probably in another unit: 100 for fractions, and for hPa."""
+
+
+def doubtful_humidity(percent: float) -> str:
+    """What is to be asked of a humidity as stated or read; empty: nothing."""
+    if not 0.0 < percent <= _IN_PERCENT:
+        return ""
+    return (
+        f"humidity_percent is {percent:g}, drier than air outside a dry box: if a fraction was meant, "
+        f"state humidity_percent = {100 * percent:g}"
+    )
+
+
+def in_other_unit(name: str, values: Mapping[str, float]) -> str:
+    """What is to be said of runs, by label, whose humidity or pressure is in another unit than others'."""
+    known = sorted(value for value in values.values() if isfinite(value) and value > 0)
+    if name not in ("humidity_percent", "pressure_pa") or len(known) < 3:
+        return ""
+    middle = known[len(known) // 2]
+    odd = {
+        label: value
+        for label, value in values.items()
+        if value > 0 and not middle / _OTHER_UNIT < value < middle * _OTHER_UNIT
+    }
+    rest = [value for label, value in values.items() if label not in odd and isfinite(value)]
+    if not odd or 2 * len(odd) >= len(known):
+        return ""
+    listed = ", ".join(f"{value:g} of {label}" for label, value in odd.items())
+    return (
+        f"{name} is {listed}, and {min(rest):g} to {max(rest):g} of the other runs: is it in another unit "
+        "(a fraction, hPa)? As it stands it stretches the span of all dependences on it; correct "
+        f"environment.{name} and fit that run again"
+    )

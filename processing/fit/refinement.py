@@ -1,0 +1,338 @@
+"""Second measurement of the turning points from the samples, with the waveform known from a fit.
+
+The swing detector knows the waveform only from the half-cycles before. Its errors of friction and stiffness,
+largest at the beginning, shift many turning times in common, each by a fraction of its uncertainty; a fit
+does not average such shifts out. A fit to the whole decay determines the waveform better. After a second
+measurement with this waveform the errors of the turning points are independent.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from processing.arrays import Ints
+from processing.contact import ContactParameters, PendulumOnBall, scaled_contact
+from processing.deflections import Deflections
+from processing.errors import DataError
+from processing.fit.evidence import NO_EVIDENCE, Evidence
+from processing.fit.exact import fit_exact
+from processing.fit.result import FitResult
+from processing.least_squares import Loss
+from processing.swing import (
+    HalfCycle,
+    HalfCycleFlag,
+    KnownMotion,
+    TurningPoints,
+    swings_of_blocks,
+    turning_points,
+    with_learned_weights,
+)
+from processing.units import seconds
+
+_MOST = 0.95
+"""Share of the half-cycles that must be found again."""
+
+
+def known_motion(
+    parameters: ContactParameters, pendulum: PendulumOnBall, reference_rad: float, clock: float = 1.0
+) -> KnownMotion:
+    """Frequency and waveform of the half-swing for contact parameters and deflections in rad.
+
+    Parameters
+    ----------
+    reference_rad
+        Reference amplitude of the waveform; any within the decay.
+    clock
+        True seconds (the unit of the parameters) per second of the samples' clock.
+
+    Raises
+    ------
+    DataError
+        The pendulum would not swing at the reference amplitude, or a parameter is NaN.
+
+    Notes
+    -----
+    Eq. 4 with Eqs. 1 and 3 and a drag, ``x = phi/reference`` and the terms of `scaled_contact`, is
+    ``x'' = w0^2 (-x + kappa x (pi/2 |x|^n - rho |x|^(n+1)) - sign(x') (c + b |x|^p) - drag x'/w0)``. The
+    waveform counts its frequency from the stiffness at the reference and its powers from 1 there.
+    """
+    contact = scaled_contact(parameters, pendulum, reference_rad)
+    softening, hardening = 0.5 * math.pi * contact.kappa, contact.kappa * contact.rho
+    stiffness = 1.0 - softening + hardening
+    if not stiffness > 0.0:
+        raise DataError(f"adhesion takes all of the stiffness at {reference_rad:.3g} rad: there is no swing")
+    rate = 2.0 * math.pi / parameters.period0_s * math.sqrt(stiffness)
+    of_n = contact.n * softening / stiffness
+    of_next = -(1.0 + contact.n) * hardening / stiffness
+    return KnownMotion(
+        rate_rad_per_s=rate * clock,
+        reference=reference_rad,
+        damping=0.5 * contact.drag / math.sqrt(stiffness),
+        dry=(contact.c + contact.b) / stiffness,
+        rise=contact.p * contact.b / stiffness,
+        p=contact.p,
+        stiff=of_n + of_next,
+        n=contact.n,
+        bend=of_next + (of_n + of_next) * contact.n,
+    )
+
+
+def measured_again(
+    swings: Sequence[HalfCycle],
+    blocks: Iterable[Deflections],
+    motion: KnownMotion,
+) -> list[HalfCycle]:
+    """Fit each half-cycle to its samples again, with a known waveform.
+
+    Parameters
+    ----------
+    swings
+        Half-cycles from the detector, in order. Flagged ones are returned unchanged; one that is not found
+        again, or is disturbed, is flagged.
+    blocks
+        The deflections in rad in which they were detected, along the slow axis, in order and in pieces of
+        any length, so that they need not be in memory together.
+
+    Returns
+    -------
+    The half-cycles, the first ones with uncertainties from the noise that is learned later.
+    """
+    found = swings_of_blocks(blocks, motion)
+    found_ns = np.array([swing.turn_time_ns for swing in found], dtype=np.int64)
+    near_ns = 0.25e9 * math.pi / motion.rate_rad_per_s
+    again: list[HalfCycle] = []
+    for swing in swings:
+        if swing.flags == 0:
+            twin = _nearest(found, found_ns, swing.turn_time_ns)
+            if twin is None or abs(twin.turn_time_ns - swing.turn_time_ns) > near_ns:
+                swing = replace(swing, flags=int(HalfCycleFlag.GAP))
+            else:
+                before = again[-1] if again and again[-1].index == swing.index - 1 else None
+                swing = replace(
+                    twin,
+                    index=swing.index,
+                    half_period_s=seconds(twin.turn_time_ns - before.turn_time_ns) if before else math.nan,
+                    u_half_period_s=math.hypot(twin.u_turn_time_s, before.u_turn_time_s)
+                    if before
+                    else math.nan,
+                )
+        again.append(swing)
+    return with_learned_weights(again)
+
+
+def _nearest(swings: Sequence[HalfCycle], times_ns: Ints, time_ns: int) -> HalfCycle | None:
+    if not len(times_ns):
+        return None
+    after = min(int(np.searchsorted(times_ns, time_ns)), len(times_ns) - 1)
+    before = max(after - 1, 0)
+    nearer = before if time_ns - times_ns[before] < times_ns[after] - time_ns else after
+    return swings[nearer]
+
+
+class Shift(NamedTuple):
+    """How far a second measurement lies from the first: rms over half-cycles, in standard uncertainties.
+
+    In time it is what they do not share: a shift of all moves the start of the motion and nothing else.
+    `found` is the share of the half-cycles that was found again. Both rms are NaN where none was.
+    """
+
+    found: float
+    time: float
+    amplitude: float
+
+    @property
+    def complete(self) -> bool:
+        return self.found >= _MOST
+
+
+def shift_of(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> Shift:
+    """Shifts of the unflagged half-cycles.
+
+    Normally 0.1 to 0.5. With few or noisy samples in a half-cycle the first measurement, which knows the
+    waveform from the half-cycles before alone, is off by more; that says nothing against the second.
+    """
+    pairs = [(a, b) for a, b in zip(swings, again, strict=True) if a.flags == 0]
+    both = [(a, b) for a, b in pairs if b.flags == 0]
+    if not both:
+        return Shift(0.0, math.nan, math.nan)
+    later_s = [seconds(b.turn_time_ns - a.turn_time_ns) for a, b in both]
+    shared_s = float(np.median(later_s))
+    time = [(later - shared_s) / a.u_turn_time_s for later, (a, _) in zip(later_s, both, strict=True)]
+    amplitude = [(b.amplitude - a.amplitude) / a.u_amplitude for a, b in both]
+    return Shift(
+        len(both) / len(pairs), *(math.sqrt(float(np.mean(np.square(found)))) for found in (time, amplitude))
+    )
+
+
+def describes_as_well(second: FitResult, first: FitResult) -> bool:
+    """Whether the law describes a second measurement as well as the first, by the likelihood of both.
+
+    A waveform that is not the motion's shifts turning points by what the law does not follow. Errors that the
+    first measurement shares among half-cycles make its likelihood look better by chance; four deviations of
+    chi2 are allowed for it.
+    """
+    assert first.ground is not None
+    assert second.ground is not None
+    allowed = 4.0 * math.sqrt(2.0 * first.dof)
+    return second.ground.deviance <= first.ground.deviance + allowed
+
+
+def widened(swings: Sequence[HalfCycle], shift: Shift) -> list[HalfCycle]:
+    """Half-cycles whose second measurement was refused; their uncertainties hold how much it differs."""
+    time, amplitude = (math.hypot(1.0, part) if part == part else 1.0 for part in shift[1:])
+    return [
+        replace(
+            swing,
+            u_turn_time_s=swing.u_turn_time_s * time,
+            u_half_period_s=swing.u_half_period_s * time,
+            u_amplitude=swing.u_amplitude * amplitude,
+        )
+        for swing in swings
+    ]
+
+
+def points_in_true_time(swings: Sequence[HalfCycle], clock_rate: float) -> TurningPoints:
+    """Unflagged swings; `clock_rate` is how many true seconds pass in one of the swings' clock."""
+    found = turning_points(swings)
+    return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
+
+
+class FitOfSwings(NamedTuple):
+    """How half-cycles are fitted."""
+
+    pendulum: PendulumOnBall
+    clock_rate: float = 1.0
+    drag: bool = True
+    evidence: Evidence = NO_EVIDENCE
+    loss: Loss = "linear"
+
+    def points(self, swings: Sequence[HalfCycle]) -> TurningPoints:
+        """The unflagged ones in true time."""
+        return points_in_true_time(swings, self.clock_rate)
+
+    def of(self, swings: Sequence[HalfCycle], near: FitResult | None = None) -> FitResult:
+        """The exact fit of half-cycles."""
+        return fit_exact(
+            self.points(swings),
+            self.pendulum,
+            drag=self.drag,
+            evidence=self.evidence,
+            loss=self.loss,
+            near=near,
+        )
+
+    def motion(self, fit: FitResult, swings: Sequence[HalfCycle]) -> KnownMotion:
+        """The motion that a fit of half-cycles found, about their first amplitude."""
+        reference_rad = next(swing.amplitude for swing in swings if not swing.flags)
+        return known_motion(fit.parameters, self.pendulum, reference_rad, self.clock_rate)
+
+
+class Settlement(NamedTuple):
+    """Half-cycles that stand, and the motion on which they were measured again; None: they are as detected.
+
+    `exact` is the fit to those that were measured again, and `doubt` says why they were not.
+    """
+
+    swings: Sequence[HalfCycle]
+    motion: KnownMotion | None
+    exact: FitResult | None = None
+    doubt: str = ""
+
+
+def settled_by_either(
+    swings: Sequence[HalfCycle],
+    blocks: Iterable[Deflections],
+    motion: KnownMotion,
+    first: FitResult,
+    fit: FitOfSwings,
+    again: Sequence[HalfCycle] | None = None,
+    before: Sequence[HalfCycle] = (),
+) -> Settlement:
+    """The second measurement; where it is refused, once more with the drive that the first fit has seen.
+
+    A drive that is not known may pass for a rest position that moves: the uncertainties of the half-cycles
+    then grow until none of them says anything. It is not told at once, because a drive that the first fit saw
+    by mistake would be found again.
+
+    Parameters
+    ----------
+    again
+        The half-cycles measured again on the motion, where that is done already.
+    before
+        Half-cycles before them, which are fitted with them and not measured again.
+    """
+    every = [*before, *swings]
+    if again is None:
+        again = measured_again(swings, blocks, motion)
+    found = settlement(every, [*before, *again], motion, first, fit)
+    if not found.doubt or first.ground is None or not first.ground.seen:
+        return found
+    driven = replace(motion, drive=first.ground.noise.step)
+    with_drive = settlement(every, [*before, *measured_again(swings, blocks, driven)], driven, first, fit)
+    return found if with_drive.doubt else with_drive
+
+
+def settlement(
+    swings: Sequence[HalfCycle],
+    again: Sequence[HalfCycle],
+    motion: KnownMotion,
+    first: FitResult,
+    fit: FitOfSwings,
+) -> Settlement:
+    """The second measurement if the laws describe it as well as the first."""
+    shift = shift_of(swings, again)
+    reason = f"only {100 * shift.found:.0f} % of the half-cycles were found again"
+    if shift.complete:
+        try:
+            second = fit.of(again, first)
+            if describes_as_well(second, first):
+                return Settlement(again, motion, second)
+            reason = "the laws would describe them worse"
+        except DataError as error:
+            reason = str(error)
+    doubt = (
+        f"the turning points stand as detected ({reason}): measured again on the fitted motion they would "
+        f"move by {shift.time:.2g} standard uncertainties in time and {shift.amplitude:.2g} in amplitude; "
+        "the uncertainties allow for it"
+    )
+    return Settlement(widened(swings, shift), None, None, doubt)
+
+
+def fitted_twice(
+    swings: Sequence[HalfCycle],
+    blocks: Iterable[Deflections],
+    fit: FitOfSwings,
+    near: FitResult | None = None,
+    before: Sequence[HalfCycle] = (),
+) -> tuple[Settlement, FitResult]:
+    """Half-cycles fitted as detected, measured again on that fit's motion, and fitted again.
+
+    Parameters
+    ----------
+    blocks
+        The deflections in rad in which they were detected.
+    near
+        A fit of fewer of them.
+    before
+        Half-cycles before them, which are fitted with them and not measured again.
+
+    Returns
+    -------
+    All half-cycles as they stand, and their fit.
+
+    Raises
+    ------
+    DataError
+        They cannot be fitted.
+    """
+    every = with_learned_weights([*before, *swings])
+    first = fit.of(every, near)
+    try:
+        motion = fit.motion(first, every)
+    except DataError:
+        return Settlement(every, None), first
+    found = settled_by_either(every[len(before) :], blocks, motion, first, fit, before=every[: len(before)])
+    return found, found.exact or fit.of(found.swings, first)

@@ -1,0 +1,254 @@
+"""From half-cycles to results: fits, verdicts, what other kinds of pendulum report."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from acquisition.record import pixels_beside
+from acquisition.record.digest import known_sha256_of_any
+from calibration import Axes
+from processing.ambient import AmbientConditions
+from processing.decay_summary import mean_period
+from processing.deflections import DeflectionUnit
+from processing.errors import DataError, RecordError
+from processing.fit import (
+    FitResult,
+    InputQuantity,
+    delay_of_rows,
+    points_in_true_time,
+)
+from processing.instruments import SharedError
+from processing.swing import HalfCycle, TurningPoints
+from rig.analysis.contact_fits import SynchronisedSeismometer, WitnessAt, fit_decay, settled_swings
+from rig.analysis.contact_verdicts import contact_values, rig_quantities
+from rig.analysis.decay_values import amplitude_rows, values_of_points
+from rig.analysis.other_instruments import reduce_run
+from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.recorded_seismometer import OPEN_DRAG, believed_drifts, evidence_of, known_drag
+from rig.analysis.results import PositionErrors, RunResults, StoredTurningPoints
+from rig.analysis.series import AnalysedRun
+from rig.analysis.turning_plane import FollowedPlane, follow_plane
+from rig.instrument import (
+    pendulum_on_ball,
+)
+from rig.settings import Configuration
+
+_ACROSS: Final = 3.0
+"""Fast over slow motion above which the pendulum was hardly pushed along the slow mode as it is stated."""
+_MUCH: Final = 100.0
+_FEWEST: Final = 4
+"""Half-cycles of which a period and a decrement can be had (`processing/decay_summary.py`)."""
+
+
+def analyse_swings(
+    path: Path,
+    swings: Sequence[HalfCycle],
+    config: Configuration,
+    deflections: PassingDeflections,
+    air: AmbientConditions,
+    u_clock: float = 0.0,
+    witness: WitnessAt | None = None,
+    *,
+    u_common_rad: float = 0.0,
+    followed: FollowedPlane | None = None,
+) -> AnalysedRun:
+    """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
+
+    `path` is the file that they come from, `deflections` and `air` what it holds beside them, `u_clock` what
+    the second of its times is uncertain by, relative; `witness` tells of the ground. `u_common_rad` is the
+    standard uncertainty of an error that all amplitudes share. Where the plane of swing turns, half-cycles
+    are those in it; `followed` is that plane where it is known.
+    """
+    unit, kind = deflections.unit, config.instrument.description()
+    followed = followed or follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
+    if kind.report != "contact" and unit is DeflectionUnit.RAD:
+        return _reduced(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
+    swings, deflections = followed.swings, followed.deflections
+    pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
+    drag, of_air = OPEN_DRAG, None
+    detected = points_in_true_time(swings, clock_rate)
+    if pendulum is not None and len(detected) > 1:
+        drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
+    believed = believed_drifts(config, air)
+    settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
+    points = points_in_true_time(settled.swings, clock_rate)
+    fits: Mapping[str, FitResult] = {}
+    of_ground, problem = None, followed.problem
+    if not problem and unit is not DeflectionUnit.RAD:
+        problem = "the record has no calibration (no [lever]): amplitudes are in px, the laws need rad"
+    try:
+        if not problem:
+            fits, points, of_ground = fit_decay(
+                points,
+                pendulum,
+                config.fit,
+                settled.exact,
+                drag=drag.fitted,
+                evidence=evidence_of(drag, settled.harmonics),
+                drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
+                witness=_witness_beside(settled.swings, witness),
+            )
+    except DataError as error:
+        problem = str(error)
+    ratio = deflections.fast_ratio()
+    across = why_no_half_cycles(path.name, ratio, len(points), config.axes)
+    errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
+    warnings = list(dict.fromkeys([*_fit_warnings(fits), *filter(None, [settled.doubt])]))
+    if settled.harmonics is not None and config.lever is not None and len(points) > 1:
+        of_rows = delay_of_rows(settled.harmonics, mean_period(points))
+        if of_rows.seen:
+            warnings.append(of_rows.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
+    rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
+    rig = rig_quantities(config, ratio, rest_rad, u_clock)
+    if rig is not None:
+        drifting = {} if config.fit.drifts else dict[str, Any](believed)
+        rig = replace(
+            rig,
+            common_amplitude_rad=InputQuantity(0.0, u_common_rad),
+            plane_of_swing_rad=InputQuantity(0.0, followed.u_rad),
+            **drifting,
+        )
+    contact: dict[str, Any] = {}
+    if fits and pendulum is not None:
+        plane_errors = followed.amplitude_errors(points)
+        contact = contact_values(
+            path.stem, points, pendulum, fits, rig, plane_errors, of_air, stated=config.pendulum
+        )
+    said = [*contact.pop("notes", ()), followed.text, "" if errors is None else errors.text]
+    values = values_of_points(points, unit.shown_size, _u_second(config, u_clock))
+    rows = () if values is None else values.rows(path.stem)
+    rows = (*contact.pop("table", ()), *rows, *amplitude_rows(points, unit.shown, unit.shown_size, path.stem))
+    results = RunResults(
+        **_head(path, points, unit),
+        **contact,
+        table=rows,
+        damping=None if values is None else values.damping,
+        measured_again_on=settled.motion,
+        position_errors=errors,
+        problem=across or problem,
+        warnings=tuple(warnings),
+        settings=config.fit.model_dump(),
+        turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
+        witness=of_ground,
+        notes=tuple(filter(None, said)),
+    )
+    return AnalysedRun(
+        path,
+        results,
+        points,
+        fits,
+        rig,
+        harmonics=settled.harmonics,
+        decay_balances=followed.balances,
+        plane=followed.plane,
+    )
+
+
+def _witness_beside(swings: Sequence[HalfCycle], witness: WitnessAt | None) -> SynchronisedSeismometer | None:
+    """A witness on the clock of the turning points of these swings."""
+    first_ns = next((swing.turn_time_ns for swing in swings if not swing.flags), None)
+    return None if witness is None or first_ns is None else SynchronisedSeismometer(*witness(first_ns))
+
+
+def _reduced(
+    path: Path,
+    followed: FollowedPlane,
+    config: Configuration,
+    air: AmbientConditions,
+    errors: Sequence[SharedError],
+) -> AnalysedRun:
+    """A run of a pendulum that is not described by the contact's laws."""
+    clock_rate, unit = clock_rate_of(config), DeflectionUnit.RAD
+    reduction = reduce_run(config.instrument, followed, air, errors, clock_rate, path.stem)
+    results = RunResults(
+        **_head(path, reduction.points, unit),
+        table=(
+            *reduction.rows,
+            *amplitude_rows(reduction.points, unit.shown, unit.shown_size, path.stem),
+        ),
+        problem=reduction.problem,
+        settings=config.instrument.model_dump(mode="json"),
+        instrument=reduction.values,
+        turning_points=StoredTurningPoints.of(reduction.points, reduction.swings, unit, clock_rate),
+    )
+    return AnalysedRun(path, results, reduction.points, {}, reduction=reduction, plane=followed.plane)
+
+
+def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -> list[SharedError]:
+    """Errors of scale and clock. Runs whose configurations state the same arm were measured with one arm."""
+    found = [SharedError("compression", amplitude_rad=u_common_rad)]
+    if (lever := config.lever) is not None:
+        u_pitch = lever.u_pixel_pitch_m / lever.pixel_pitch_m
+        found += [
+            SharedError(f"arm {lever.arm_m!r} {lever.u_arm_m!r}", scale=lever.u_arm_m / lever.arm_m),
+            # of the binned pixels of one sensor, too
+            SharedError(f"pixel pitch {u_pitch:.6g}", scale=u_pitch),
+        ]
+    found.append(SharedError(f"clock {clock_rate_of(config)!r}", clock=_u_second(config, u_clock)))
+    return [error for error in found if error.scale or error.clock or np.any(error.amplitude_rad)]
+
+
+def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, Any]:
+    """Which file the results are of, and how many half-cycles were used."""
+    pixels = pixels_beside(path)
+    return dict[str, Any](
+        record=path.name,
+        sha256=_sha256_if_readable(path),
+        inputs_sha256={pixels.name: _sha256_if_readable(pixels)} if pixels.is_file() else {},
+        half_cycles=len(points),
+        amplitude_unit=unit.shown,
+    )
+
+
+def _sha256_if_readable(path: Path) -> str:
+    """By which results know their record; empty where its disk cannot give all of it."""
+    try:
+        return known_sha256_of_any(path)
+    except RecordError:
+        return ""
+
+
+def clock_rate_of(config: Configuration) -> float:
+    """True seconds in one of the camera's clock, as its calibration has it."""
+    return config.timebase.camera_rate if config.timebase is not None else 1.0
+
+
+def _u_second(config: Configuration, u_clock: float) -> float:
+    """Relative standard uncertainty of a second, as calibrated and as the run shows it."""
+    return u_clock if config.timebase is None else max(config.timebase.u_camera_rate, u_clock)
+
+
+def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
+    """What every fit says once; what only one of them says with its name."""
+    found: dict[str, list[str]] = {}
+    for name, fit in fits.items():
+        for warning in fit.warnings:
+            found.setdefault(warning, []).append(name)
+    return [
+        warning if len(names) == len(fits) else f"{names[0]} fit: {warning}"
+        for warning, names in found.items()
+    ]
+
+
+def why_no_half_cycles(record: str, fast_over_slow: float, half_cycles: int, axes: Axes | None) -> str:
+    """Why a motion gives hardly any half-cycles, and what to state; empty where it gives enough, or where it
+    does not go across.
+
+    Half-cycles are those along the slow mode, which is the sensor's y where `axes` do not say otherwise.
+    """
+    if half_cycles >= _FEWEST or not fast_over_slow > _ACROSS:
+        return ""
+    stated_rad = 0.0 if axes is None else axes.slow_angle_rad
+    # either direction across will do; this one is within the limits of the key
+    across_rad = stated_rad + math.copysign(0.5 * math.pi, -stated_rad or 1.0)
+    much = f"{fast_over_slow:.2g}" if fast_over_slow < _MUCH else f"more than {_MUCH:g}"
+    along, looked = ("x", "y") if axes is None else ("the fast axis of [axes]", "the slow one")
+    return (
+        f"the swing is along {along}, {much} times as far as along {looked}, where half-cycles "
+        f"are sought: state [axes] slow_angle_rad = {across_rad:.5g}; rig replay {record} --set "
+        f"axes.slow_angle_rad={across_rad:.5g} finds them in the record"
+    )

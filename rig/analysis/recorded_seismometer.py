@@ -1,0 +1,338 @@
+"""The witness of the ground that a record holds itself, beside its frames."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from datetime import datetime
+from itertools import pairwise
+from math import isfinite, nan
+from typing import NamedTuple
+
+import numpy as np
+
+from acquisition.record.digest import utc
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import ENVIRONMENT, SPOT, WITNESS
+from processing.ambient import AmbientConditions, doubtful_humidity, humid_air
+from processing.arrays import Floats, Ints
+from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
+from processing.estimate import Estimate
+from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
+from processing.swing import SwingHarmonics
+from rig.analysis.seismometer_file import SeismometerRecord
+from rig.presentation import percent, quantity
+from rig.settings import Configuration
+
+_VALUES = ("first", "second", "third")
+_FEWEST = 3
+_PAUSE_S, _PAUSE_STEPS = 0.5, 4.0
+"""A pause between arrivals that is longer than both, the second in steps, is a gap."""
+_LINE = 20
+"""Fewest samples of a stretch whose arrivals make a line."""
+_STEP_S = 0.3
+"""Lateness that rises or falls by more at once, and stays so, is a clock that was set."""
+_FAR, _MOST_LOOKS = 2000, 100
+_RUN, _FALLS = 200, 0.2
+"""Samples after a step that are looked at; lateness falls by so much of the time while a backlog is read."""
+_WAITED, _MOST_TURNS = 5.0, 30
+"""What is later by so many times the distance between the earliest and the usual arrivals had waited."""
+CLOCK_SET = "clock set while it was recorded,"
+
+
+def recorded_witness(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
+    """Its samples on the frames' clock; None without any, or with witness.kind = 'none'."""
+    if config.witness.kind == "none":
+        return None
+    table = reader.table(WITNESS.topic)
+    if len(table) < _FEWEST:
+        return None
+    names = config.witness.components
+    times_ns, steps_s = taken(table["time_ns"], table["own_time_s"])
+    order = np.concatenate([[True], np.diff(times_ns) > 0])
+    stray = int(np.count_nonzero(~order))
+    value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
+    return SeismometerRecord(
+        f"{reader.path.name}: {WITNESS.topic}",
+        times_ns[order] - times_ns[0],
+        value[order],
+        names,
+        int(times_ns[0]),
+        absolute=False,
+        # which of two clocks was right, or neither, nobody knows
+        offset_stated=not steps_s,
+        understood=(
+            f"columns: {', '.join(names)}",
+            *(f"{CLOCK_SET} by {step:+.4g} s; times before it follow those after it" for step in steps_s),
+            *([f"left out: {stray} samples not later than the previous one"] if stray else []),
+        ),
+    )
+
+
+class SampleTimes(NamedTuple):
+    """When samples were taken, on the frames' clock, and by what one of the clocks was set meanwhile."""
+
+    times_ns: Ints
+    steps_s: tuple[float, ...]
+
+
+def taken(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
+    """When samples were taken: lines arrive in bursts, late by parts of a second.
+
+    By a line through the arrivals over the instrument's own time; without one, over the count of samples, for
+    each stretch without a pause of its own. What is constant of the lateness the fit finds as a delay.
+    """
+    since_s = (arrived_ns - arrived_ns[0]) * 1e-9
+    steps_s: dict[int, float] = {}
+    if np.all(np.isfinite(own_s)) and np.all(np.diff(own_s) > 0):
+        over, begins = own_s - own_s[0], [0, len(since_s)]
+        steps_s = _steps_of(since_s - over, over)
+        for place, step_s in steps_s.items():
+            # a clock that was set is right from then on
+            since_s[:place] += step_s
+    else:
+        over = np.arange(len(since_s), dtype=np.float64)
+        steps = np.diff(since_s)
+        paused = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * float(np.median(steps)))) + 1
+        begins = [0, *paused.tolist(), len(since_s)]
+    taken_s = since_s.copy()
+    for begin, end in pairwise(begins):
+        if end - begin >= _LINE:
+            part = slice(begin, end)
+            taken_s[part] = _line_of(over[part], since_s[part])
+    times_ns = np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
+    return SampleTimes(times_ns, tuple(steps_s.values()))
+
+
+def _line_of(over: Floats, since_s: Floats) -> Floats:
+    """The line through arrivals without those that waited, maybe for minutes: nothing arrives early.
+
+    All of them make it where none was later than their usual scatter.
+    """
+    line = np.polyval(np.polyfit(over, since_s, 1), over)
+    kept = np.ones(len(over), dtype=np.bool_)
+    for _ in range(_MOST_TURNS):
+        late_s = since_s - line
+        low, usual = np.quantile(late_s, (0.05, 0.25))
+        now = late_s <= usual + max(_STEP_S, _WAITED * (usual - low))
+        if np.count_nonzero(now) < _LINE or np.array_equal(now, kept):
+            break
+        kept = now
+        line = np.polyval(np.polyfit(over[kept], since_s[kept], 1), over)
+    return np.asarray(line)
+
+
+def _steps_of(late_s: Floats, own_s: Floats) -> dict[int, float]:
+    """Steps (s) of lateness (n,) by the sample that they come with.
+
+    A step stays: lateness that falls back, as of lines that waited for a thread, is none, however long it
+    takes: what waited comes faster than it was taken.
+    """
+    late_s, found = late_s.copy(), dict[int, float]()
+    if len(late_s) < 2 * _LINE:
+        return found
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(late_s, _LINE), axis=1)
+    rise = np.abs(medians[_LINE:] - medians[:-_LINE])
+    for _ in range(_MOST_LOOKS):
+        peak = int(np.argmax(rise))
+        if not rise[peak] > _STEP_S:
+            break
+        # the windows meet at the sample after the first one's end
+        low, high = max(1, peak + 1), min(len(late_s), peak + 2 * _LINE)
+        place = low + int(np.argmax(np.abs(np.diff(late_s[low - 1 : high]))))
+        rise[max(0, place - 2 * _LINE) : place + 1] = 0.0
+        if not _LINE <= place <= len(late_s) - _LINE:
+            continue
+        near, far = (
+            float(np.median(late_s[place : place + reach]) - np.median(late_s[max(0, place - reach) : place]))
+            for reach in (_LINE, _FAR)
+        )
+        if (
+            abs(near) > _STEP_S
+            and abs(far - near) < 0.5 * abs(near)
+            and not (near > 0 and _falls(late_s[place:], own_s[place:]))
+        ):
+            late_s[:place] += near
+            found[place] = near
+    return dict(sorted(found.items()))
+
+
+def _falls(late_s: Floats, own_s: Floats) -> bool:
+    """Whether lateness falls by more than a fifth of the time that passes, from a sample on."""
+    reach = min(_RUN, len(late_s) // 2)
+    first, later = slice(0, reach), slice(reach, 2 * reach)
+    fell = float(np.median(late_s[first]) - np.median(late_s[later]))
+    return fell > _FALLS * float(np.median(own_s[later]) - np.median(own_s[first]))
+
+
+_AIR = ("temperature_c", "humidity_percent", "pressure_pa")
+_USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
+_FEWEST_READINGS = 4
+"""Fewest readings that show a change."""
+_SINCE = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
+
+
+def stated_surroundings(config: Configuration) -> AmbientConditions:
+    """The air as the user stated it."""
+    stated = {name: getattr(config.environment, name) for name in type(config.environment).model_fields}
+    return AmbientConditions(**{name: float(value) for name, value in stated.items() if value is not None})
+
+
+def surroundings_of_table(config: Configuration, began_s: float | None) -> AmbientConditions:
+    """As stated, with the history of the contact up to the first row, if that is a time since 1970."""
+    since = {name: getattr(config.session, key) for name, key in _SINCE.items()}
+    known = {} if began_s is None else {name: began_s - at.timestamp() for name, at in since.items() if at}
+    return replace(stated_surroundings(config), **known)
+
+
+def recorded_surroundings(reader: RecordReader, config: Configuration | None = None) -> AmbientConditions:
+    """Those of a record; what is stated comes from `config`, or without one from the record's own texts."""
+    if config is None:
+        air = {name: _number(text) for name, text in reader.metadata.get("environment", {}).items()}
+        session = reader.metadata.get("session", {})
+        times = {name: session.get(key, "") for name, key in _SINCE.items()}
+    else:
+        air = asdict(stated_surroundings(config))
+        stated = {name: getattr(config.session, key) for name, key in _SINCE.items()}
+        times = {name: at.isoformat() if at is not None else "" for name, at in stated.items()}
+    return AmbientConditions(**_read(reader, air), **_since(reader, times))
+
+
+def _read(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]:
+    table = reader.table(ENVIRONMENT.topic)
+    found = {}
+    for name in _AIR:
+        readings = table[name] if len(table) else np.empty(0)
+        read = readings[np.isfinite(readings)]
+        found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
+        if name == "temperature_c" and len(read) >= _FEWEST_READINGS:
+            at = np.linspace(-0.5, 0.5, len(read))
+            # from the first reading on: of readings that are all alike the change is 0
+            found["temperature_change_k"] = float(np.polyfit(at, read - read[0], 1)[0])
+    return found
+
+
+def _since(reader: RecordReader, times: Mapping[str, str]) -> dict[str, float]:
+    stated = {name: datetime.fromisoformat(text) for name, text in times.items() if text}
+    first = next(iter(reader.messages(SPOT.topic)), None) if stated else None
+    # the log time is UTC already
+    return (
+        {}
+        if first is None
+        else {name: (utc(first.log_time_ns) - since).total_seconds() for name, since in stated.items()}
+    )
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return nan
+
+
+def doubts_of(found: AmbientConditions) -> list[str]:
+    """Times that the configuration states and that cannot be, and a humidity that was hardly meant."""
+    said = [doubtful_humidity(found.humidity_percent)]
+    return [*filter(None, said)] + [
+        f"session.{key} lies {-getattr(found, name):.0f} s after the run began: correct its date or offset"
+        for name, key in _SINCE.items()
+        if getattr(found, name) < 0
+    ]
+
+
+def expected_drag(
+    found: AmbientConditions, pendulum: PendulumOnBall, period_s: float, config: Configuration
+) -> ExpectedDrag:
+    """The drag that this air, or a usual one where it is not known, gives a bar in the pendulum's place."""
+    air = humid_air(**{**_USUAL, **{name: value for name, value in found.known().items() if name in _AIR}})
+    stated = config.pendulum
+    length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
+    bar = bar_of(pendulum, period_s, length, width)
+    return ExpectedDrag(
+        drag_s=expected_drag_s(air, bar, pendulum, period_s),
+        air_density_kg_per_m3=air.density_kg_per_m3,
+        air_viscosity_pa_s=air.viscosity_pa_s,
+        length_m=bar.length_m,
+        width_m=bar.width_m,
+        assumed=tuple(name for name in _AIR if name not in found.known())
+        + tuple(name for name, value in (("length_m", length), ("width_m", width)) if value is None),
+    )
+
+
+_DOUBT, _DOUBT_OF_STATED = 0.75, 0.3
+"""Relative standard uncertainty of the drag of a bar in the pendulum's place: a factor of two up or down, and
+what ends, mirror and weights may do where length and width are stated."""
+_GEOMETRY = frozenset({"length_m", "width_m"})
+
+
+class FittedDrag(NamedTuple):
+    """Whether a drag is fitted, and what is known of it beside the run; None: nothing."""
+
+    fitted: bool = True
+    known_s: Estimate | None = None
+
+
+OPEN_DRAG = FittedDrag()
+
+
+def known_drag(
+    config: Configuration, air: AmbientConditions, pendulum: PendulumOnBall, period_s: float
+) -> tuple[FittedDrag, ExpectedDrag]:
+    """As [fit] has it, and what the air is expected to exert."""
+    of_air, settings = expected_drag(air, pendulum, period_s, config), config.fit
+    if settings.drag == "vacuum":
+        return FittedDrag(fitted=False), of_air
+    if settings.drag == "open":
+        return FittedDrag(), of_air
+    if settings.drag_s is not None:
+        return FittedDrag(known_s=Estimate(settings.drag_s, settings.u_drag_s)), of_air
+    doubt = _DOUBT if _GEOMETRY & set(of_air.assumed) else _DOUBT_OF_STATED
+    return FittedDrag(known_s=Estimate(of_air.drag_s, doubt * of_air.drag_s)), of_air
+
+
+def evidence_of(drag: FittedDrag, harmonics: SwingHarmonics | None) -> Evidence:
+    """What restrains the fit of a run beside its turning points."""
+    waveform = None if harmonics is None else waveform_of(harmonics)
+    return Evidence(waveform, drag.known_s)
+
+
+_DRAG_PER_K = 2.7e-3
+"""Relative growth of the air's viscosity per kelvin."""
+_SAID = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
+
+
+def believed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, InputQuantity]:
+    """Relative changes over a run by the names of `RigQuantities`, as [fit] has them.
+
+    Period and drag follow the temperature, as it was read: the one with the body's expansion, the other with
+    the viscosity of the air.
+    """
+    fit, change_k = config.fit, config.fit.u_temperature_change_k
+    if isfinite(air.temperature_change_k):
+        change_k = abs(air.temperature_change_k)
+    expansion = 0.0 if config.pendulum is None else config.pendulum.expansion_per_k
+    u = {
+        "ageing": fit.u_ageing,
+        "adhesion_ageing": fit.u_ageing if fit.u_adhesion_ageing is None else fit.u_adhesion_ageing,
+        "drag_drift": _DRAG_PER_K * change_k if fit.u_drag_drift is None else fit.u_drag_drift,
+        "period_drift": expansion * change_k,
+    }
+    return {name: InputQuantity(0.0, one) for name, one in u.items()}
+
+
+def limit_sentence(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit: FitResult) -> str:
+    """What a decay alone cannot tell of its contact's age and of its air; empty where it hardly matters."""
+    said = []
+    for source, what in _SAID.items():
+        moved = []
+        for name, slope in zip(fit.contact_names, drifts[source].tolist(), strict=True):
+            by = abs(slope) * u_drifts[source]
+            if by > (u := fit.estimate(name).standard_uncertainty):
+                moved.append(f"{quantity(name).symbol} by {by / u:.2g} u")
+        if moved:
+            said.append(f"{percent(u_drifts[source])} of {what} over the run would move {', '.join(moved)}")
+    if not said:
+        return ""
+    return (
+        f"A single decay cannot reveal ageing of the contact, or a drag that drifts: {'; '.join(said)} of "
+        "the swings; the budget includes it (fit.u_ageing, u_adhesion_ageing, u_drag_drift). Runs from other "
+        "first amplitudes, and after waiting, can reveal it."
+    )

@@ -1,0 +1,228 @@
+"""A calibration file as tables and points to draw: its values, its budget, and what the fit left over."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calibration import CalibrationFile, read_calibration, toml_value
+from processing.units import ARCSEC_RAD
+from rig.presentation import Table
+
+_ROUNDING_DN2 = 1.0 / 12.0
+"""Variance of a number that is rounded to integers, uniform over one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """What a fit leaves over: `y` against `x`, with the standard uncertainty `u` of each (0: not known)."""
+
+    title: str
+    x_name: str
+    y_name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    u: Sequence[float]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationReport:
+    """A calibration that was made, as it is shown.
+
+    Parameters
+    ----------
+    path, calibration
+        The file and its content.
+    tables
+        Values, budget and residuals, as far as this kind has them.
+    configuration
+        The lines of the configuration that use it.
+    """
+
+    path: Path
+    calibration: CalibrationFile
+    tables: Sequence[Table]
+    configuration: str
+
+
+def filed(path: Path) -> CalibrationReport:
+    """What to show of a calibration file; raises ConfigurationError for one that cannot be read."""
+    found = read_calibration(path)
+    name = toml_value(path.as_posix())
+    stated = f"checks = [{name}]" if found.kind == "check" else f"{found.kind} = {name}"
+    tables = [table for table in (_values(found), *_kind_tables(found)) if table.shown]
+    return CalibrationReport(path, found, tables, f"[calibration]\n{stated}")
+
+
+def _values(found: CalibrationFile) -> Table:
+    rows = [
+        (name, value)
+        for name, value in {**found.values, **found.details}.items()
+        if isinstance(value, bool | str | int | float)
+    ]
+    return _table("values", f"{found.kind}: {found.method}", ("quantity", "value"), rows)
+
+
+def _kind_tables(found: CalibrationFile) -> Iterator[Table]:
+    details = found.details
+    if budget := details.get("budget"):
+        yield _budget([line for line in budget if line["value"] or line["u"]])
+    if "residual_px" in details:
+        yield _steps(details)
+    if "signal_dn" in details:
+        yield _transfer(found.values, details)
+    if found.kind in ("axes", "clock", "shutter", "air"):
+        yield from (_residual_table(one) for one in _left_over(found))
+    if jumps := details.get("jumps"):
+        rows = [(jump["frame"], 1e6 * jump["step_s"]) for jump in jumps]
+        yield _table("jumps", "jumps of the clock", ("from frame", "step, µs"), rows)
+    for axis in ("x", "y"):
+        if isinstance(details.get(axis), Mapping) and "allan_tau_s" in details[axis]:
+            yield _allan(axis, details[axis])
+
+
+def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
+    """What each input adds to the uncertainty of the scale; and by how much it moves it, where one does."""
+    moved = any(line["effect"] for line in lines)
+    head = ["input", "value", "u", *(["effect, %"] if moved else []), "contribution, %"]
+    note = "Largest contribution first: standard uncertainty of the scale by that of the input."
+    if moved:
+        note += " Effect: change of the scale against the same lever with this input 0."
+    return _table(
+        "budget",
+        "budget of the scale",
+        head,
+        [
+            [line["name"], line["value"], line["u"]]
+            + ([100.0 * line["effect"]] if moved else [])
+            + [100.0 * line["contribution"]]
+            for line in lines
+        ],
+        note,
+    )
+
+
+def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
+    """Of axes, clock, shutter and air."""
+    details = found.details
+    for mode in ("slow", "fast"):
+        if parts := details.get(f"{mode}_parts"):
+            yield Residuals(
+                f"direction of the {mode} mode",
+                "at, s",
+                "off the mean, mrad",
+                parts["at_s"],
+                _times(1e3, parts["off_rad"]),
+                _times(1e3, parts["u_off_rad"]),
+            )
+    if "off_line_s" in details:
+        yield Residuals(
+            "arrivals of frames",
+            "at, s",
+            "off the line, µs",
+            details["parts_at_s"],
+            _times(1e6, details["off_line_s"]),
+            _times(1e6, details["u_off_line_s"]),
+        )
+    if "off_drags_s" in details:
+        vanes = "areas_m2" in details
+        yield Residuals(
+            "drag of each run, with the contact of all",
+            "area of vanes, cm²" if vanes else "pressure, Pa",
+            "off the line, µs",
+            _times(1e4, details["areas_m2"]) if vanes else details["pressures_pa"],
+            _times(1e6, details["off_drags_s"]),
+            _times(1e6, details["u_drags_s"]),
+        )
+    if "of_stretches_s" in details:
+        mean_s = details["fitted_row_time_s"]
+        yield Residuals(
+            "row time by stretch",
+            "at, s",
+            "off the mean, µs",
+            details["stretches_at_s"],
+            _times(1e6, [value - mean_s for value in details["of_stretches_s"]]),
+            _times(1e6, details["u_of_stretches_s"]),
+        )
+    if "rows_px" in details:
+        yield Residuals(
+            "brightness by row",
+            "row, px",
+            "off the fit, %",
+            details["rows_px"],
+            _times(100.0, details["off"]),
+            _times(100.0, details["u_off"]),
+        )
+
+
+def _residual_table(found: Residuals) -> Table:
+    return _table(
+        "residuals",
+        found.title,
+        (found.x_name, found.y_name, "u"),
+        list(zip(found.x, found.y, found.u, strict=True)),
+    )
+
+
+def _times(factor: float, values: Sequence[float]) -> list[float]:
+    return [factor * value for value in values]
+
+
+def _unit_of_steps(details: Mapping[str, Any]) -> tuple[str, float]:
+    return ("arcsec", ARCSEC_RAD) if details["kind"] == "tilt" else ("mm", 1e-3)
+
+
+def _steps(details: Mapping[str, Any]) -> Table:
+    """The steps of a ladder: what the line leaves over, and how the scale would change without the step."""
+    unit, size = _unit_of_steps(details)
+    return _table(
+        "residuals",
+        "residuals of the steps",
+        ("step", f"reference, {unit}", "x, px", "y, px", "scale without it, u"),
+        [
+            (number, reference / size, *residual, without)
+            for number, (reference, residual, without) in enumerate(
+                zip(details["reference"], details["residual_px"], details["leave_one_out"], strict=True), 1
+            )
+        ],
+    )
+
+
+def _transfer(values: Mapping[str, Any], details: Mapping[str, Any]) -> Table:
+    """The levels: variance against that of the fitted line, read noise and shot noise."""
+    return _table(
+        "residuals",
+        "residuals of the levels",
+        ("signal, DN", "variance, DN²", "off the line, DN²", "off the line, u"),
+        _off_transfer(values, details),
+    )
+
+
+def _off_transfer(
+    values: Mapping[str, Any], details: Mapping[str, Any]
+) -> list[tuple[float, float, float, float]]:
+    """Signal, variance, and how far that is off the line, also over its standard uncertainty."""
+    gain = values["gain_e_per_dn"]
+    dark_dn2 = (values["read_noise_e"] / gain) ** 2 + _ROUNDING_DN2
+    return [
+        (signal, variance, rest := variance - dark_dn2 - signal / gain, rest / u)
+        for signal, variance, u in zip(
+            details["signal_dn"], details["variance_dn2"], details["u_variance_dn2"], strict=True
+        )
+    ]
+
+
+def _allan(axis: str, details: Mapping[str, Any]) -> Table:
+    """Noise against averaging time, each time at least twice the one before."""
+    rows: list[tuple[float, float, float]] = []
+    for row in zip(details["allan_tau_s"], details["allan_px"], details["u_allan_px"], strict=True):
+        if not rows or row[0] >= 2.0 * rows[-1][0]:
+            rows.append(row)
+    return _table(f"allan_{axis}", f"Allan deviation of {axis}", ("averaged, s", "px", "u, px"), rows)
+
+
+def _table(
+    name: str, title: str, head: Sequence[str], rows: Sequence[Sequence[Any]], note: str = ""
+) -> Table:
+    shown = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    return Table(name, title, tuple(head), [tuple(row) for row in rows], tuple(head), shown, note)

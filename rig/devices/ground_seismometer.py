@@ -1,0 +1,175 @@
+"""The witness of the ground of a session, on the clock of its frames."""
+
+import math
+import time
+from abc import ABC, abstractmethod
+from typing import Self
+
+from acquisition.camera import Camera, Frame
+from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.record.topics import RecordedWitness
+from acquisition.simulation.seismometer import SimulatedSeismometer
+from acquisition.simulation.settings import SimulationSettings
+from processing.errors import ConfigurationError, RigError
+from processing.units import nanoseconds, seconds
+from rig.control import SeismometerLines, SeismometerSettings
+from rig.presentation import Verdict
+from rig.settings import Configuration
+
+_LOOK_S = 0.02
+
+
+class GroundSeismometer(ABC):
+    """A context manager whose samples come beside the frames of a camera."""
+
+    def __init__(self) -> None:
+        self._looked_at: list[RecordedWitness] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        return None
+
+    @abstractmethod
+    def beside(self, camera: Camera) -> None:
+        """Which camera's clock its samples are to be on."""
+
+    def take(self, frame: Frame) -> list[RecordedWitness]:
+        """Samples since the last call, up to a frame. Never blocks."""
+        looked_at, self._looked_at = self._looked_at, []
+        return [*looked_at, *self._new(frame)]
+
+    def recent(self, frame: Frame, last_s: float) -> list[RecordedWitness]:
+        """Those of the last seconds before a frame, which `take` gives again; older ones are given up."""
+        from_ns = frame.time_ns - nanoseconds(last_s)
+        self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
+        return list(self._looked_at)
+
+    @abstractmethod
+    def _new(self, frame: Frame) -> list[RecordedWitness]:
+        """Samples that have come since the last call."""
+
+    @abstractmethod
+    def take_events(self) -> tuple[str, ...]:
+        """What happened to it since the last call."""
+
+    @property
+    @abstractmethod
+    def problem(self) -> str:
+        """Why no samples come; empty while they do."""
+
+
+def ground_witness(config: Configuration) -> GroundSeismometer | None:
+    """The configured one; None without.
+
+    Raises ConfigurationError for one that does not go with the camera.
+    """
+    settings = config.witness
+    if settings.kind == "none":
+        return None
+    if settings.kind == "simulated":
+        if not config.simulated:
+            raise ConfigurationError(
+                f"witness.kind = 'simulated' needs the simulated rig, but camera.driver = "
+                f"{config.camera.driver!r}: set serial, file or none"
+            )
+        return _SimulatedSeismometer(config.simulation)
+    if config.on_demand:
+        raise ConfigurationError(
+            f"witness.kind = {settings.kind!r} samples in real time, but the frames come on demand: set "
+            "simulation.real_time = true, or 'simulated'"
+        )
+    return _ConnectedSeismometer(settings)
+
+
+def check_witness(config: Configuration) -> Verdict:
+    """For `rig doctor`: wait for the first sample, as long as one may be silent."""
+    kind = config.witness.kind
+    if kind == "none":
+        return Verdict("witness", True, "none is configured", made=False)
+    try:
+        witness = ground_witness(config)
+        assert witness is not None
+        with witness:
+            until_s = time.monotonic() + config.witness.stale_after_s
+            while witness.problem and time.monotonic() < until_s:
+                time.sleep(_LOOK_S)
+            problem = "; ".join(dict.fromkeys([*filter(None, [witness.problem]), *witness.take_events()]))
+            alive = not witness.problem
+    except RigError as error:
+        return Verdict("witness", False, str(error), "see [witness]")
+    remedy = "" if alive else "see [witness]: its port, rate and columns"
+    return Verdict("witness", alive, f"{kind}, samples come" if alive else problem, remedy)
+
+
+class _ConnectedSeismometer(GroundSeismometer):
+    """An instrument of this computer, whose clock its samples are on; a frame relates it to the frames'."""
+
+    def __init__(self, settings: SeismometerSettings) -> None:
+        super().__init__()
+        self._settings = settings
+        self._service = SeismometerLines(settings)
+
+    def __enter__(self) -> Self:
+        self._service.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._service.close()
+
+    def beside(self, camera: Camera) -> None:
+        """Any camera's frames say when they arrived."""
+
+    def _new(self, frame: Frame) -> list[RecordedWitness]:
+        shift_ns = frame.time_ns - frame.host_time_ns
+        return [
+            RecordedWitness(one.host_time_ns + shift_ns, one.host_time_ns, one.own_time_s, *one.value)
+            for one in self._service.take_samples()
+        ]
+
+    def take_events(self) -> tuple[str, ...]:
+        return self._service.take_events()
+
+    @property
+    def problem(self) -> str:
+        service = self._service
+        if not service.silent:
+            return ""
+        if service.unread_lines:
+            count = len(self._settings.columns)
+            return f"{service.last_line!r} does not hold {count} numbers, for {list(self._settings.columns)}"
+        age_s = service.age_s
+        return "no line has come" if math.isinf(age_s) else f"no sample for {age_s:.0f} s"
+
+
+class _SimulatedSeismometer(GroundSeismometer):
+    """The instrument beside the simulated rig, whose clock is the simulated camera's."""
+
+    def __init__(self, settings: SimulationSettings) -> None:
+        super().__init__()
+        self._settings = settings
+        self._witness = SimulatedSeismometer(settings)
+        self._camera: SimulatedCamera | None = None
+
+    def beside(self, camera: Camera) -> None:
+        self._camera = camera if isinstance(camera, SimulatedCamera) else None
+
+    def _new(self, frame: Frame) -> list[RecordedWitness]:
+        if self._camera is None:
+            return []
+        clock = self._settings.clock
+        rate = 1 + 1e-6 * clock.drift_ppm
+        found = self._witness.until((seconds(frame.time_ns) - clock.start_s) / rate, self._camera.run)
+        times_ns = nanoseconds(clock.start_s + rate * found.time_s)
+        return [
+            RecordedWitness(time_ns, frame.host_time_ns, math.nan, *counts)
+            for time_ns, counts in zip(times_ns.tolist(), found.counts.tolist(), strict=True)
+        ]
+
+    def take_events(self) -> tuple[str, ...]:
+        return ()
+
+    @property
+    def problem(self) -> str:
+        return ""

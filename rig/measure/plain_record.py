@@ -1,0 +1,264 @@
+"""A record, or a preflight, without a session."""
+
+import math
+import queue
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+from rich.console import Console
+
+from acquisition import atomic_write
+from acquisition.record.topics import RecordedPhase
+from processing.errors import ConfigurationError, DataError, DeviceError, RecordError, RigError
+from rig.control import SafetyNow, SafetyState, rig_state_path
+from rig.devices import AUDIT_NAME, Devices, LightWatch, ask_leave, check_log
+from rig.instrument import (
+    check_materials,
+    complete,
+    optics_of,
+    prepare_kernels,
+)
+from rig.measure.end_of_run import StopRequest
+from rig.measure.phases import PhasesBeforeRecord
+from rig.measure.run_parts import RunPlan
+from rig.measure.run_setup import measure_run
+from rig.orders import NoSession, OrderConnection, SessionNews, light_told, running_sessions
+from rig.presentation import (
+    Verdict,
+    answer,
+    failures,
+    print_json_line,
+    print_line,
+    print_verdicts,
+    say,
+    table_tree,
+)
+from rig.settings import Configuration
+
+_NO_END = 1e-9
+"""Amplitude in arcsec at which a record would end: a clamped pendulum has none."""
+
+
+def record_plainly(config: Configuration, source: Path, record: Path, seconds: float) -> Path:
+    """Record the spot for a time, whatever it does; returns the record.
+
+    Meanwhile its folder's order socket tells how it looks. One that goes dark ends.
+
+    Raises RigError where that fails, KeyboardInterrupt after Ctrl-C, which leaves a closed record.
+    """
+    updates = {
+        "session": config.session.model_copy(
+            update={"max_duration_s": seconds, "final_amplitude_arcsec": _NO_END, "stop_when": ()}
+        ),
+        "view": config.view.model_copy(update={"mode": "none", "file": False}),
+        "preflight": config.preflight.model_copy(update={"when": "never"}),
+        "start": config.start.model_copy(update={"way": "at once"}),
+        # whoever looks at the picture gives no leave to go on
+        "laser": config.laser.model_copy(update={"when_dark": "end"}),
+    }
+    record.parent.mkdir(parents=True, exist_ok=True)
+    config = complete(config.model_copy(update=updates))
+    folder, session_news = record.parent, SessionNews(config)
+    with (
+        Devices(config, folder, "a recording for a calibration") as devices,
+        light_told(devices, config, folder, session_news),
+    ):
+        ask_leave(devices)
+        plan = RunPlan(config, source, record, record.stem, fitted=False, session_news=session_news)
+        outcome = measure_run(plan, devices)
+    if outcome.failure is not None:
+        raise outcome.failure
+    if outcome.interrupt is not None:
+        raise outcome.interrupt
+    return record
+
+
+def take_frames(config: Configuration, folder: Path, count: int) -> Path:
+    """Save whole frames as PNG, with every bit, into a new folder; the laser stays as it is.
+
+    Raises ConfigurationError for a folder that exists, DataError if the camera gives too few frames.
+    """
+    if folder.exists():
+        raise ConfigurationError(f"{folder}: exists already and is not overwritten; choose another folder")
+    with Devices(config).camera(config) as opened:
+        opened.camera.start()
+        try:
+            frames = [opened.camera.read(config.camera.patience_s) for _ in range(count)]
+        finally:
+            opened.camera.stop()
+    images = [frame.image for frame in frames if frame is not None]
+    if len(images) < count:
+        raise DataError(f"the camera gave {len(images)} frames, {count} were asked for")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write.folder_being_written(folder) as beside:
+            for number, image in enumerate(images):
+                done, png = cv2.imencode(".png", image)
+                if not done:
+                    raise DataError(f"{folder / f'{number:03d}.png'}: cannot be written as PNG")
+                (beside / f"{number:03d}.png").write_bytes(png.tobytes())
+    except OSError as error:
+        raise RecordError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    return folder
+
+
+def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
+    """Light the laser, look at the spot, print the table of checks; returns exit status 1 for no-go.
+
+    Nothing is moved and nothing is recorded. Noise, rest position and ground are judged if a run would begin
+    at rest (start.way is not 'at once'): the pendulum must rest then.
+    """
+    preflight = config.preflight.model_copy(update={"when": "always"})
+    config = complete(config.model_copy(update={"preflight": preflight}))
+    check_materials(config)
+    folder = config.session.output
+    with (
+        Devices(config, folder, "rig doctor --preflight") as devices,
+        light_told(devices, config, folder),
+        devices.camera(config) as camera,
+    ):
+        optics = optics_of(config, camera.info.full_scale_dn)
+        phases = PhasesBeforeRecord(config, devices, camera, optics, _place(config))
+        stream = devices.stream(config, camera)
+        prepare_kernels(optics.sensor, say)
+        ask_leave(devices)
+        if lit := devices.light():
+            say(lit)
+        light = LightWatch(devices)
+        before = ("", "")
+        states: queue.SimpleQueue[RecordedPhase | None] = queue.SimpleQueue()
+
+        def report(phase: RecordedPhase) -> None:
+            nonlocal before
+            light.look()
+            if light.alarm:
+                raise DeviceError(light.alarm)
+            doing = phase.phase, phase.progress
+            if doing != before:
+                states.put(phase)
+            before = doing
+
+        def look(stop: StopRequest) -> list[Verdict]:
+            try:
+                stream.start_camera()
+                if stream.begin() is None:
+                    raise DataError("the camera delivered no frame at all")
+                return phases.check_alone(stream, report, stop)
+            finally:
+                devices.darken()
+                stream.close()
+                states.put(None)
+
+        # in a thread of its own: what is printed may wait for a reader, and frames may not
+        stop = StopRequest(stream)
+        with ThreadPoolExecutor(1, "preflight") as looking:
+            found = looking.submit(look, stop)
+            try:
+                while (state := states.get()) is not None:
+                    if json_lines:
+                        where = {"phase": state.phase, "progress": state.progress}
+                        print_json_line("state", {**where, "elapsed_s": state.elapsed_s})
+            finally:
+                stop.because("stopped")
+            verdicts = found.result()
+    if json_lines:
+        print_json_line("preflight", {"table": table_tree(verdicts)})
+    else:
+        print_verdicts(Console(), verdicts)
+    against = failures(verdicts)
+    if against:
+        say(f"no-go: {against}")
+    return 1 if against or not verdicts else 0
+
+
+def _place(config: Configuration) -> Path:
+    """Where a record would be written, as far as it exists."""
+    place = config.session.output.absolute()
+    while not place.exists():
+        place = place.parent
+    return place
+
+
+def show_light(config: Configuration) -> int:
+    """Print the safety state; returns 1 where light is refused, else 0."""
+    now = _session_state(config) or _device_state(config)
+    answer(laser=str(now.light), interlock=str(now.interlock), trip=now.trip, refusal=now.refusal)
+    answer(laser_age_s=now.light_age_s, interlock_age_s=now.interlock_age_s)
+    dark = config.laser.kind == "none"
+    deaf = dark and config.controller.kind == "none"
+    for name, absent, text, age_s in (
+        ("laser", "not controlled by this program" if dark else "", str(now.light), now.light_age_s),
+        ("interlock", "not read by this program" if deaf else "", str(now.interlock), now.interlock_age_s),
+    ):
+        age = f", {age_s:.1f} s ago" if math.isfinite(age_s) else ""
+        print_line(f"{name:<10} {absent or text + age}")
+    trip = now.trip
+    print_line(f"{'trip':<10} {'none is latched' if trip is None else trip.text}")
+    if trip is not None:
+        print_line(f"{'remedy':<10} check that nobody is in the beam path, then")
+        print_line(f"{'':<10} rig light acknowledge {config.named} {trip.number}")
+    elif now.refusal:
+        print_line(f"{'refused':<10} {now.refusal}")
+    return 1 if now.refusal or trip is not None else 0
+
+
+def acknowledge_trip(config: Configuration, number: int) -> int:
+    """Acknowledge a trip, in the session that has the rig or with the devices opened here; lights nothing."""
+    for folder in _sessions(config):
+        with suppress(NoSession), OrderConnection(folder) as line:
+            said = line.order(f"acknowledge {number} rig light acknowledge")
+            answer(acknowledged=number, said=said)
+            say(said)
+            return 0
+    with Devices(config, config.session.output, "rig light acknowledge") as devices:
+        devices.wait_until_heard()
+        said = devices.acknowledge(number, "rig light acknowledge")
+        answer(acknowledged=number, said=said)
+        say(said)
+    return 0
+
+
+def check_audit(folder: Path, config: Configuration | None) -> int:
+    """Print what is wrong with an audit log; returns 1 if something is, else 0."""
+    state = SafetyState(None if config is None else rig_state_path(config.laser, config.controller))
+    state.read()
+    faults = check_log(folder, state)
+    answer(log=folder / AUDIT_NAME, faults=[str(fault) for fault in faults])
+    for fault in faults:
+        print_line(f"{folder / AUDIT_NAME}: {fault}")
+    if not faults:
+        print_line(f"{folder / AUDIT_NAME}: whole")
+    return 1 if faults else 0
+
+
+def _sessions(config: Configuration) -> Iterator[Path]:
+    """Folders where a session may run: that of the program which has the rig, and those of the output."""
+    held = SafetyState(rig_state_path(config.laser, config.controller)).folder_of_holder
+    if held is not None:
+        yield held
+    yield from running_sessions(config.session.output)
+
+
+def _session_state(config: Configuration) -> SafetyNow | None:
+    for folder in _sessions(config):
+        with suppress(NoSession, KeyError, ValueError), OrderConnection(folder) as line:
+            return SafetyNow.told(line.news()["safety"])
+    return None
+
+
+def _device_state(config: Configuration) -> SafetyNow:
+    """With the devices opened, which lights nothing; what the file says where another program has them."""
+    try:
+        with Devices(config, None, "rig light show") as devices:
+            devices.wait_until_heard()
+            return devices.safety()
+    except DeviceError as error:
+        say(str(error), error=True)
+    state = SafetyState(rig_state_path(config.laser, config.controller))
+    with suppress(RigError):
+        state.read()
+    trip = state.trip
+    return SafetyNow(trip, "" if trip is None else trip.text)

@@ -1,0 +1,334 @@
+"""X(t) in two parts, what the slow mode leaks across and what is left: the fast mode."""
+
+import time
+from bisect import bisect_right, insort
+from collections import deque
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from rig.view import layout
+from rig.view.graticule import PLANE_REACH, Floats, faded, graticule_marks, reach_beyond, trajectory_graticule
+from rig.view.layout import TIMELINE
+
+_WAITS_S = 20.0
+"""Samples from before the first balance of a run are kept for so long."""
+_FORGETS_S = 60.0
+"""A balance of so long ago says nothing of a sample."""
+
+
+class TransverseMotion(NamedTuple):
+    """Times, the fast mode and the leakage of the slow mode in X, arrays (n,) in the unit of the samples."""
+
+    time_s: Floats
+    fast: Floats
+    leakage: Floats
+
+
+class _Line(NamedTuple):
+    """The line on which the slow mode moves: a balance's numbers, at rest at (x, y) as shown."""
+
+    time_s: float
+    angle_rad: float
+    turning_rad_per_s: float
+    rest_x: float
+    rest_y: float
+
+
+class TransverseCurves:
+    """Separates X of one run by the line that its balances give.
+
+    Samples that come before the first balance are kept, some seconds of them, and are separated with it.
+    """
+
+    def __init__(self) -> None:
+        self._lines: list[_Line] = []
+        self._waiting: list[tuple[Floats, Floats, Floats]] = []
+
+    def balance(self, time_s: float, numbers: Mapping[str, tuple[float, float]], shown_size: float) -> None:
+        """Add a balance; its lengths are in units of which `shown_size` are one of the samples' unit."""
+
+        def number(name: str) -> float:
+            return numbers.get(name, (np.nan, np.nan))[0]
+
+        line = _Line(
+            time_s,
+            number("line_angle_rad"),
+            float(np.nan_to_num(number("rotation_rad_per_s"))),
+            number("rest_x") / shown_size,
+            number("rest_y") / shown_size,
+        )
+        if np.isfinite([line.angle_rad, line.rest_x, line.rest_y]).all():
+            insort(self._lines, line)
+
+    def samples(self, time_s: Floats, x: Floats, y: Floats) -> TransverseMotion | None:
+        """Separate samples, and those that have waited; None while no balance is known."""
+        if len(time_s):
+            self._waiting.append((time_s, x, y))
+        if not self._lines or not self._waiting:
+            while self._waiting and len(time_s) and time_s[-1] - self._waiting[0][0][-1] > _WAITS_S:
+                self._waiting.pop(0)
+            return None
+        waiting, self._waiting = self._waiting, []
+        time_s, x, y = (np.concatenate(columns) for columns in zip(*waiting, strict=True))
+        line = self._line_at(float(time_s[len(time_s) // 2]))
+        angle = line.angle_rad + line.turning_rad_per_s * (time_s - line.time_s)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        along = (x - line.rest_x) * sine + (y - line.rest_y) * cosine
+        fast = (x - line.rest_x) * cosine - (y - line.rest_y) * sine
+        known = np.abs(time_s - line.time_s) < _FORGETS_S
+        return TransverseMotion(time_s, np.where(known, fast, np.nan), np.where(known, along * sine, np.nan))
+
+    def _line_at(self, time_s: float) -> _Line:
+        """The line nearest in time to a sample."""
+        after = bisect_right(self._lines, time_s, key=lambda line: line.time_s)
+        near = self._lines[max(after - 1, 0) : after + 1]
+        return min(near, key=lambda line: abs(line.time_s - time_s))
+
+
+class Decimator:
+    """Chooses the samples to be drawn: the first of each interval ``1 / rate_hz``, and all with a flag.
+
+    This concerns the display only: the record contains every sample.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._last_interval = -(2**62)
+
+    def choose(self, time_s: Floats, flags: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of the samples (n,), in order of time, are drawn; intervals continue from call to call."""
+        # Rounding must not move a sample at the beginning of an interval into the one before.
+        interval = np.floor(time_s * self._rate_hz + 1e-3).astype(np.int64)
+        before = np.concatenate(([self._last_interval], interval[:-1]))
+        if len(interval):
+            self._last_interval = int(interval[-1])
+        chosen: NDArray[np.bool_] = (interval != before) | (flags != 0)
+        return chosen
+
+
+class Breaks:
+    """Puts NaN into the gaps of curves, also between one block of values and the next."""
+
+    def __init__(self) -> None:
+        self._last_s: dict[str, float] = {}
+
+    def in_gaps(self, path: str, most_s: float, time_s: Floats, *columns: Floats) -> tuple[Floats, ...]:
+        """Times (n,) and columns (n,) of the curve at the entity `path`, NaN amid gaps above `most_s`."""
+        steps_s = np.diff(time_s, prepend=self._last_s.get(path, np.nan))
+        self._last_s[path] = float(time_s[-1])
+        gaps = np.flatnonzero(steps_s > most_s)
+        if not len(gaps):
+            return time_s, *columns
+        middles_s = time_s[gaps] - 0.5 * steps_s[gaps]
+        return np.insert(time_s, gaps, middles_s), *(np.insert(values, gaps, np.nan) for values in columns)
+
+
+class Gathering:
+    """Scalars, line strips and points that wait to be sent to one stream.
+
+    They are sent after `limit_s` seconds of real time, or when there are `limit_rows` scalars.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, limit_s: float, limit_rows: int) -> None:
+        self._stream = stream
+        self._limit_s = limit_s
+        self._limit_rows = limit_rows
+        self._scalars: dict[str, list[tuple[Floats, Floats]]] = {}
+        self._measurements: dict[str, list[tuple[Floats, Floats, Floats]]] = {}
+        self._strips: dict[str, tuple[list[float], list[Floats]]] = {}
+        self._points: dict[str, tuple[list[float], list[Floats]]] = {}
+        self._rows = 0
+        self._sent_at = time.monotonic()
+
+    def scalars(self, path: str, times_s: Floats, values: Floats) -> None:
+        """Add values (n,) of the curve at the entity `path`."""
+        self._scalars.setdefault(path, []).append((times_s, values))
+        self._rows += len(times_s)
+
+    def measurements(self, path: str, times_s: Floats, values: Floats, u: Floats) -> None:
+        """Add values (n,) with their standard uncertainties of the curve at the entity `path`."""
+        self._measurements.setdefault(path, []).append((times_s, values, u))
+        self._rows += len(times_s)
+
+    def strips(self, path: str, times_s: Floats, pieces: list[Floats]) -> None:
+        """Add line strips (n, 2), one per time."""
+        times, known = self._strips.setdefault(path, ([], []))
+        times.extend(times_s)
+        known.extend(pieces)
+
+    def points(self, path: str, times_s: Floats, points: list[Floats]) -> None:
+        """Add single points (2,), one per time."""
+        times, known = self._points.setdefault(path, ([], []))
+        times.extend(times_s)
+        known.extend(points)
+
+    def send(self, *, now: bool = False) -> None:
+        """Send everything if a limit is reached, or in any case if `now`."""
+        waited_s = time.monotonic() - self._sent_at
+        if not now and self._rows < self._limit_rows and waited_s < self._limit_s:
+            return
+        self._sent_at = time.monotonic()
+        self._rows = 0
+        scalars, self._scalars = self._scalars, {}
+        measurements, self._measurements = self._measurements, {}
+        strips, self._strips = self._strips, {}
+        points, self._points = self._points, {}
+        for path, parts in scalars.items():
+            times_s, values = (np.concatenate(column) for column in zip(*parts, strict=True))
+            self._stream.send_columns(path, [_column(times_s)], rr.Scalars.columns(scalars=values))
+        for path, blocks in measurements.items():
+            times_s, values, u = (np.concatenate(column) for column in zip(*blocks, strict=True))
+            columns = rr.Measurements.columns(values=values, variances=u**2)
+            self._stream.send_columns(path, [_column(times_s)], columns)
+        for path, (times, pieces) in strips.items():
+            self._stream.send_columns(path, [_column(times)], rr.LineStrips2D.columns(strips=pieces))
+        for path, (times, known) in points.items():
+            self._stream.send_columns(path, [_column(times)], rr.Points2D.columns(positions=np.array(known)))
+
+
+def _column(times_s: Floats | list[float]) -> rr.TimeColumn:
+    # Rerun converts a list of Python floats one by one, which takes ten times as long as an array.
+    return rr.TimeColumn(TIMELINE, duration=np.asarray(times_s, dtype=np.float64))
+
+
+PIECE_POINTS = 25
+
+
+class Trail:
+    """Connects points to line strips, also from call to call.
+
+    The time of a strip is that of its last point. A lost spot (NaN) interrupts the line.
+    """
+
+    def __init__(self) -> None:
+        self._last_time_s = np.empty(0)
+        self._last_point = np.empty((0, 2))
+
+    def pieces(self, time_s: Floats, points: Floats) -> tuple[Floats, list[Floats]]:
+        """Times (k,) and k strips (m, 2) of the points (n, 2); each begins at the end of the one before."""
+        times = np.concatenate((self._last_time_s, time_s))
+        path = np.concatenate((self._last_point, points))
+        ends: list[float] = []
+        strips: list[Floats] = []
+        good = np.isfinite(path[:, 0] + path[:, 1])
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])).astype(np.int8)))
+        for start, stop in edges.reshape(-1, 2):
+            for first in range(start, stop - 1, PIECE_POINTS):
+                last = min(first + PIECE_POINTS, stop - 1)
+                ends.append(float(times[last]))
+                strips.append(path[first : last + 1])
+        keep = len(path) - 1 if len(path) and good[-1] else len(path)
+        self._last_time_s, self._last_point = times[keep:], path[keep:]
+        return np.array(ends), strips
+
+
+BRIGHTNESS = {"recent": 1.0, "older": 0.5, "oldest": 0.22}
+FOLLOWED_PERIODS = 2.0
+"""Number of slow periods over which the largest deflection is taken."""
+HYSTERESIS = 0.9
+"""The axes are made smaller when the amplitude is below this fraction of the value at which they grow
+again.
+"""
+
+
+class Lissajous:
+    """Draws (X, Y) of one or several runs, which is shown at equal scales and with X stretched.
+
+    Parameters
+    ----------
+    stream, gathered
+        Static entities (axes, styles) are sent to `stream`, the trajectory to `gathered`.
+    unit
+        Unit of the deflections, for the labels.
+    amplitude
+        Expected at the start; sets the initial range of the axes.
+    period_s
+        Period of the slow mode. The range of the axes follows the largest deflection in the last two
+        periods. None: it stays, because runs that are overlaid share one set of axes.
+    """
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        gathered: Gathering,
+        unit: str,
+        amplitude: float,
+        period_s: float | None,
+    ) -> None:
+        self._stream = stream
+        self._gathered = gathered
+        self._unit = unit
+        self._period_s = period_s
+        self._extents: deque[tuple[float, float]] = deque()
+        self._reach = reach_beyond(amplitude)
+        self._trails: dict[str, Trail] = {}
+        stretch = rr.Transform3D(scale=[layout.X_STRETCH, 1.0, 1.0])
+        stream.log(layout.EQUAL, stretch, static=True)
+        if period_s is None:
+            self._draw_axes(static=True)
+        else:
+            stream.set_time(layout.TIMELINE, duration=0.0)
+            self._draw_axes(static=False)
+
+    def draw(self, run: str, time_s: Floats, x: Floats, y: Floats, colour: str) -> None:
+        """Continue the trajectory of a run with the points (x, y), each (n,); NaN interrupts the line."""
+        # y points down in Rerun's spatial views.
+        ends, pieces = self._trail(run, colour).pieces(time_s, np.column_stack((x, -y)))
+        if not pieces:
+            return
+        for part in layout.TRAIL:
+            self._gathered.strips(layout.trail_entity(run, part), ends, pieces)
+        self._gathered.points(
+            layout.trail_entity(run, layout.POSITION), ends, [piece[-1] for piece in pieces]
+        )
+
+    def follow(self, time_s: Floats, x: Floats, y: Floats) -> None:
+        """Adapt the range of the axes to the largest recent deflection."""
+        far = np.fmax(np.abs(x), np.abs(y))
+        if self._period_s is None or not np.isfinite(far).any():
+            return
+        # a replay may have jumped back in time
+        while self._extents and self._extents[-1][0] > time_s[-1]:
+            self._extents.pop()
+        self._extents.append((float(time_s[-1]), float(np.nanmax(far))))
+        while self._extents[0][0] < time_s[0] - FOLLOWED_PERIODS * self._period_s:
+            self._extents.popleft()
+        extent = max(most for _, most in self._extents)
+        # the axes are not made smaller before the deflections of two periods are known
+        seen = time_s[-1] - self._extents[0][0] >= (FOLLOWED_PERIODS - 1) * self._period_s
+        reach = reach_beyond(extent / HYSTERESIS)
+        outgrown = 1.02 * extent > self._reach
+        if not (outgrown or (seen and reach < self._reach)):
+            return
+        self._reach = reach
+        self._stream.set_time(layout.TIMELINE, duration=float(time_s[0]))
+        self._draw_axes(static=False)
+
+    def _trail(self, run: str, colour: str) -> Trail:
+        if run not in self._trails:
+            self._trails[run] = Trail()
+            for order, (part, brightness) in enumerate(BRIGHTNESS.items()):
+                style = rr.LineStrips2D.from_fields(
+                    colors=faded(colour, brightness),
+                    radii=rr.Radius.ui_points(0.9),
+                    draw_order=float(10 - order),
+                )
+                self._stream.log(layout.trail_entity(run, part), style, static=True)
+            dot = rr.Points2D.from_fields(
+                colors=(255, 255, 255), radii=rr.Radius.ui_points(4.0), draw_order=20.0
+            )
+            self._stream.log(layout.trail_entity(run, layout.POSITION), dot, static=True)
+        return self._trails[run]
+
+    def _draw_axes(self, *, static: bool) -> None:
+        scale = PLANE_REACH / self._reach
+        zoom = rr.Transform3D(scale=[scale, scale, 1.0])
+        self._stream.log(layout.TRAJECTORY, zoom, static=static)
+        for root, stretch in ((layout.EQUAL, 1.0), (layout.STRETCHED, layout.X_STRETCH)):
+            graticule = trajectory_graticule(self._reach, self._unit, stretch)
+            for name, mark in graticule_marks(graticule).items():
+                self._stream.log(f"{root}/graticule/{name}", mark, static=static)

@@ -1,0 +1,435 @@
+"""A camera's clock that errs: nothing of it ends a run, and every frame keeps a time or is counted."""
+
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acquisition.camera import Frame
+from acquisition.frames.numbering import FrameLine
+
+IMAGE = np.zeros((2, 2), np.uint8)
+RATE_HZ = 25.0
+INTERVAL_NS = round(1e9 / RATE_HZ)
+HOST_NS = time.monotonic_ns() - 10**14
+"""No frame of these hours is in the future of the computer's clock, which a line refuses."""
+
+
+def joined(
+    device_ns: list[int], late_ms: list[float] | None = None
+) -> tuple[list[Frame], FrameLine, list[str]]:
+    """Frames that a line lets through, of times at a steady rate."""
+    rng = np.random.default_rng(5)
+    late = late_ms or [0.0] * len(device_ns)
+    host_ns = [
+        HOST_NS + n * INTERVAL_NS + round(1e6 * (abs(rng.normal(1.0, 0.5)) + late[n]))
+        for n in range(len(device_ns))
+    ]
+    return carried(device_ns, host_ns)
+
+
+def carried(times: list[int], host_ns: list[int]) -> tuple[list[Frame], FrameLine, list[str]]:
+    """Frames with numbers that go on whatever is lost, as of a camera that was reset."""
+    clock, frames, notes = FrameLine(in_real_time=True), [], []
+    for number, (time_ns, arrived_ns) in enumerate(zip(times, host_ns, strict=True)):
+        found = clock.take(Frame(IMAGE.copy(), number, time_ns, arrived_ns))
+        frames += found.frames
+        notes += [text for _, text in found.notes]
+    return frames, clock, notes
+
+
+def steady(count: int = 300, first_ns: int = 10**9) -> list[int]:
+    rng = np.random.default_rng(4)
+    return [first_ns + n * INTERVAL_NS + round(2e3 * rng.normal()) for n in range(count)]
+
+
+def off_ns(frames: list[Frame]) -> float:
+    """Largest distance of the times from those of a clock that never erred."""
+    first = frames[0]
+    return max(
+        abs(one.device_time_ns - first.device_time_ns - (one.sequence - first.sequence) * INTERVAL_NS)
+        for one in frames
+    )
+
+
+@pytest.mark.parametrize("wrong", [0, 9 * 10**18, 2**63 + 5, 2**64 - 1, 10**9 + 3, 10**9 + 140 * INTERVAL_NS])
+def test_a_single_wrong_time_is_left_out_and_counted(wrong: int) -> None:
+    times = steady()
+    times[100] = wrong
+    frames, clock, notes = joined(times)
+    assert [one.sequence for one in frames] == [n for n in range(300) if n != 100]
+    assert clock.rejected == 1
+    assert len(notes) == 1
+    assert off_ns(frames) < 20e3
+
+
+@pytest.mark.parametrize("step_ms", [130.0, -130.0, 15.0, -15.0, 60.0, 3.6e6, -900.0])
+def test_a_step_is_found_named_and_taken_off(step_ms: float) -> None:
+    step_ns = round(step_ms * 1e6)
+    times = [t + step_ns * (n >= 120) for n, t in enumerate(steady())]
+    frames, clock, notes = joined(times)
+    assert [one.sequence for one in frames] == list(range(300))
+    assert clock.rejected == 0
+    assert len(notes) == 1
+    told_s = float(notes[0].split("stepped by ")[1].split(" s")[0])
+    assert told_s == pytest.approx(step_ms / 1e3, abs=2e-5)
+    assert "before frame 120" in notes[0]
+    assert off_ns(frames) < 20e3
+
+
+def test_a_counter_of_32_bits_is_unwrapped_and_said_once_after_its_first() -> None:
+    times = [t % 2**32 for t in steady(700)]
+    frames, clock, notes = joined(times)
+    assert [one.sequence for one in frames] == list(range(700))
+    assert clock.wraps >= 4
+    assert len(notes) == 2
+    assert "begins again every 4.295 s" in notes[1]
+    assert off_ns(frames) < 40e3
+
+
+def test_a_first_time_that_is_wrong_moves_the_others() -> None:
+    frames, _, notes = joined([0, *steady()[1:]])
+    assert [one.sequence for one in frames] == list(range(300))
+    assert len(notes) == 1
+    assert off_ns(frames) < 5e6
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    late=st.lists(st.floats(0.0, 2000.0), min_size=1, max_size=5),
+    lost=st.lists(st.integers(20, 280), max_size=20),
+)
+def test_frames_that_are_read_late_or_lost_are_no_fault_of_the_clock(
+    late: list[float], lost: list[int]
+) -> None:
+    """A host that hangs reads what waited at once, when it goes on."""
+    behind = np.zeros(300)
+    for place, late_ms in enumerate(late):
+        at = 40 + 50 * place
+        behind[at:] = np.maximum(behind[at:], late_ms - 40.0 * np.arange(300 - at))
+    times = steady()
+    frames, clock, notes = joined(times, behind.tolist())
+    assert (len(frames), clock.rejected, notes) == (300, 0, [])
+    kept = [(n, t) for n, t in enumerate(times) if n not in lost]
+    again = FrameLine(in_real_time=True)
+    through = [
+        one for n, t in kept for one in again.take(Frame(IMAGE, n, t, HOST_NS + n * INTERVAL_NS)).frames
+    ]
+    assert len(through) == len(kept)
+
+
+def test_a_rate_that_changes_is_no_step() -> None:
+    times = np.cumsum([INTERVAL_NS] * 100 + [2 * INTERVAL_NS] * 100 + [INTERVAL_NS // 2] * 100)
+    clock = FrameLine(in_real_time=True)
+    frames = [
+        one
+        for n, t in enumerate(times.tolist())
+        for one in clock.take(Frame(IMAGE, n, t, HOST_NS + t + 10**6 * (n % 3))).frames
+    ]
+    assert len(frames) == 300
+    assert clock.rejected == 0
+
+
+def arrivals(times: list[int]) -> list[int]:
+    rng = np.random.default_rng(6)
+    return [HOST_NS + t + round(1e6 * abs(rng.normal(1.0, 0.3))) for t in times]
+
+
+def test_where_frames_without_numbers_are_missing_the_computer_s_clock_says_the_step() -> None:
+    """The camera was reset for 0.98 s: its clock begins again, and its numbers go on by one."""
+    true = [n * INTERVAL_NS + (980_000_000 if n >= 120 else 0) for n in range(300)]
+    shown = [t + 7 * 10**9 if n < 120 else t - true[120] for n, t in enumerate(true)]
+    frames, _, notes = carried(shown, arrivals(true))
+    assert [one.sequence for one in frames] == list(range(300))
+    off = [one.device_time_ns - 7 * 10**9 - t for one, t in zip(frames, true, strict=True)]
+    assert max(map(abs, off)) < 3e6
+    assert len(notes) == 1
+
+
+def test_readings_that_have_become_later_meanwhile_do_not_make_the_step_smaller() -> None:
+    """The computer says the step, and has been busy for some time: it reads all frames 12 ms later."""
+    true = [n * INTERVAL_NS + (980_000_000 if n >= 600 else 0) for n in range(700)]
+    shown = [t + 7 * 10**9 if n < 600 else t - true[600] for n, t in enumerate(true)]
+    host = [ns + 12_000_000 * (n >= 50) for n, ns in enumerate(arrivals(true))]
+    frames, _, notes = carried(shown, host)
+    assert len(notes) == 1
+    assert max(abs(one.device_time_ns - 7 * 10**9 - true[one.sequence]) for one in frames) < 3e6
+
+
+def test_a_step_while_the_reader_hangs_is_as_exact_as_the_camera_s_rate() -> None:
+    times = [t + 130_000_000 * (n >= 120) for n, t in enumerate(steady())]
+    host = arrivals([n * INTERVAL_NS for n in range(300)])
+    for n in range(118, 134):
+        host[n] = host[134] - 10_000 * (134 - n)
+    frames, _, notes = carried(times, host)
+    assert len(frames) == 300
+    assert len(notes) == 1
+    assert off_ns(frames) < 20e3
+
+
+def test_what_is_missing_without_numbers_while_the_reader_hangs_for_long_is_no_step() -> None:
+    """No clock erred: until the reader is up, those that it takes late say nothing of when they came."""
+    true = [n * INTERVAL_NS + 5 * INTERVAL_NS * (n >= 120) for n in range(400)]
+    host = arrivals(true)
+    for n in range(110, 260):
+        host[n] = host[260] - 10_000 * (260 - n)
+    frames, _, notes = carried([10**9 + t for t in true], host)
+    assert [one.sequence for one in frames] == list(range(400))
+    off = [one.device_time_ns - 10**9 - t for one, t in zip(frames, true, strict=True)]
+    assert max(map(abs, off)) < 3e6
+    assert notes == []
+
+
+def test_a_step_that_must_be_decided_before_the_reader_is_up_says_how_little_is_known_of_it() -> None:
+    """No room is left for frames that wait; whichever clock was right, the uncertainty covers it."""
+    clock = FrameLine(in_real_time=True)
+    image = np.zeros((1024, 2048), np.uint8)
+    true = [n * INTERVAL_NS + 5 * INTERVAL_NS * (n >= 120) for n in range(200)]
+    host = arrivals(true)
+    for n in range(110, 200):
+        host[n] = host[199] + 10_000 * (n - 199)
+    seen = [clock.take(Frame(image, n, t, host[n])) for n, t in enumerate(true)]
+    frames = [frame for one in seen for frame in one.frames]
+    (step,) = (step for one in seen for step in one.steps)
+    assert len(frames) > 190
+    assert all(abs(one.device_time_ns - true[one.sequence]) <= step.u_step_ns for one in frames[120:])
+
+
+@pytest.mark.parametrize("shows", ["frozen", "nothing", "anything"])
+def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_carries_on(shows: str) -> None:
+    rng = np.random.default_rng(8)
+    wrong = {
+        "frozen": [steady()[120]] * 300,
+        "nothing": [2**64 - 1] * 300,
+        "anything": rng.integers(0, 2**62, 300).tolist(),
+    }[shows]
+    times = [t if n < 120 else wrong[n] for n, t in enumerate(steady())]
+    frames, clock, notes = joined(times)
+    assert [one.sequence for one in frames] == list(range(300))
+    assert clock.rejected == 0
+    assert len(notes) == 1
+    first = 121 if shows == "frozen" else 120
+    assert f"is abandoned from frame {first} on" in notes[0]
+    assert "restart the camera" in notes[0]
+    assert off_ns(frames) < 5e6
+    intervals_ns = np.diff([one.device_time_ns for one in frames])
+    assert intervals_ns.min() > 0
+    # the computer reads each frame to 0.5 ms; the camera's rate carries more than single readings
+    assert np.std(intervals_ns[130:]) < 50e3
+
+
+def test_a_clock_that_never_shows_a_time_is_given_up_at_the_start() -> None:
+    frames, _, notes = joined([2**64 - 1] * 50)
+    assert [one.sequence for one in frames] == list(range(50))
+    assert len(notes) == 1
+    assert off_ns(frames) < 5e6
+
+
+def test_a_step_says_its_size_and_what_is_not_known_of_it() -> None:
+    clock, steps = FrameLine(in_real_time=True), []
+    for n, t in enumerate(steady()):
+        shown = (t + 130_000_000 * (n >= 120)) % 2**32
+        steps += clock.take(Frame(IMAGE.copy(), n, shown, HOST_NS + n * INTERVAL_NS)).steps
+    assert clock.wraps == 2
+    (step,) = steps
+    assert abs(step.step_ns - 130_000_000) < 4 * step.u_step_ns < 100_000
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 30.0])
+def test_first_frames_that_waited_for_their_reader_are_no_step(rate_hz: float) -> None:
+    """All that came while the program began is read at once: the first by far later than the fourth."""
+    each_ns = round(1e9 / rate_hz)
+    times = [10**9 + n * each_ns for n in range(60)]
+    host_ns = [max(HOST_NS + t, HOST_NS + times[3] + 5_000_000 + n * 300_000) for n, t in enumerate(times)]
+    frames, _, notes = carried(times, host_ns)
+    assert notes == []
+    assert [one.device_time_ns for one in frames] == times
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    rate_hz=st.sampled_from([5.0, 30.0, 200.0]),
+    late_ms=st.lists(st.floats(0.0, 400.0), min_size=12, max_size=12),
+    lost=st.sets(st.integers(1, 12), max_size=6),
+    step_ms=st.sampled_from([0.0, 0.0, 130.0, -130.0, 2000.0]),
+    at=st.integers(2, 40),
+)
+def test_times_never_run_backwards_however_irregularly_a_camera_without_numbers_begins(
+    rate_hz: float, late_ms: list[float], lost: set[int], step_ms: float, at: int
+) -> None:
+    each_ns = round(1e9 / rate_hz)
+    true = [n * each_ns for n in range(60) if n not in lost]
+    late = [*late_ms, *[0.0] * 60]
+    read_ns = np.maximum.accumulate([t + round(1e6 * late[n]) + 1000 * n for n, t in enumerate(true)])
+    times = [10**9 + t + round(1e6 * step_ms) * (n >= at) for n, t in enumerate(true)]
+    frames, _, _ = carried(times, [HOST_NS + int(ns) for ns in read_ns])
+    found = [one.device_time_ns for one in frames]
+    assert all(later > earlier for earlier, later in pairwise(found))
+
+
+def hanging(true: list[int], first: int, until: int) -> list[int]:
+    """Arrivals at a reader that hangs from one frame to another, and then reads all at once."""
+    host = arrivals(true)
+    for n in range(first, until):
+        host[n] = host[until] - 10_000 * (until - n)
+    return host
+
+
+def rising_by(intervals: list[int]) -> list[int]:
+    return [0, *np.cumsum(intervals).tolist()]
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 50.0, 30.0, 23.0, 20.0, 5.0])
+def test_a_rate_that_changes_while_the_reader_hangs_is_no_senseless_clock(rate_hz: float) -> None:
+    """No clock erred: every time is the camera's own, none is made of when a frame was read."""
+    true = rising_by([INTERVAL_NS] * 120 + [round(1e9 / rate_hz)] * 200)
+    frames, clock, notes = carried([10**9 + t for t in true], hanging(true, 110, 160))
+    assert [one.device_time_ns - 10**9 for one in frames] == true
+    assert (clock.rejected, notes) == (0, [])
+
+
+@pytest.mark.parametrize("gaps", [{120: 5, 130: 3}, {112: 1, 115: 2, 118: 3, 140: 10}])
+@pytest.mark.parametrize("rate", [1, 2])
+def test_several_gaps_without_numbers_in_one_hang_lose_no_frame_and_move_none(
+    gaps: dict[int, int], rate: int
+) -> None:
+    """Also where the rate has changed before them, so that their times cross what the old one expects."""
+    each = [INTERVAL_NS // (rate if n > 115 else 1) for n in range(1, 300)]
+    true = rising_by([each_ns * (1 + gaps.get(n, 0)) for n, each_ns in enumerate(each, 1)])
+    frames, clock, notes = carried([10**9 + t for t in true], hanging(true, 110, 160))
+    assert [one.device_time_ns - 10**9 for one in frames] == true
+    assert (clock.rejected, notes) == (0, [])
+
+
+@pytest.mark.parametrize("step_ms", [130.0, -130.0, -900.0])
+@pytest.mark.parametrize("gap", [0, 5])
+def test_a_step_behind_a_gap_in_one_hang_is_taken_off_from_where_it_was(step_ms: float, gap: int) -> None:
+    true = rising_by([INTERVAL_NS * (1 + gap * (n == 120)) for n in range(1, 300)])
+    shown = [10**9 + t + round(1e6 * step_ms) * (n >= 135) for n, t in enumerate(true)]
+    frames, clock, notes = carried(shown, hanging(true, 110, 160))
+    assert [one.sequence for one in frames] == list(range(300))
+    assert max(abs(one.device_time_ns - 10**9 - t) for one, t in zip(frames, true, strict=True)) < 3e6
+    assert clock.rejected == 0
+    assert len(notes) == 1
+    assert "before frame 135" in notes[0]
+
+
+def test_a_long_hang_teaches_nothing_of_how_late_frames_are() -> None:
+    """What has lain in the driver for seconds made a later gap look like a step."""
+    true = rising_by([INTERVAL_NS * (1 + 2 * (n == 700)) for n in range(1, 900)])
+    host = hanging(true, 100, 600)
+    for n in range(690, 720):
+        host[n] = host[720] - 10_000 * (720 - n)
+    frames, clock, notes = carried([10**9 + t for t in true], host)
+    assert [one.device_time_ns - 10**9 for one in frames] == true
+    assert (clock.rejected, notes) == (0, [])
+
+
+def test_a_wrong_time_among_frames_that_were_read_late_is_left_out_alone() -> None:
+    true = rising_by([INTERVAL_NS * (1 + 5 * (n == 120)) for n in range(1, 300)])
+    shown = [10**9 + t + 27_000_000 * (n == 130) for n, t in enumerate(true)]
+    frames, clock, notes = carried(shown, hanging(true, 110, 160))
+    assert [one.sequence for one in frames] == [n for n in range(300) if n != 130]
+    assert max(abs(one.device_time_ns - 10**9 - true[one.sequence]) for one in frames) == 0
+    assert clock.rejected == 1
+    assert len(notes) == 1
+    assert "1 frame left out from frame 130 on" in notes[0]
+
+
+@pytest.mark.parametrize("gap", [0, 5])
+def test_a_step_belongs_to_the_frame_after_it_however_many_waited_before(gap: int) -> None:
+    """As recorded, it is taken off the times from that frame on."""
+    true = rising_by([INTERVAL_NS * (1 + gap * (n == 120)) for n in range(1, 300)])
+    shown = [10**9 + t + 130_000_000 * (n >= 135) for n, t in enumerate(true)]
+    clock, steps, times = FrameLine(in_real_time=True), [], {}
+    for n, (time_ns, host_ns) in enumerate(zip(shown, hanging(true, 110, 160), strict=True)):
+        seen = clock.take(Frame(IMAGE, n, time_ns, host_ns))
+        steps += seen.steps
+        times |= {one.sequence: one.time_ns for one in seen.frames}
+    assert [step.time_ns for step in steps] == [times[135]]
+
+
+def joined_one(line: FrameLine, number: int, device_ns: int, host_ns: int) -> tuple[Frame, str]:
+    """The frame that the line makes of one whose time is sure, and what is said."""
+    passed = line.take(Frame(IMAGE, number, device_ns, host_ns))
+    (frame,) = passed.frames
+    return frame, "; ".join(text for _, text in passed.notes)
+
+
+def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
+    line = FrameLine()
+    for number in range(10):
+        joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
+    line.begin_again()
+    host_ns = HOST_NS + 9 * 10**7 + 2 * 10**9
+    frame, note = joined_one(line, 0, 12345, host_ns)
+    assert frame.device_time_ns == 10**12 + 9 * 10**7 + 2 * 10**9
+    assert frame.sequence == 9 + 200
+    assert "clock restarted" in note
+    later, note = joined_one(line, 1, 12345 + 10**7, host_ns + 10**7)
+    assert (later.sequence, later.device_time_ns - frame.device_time_ns, note) == (210, 10**7, "")
+
+
+def test_a_clock_that_another_one_set_meanwhile_is_shifted_too() -> None:
+    """As by a network's clock, decades ahead of the camera's own."""
+    line = FrameLine(in_real_time=True)
+    for number in range(10):
+        joined_one(line, number, 10**9 + number * 10**7, HOST_NS + number * 10**7)
+    line.begin_again()
+    passed = line.take(Frame(IMAGE, 0, 1_700_000_000 * 10**9, HOST_NS + 9 * 10**7 + 10**9))
+    (frame,), (step,), ((_, note),) = passed.frames, passed.steps, passed.notes
+    assert (frame.sequence, frame.device_time_ns) == (109, 10**9 + 9 * 10**7 + 10**9)
+    assert "clock restarted" in note
+    assert (step.time_ns, step.step_ns > 1_600_000_000 * 10**9) == (frame.time_ns, True)
+
+
+@pytest.mark.parametrize("senseless", [3, 40])
+def test_a_camera_that_comes_back_without_times_continues_its_numbers_all_the_same(senseless: int) -> None:
+    """Some first frames, or all, show no time; then a clock that began again, or the computer's."""
+    line = FrameLine(in_real_time=True)
+    for number in range(20):
+        joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
+    line.begin_again()
+    passed = [
+        line.take(Frame(IMAGE, n, 2**62 if n < senseless else 500 + n * 10**7, HOST_NS + 10**9 + n * 10**7))
+        for n in range(40)
+    ]
+    frames = [frame for one in passed for frame in one.frames]
+    for frame in frames:
+        # 0.19 s was the last before it, which is 10**12 + 0.19 s by the camera
+        assert frame.device_time_ns - 10**12 == pytest.approx((frame.sequence) * 10**7, abs=1000)
+    assert (len(frames), line.rejected) == ((37, 3) if senseless == 3 else (40, 0))
+    assert any("opened again" in text for one in passed for _, text in one.notes)
+
+
+def test_what_waits_when_a_camera_is_lost_is_counted() -> None:
+    line = FrameLine(in_real_time=True)
+    for number in range(20):
+        joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
+    assert line.take(Frame(IMAGE, 20, 7, HOST_NS + 20 * 10**7)).frames == []
+    assert (line.waiting, line.rejected) == (1, 0)
+    line.begin_again()
+    assert (line.waiting, line.rejected) == (0, 1)
+
+
+def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> None:
+    line = FrameLine()
+    first, _ = joined_one(line, 0, 10**12, HOST_NS)
+    line.begin_again()
+    again, note = joined_one(line, 0, 7, HOST_NS + 3 * 10**9)
+    assert (first.sequence, again.sequence) == (0, 1)
+    assert again.device_time_ns == first.device_time_ns + 3 * 10**9
+    assert "opened again after 3.000 s" in note
+
+
+def test_the_middle_of_the_exposure_continues_over_a_clock_that_began_again() -> None:
+    line = FrameLine(time_shift_ns=-(10**6))
+    joined = [joined_one(line, n, 10**12 + n * 10**7, HOST_NS + n * 10**7)[0] for n in range(10)]
+    assert [frame.device_time_ns for frame in joined] == [10**12 - 10**6 + n * 10**7 for n in range(10)]
+    line.begin_again()
+    again, _ = joined_one(line, 0, 500, HOST_NS + 9 * 10**7 + 10**9)
+    assert (again.device_time_ns - joined[-1].device_time_ns, again.sequence) == (10**9, 9 + 100)
+    assert joined_one(line, 1, -1, HOST_NS + 10**9)[0].device_time_ns == -1

@@ -1,0 +1,120 @@
+"""A witness of the ground at a pseudo-terminal, and in a file that grows."""
+
+import math
+import os
+import pty
+import tty
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rig.control import SeismometerLines, SeismometerSettings
+from rig.control.seismometer import FileTail, sample_of
+from rig.settings import keys_with_faults
+from tests.waiting import until
+
+LIMIT_S = 60.0
+
+
+@pytest.mark.parametrize(
+    ("line", "columns", "own_s", "value"),
+    [
+        ("12 -3.5e2", ("a", "b"), math.nan, (12.0, -350.0)),
+        ("t=1.25; N=+4, E=.5", ("time_s", "n", "e"), 1.25, (4.0, 0.5)),
+        ("7", ("z",), math.nan, (7.0,)),
+    ],
+)
+def test_numbers_are_taken_in_the_order_of_the_columns(
+    line: str, columns: tuple[str, ...], own_s: float, value: tuple[float, ...]
+) -> None:
+    sample = sample_of(line, columns, 5)
+    assert sample is not None
+    assert sample.host_time_ns == 5
+    assert sample.value == value
+    assert sample.own_time_s == own_s or (math.isnan(own_s) and math.isnan(sample.own_time_s))
+
+
+@pytest.mark.parametrize("line", ["", "ready", "1 2 3", "1", "1 1e999"])
+def test_a_line_of_other_numbers_is_no_sample(line: str) -> None:
+    assert sample_of(line, ("a", "b"), 0) is None
+
+
+def test_a_serial_instrument_is_read_line_by_line() -> None:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    settings = SeismometerSettings(
+        kind="serial", port=os.ttyname(slave), columns=("time_s", "z"), stale_after_s=LIMIT_S
+    )
+    service = SeismometerLines(settings)
+    assert service.silent
+    samples = []
+
+    def three() -> bool:
+        # the first line may be taken for the rest of one
+        os.write(master, b"0.1 5\r\n0.2 6\r\nhello\r\n")
+        samples.extend(service.take_samples())
+        return len(samples) >= 3 and service.unread_lines > 0
+
+    with service:
+        until(three)
+        assert not service.silent
+    os.close(master)
+    os.close(slave)
+    assert {(one.own_time_s, one.value) for one in samples} == {(0.1, (5.0,)), (0.2, (6.0,))}
+    arrived = [one.host_time_ns for one in samples]
+    assert arrived == sorted(arrived)
+
+
+def test_a_file_is_read_as_it_grows_and_again_when_it_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "station.txt"
+    settings = SeismometerSettings(kind="file", file=path, columns=("z",), stale_after_s=LIMIT_S)
+    service = SeismometerLines(settings)
+    values: list[float] = []
+    with service:
+        until(lambda: "cannot be read" in " ".join(service.take_events()))
+        path.write_text("1\n2\n")
+
+        def grown(text: str, last: float) -> Callable[[], bool]:
+            def reached() -> bool:
+                with path.open("a") as file:
+                    file.write(text)
+                values.extend(one.value[0] for one in service.take_samples())
+                return bool(values) and values[-1] == last
+
+            return reached
+
+        # what stood there before is of no run
+        until(grown("3\n", 3.0))
+        assert set(values) == {3.0}
+        path.write_text("")
+        until(grown("4\n", 4.0))
+
+
+def test_a_longer_file_in_its_place_is_read_from_its_begin(tmp_path: Path) -> None:
+    path = tmp_path / "station.txt"
+    path.write_bytes(b"1\n")
+    tail = FileTail(path)
+    tail.discard_input()
+    # its last line is never ended, and does not go on in the next file
+    path.write_bytes(b"1\n2\n3")
+    assert tail.read(0.0) == b"2\n3"
+    path.rename(tmp_path / "station-1.txt")
+    path.write_bytes(b"40\n50\n60\n")
+    assert tail.read(0.0) == b"\n40\n50\n60\n"
+    path.write_bytes(b"7\n")
+    assert tail.read(0.0) == b"7\n"
+    tail.close()
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"witness.kind": "serial"}, "port is missing"),
+        ({"witness.kind": "file"}, "file is missing"),
+        ({"witness.columns": ("time_s",)}, "one to 3 different names"),
+        ({"witness.columns": ("a", "a")}, "one to 3 different names"),
+    ],
+)
+def test_what_is_missing_is_said(keys: dict[str, object], said: str) -> None:
+    assert said in " ".join(keys_with_faults(keys, "witness"))
