@@ -17,8 +17,8 @@ ALLOWED = {
     "acquisition/atomic_write.py": "is the way",
     "acquisition/record/mcap_file.py": "a record while it is measured, which a cut must leave readable",
     # names that being_written or folder_being_written gave
-    "rig/export/session_export.py": "under the name that being_written gives",
-    "rig/export/nexus.py": "under the name that being_written gives",
+    "rig/report/session_export.py": "under the name that being_written gives",
+    "rig/report/nexus.py": "under the name that being_written gives",
     "rig/settings/written_file.py": "under the name that being_written gives",
     "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
     # lines that are added, never changed
@@ -27,7 +27,7 @@ ALLOWED = {
     "rig/devices/audit.py": "a chain of lines, each forced to the disk, which knows where it was cut",
     "rig/desk/jobs.py": "what a program prints",
     # no content that anybody keeps
-    "rig/orders/server.py": "a live port, gone with its process",
+    "rig/devices/order_socket.py": "a live port, gone with its process",
     "processing/kernel_parts.py": "a lock",
     "rig/control/safety_state.py": "a lock",
     "rig/desk/store.py": "a lock",

@@ -36,7 +36,7 @@ from rig.archive.listing import (
 )
 from rig.instrument import code_identity, recorded_configuration
 from rig.presentation import say
-from rig.replay import analyse_replayed
+from rig.view import analyse_replayed
 
 _WRITTEN_EVERY_S = 5.0
 """So much of what was read is lost to a kill at most."""

@@ -18,7 +18,7 @@ from processing.units import nanoseconds, seconds
 from rig.balance import history
 from rig.balance.dialogue import OnTerminal, Reporter
 from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
-from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, wait_for_command
+from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, light_told, wait_for_command
 from rig.instrument import (
     DIRECTIONS,
     WEIGHTS,
@@ -31,7 +31,6 @@ from rig.instrument import (
     prepare_kernels,
     session_metadata,
 )
-from rig.orders import light_told
 from rig.presentation import say
 from rig.settings import Configuration
 from rig.view import ScratchHead, ScratchView

@@ -201,7 +201,7 @@ def replay(
       rig replay runs/first/run-1.mcap
       rig replay runs/first/run-1.mcap --retrack --set sensor.read_noise_e=40
     """
-    from rig.replay import replay_record
+    from rig.view import replay_record
 
     raise typer.Exit(
         replay_record(

@@ -70,7 +70,7 @@ def snap(
 
     from acquisition import atomic_write
     from processing.errors import ConfigurationError, RecordError
-    from rig.align import SeenReference
+    from rig.devices import SeenReference
     from rig.devices import picture as camera_picture
     from rig.instrument import beam_quality, complete, optics_of
     from rig.presentation import answer, print_line
@@ -218,7 +218,7 @@ def align(
     """
     from contextlib import ExitStack
 
-    from rig.align import align_camera
+    from rig.devices import align_camera
     from rig.instrument import complete, configuration_attachments, optics_of, session_metadata
     from rig.presentation import answer
     from rig.settings import load_configuration

@@ -94,7 +94,8 @@ def plan(
             "smaller one, or a larger --first"
         )
 
-    from rig.plan import (
+    from rig.presentation import say
+    from rig.report import (
         ageing_table,
         expected_of_run,
         expected_of_table,
@@ -103,7 +104,6 @@ def plan(
         print_plan,
         save_plan,
     )
-    from rig.presentation import say
 
     if source.suffix.lower() == ".toml":
         expected = planned_expectation(source, set_ or [], noise, contact)

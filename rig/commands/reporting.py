@@ -66,7 +66,7 @@ def paper(
     ] = -4,
 ) -> None:
     """Simulate the paper's runs and compare with its tables."""
-    from rig.paper import reproduce_paper
+    from rig.report import reproduce_paper
 
     reproduce_paper(output, b_exponent)
 
@@ -92,8 +92,8 @@ def export(
     Example:
       rig export runs/first --format csv -o runs/csv
     """
-    from rig.export import export_session
     from rig.presentation import answer
+    from rig.report import export_session
 
     (new_file(makes_folders=True) if format_ == "hdf5" else folder_without())(output)
     for path in export_session(source, format_, output):

@@ -1,7 +1,7 @@
 """`rig desk`: one page in a browser on this machine from which the rig is run.
 
 The desk has no logic of its own: it starts the commands (`rig run`, `rig doctor`, `rig balance`) as
-processes, watches a session through its order socket (`rig.orders`), and shows what these say. A session is
+processes, watches a session through its order socket (`rig.devices`), and shows what these say. A session is
 in no way a part of the desk: it goes on when the desk dies, and a desk that is opened finds it again.
 
 A panel is one module in `rig/desk/panels/` with one function, ``build(desk, tab)``, which makes its elements

@@ -11,9 +11,8 @@ from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus,
 from acquisition.frames.guard import CheckedFrames
 from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError, RigError
-from rig.align import AlignmentFrame, take_look
 from rig.control import LightPermit, LightRefused, SafetyNow, SafetyState, Stage
-from rig.devices import Devices, LightWatch, find_exposure, watch_latest
+from rig.devices import AlignmentFrame, Devices, LightWatch, find_exposure, take_look, watch_latest
 from rig.instrument import complete, optics_of, prepare_kernels
 from rig.settings import Configuration
 

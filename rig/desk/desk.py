@@ -22,8 +22,8 @@ from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, start_session
 from rig.desk.lighting import Lighting, Safety
 from rig.desk.sessions import LookingAgain, SessionIndex
 from rig.desk.store import DeskStore
+from rig.devices import NoSession
 from rig.measure import HandOver, hand_over, session_folder
-from rig.orders import NoSession
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0

@@ -17,8 +17,8 @@ from processing.errors import RigError
 from rig.control import STALE_S, DevicesNow, SafetyNow
 from rig.desk.alarming import OF_CAMERA, EndedSession, HowEnded
 from rig.desk.run_reader import RecordFollower
+from rig.devices import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
 from rig.measure import RunState, read_session
-from rig.orders import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0

@@ -13,8 +13,7 @@ from processing.errors import ConfigurationError, DeviceError, RigError
 from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause, darken_beside
 from rig.desk.aligner import Aligner
 from rig.desk.following import Following
-from rig.devices import NOT_OURS, Devices
-from rig.orders import ORDERS_NAME, NoSession, OrderConnection, SessionBusy
+from rig.devices import NOT_OURS, ORDERS_NAME, Devices, NoSession, OrderConnection, SessionBusy
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk

@@ -15,8 +15,8 @@ from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.units import ARCSEC_RAD, NS_PER_S, seconds
+from rig.devices import PATH_S, thinned_path
 from rig.instrument import advice_for, balance_failures, recorded_configuration, told_in
-from rig.orders import PATH_S, thinned_path
 from rig.settings import Configuration
 
 _LOOK_S = 0.1

@@ -14,7 +14,18 @@ from acquisition import atomic_write
 from acquisition.record.topics import RecordedPhase
 from processing.errors import ConfigurationError, DataError, DeviceError, RecordError, RigError
 from rig.control import SafetyNow, SafetyState, rig_state_path
-from rig.devices import AUDIT_NAME, Devices, LightWatch, ask_leave, check_log
+from rig.devices import (
+    AUDIT_NAME,
+    Devices,
+    LightWatch,
+    NoSession,
+    OrderConnection,
+    SessionNews,
+    ask_leave,
+    check_log,
+    light_told,
+    running_sessions,
+)
 from rig.instrument import (
     check_materials,
     complete,
@@ -25,7 +36,6 @@ from rig.measure.end_of_run import StopRequest
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run_parts import RunPlan
 from rig.measure.run_setup import measure_run
-from rig.orders import NoSession, OrderConnection, SessionNews, light_told, running_sessions
 from rig.presentation import (
     Verdict,
     answer,

@@ -17,13 +17,13 @@ from processing.spot import SpotFlag
 from processing.units import nanoseconds, seconds
 from rig.instrument import BeamCorrection, Block, ObserverGuard, Phase, RecordContents
 from rig.measure.end_of_run import EndOfRun, StopRequest
+from rig.measure.posterior import Posterior
 from rig.measure.readings import LossLog, SideReadings
 from rig.measure.recent_frames import FrameCounts
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run_parts import RunParts
 from rig.measure.run_status import RunStatus
 from rig.measure.session_orders import StartJudge
-from rig.posterior import Posterior
 
 _LIVE_FIT = "the live fit"
 _LESS_BEAM = "the live subtraction of the reference spot"

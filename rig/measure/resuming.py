@@ -14,6 +14,7 @@ from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
 from rig.measure.notices import Sleep, Waiting, announced, check_waiting
+from rig.measure.posterior import check_stop_when
 from rig.measure.run import ready_for_frames
 from rig.measure.session import (
     SessionOptions,
@@ -24,7 +25,6 @@ from rig.measure.session import (
     report,
 )
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, end_noted, read_session
-from rig.posterior import check_stop_when
 from rig.presentation import say
 from rig.settings import (
     Configuration,

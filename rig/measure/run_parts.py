@@ -12,14 +12,13 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError
 from processing.units import ARCSEC_RAD
-from rig.devices import Devices, FrameStream, OpenCamera, TypedAcknowledgement
+from rig.devices import Devices, FrameStream, OpenCamera, SessionNews, TypedAcknowledgement
 from rig.instrument import Optics, RunNow, configuration_attachments, session_metadata
 from rig.measure.end_of_run import EndLimits
 from rig.measure.phases import PhasesBeforeRecord
+from rig.measure.posterior import LivePosterior
 from rig.measure.run_status import Watcher
 from rig.measure.session_orders import Notes, StartLimits, start_limits
-from rig.orders import SessionNews
-from rig.posterior import LivePosterior
 from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
 

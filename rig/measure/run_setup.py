@@ -8,10 +8,10 @@ from processing.errors import ConfigurationError, RecordError
 from rig.devices import Devices, OpenCamera, TypedAcknowledgement
 from rig.instrument import RunNow, optics_of, prepare_kernels
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
+from rig.measure.posterior import LivePosterior, live_posterior
 from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunOutcome, RunParts, RunPlan
 from rig.measure.screen import RunDisplay
-from rig.posterior import LivePosterior, live_posterior
 from rig.presentation import Verdict, say
 from rig.view import RunningView
 

@@ -20,9 +20,8 @@ from processing.errors import RigError
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.control import LightRefused
-from rig.devices import AuditEntry, Devices, ask_leave, at_terminal, wait_for_command
+from rig.devices import AuditEntry, Devices, Orders, SessionNews, ask_leave, at_terminal, wait_for_command
 from rig.instrument import Optics
-from rig.orders import Orders, SessionNews
 from rig.settings import Configuration
 
 NOTES_NAME = "notes.jsonl"

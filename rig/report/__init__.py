@@ -1,5 +1,8 @@
 """Figures, tables and the HTML page of a session, and of several beside each other."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
 from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg
@@ -15,3 +18,38 @@ from rig.report.session_report import (
 from rig.report.source import ShownTrajectory, ShownUnit
 from rig.report.tables import series_table
 from rig.report.tables_instruments import instrument_table
+
+if TYPE_CHECKING:
+    from rig.report.paper_tables import reproduce_paper
+    from rig.report.plan import ageing_table, plan_expected, plan_figure, plan_table, print_plan, save_plan
+    from rig.report.planned_run import (
+        PlannedContact,
+        expected_of,
+        expected_of_run,
+        expected_of_table,
+        planned_expectation,
+    )
+    from rig.report.session_export import export_session
+
+_LATER = {
+    "export_session": "session_export",
+    "PlannedContact": "planned_run",
+    "expected_of": "planned_run",
+    "expected_of_run": "planned_run",
+    "expected_of_table": "planned_run",
+    "planned_expectation": "planned_run",
+    "ageing_table": "plan",
+    "plan_expected": "plan",
+    "plan_figure": "plan",
+    "plan_table": "plan",
+    "print_plan": "plan",
+    "save_plan": "plan",
+    "reproduce_paper": "paper_tables",
+}
+"""What is imported when it is asked for, by module."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)

@@ -1,5 +1,25 @@
 """What draws a record, whole or being written, in Rerun: a program of its own, and what starts it."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from rig.view.graticule import LayoutName, Mode
 from rig.view.scratch import RunningView, ScratchHead, ScratchView
 from rig.view.show import show_records
+
+if TYPE_CHECKING:
+    from rig.view.record_replay import analyse_replayed, replay_record
+    from rig.view.replay_comparison import parameter_changes
+
+_LATER = {
+    "parameter_changes": "replay_comparison",
+    "analyse_replayed": "record_replay",
+    "replay_record": "record_replay",
+}
+"""What is imported when it is asked for, by module."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)

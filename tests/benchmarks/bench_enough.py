@@ -11,9 +11,9 @@ from processing.contact.laws import PAPER
 from processing.errors import RigError
 from processing.fit import FitResult, fit_exact
 from processing.swing import TurningPoints
+from rig.measure import FIRST_HALF_CYCLES
 from rig.measure.end_of_run import EndLimits, EndOfRun
-from rig.posterior import FIRST_HALF_CYCLES
-from rig.posterior.posterior import following
+from rig.measure.posterior import following
 from rig.settings.number_input import stop_conditions
 from tests.benchmarks.coverage import coverage, held, lines, named
 from tests.processing.fit.decays import paper_pair, truth

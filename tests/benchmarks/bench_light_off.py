@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from processing.errors import RigError
-from rig.orders import OrderConnection
+from rig.devices import OrderConnection
 from tests.rig.desk.board_process import BoardProcess, board_process
 from tests.rig.desk.conftest import RIG
 from tests.rig.desk.desk_page import Page, desk_page

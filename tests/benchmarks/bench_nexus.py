@@ -8,8 +8,8 @@ from typing import Any
 
 import h5py
 
-from rig.export.session_export import export_session
-from tests.rig.replay.replay_record import make_record
+from rig.report.session_export import export_session
+from tests.rig.view.replay_record import make_record
 
 SAMPLES = Path(__file__).resolve().parents[1] / "rig" / "data" / "samples"
 _CHECK = """

@@ -24,6 +24,7 @@ from acquisition.camera import CameraSettings
 from calibration.axes_fit import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
+from rig.devices import OrderSocket, SessionNews
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument.pipeline import Optics
@@ -34,7 +35,6 @@ from rig.measure.run import MeasurementRun, ready_for_frames
 from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
-from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration, validate_configuration
 from rig.view import RunningView
 from tests.benchmarks.memory_camera import MemoryCamera, drawn_frames

@@ -15,7 +15,7 @@ from typing import Any
 from unittest.mock import patch
 
 from processing.errors import RigError
-from rig.orders import NoSession, OrderConnection
+from rig.devices import NoSession, OrderConnection
 from tests.benchmarks.safety_program import PLACES
 from tests.benchmarks.safety_row import Row
 from tests.rig.command_line import CONFIGS

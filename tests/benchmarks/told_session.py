@@ -18,7 +18,7 @@ import numpy as np
 from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
-from rig.orders import OrderSocket, SessionNews
+from rig.devices import OrderSocket, SessionNews
 from rig.settings import Configuration
 
 _EACH_S = 0.1

@@ -12,8 +12,7 @@ from matplotlib.lines import Line2D
 
 from processing.fit import SeismometerSpectra
 from rig.instrument import complete
-from rig.plan import expected_of, plan_expected, plan_figure
-from rig.report import draw_run, styled
+from rig.report import draw_run, expected_of, plan_expected, plan_figure, styled
 from rig.report.figures_motion import witness_figure
 from rig.settings import load_configuration
 from rig.view import LayoutName

@@ -110,9 +110,7 @@ def test_every_name_is_there_and_no_other() -> None:
 
 
 def test_importing_rig_loads_nothing_and_its_parts_nothing_that_takes_long() -> None:
-    code = (
-        "import sys, rig; print(*sys.modules); import rig.measure, rig.replay, rig.view; print(*sys.modules)"
-    )
+    code = "import sys, rig; print(*sys.modules); import rig.measure, rig.view, rig.view; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     first, then = (set(line.split()) for line in done.stdout.splitlines())
     assert {"numpy", "pydantic", "matplotlib", "rig.scripting"}.isdisjoint(first)

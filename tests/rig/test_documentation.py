@@ -18,7 +18,7 @@ from rig.cli import app
 from rig.settings import Configuration, load_configuration, validate_configuration
 from rig.settings.validation_messages import section_fields, section_of
 from tests.rig.command_line import SMALL, rig, set_words
-from tests.rig.replay.replay_record import RATE_HZ, make_record
+from tests.rig.view.replay_record import RATE_HZ, make_record
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [

@@ -9,11 +9,10 @@ from nicegui import ui
 from nicegui.events import MouseEventArguments
 
 from acquisition.camera import CameraSettings
-from rig.align import AlignmentFrame, SeenReference, annotated_picture, middle_of
 from rig.desk.desk import Desk
 from rig.desk.following import Following, doing
 from rig.desk.tab import Tab
-from rig.devices import picture
+from rig.devices import AlignmentFrame, SeenReference, annotated_picture, middle_of, picture
 
 INTERVAL_S = 0.1
 _NUMBER = count()

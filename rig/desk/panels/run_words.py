@@ -8,8 +8,7 @@ from typing import Any
 from processing.estimate import Estimate
 from rig.control import DevicesNow
 from rig.instrument import Phase
-from rig.measure import estimate_texts
-from rig.posterior import FIRST_HALF_CYCLES
+from rig.measure import FIRST_HALF_CYCLES, estimate_texts
 from rig.presentation import quantity
 
 _STEPS: Mapping[str, str] = {

@@ -23,7 +23,7 @@ from acquisition.record.topics import METADATA_COPY, PIXEL_TOPICS, PREVIEW_TOPIC
 from processing.swing import HalfCycleFlag
 from processing.units import ARCSEC_RAD
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, FRAME_NS, write_sample
-from tests.rig.replay.replay_record import make_record
+from tests.rig.view.replay_record import make_record
 
 PACKAGES = ("@mcap/core@2.2.2", "@mcap/support@1.1.0")
 SCRIPT = Path(__file__).parent / "node" / "read.mjs"

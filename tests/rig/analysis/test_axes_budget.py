@@ -17,7 +17,7 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.instrument import complete
 from rig.settings import load_configuration
 from tests.processing.fit.test_uncertainty import found, points, rig
-from tests.rig.replay.replay_record import CONFIG
+from tests.rig.view.replay_record import CONFIG
 
 __all__ = ["found", "points"]
 

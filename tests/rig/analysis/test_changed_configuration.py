@@ -10,10 +10,10 @@ from processing.errors import RecordError
 from rig.analysis import read_results
 from rig.commands.fitting import fit_records
 from rig.instrument import recorded_configuration
-from rig.replay.record_replay import replay_record
 from rig.report import make_report
+from rig.view.record_replay import replay_record
 from tests.rig.command_line import rig
-from tests.rig.replay.replay_record import make_record
+from tests.rig.view.replay_record import make_record
 
 MASS, OTHER = b"0.406", b"0.606"
 

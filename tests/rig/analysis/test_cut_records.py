@@ -9,9 +9,9 @@ import pytest
 from acquisition.record.recover import recover
 from rig.commands.fitting import fit_records
 from rig.measure import resume_session
-from rig.replay.record_replay import replay_record
+from rig.view.record_replay import replay_record
 from rig.view.show import write_rrd
-from tests.rig.replay.replay_record import make_record
+from tests.rig.view.replay_record import make_record
 
 
 @pytest.fixture(scope="module")

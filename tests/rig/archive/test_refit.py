@@ -10,7 +10,7 @@ import pytest
 
 from rig.archive import add_folders, refit_runs, selected
 from rig.archive.updating import Task, Work, _in_processes
-from rig.replay import analyse_replayed
+from rig.view import analyse_replayed
 from tests.rig.archive.deadly import Deadly, outcome_of
 from tests.rig.command_line import rig
 

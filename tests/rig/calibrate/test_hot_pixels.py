@@ -13,8 +13,8 @@ from rig.calibrate.inputs import Filing
 from rig.instrument.calibration import fill_from_files
 from rig.instrument.provenance import recorded_configuration
 from rig.measure.session import simulate_record
-from rig.replay.replay import Replay
 from rig.settings import validate_configuration
+from rig.view.replay import Replay
 from tests.calibration.simulated_sensor import transfer_frames
 
 SEED = 1

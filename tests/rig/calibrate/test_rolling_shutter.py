@@ -11,8 +11,8 @@ from calibration.shutter import ShutterFit
 from rig.calibrate import Filing, calibrate_shutter
 from rig.instrument import recorded_configuration
 from rig.measure.session import simulate_record
-from rig.replay.replay import Replay
 from rig.settings import load_configuration
+from rig.view.replay import Replay
 from tests.rig.calibrate.rolling_measurement import compare
 from tests.rig.command_line import rig
 

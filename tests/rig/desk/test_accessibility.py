@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from rig.desk.theme import THEMES
-from rig.orders import OrderSocket, SessionNews
+from rig.devices import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
 

@@ -16,8 +16,8 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from rig.control import STALE_S
 from rig.desk.alarm_list import AlarmKey, AlarmState
 from rig.desk.desk import Desk
+from rig.devices import OrderSocket, SessionNews
 from rig.measure.session_file import RunState, SessionFile
-from rig.orders import OrderSocket, SessionNews
 from rig.settings import load_configuration, stored_configuration
 from tests.waiting import until
 

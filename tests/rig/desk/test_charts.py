@@ -14,7 +14,7 @@ from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from rig.desk.charts import Chart, ChartCurve, chart_options, trajectory_ends
-from rig.orders import OrderSocket, SessionNews
+from rig.devices import OrderSocket, SessionNews
 from rig.presentation import quantity
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page

@@ -13,7 +13,7 @@ import pytest
 
 from processing.errors import ConfigurationError
 from rig.balance import InJsonLines
-from rig.orders import OrderSocket, SessionNews
+from rig.devices import OrderSocket, SessionNews
 from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
 from tests.waiting import until
 

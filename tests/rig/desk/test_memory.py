@@ -19,7 +19,7 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycle
-from rig.orders import OrderSocket, SessionNews
+from rig.devices import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import Page
 from tests.rig.view.headless_browser import HeadlessBrowser

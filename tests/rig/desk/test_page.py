@@ -17,7 +17,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError
 from processing.spot import Spot
 from rig.control import ControlState, DevicesNow, LaserNow, Light
-from rig.orders import OrderSocket, SessionNews
+from rig.devices import OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.rig.control.test_states import status
 from tests.rig.desk.desk_page import DeskProcess, Page

@@ -6,7 +6,7 @@ import pytest
 
 from rig.desk.panels.run_words import first_fit, strip, time_left
 from rig.instrument import Phase
-from rig.posterior import FIRST_HALF_CYCLES
+from rig.measure import FIRST_HALF_CYCLES
 
 
 def steps(text: str) -> list[str]:

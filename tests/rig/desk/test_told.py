@@ -9,7 +9,7 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from rig.desk.alarm_bar import sentence
 from rig.desk.alarm_list import CATALOGUE, AlarmKey
-from rig.orders import OrderSocket, SessionNews
+from rig.devices import OrderSocket, SessionNews
 from rig.presentation import Verdict
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page, desk_page

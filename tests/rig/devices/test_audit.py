@@ -11,10 +11,9 @@ import pytest
 from processing.errors import DeviceError
 from rig.control import LightRefused, SafetyState, TripCause
 from rig.control.simulated import SimulatedBoard
-from rig.devices import AuditEntry, Devices
+from rig.devices import AuditEntry, Devices, SessionNews
 from rig.devices.audit import AUDIT_NAME, AuditLog, check_log
 from rig.measure.session_orders import await_leave
-from rig.orders import SessionNews
 from rig.settings import Configuration, load_configuration
 from tests.disk_without_locks import without_locks
 from tests.rig.command_line import CONFIGS

@@ -20,9 +20,8 @@ from acquisition.simulation.inputs import RigInputs
 from processing.errors import RigError
 from rig.control import SafetyState, Stage, light_permit
 from rig.control.simulated import SimulatedBoard
-from rig.devices import lit_devices
+from rig.devices import NoSession, OrderConnection, lit_devices
 from rig.devices.audit import check_log
-from rig.orders import NoSession, OrderConnection
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 
 pytestmark = pytest.mark.timeout(300)

@@ -10,8 +10,8 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import RigError
+from rig.devices import NoSession, OrderConnection
 from rig.measure.session_orders import NOTES_NAME, Notes
-from rig.orders import NoSession, OrderConnection
 from rig.report.source import read_source
 from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words

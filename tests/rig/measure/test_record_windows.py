@@ -9,8 +9,8 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW
 from processing.errors import RecordError
 from rig.measure import simulate_record
-from rig.replay import replay_record
 from rig.settings import load_configuration
+from rig.view import replay_record
 from tests.rig.command_line import CONFIGS, SMALL
 
 

@@ -30,8 +30,8 @@ from rig.instrument import (
 from rig.measure import measure_session
 from rig.measure.recent_frames import RecentFrames
 from rig.measure.session import simulate_record
-from rig.replay import analyse_replayed
 from rig.settings import Configuration, ReferenceSettings, load_configuration
+from rig.view import analyse_replayed
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 
 ROW = 646

@@ -17,8 +17,8 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from acquisition.record.reader import RecordReader
 from acquisition.simulation.true_path import true_turning_points
 from rig.instrument.provenance import frame_shape, recorded_configuration
-from rig.replay.replay import Replay
 from rig.settings import load_configuration
+from rig.view.replay import Replay
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 from tests.rig.view.rrd_contents import column
 

@@ -11,9 +11,8 @@ from acquisition.record.reader import RecordReader
 from processing.balance import BalanceEstimator
 from processing.swing import TurningPointDetector
 from rig.instrument import ObserverGuard
-from rig.measure import measure_session, readings, recording
+from rig.measure import LivePosterior, measure_session, readings, recording
 from rig.measure.screen import RunDisplay
-from rig.posterior import LivePosterior
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, SMALL
 

@@ -12,11 +12,11 @@ from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.units import ARCSEC_RAD
 from rig.instrument import advice_for, complete
-from rig.replay import replay_record
 from rig.settings import load_configuration
+from rig.view import replay_record
 from rig.view.analysis import analysis_curves, report_text, run_analysis
 from rig.view.show import write_rrd
-from tests.rig.replay.replay_record import CONFIG, make_record
+from tests.rig.view.replay_record import CONFIG, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, scalars, static_values
 
 PANELS = {"decay", "residuals", "period", "period_residuals"}

@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from rig.replay import replay_record
 from rig.terminal import LOOPBACK, start_python
-from rig.view import RunningView
+from rig.view import RunningView, replay_record
 from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, rig, set_words
 from tests.rig.view.rrd_contents import contents, scalars

@@ -24,7 +24,7 @@ from processing.spot import Spot
 from rig.instrument import complete, configuration_attachments
 from rig.settings import load_configuration
 from rig.view.show import write_rrd
-from tests.rig.replay.replay_record import CONFIG, EPOCH_NS
+from tests.rig.view.replay_record import CONFIG, EPOCH_NS
 from tests.rig.view.rrd_contents import column
 
 HEALTHY = RecordedHealth(0, 1000, 4, 0, 0, 0, 10**6, 0.0123, 1e9, 0.0, 31.204, 0.052, "", "one Gaussian")

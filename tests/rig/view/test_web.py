@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from rig.presentation import palette
 from rig.view.show import write_rrd
-from tests.rig.replay.replay_record import make_record
 from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser, wait_for_picture
 from tests.rig.view.headless_viewer import pixels_of
+from tests.rig.view.replay_record import make_record
 
 pytestmark = pytest.mark.slow
 

@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader
 
 from acquisition.record.read_file import ReadFile
 from tests.acquisition.record.samples import write_sample
-from tests.rig.replay.replay_record import make_record
+from tests.rig.view.replay_record import make_record
 from tests.validation.row import Found
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -5,8 +5,8 @@ from functools import cache
 from processing.contact.hertz import MATERIALS, pendulum_on_ball
 from processing.contact.moments import surface_energy
 from processing.estimate import Estimate
-from rig.paper.simulation import BALL_RADIUS_M, MASS_KG, PAIRS, simulate_pair
-from rig.paper.tables import table1, table2, table3
+from rig.report.paper_simulation import BALL_RADIUS_M, MASS_KG, PAIRS, simulate_pair
+from rig.report.paper_tables import table1, table2, table3
 from tests.validation.row import Found
 
 

@@ -1,0 +1,201 @@
+"""Aligns laser and camera by eye: looks at the newest frames until the user ends it."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console, Group
+from rich.live import Live
+from rich.style import Style
+from rich.text import Text
+
+from acquisition import atomic_write
+from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
+from acquisition.frames.queue import FrameQueue
+from processing.errors import ConfigurationError, DeviceError
+from processing.spot import Spot, SpotTracker
+from processing.units import nanoseconds
+from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
+from rig.devices.udev import watch_latest
+from rig.presentation import Keys, answer
+
+HELP = "e E exposure   g G gain   z zoom   s save a picture   q end"
+_BELOW_ROWS = 10
+_BARS = " ▁▂▃▄▅▆▇█"
+
+
+class AligningScreen:
+    """Picture, histogram and figures, drawn in place; one line a look where there is no terminal."""
+
+    def __init__(self, console: Console, keys_help: str) -> None:
+        self._console = console
+        self._help = keys_help
+        self._live = Live(console=console, auto_refresh=False, screen=False) if console.is_terminal else None
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def show(self, look: AlignmentFrame, zoom: float, note: str) -> None:
+        """Draw a look."""
+        if self._live is None:
+            self._console.print(
+                "  ".join(filter(None, [*look.lines(), look.beam_line, note])),
+                soft_wrap=True,
+                highlight=False,
+            )
+            return
+        size = self._console.size
+        picture = annotated_picture(look, size.width, 2 * max(size.height - _BELOW_ROWS, 4), zoom)
+        shown = [f"zoom {zoom:g}  {histogram_line(look)}", *look.lines(), look.beam_line, note, self._help]
+        text = Text("\n".join(shown), no_wrap=True, overflow="ellipsis")
+        self._live.update(Group(half_blocks(picture), text), refresh=True)
+
+
+def half_blocks(picture: NDArray[np.uint8]) -> Text:
+    """A picture (ny, nx, 3) as characters, each of them two pixels one above the other."""
+    if picture.shape[0] % 2:
+        picture = np.concatenate([picture, np.zeros_like(picture[:1])])
+    text = Text(no_wrap=True)
+    for upper, lower in zip(picture[0::2], picture[1::2], strict=True):
+        for above, below in zip(upper.tolist(), lower.tolist(), strict=True):
+            text.append("▀", Style(color=_colour(above), bgcolor=_colour(below)))
+        text.append("\n")
+    return text
+
+
+def histogram_line(look: AlignmentFrame, bars: int = 32) -> str:
+    """Counts of pixels from 0 to full scale; a bar's height is logarithmic in the count."""
+    counts = np.histogram(look.image, bars, (0, look.full_scale_dn + 1))[0]
+    height = np.log1p(counts) / np.log1p(counts.max())
+    return f"0 {''.join(_BARS[round(8 * one)] for one in height.tolist())} {look.full_scale_dn} DN"
+
+
+def _colour(rgb: list[int]) -> str:
+    return f"#{rgb[0]:02x}{rgb[1]:02x}{rgb[2]:02x}"
+
+
+_EXPOSURE_STEP = 1.25
+_GAIN_STEP_DB = 1.0
+_ZOOMS = (1.0, 4.0, 16.0)
+_PICTURE_PX = (1200, 900)
+_PREFIX = "align"
+
+
+class _Wish(NamedTuple):
+    """What a key asks of the camera."""
+
+    settings: CameraSettings
+    note: str
+
+
+def align_camera(
+    camera: Camera,
+    info: CameraInfo,
+    applied: CameraSettings,
+    tracker: SpotTracker,
+    *,
+    folder: Path,
+    reference: tuple[SpotTracker, int] | None = None,
+    reference_px: tuple[float, float] | None = None,
+    seconds: float = 0.0,
+    view: Callable[[Frame, Spot], None] | None = None,
+    keys: Keys | None = None,
+    console: Console | None = None,
+) -> list[Path]:
+    """Show the newest frames five times a second, until a key or the time ends it.
+
+    Parameters
+    ----------
+    camera
+        Open, configured and stopped; it is stopped again afterwards and keeps what the keys have set.
+    applied
+        Settings that the camera has read back.
+    folder
+        Where the key `s` puts its pictures, align-1.png and so on; none is written over.
+    reference
+        Follows the reference's spot, and the row from which on frames are its own.
+    reference_px
+        Where the spot should rest, (x, y); default: the middle of the frame.
+    view
+        Called with each frame that is looked at, timed from the beginning, and the spot in it.
+    seconds
+        End after this many; 0: at the key `q`, or at Ctrl-C.
+
+    Returns
+    -------
+    list
+        The pictures that were saved.
+    """
+    begun_s = time.monotonic()
+    end_s = begun_s + seconds if seconds else float("inf")
+    zoom, note = 0, ""
+    saved: list[Path] = []
+    terminal = Keys() if keys is None else keys
+    console = Console() if console is None else console
+    with terminal, AligningScreen(console, HELP if terminal.there else "Ctrl-C ends") as screen:
+        going = True
+        while going:
+            going, wish = False, None
+            for *_, frame in watch_latest(camera, FrameQueue(1, "latest"), 1, end_s):
+                look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied, reference)
+                if view is not None:
+                    at_ns = nanoseconds(time.monotonic() - begun_s)
+                    view(frame._replace(device_time_ns=at_ns), look.spot)
+                for key in terminal.pressed(0.0):
+                    if key in ("q", "escape"):
+                        return saved
+                    if key == "z":
+                        zoom = (zoom + 1) % len(_ZOOMS)
+                    elif key == "s":
+                        saved.append(_save(look, folder, _ZOOMS[zoom]))
+                        note = f"{saved[-1]} saved"
+                    else:
+                        wish = _wish_of(key, applied) or wish
+                screen.show(look, _ZOOMS[zoom], note)
+                answer(picture=tuple(look.lines()), beam=look.beam_line)  # the last one stays
+                if wish is not None:
+                    break
+            if wish is not None:
+                # a camera is configured while it is stopped, and goes on with the next look
+                applied, note = _configured(camera, applied, wish)
+                going = True
+    return saved
+
+
+def _wish_of(key: str, applied: CameraSettings) -> _Wish | None:
+    if key in "eE" and applied.exposure_us is not None:
+        wanted_us = applied.exposure_us * (_EXPOSURE_STEP if key == "E" else 1 / _EXPOSURE_STEP)
+        return _Wish(CameraSettings(exposure_us=wanted_us), "exposure")
+    if key in "gG" and applied.gain_db is not None:
+        wanted_db = applied.gain_db + (_GAIN_STEP_DB if key == "G" else -_GAIN_STEP_DB)
+        return _Wish(CameraSettings(gain_db=wanted_db), "gain")
+    return None
+
+
+def _configured(camera: Camera, before: CameraSettings, wish: _Wish) -> tuple[CameraSettings, str]:
+    try:
+        applied = camera.configure(wish.settings)
+    except DeviceError as error:
+        return before, f"{wish.note}: {error}"
+    return applied, "" if applied != before else f"the {wish.note} is at the camera's limit"
+
+
+def _save(look: AlignmentFrame, folder: Path, zoom: float) -> Path:
+    number = 1
+    while (path := folder / f"{_PREFIX}-{number}.png").exists():
+        number += 1
+    done, png = cv2.imencode(".png", annotated_picture(look, *_PICTURE_PX, zoom)[..., ::-1])
+    if not done:
+        raise ConfigurationError(f"{path}: can't be written as PNG")
+    atomic_write.write_new(path, png.tobytes())
+    return path

@@ -1,0 +1,338 @@
+"""One look at the camera while it is aligned: a frame, the spot in it, and their figures."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.camera import CameraSettings, Image
+from processing.spot import Spot, SpotFlag, SpotTracker
+from rig.devices import picture
+from rig.devices.picture import PictureFigures
+from rig.instrument import beam_quality
+from rig.presentation import Verdict, decimals, palette
+from rig.settings import PreflightSettings
+
+_CENTRED = 0.1
+"""Of the shorter side: so far off the crosshair a spot is centred."""
+_ROOM = 0.15
+"""Of the shorter side: a spot so far from each edge has room, and may as well be one that swings."""
+_OFF_MIDDLE = "at rest it belongs to the crosshair; a swing passes there"
+_SHARP = 0.95
+"""Of the best sharpness so far: so near a focus is right."""
+
+
+class SeenReference(NamedTuple):
+    """The spot in the part of a frame that the reference has for itself, and that part's saturated pixels.
+
+    `spot` is in px of the whole frame; its fields are NaN if none was found.
+    """
+
+    spot: Spot
+    from_row_px: int
+    saturated_px: int
+
+    @classmethod
+    def in_image(cls, spot: Spot, from_row_px: int, image: Image, full_scale_dn: int) -> "SeenReference":
+        """A spot that was found in an image."""
+        below = image[from_row_px:]
+        return cls(spot, from_row_px, int(np.count_nonzero(below >= full_scale_dn)))
+
+    @property
+    def found(self) -> bool:
+        """Is there a spot at all?"""
+        return not self.spot.flags & SpotFlag.LOST
+
+    @property
+    def lamp(self) -> Verdict:
+        """Whether the reference can be followed, else what to do."""
+        if not self.found:
+            remedy = f"let the reference's beam fall below row {self.from_row_px}"
+            return Verdict("reference", False, remedy=remedy, measured="none found", limit="one spot")
+        reason = remedy = ""
+        if self.saturated_px:
+            reason, remedy = f"{self.saturated_px} px are saturated", "weaken the reference's beam"
+        elif self.spot.flags & (SpotFlag.EDGE | SpotFlag.CUT):
+            reason, remedy = "it is cut by the edge of its part", "move it to the middle of its part"
+        measured = f"{self.spot.x_px:.1f}, {self.spot.y_px:.1f} px"
+        return Verdict("reference", not reason, reason, remedy, measured=measured, limit="one whole spot")
+
+
+class AlignmentFrame(NamedTuple):
+    """A frame (ny, nx) in DN as the eye shall see it, and what is known of it.
+
+    Attributes
+    ----------
+    spot
+        Fitted spot; its fields are NaN if none was found.
+    middle_px
+        Where the spot should rest, (x, y) in the frame: the light lever's reference, else the middle.
+    applied
+        Settings that the camera has read back.
+    beam
+        The verdict on the beam; None where it was not judged.
+    reference
+        The reference's spot, in the frame's px; None where it has none, or where it was not looked for.
+    """
+
+    image: Image
+    full_scale_dn: int
+    figures: PictureFigures
+    spot: Spot
+    middle_px: tuple[float, float]
+    applied: CameraSettings
+    beam: Verdict | None = None
+    reference: SeenReference | None = None
+
+    @property
+    def found(self) -> bool:
+        """Is there a spot at all?"""
+        return not self.spot.flags & SpotFlag.LOST
+
+    @property
+    def beam_line(self) -> str:
+        """The verdict on the beam in words; empty where it was not judged."""
+        return "" if self.beam is None else self.beam.line
+
+    def lamps(self, sharpest_per_px: float = 0.0) -> list[Verdict]:
+        """Peak, saturation, centring, focus, beam, reference: whether one can go on, else what to do.
+
+        `sharpest_per_px` is the best sharpness so far, which a focus is compared with.
+        """
+        seen, limits = self.figures, PreflightSettings()
+        low, high = limits.min_peak_fraction, limits.max_peak_fraction
+        peak_ok = low <= seen.peak <= high
+        lamps = [
+            Verdict(
+                "peak",
+                peak_ok,
+                remedy="" if peak_ok else "expose longer" if seen.peak < low else "expose shorter",
+                measured=f"{100 * seen.peak:.0f} %",
+                limit=f"{100 * low:.0f} to {100 * high:.0f} %",
+            ),
+            Verdict(
+                "saturated",
+                not seen.saturated_px,
+                remedy="expose shorter, or less gain" if seen.saturated_px else "",
+                measured=f"{seen.saturated_px} px" if seen.saturated_px else "none",
+                limit="none",
+            ),
+        ]
+        of_reference = [] if self.reference is None else [self.reference.lamp]
+        if not self.found:
+            gone = Verdict("spot", False, remedy="let the beam fall on the sensor", measured="none found")
+            return [*lamps, gone, *of_reference]
+        off_px, shortest_px = max(map(abs, self._off_px)), min(self.image.shape)
+        centred = off_px <= _CENTRED * shortest_px
+        off_middle = "" if centred or self._edge_px >= _ROOM * shortest_px else _OFF_MIDDLE
+        lamps.append(
+            Verdict(
+                "centring",
+                True,
+                remedy=off_middle,
+                measured=f"{_offset(self._off_px, 0)} px",
+                limit=f"{_CENTRED * shortest_px:.0f} px",
+            )
+        )
+        sharp = seen.sharpness_per_px >= _SHARP * sharpest_per_px
+        focus = "" if sharp else f"was {sharpest_per_px:.4f} /px: turn the focus back"
+        measured = f"{seen.sharpness_per_px:.4f} /px"
+        lamps.append(Verdict("focus", True, remedy=focus, measured=measured, limit="the best so far"))
+        return [*lamps, *([] if self.beam is None else [self.beam]), *of_reference]
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The figures as a table, one row for each kind; those of the spot only where there is one."""
+        seen, spot, applied = self.figures, self.spot, self.applied
+        height_px, width_px = self.image.shape
+        exposure, gain = applied.exposure_us, applied.gain_db
+        rows = [
+            ("peak", f"{100 * seen.peak:.1f} %, background {100 * seen.background:.1f} %"),
+            ("saturated", f"{seen.saturated_px} px" if seen.saturated_px else "none"),
+            ("sharpness", f"{seen.sharpness_per_px:.4f} /px"),
+        ]
+        if self.found:
+            rows += [
+                ("spot", f"{spot.x_px:.2f}, {spot.y_px:.2f} px"),
+                ("off the crosshair", f"{_offset(self._off_px, 1)} px"),
+                ("nearest edge", f"{self._edge_px:.0f} px"),
+                (
+                    "sigma",
+                    f"{spot.sigma_x_px:.2f} × {spot.sigma_y_px:.2f} px, ellipticity {self._ellipticity:.2f}",
+                ),
+                ("fit", f"χ²/dof {spot.chi2_per_dof:.2f}, {', '.join(self._doubts) or 'a clean spot'}"),
+            ]
+        else:
+            rows.append(("spot", "none found"))
+        if self.reference is not None:
+            rows.append(("reference", self.reference.lamp.measured))
+        offset_px = (applied.offset_x_px, applied.offset_y_px)
+        begins = "" if None in offset_px else f" from ({offset_px[0]}, {offset_px[1]})"
+        exposed = "unknown" if exposure is None else f"{exposure:.6g} µs"
+        rows += [
+            ("region", f"{width_px} × {height_px} px{begins}"),
+            ("exposure", f"{exposed}, gain {'unknown' if gain is None else f'{gain:.3g} dB'}"),
+        ]
+        return rows if self.beam is None else [*rows, ("beam", self.beam.said)]
+
+    @property
+    def _off_px(self) -> tuple[float, float]:
+        return self.spot.x_px - self.middle_px[0], self.spot.y_px - self.middle_px[1]
+
+    @property
+    def _edge_px(self) -> float:
+        height_px, width_px = self.image.shape
+        if self.reference is not None:
+            height_px = self.reference.from_row_px
+        spot = self.spot
+        return float(min(spot.x_px, spot.y_px, width_px - 1 - spot.x_px, height_px - 1 - spot.y_px))
+
+    @property
+    def _ellipticity(self) -> float:
+        spot = self.spot
+        return max(spot.sigma_x_px, spot.sigma_y_px) / min(spot.sigma_x_px, spot.sigma_y_px)
+
+    @property
+    def _doubts(self) -> list[str]:
+        return [
+            flag.name.lower().replace("_", " ") for flag in SpotFlag if self.spot.flags & flag and flag.name
+        ]
+
+    def lines(self) -> list[str]:
+        """The figures in words, one line for each kind."""
+        seen, spot = self.figures, self.spot
+        saturated = f"{seen.saturated_px} px SATURATED" if seen.saturated_px else "none saturated"
+        light = f"peak {100 * seen.peak:6.1f} %  background {100 * seen.background:.1f} %  {saturated}"
+        light += f"  sharpness {seen.sharpness_per_px:.4f} /px"
+        height_px, width_px = self.image.shape
+        region = f"region {width_px} x {height_px} px"
+        if self.applied.offset_x_px is not None and self.applied.offset_y_px is not None:
+            region += f" from ({self.applied.offset_x_px}, {self.applied.offset_y_px}) of the sensor"
+        exposure, gain = self.applied.exposure_us, self.applied.gain_db
+        region += f"  exposure {'unknown' if exposure is None else f'{exposure:.6g} µs'}"
+        region += f"  gain {'unknown' if gain is None else f'{gain:.3g} dB'}"
+        if self.reference is not None:
+            region += f"  {self.reference.lamp.line}"
+        if not self.found:
+            return [light, "no spot", "", region]
+        place = f"spot {spot.x_px:.2f}, {spot.y_px:.2f} px  "
+        place += f"from the crosshair {_offset(self._off_px, 1)} px"
+        place += f"  to the nearest edge {self._edge_px:.0f} px"
+        shape = f"sigma {spot.sigma_x_px:.2f} x {spot.sigma_y_px:.2f} px  ellipticity {self._ellipticity:.2f}"
+        shape += f"  χ²/dof {spot.chi2_per_dof:.2f}"
+        return [light, place, f"{shape}  {', '.join(self._doubts) or 'a clean spot'}", region]
+
+
+def _offset(off_px: tuple[float, float], places: int) -> str:
+    return ", ".join(decimals(value, places, sign=True) for value in off_px)
+
+
+def middle_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
+    """Where the spot should rest, (x, y): the reference, else the middle of the frame."""
+    rows, columns = image.shape
+    return reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
+
+
+def take_look(
+    image: Image,
+    full_scale_dn: int,
+    tracker: SpotTracker,
+    reference_px: tuple[float, float] | None,
+    applied: CameraSettings,
+    reference: tuple[SpotTracker, int] | None = None,
+) -> AlignmentFrame:
+    """Find the spot in a frame, and judge frame and beam.
+
+    `reference` follows the reference's spot, from the row on from which the frame is its own; figures and
+    beam are of the part above.
+    """
+    part, other = image, None
+    if reference is not None and reference[1] < len(image):
+        follower, row = reference
+        part, found = image[:row], follower.track(image[row:])
+        other = SeenReference.in_image(found._replace(y_px=found.y_px + row), row, image, full_scale_dn)
+    spot = tracker.track(part)
+    beam = beam_quality([part], [spot], tracker.model, full_scale_dn, PreflightSettings())
+    seen = picture.figures(part, full_scale_dn)
+    if beam.ok and seen.saturated_px:
+        # of what is cut off at full scale no shape can be judged
+        beam = replace(
+            beam,
+            ok=False,
+            reason=f"{seen.saturated_px} px are saturated",
+            remedy="expose shorter, or less gain",
+        )
+    return AlignmentFrame(
+        image, full_scale_dn, seen, spot, middle_of(image, reference_px), applied, beam, other
+    )
+
+
+_ELLIPSE_SIGMAS = 2.0
+Picture = NDArray[np.uint8]
+
+
+def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom: float = 1.0) -> Picture:
+    """The whole frame, or its part around the spot, fitted into a size; RGB (height, width, 3).
+
+    Saturated pixels stay visible however much the frame is reduced. With a `zoom` above 1 the part is so
+    much smaller than the frame, and centred on the spot, or on the crosshair where there is none.
+
+    Returns
+    -------
+    array
+        At most (height_px, width_px, 3), with the part's own ratio of sides.
+    """
+    left, top, part_width, part_height = _part(look, zoom)
+    part = look.image[top : top + part_height, left : left + part_width]
+    scale = min(width_px / part_width, height_px / part_height)
+    size = max(1, round(part_width * scale)), max(1, round(part_height * scale))
+    # a root for each value that there can be, not for each pixel
+    roots = np.sqrt(np.arange(np.iinfo(part.dtype).max + 1) / look.full_scale_dn)
+    drawn = _resized(roots[part], size, scale)
+    picture = np.repeat((255.0 * np.clip(drawn, 0.0, 1.0)).astype(np.uint8)[..., np.newaxis], 3, axis=2)
+    thin = max(1, round(min(size) / 300))
+
+    def at(x_px: float, y_px: float) -> tuple[int, int]:
+        return round((x_px - left + 0.5) * scale - 0.5), round((y_px - top + 0.5) * scale - 0.5)
+
+    cross = at(*look.middle_px)
+    blue = palette.rgba(palette.SKY_BLUE)[:3]
+    cv2.line(picture, (cross[0], 0), (cross[0], size[1] - 1), blue, thin)
+    cv2.line(picture, (0, cross[1]), (size[0] - 1, cross[1]), blue, thin)
+    reference = look.reference
+    if reference is not None:
+        # from this line on the frame is the reference's
+        row = at(0.0, reference.from_row_px - 0.5)[1]
+        cv2.line(picture, (0, row), (size[0] - 1, row), palette.rgba(palette.BLUISH_GREEN)[:3], thin)
+    for spot, colour in (
+        *([(look.spot, palette.YELLOW)] if look.found else []),
+        *([(reference.spot, palette.BLUISH_GREEN)] if reference is not None and reference.found else []),
+    ):
+        half = tuple(max(1, round(_ELLIPSE_SIGMAS * s * scale)) for s in (spot.sigma_x_px, spot.sigma_y_px))
+        rgb = palette.rgba(colour)[:3]
+        angle_deg = math.degrees(spot.rotation_rad)
+        cv2.ellipse(picture, at(spot.x_px, spot.y_px), half, angle_deg, 0.0, 360.0, rgb, thin)
+    full = part >= look.full_scale_dn
+    if full.any():
+        # of a pixel of the picture any part may be saturated
+        saturated = _resized(full.astype(np.float64), size, scale) > 0.0
+        picture[saturated] = palette.rgba(palette.VERMILLION)[:3]
+    return picture
+
+
+def _part(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the part that is shown."""
+    rows, columns = look.image.shape
+    width, height = max(8, round(columns / zoom)), max(8, round(rows / zoom))
+    x_px, y_px = (look.spot.x_px, look.spot.y_px) if look.found else look.middle_px
+    left = int(np.clip(round(x_px - 0.5 * width), 0, max(columns - width, 0)))
+    top = int(np.clip(round(y_px - 0.5 * height), 0, max(rows - height, 0)))
+    return left, top, min(width, columns), min(height, rows)
+
+
+def _resized(values: NDArray[np.float64], size: tuple[int, int], scale: float) -> NDArray[np.float64]:
+    """Means over areas when made smaller, single pixels when made larger."""
+    way = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(values, size, interpolation=way), dtype=np.float64)

@@ -1,0 +1,162 @@
+"""The order socket of whoever has the devices: a loopback port that answers those who have its key."""
+
+import json
+import os
+import secrets
+import socket
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
+from multiprocessing import AuthenticationError
+from multiprocessing.connection import Connection, answer_challenge, deliver_challenge
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rig.devices.session_devices import Devices
+from rig.devices.session_news import SessionNews
+from rig.presentation import plain_values
+from rig.settings import Configuration
+
+ORDERS_NAME = ".orders.json"
+LOOPBACK = "127.0.0.1"
+BEAT = "beat"
+"""Answered with nothing, at once."""
+NEWS, LOOK = "news", "look"
+_LOOK_S = 0.2
+Orders = Mapping[str, Callable[[str], str]]
+"""What may be ordered, by its first word, which is called with the rest; returns what was done, or raises
+RigError."""
+
+
+class OrderSocket:
+    """A context manager: while it is open, the file in the session's folder names port and key.
+
+    Each connection has a thread of its own, which begins by proving on both sides that the key is known: who
+    stops in the middle of that, or of an order, holds up nobody else. `extra` is asked with each answer, for
+    what only the devices know. A socket that cannot be opened is no reason not to measure: nobody then
+    watches, which `problem` says.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        session_news: SessionNews,
+        orders: Orders,
+        extra: Callable[[], Mapping[str, Any]] = dict,
+    ) -> None:
+        self._path = folder / ORDERS_NAME
+        self._news, self._extra = session_news, extra
+        self._answers: dict[str, Callable[[Any], Any]] = {
+            BEAT: lambda _: None,
+            NEWS: lambda after: plain_values({**self._news.news(after), **self._extra()}),
+            LOOK: self._news.picture,
+        }
+        self._orders = orders
+        self._key = secrets.token_bytes(24)
+        self._over = threading.Event()
+        self._socket: socket.socket | None = None
+        self.problem = ""
+
+    def __enter__(self) -> Self:
+        try:
+            self._socket = socket.create_server((LOOPBACK, 0), backlog=64)
+            self._socket.settimeout(_LOOK_S)
+            port = self._socket.getsockname()[1]
+            _write(self._path, {"port": port, "key": self._key.hex(), "pid": os.getpid()})
+        except OSError as error:
+            self.problem = f"nobody can watch this session: {error}"
+            self._close()
+            return self
+        threading.Thread(target=self._accept, args=(self._socket,), name="orders", daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # who is connected already would be answered for as long as the process fits what was measured
+        self._over.set()
+        if self._socket is not None:
+            with suppress(OSError):
+                self._path.unlink()
+        self._close()
+
+    def _close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _accept(self, listening: socket.socket) -> None:
+        while not self._over.is_set():
+            try:
+                accepted, _ = listening.accept()
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            accepted.settimeout(None)
+            connection = Connection(accepted.detach())
+            threading.Thread(target=self._serve, args=(connection,), name="order", daemon=True).start()
+
+    def _serve(self, connection: Connection) -> None:
+        # who has gone is no event
+        with connection, suppress(OSError, EOFError, AssertionError, AuthenticationError):
+            answer_challenge(connection, self._key)
+            deliver_challenge(connection, self._key)
+            while not self._over.is_set():
+                if connection.poll(_LOOK_S):
+                    asked = connection.recv()
+                    if self._over.is_set():
+                        return
+                    connection.send(self._answer(*asked))
+
+    def _answer(self, name: str, value: Any) -> tuple[bool, Any]:
+        """Whether it was done, and what was asked for or why not."""
+        try:
+            if name in self._answers:
+                return True, self._answers[name](value)
+            if name in self._orders:
+                return True, self._orders[name](value)
+        except Exception as error:
+            # whatever it is, it is reported to who ordered, and ends no session
+            return False, str(error) or type(error).__name__
+        return False, f"{name!r}: this session knows no such order"
+
+
+def devices_now(devices: Devices) -> dict[str, Any]:
+    """State of laser, controller and interlock as plain values; never blocks."""
+    return {
+        "devices": asdict(devices.now()),
+        "darkness": devices.darkness(),
+        "safety": asdict(devices.safety()),
+    }
+
+
+@contextmanager
+def light_told(
+    devices: Devices, config: Configuration, folder: Path, session_news: SessionNews | None = None
+) -> Iterator[None]:
+    """While a command that is no session has the devices: the desk shows its light, and can darken it.
+
+    `folder` is the one that the devices were opened with, which the rig's lock names. A rig without one
+    (simulated) is not found by it, and tells nothing, unless it has `session_news` for who knows the folder:
+    pictures of what is recorded.
+    """
+    if devices.state.path is None and session_news is None:
+        yield
+        return
+    with suppress(OSError):
+        # without it nobody watches
+        folder.mkdir(parents=True, exist_ok=True)
+    orders = {"dark": lambda _: devices.light_off("the desk")}
+    with OrderSocket(folder, session_news or SessionNews(config), orders, lambda: devices_now(devices)):
+        yield
+
+
+def _write(path: Path, values: Mapping[str, object]) -> None:
+    """Replace the file as a whole, readable by this user only."""
+    new = path.with_name(f"{path.name}.{os.getpid()}")
+    with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+        json.dump(values, file)
+    new.replace(path)

@@ -1,0 +1,235 @@
+"""Uncertainties of planned runs over their first and last amplitudes, and pairs of runs that tell an ageing
+contact: tables and picture of `rig plan`."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from acquisition import atomic_write
+from processing.contact import DRAG
+from processing.errors import DataError
+from processing.fit import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
+from processing.units import ARCSEC_RAD
+from rig.presentation import Cell, Table, answer, palette, percent, plain, print_tables, quantity
+from rig.report.planned_run import PlannedContact
+
+if TYPE_CHECKING:
+    from rig.report.drawing import ReportFigure
+
+_LINES = ("-", "--", ":", "-.")
+_LITTLE = 1.2
+"""Factor on u(b) by which not knowing the age may enlarge it in runs that are proposed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Planned runs, and series of `counts` of each; `values` are the parameters they are planned for.
+
+    Runs that last longer than `longest_s` are planned to their last amplitude all the same.
+    """
+
+    conditions: Conditions
+    values: Mapping[str, float]
+    runs: tuple[PlannedRun, ...]
+    counts: tuple[int, ...] = (1,)
+    longest_s: float = math.inf
+
+    @property
+    def scales(self) -> dict[str, float]:
+        """The values to which uncertainties are related; 0 for a drag that no run would tell from none."""
+        unseen = all(run.u.get(DRAG.key, 0.0) > abs(self.values.get(DRAG.key, 0.0)) for run in self.runs)
+        return {name: 0.0 if name == DRAG.key and unseen else value for name, value in self.values.items()}
+
+    def relative(self, run: PlannedRun) -> dict[str, float]:
+        """Uncertainty over value, by parameter; infinite where there is no value to relate it to."""
+        scales = self.scales
+        return {name: u / abs(scales[name]) if scales[name] else math.inf for name, u in run.u.items()}
+
+
+def plan_expected(
+    expected: PlannedContact,
+    first_arcsec: Sequence[float],
+    last_arcsec: Sequence[float],
+    ground_rad_per_s2_rthz: float | None = None,
+    counts: Sequence[int] = (1,),
+    witness_noise: float | None = None,
+) -> Plan:
+    """Runs between all first and last amplitudes, and series of so many of each.
+
+    Raises
+    ------
+    DataError
+        No pair of amplitudes makes a run.
+    """
+    values, pendulum, conditions, longest_s = expected
+    if ground_rad_per_s2_rthz is not None:
+        conditions = conditions.on_ground(ground_rad_per_s2_rthz)
+    if witness_noise is not None:
+        conditions = conditions.with_witness(witness_noise)
+    runs, problem = [], "every last amplitude must lie below every first one"
+    for first, last in product(first_arcsec, last_arcsec):
+        if last < first:
+            try:
+                runs.append(planned_run(values, pendulum, conditions, first * ARCSEC_RAD, last * ARCSEC_RAD))
+            except DataError as error:
+                problem = str(error)
+    if not runs:
+        raise DataError(f"no such run: {problem}")
+    return Plan(conditions, values, tuple(runs), tuple(sorted(set(counts))), longest_s)
+
+
+def _share(u: float, value: float, unit: str) -> str:
+    """An uncertainty over its value, or beside it where that is none: no drag."""
+    return percent(u / abs(value)) if value else f"{plain(u, 2)} {unit}".rstrip()
+
+
+def plan_table(plan: Plan) -> Table:
+    """A row for every run or series: time of all runs, and the relative uncertainty of every parameter."""
+    names, scales, conditions = list(plan.runs[0].u), plan.scales, plan.conditions
+    rows: list[list[Cell]] = []
+    shown = []
+    for run, count in product(plan.runs, plan.counts):
+        first, last = run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD
+        all_s, u = count * run.duration_s, [run.u[name] / math.sqrt(count) for name in names]
+        rows.append([first, last, run.duration_s, run.half_cycles, count, all_s, *u])
+        drowned = "" if run.complete else " (the ground ends it earlier)"
+        drowned += "" if run.duration_s <= plan.longest_s else " *"
+        shares = [_share(one, scales[name], quantity(name).unit) for name, one in zip(names, u, strict=True)]
+        shown.append([f"{first:g} to {last:g}{drowned}", f"{count}", f"{all_s / 60:.1f}", *shares])
+    note = (
+        "Standard uncertainties from the swings alone, in per cent of the value where no unit is given; "
+        "total time of all runs. One amplitude is measured to "
+        f"{plain(conditions.u_amplitude_rad / ARCSEC_RAD, 2)} arcsec; the drive of the ground is "
+        f"{plain(conditions.ground_rad_per_s2_rthz, 2)} rad/s²/√Hz"
+    )
+    if conditions.witness_noise is not None:
+        note += f", of which a witness leaves {plain(conditions.unknown_rad_per_s2_rthz, 2)}"
+    note += "."
+    if any(run.duration_s > plan.longest_s for run in plan.runs):
+        note += f" * session.max_duration_s = {plan.longest_s:g} would end it earlier: raise it for this."
+    columns = ("first_arcsec", "last_arcsec", "duration_s", "half_cycles", "runs", "rig_time_s")
+    symbols = [f"u({quantity(name).symbol})" for name in names]
+    return Table(
+        "plan", "Expected uncertainties", (*columns, *(f"u_{name}" for name in names)), rows,
+        ("amplitudes, arcsec", "runs", "min", *symbols), shown, note,
+    )  # fmt: skip
+
+
+def plan_ageing(plan: Plan, waits_s: Sequence[float]) -> tuple[tuple[PlannedSeries, ...], PlannedSeries]:
+    """The planned run that tells b best by itself, pairs of it and every other that ends where it does, after
+    waiting, and the pair that is proposed.
+
+    That is the shortest in which not knowing the age enlarges u(b) by less than a fifth; without one, the
+    one that leaves u(b) smallest.
+    """
+    best, known = min(plan.runs, key=lambda run: run.u["b"]), plan.conditions.known_drag_s
+    seconds = sorted(
+        (run for run in plan.runs if run.last_rad == best.last_rad), key=lambda run: -run.first_rad
+    )
+    pairs = [planned_series([best, run], wait_s, known) for run in seconds for wait_s in sorted(set(waits_s))]
+    good = [one for one in pairs if one.u["b"] < _LITTLE * one.u_steady["b"]]
+    proposed = min(good, key=lambda one: one.duration_s) if good else min(pairs, key=lambda one: one.u["b"])
+    return (planned_series([best], known_drag_s=known), *pairs), proposed
+
+
+def _percent(share: float) -> str:
+    return percent(share) if share < 10 else "not told"
+
+
+def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
+    """A row for the run by itself and for every pair: time, and the uncertainties of b and of the ageing."""
+    rows: list[list[Cell]] = []
+    shown = []
+    series, proposed = plan_ageing(plan, waits_s)
+    for one in series:
+        between = [(run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD) for run in one.runs]
+        second, waiting = (between[1][0], f"{one.waiting_s / 60:g}") if len(between) > 1 else (math.nan, "")
+        u_b, per_h = (one.u_steady["b"], one.u["b"]), 3600.0 * one.u_ageing_per_s
+        rows.append([*between[0], second, one.waiting_s, one.duration_s, *u_b, one.u_ageing_per_s])
+        words = ", then ".join(f"{first:g} to {last:g}" for first, last in between)
+        words += " <- proposed" if one is proposed else ""
+        relative = [_percent(u / abs(plan.values["b"])) for u in u_b]
+        rate = _percent(per_h) + (" per h" if per_h < 10 else "")
+        shown.append([words, waiting, f"{one.duration_s / 60:.1f}", *relative, rate])
+    symbol = quantity("b").symbol
+    return Table(
+        "plan_ageing", "Runs that reveal ageing of the contact",
+        ("first_arcsec", "last_arcsec", "second_first_arcsec", "waiting_s", "elapsed_s", "u_b_steady",
+         "u_b", "u_ageing_per_s"),
+        rows,
+        ("amplitudes, arcsec", "waiting, min", "elapsed, min", f"u({symbol}), no ageing",
+         f"u({symbol}), unknown ageing", "u(ageing)"),
+        shown,
+        "For friction that changes linearly with time at an unknown rate; the period of each run is free. "
+        f"{symbol} refers to the middle of the elapsed time. A change of the air looks like ageing.",
+    )  # fmt: skip
+
+
+def print_plan(plan: Plan, ageing: Table) -> None:
+    """The tables on the terminal."""
+    print_tables([plan_table(plan), ageing])
+
+
+def save_plan(plan: Plan, folder: Path, ageing: Table) -> None:
+    """plan.csv, plan.png, plan.svg, and plan.ageing.csv, in a folder, which is made; none may exist."""
+    from rig.report.drawing import png, styled, svg
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with styled():
+        drawing = plan_figure(plan)
+        made = {".csv": plan_table(plan).csv().encode(), ".png": png(drawing), ".svg": svg(drawing)}
+    made[".ageing.csv"] = ageing.csv().encode()
+    for suffix, content in made.items():
+        path = folder / f"plan{suffix}"
+        atomic_write.write_new(path, content)
+        answer(written=[path])
+        print(f"{'plan':<12} {path}")
+
+
+def plan_figure(plan: Plan) -> "ReportFigure":
+    """Uncertainty against the last amplitude and the time: two panels with the same curves, a colour for each
+    parameter and a line for each first amplitude."""
+    from matplotlib.lines import Line2D
+
+    from rig.report.drawing import INK, ReportFigure, canvas
+
+    figure = canvas(3.4)
+    by_amplitude, by_time = figure.subplots(1, 2, sharey=True)
+    starts = sorted({run.first_rad for run in plan.runs}, reverse=True)
+    for line, first in zip(_LINES, starts, strict=False):
+        runs = sorted((run for run in plan.runs if run.first_rad == first), key=lambda run: run.duration_s)
+        last = [run.last_rad / ARCSEC_RAD for run in runs]
+        for colour, name in zip(palette.SEQUENCE, plan.runs[0].u, strict=False):
+            u_percent = np.array([100 * plan.relative(run)[name] for run in runs])
+            if not np.all(np.isfinite(u_percent)):
+                continue
+            label = quantity(name).symbol if first == starts[0] else None
+            by_amplitude.plot(last, u_percent, line, color=colour, marker=".", label=label)
+            for rank, count in enumerate(plan.counts):
+                minutes = [count * run.duration_s / 60 for run in runs]
+                faint = 1.0 if rank == 0 else 0.45
+                by_time.plot(minutes, u_percent / np.sqrt(count), line, color=colour, marker=".", alpha=faint)
+    by_amplitude.set_xscale("log")
+    by_amplitude.set_yscale("log")
+    by_amplitude.invert_xaxis()
+    lasts = sorted({run.last_rad / ARCSEC_RAD for run in plan.runs})
+    by_amplitude.set_xticks(lasts, [f"{last:g}" for last in lasts])
+    by_amplitude.set_xticks([], minor=True)
+    by_amplitude.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    by_amplitude.set_xlabel("last amplitude / arcsec")
+    by_time.set_xlabel("time of all runs / min")
+    by_amplitude.set_ylabel("u / value, %")
+    by_amplitude.legend(ncols=2)
+    styles = [Line2D([], [], color=INK, ls=line) for line in _LINES[: len(starts)]]
+    by_time.legend(styles, [f"from {first / ARCSEC_RAD:g}″" for first in starts])
+    figure.subplots_adjust(left=0.09, right=0.985, bottom=0.14, top=0.97, wspace=0.05)
+    more = ", ".join(str(count) for count in plan.counts[1:])
+    words = f"Relative standard uncertainty of every parameter after {plan.counts[0]} run" + (
+        f"; on the right, faint: {more} runs." if more else "."
+    )
+    return ReportFigure("plan", "Expected uncertainties", words, figure)

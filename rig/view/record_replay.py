@@ -1,0 +1,359 @@
+"""The command `rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
+
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Self
+
+from acquisition.record.events import Event
+from acquisition.record.reader import RecordReader
+from processing.errors import ConfigurationError
+from rig.analysis import (
+    RESULTS_NAME,
+    AnalysedRun,
+    analyse_record,
+    analyse_run,
+    print_results,
+    recorded_results,
+    session_results,
+    write_results,
+)
+from rig.instrument import RunNow, configuration_attachments, recorded_configuration
+from rig.presentation import (
+    Keys,
+    QuantityDisplay,
+    Table,
+    answer,
+    columns_of,
+    plain,
+    print_line,
+    print_tables,
+    quantity,
+    say,
+    signed,
+)
+from rig.settings import Configuration, KeyUseMonitor
+from rig.terminal import Terminated
+from rig.view.graticule import Mode
+from rig.view.replay import Replay, Replayed
+from rig.view.replay_comparison import ParameterDifference, ReplayDifferences, parameter_changes
+from rig.view.replay_player import HELP, MOST_FRAMES, Player
+from rig.view.scratch import ScratchHead, ScratchView
+
+_PLAIN_INTERVAL_S = 5.0
+_LINE_INTERVAL_S = 0.1
+_ERASE = "\r\x1b[K"
+_OF_ROUNDING_U = 0.01
+"""Largest change, in standard uncertainties, that is put down to rounding."""
+_EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
+
+
+class ReplayLine:
+    """A progress line that is updated on a terminal; elsewhere a new line every few seconds.
+
+    On a terminal `help_text` is printed first.
+    """
+
+    def __init__(
+        self,
+        unit: str,
+        help_text: str = "",
+        *,
+        stream: IO[str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._stream = sys.stderr if stream is None else stream
+        self._terminal = self._stream.isatty()
+        self._unit = unit
+        self._help = help_text
+        self._clock = clock
+        self._shown_s = clock() if not self._terminal else -math.inf
+        self._shown = ""
+
+    def __enter__(self) -> Self:
+        if self._terminal and self._help:
+            self._stream.write(f"keys: {self._help}\n")
+            self._stream.flush()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self._terminal and self._shown:
+            self._stream.write("\n")
+            self._stream.flush()
+
+    def show(
+        self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
+    ) -> None:
+        """Update the line."""
+        now_s = self._clock()
+        interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
+        # the effect of a key is shown immediately
+        moving = not paused and prompt is None and now.elapsed_s < length_s
+        if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
+            return
+        doing = "paused" if paused else "replaying"
+        text = prompt if prompt is None else f"go to (seconds from the start, Enter): {prompt}"
+        text = text or self._text(now, doing, length_s, remaining_s)
+        if not self._terminal:
+            self._shown_s = now_s
+            self._stream.write(f"{text}\n")
+            self._stream.flush()
+        elif text != self._shown:
+            self._shown_s, self._shown = now_s, text
+            self._stream.write(_ERASE + text)
+            self._stream.flush()
+
+    def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
+        columns = columns_of(self._stream)
+        part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
+        amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
+        clock = f"  clock {state.clock.text}" if state.clock.text else ""
+        left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
+        begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
+        half_cycles = f"  {state.half_cycles} half-cycles"
+        texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
+        # a line that is wrapped could not be written over; the first of these is missed least
+        for place, _ in enumerate(texts):
+            if columns and len(begin) + sum(map(len, texts)) >= columns:
+                texts[place] = ""
+        return begin + "".join((texts[0], *texts[2:4], texts[1], texts[4]))
+
+
+def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
+    """Print one line if nothing differs, else a short table of spots and half-cycles."""
+    if comparison.identical:
+        flagged = comparison.swings_flagged
+        apart = f" ({flagged} flagged and not fitted)" if flagged else ""
+        print_line(
+            f"{comparison.spots} spots and {comparison.swings_replayed} half-cycles{apart}, "
+            "equal bit for bit to the recorded ones"
+        )
+        return
+    found = comparison
+    spots = (found.spots_found_recorded, found.spots_found_replayed, found.spots_changed)
+    swings = (found.swings_recorded, found.swings_replayed, found.swings_changed)
+    rows: list[list[str]] = []
+    for name, counts, once, change_u, where in (
+        ("spots", spots, found.spots_once, found.largest_spot_change_u, f"frame {found.largest_spot_frame}"),
+        (
+            "half-cycles",
+            swings,
+            found.swings_once,
+            found.largest_swing_change_u,
+            f"{found.largest_swing_s:.1f} s",
+        ),
+    ):
+        rows.append([name, *map(str, counts), _largest(change_u, where, once, counts[-1])])
+    head = ("", "recorded", "replayed", "changed", "largest change")
+    print_tables([Table("comparison", "", head, rows, head, rows)])
+    if retracked and not found.spots_once and 0 < found.largest_spot_change_u < _OF_ROUNDING_U:
+        # each fit starts at the spot of the frame before, which carries the last digits on
+        print_line(
+            "the spots agree: pixels of a window are counted from another corner than those of the whole "
+            "frame, so that sums are rounded differently"
+        )
+    if partial:
+        say(
+            "half-cycles of a part differ in any case: they are numbered from its beginning, "
+            "and the pipeline adapts to the frames before"
+        )
+
+
+def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
+    """Print the changes of the recorded fitted parameters; one line if nothing changed.
+
+    Of the two fits of the contact laws the exact one is shown with values, the other only with changes.
+    """
+    if not changes:
+        return
+    if all(change.in_u == 0.0 for change in changes):
+        text = f"{len(changes)} fitted numbers, equal to those of {source}"
+        print_line(text)
+        return
+    by_name = {change.name: change for change in changes}
+    asymptotic = [change for name, change in by_name.items() if name.startswith(_ASYMPTOTIC)]
+    head = ("", source, "change / u", *(["of the asymptotic fit"] if asymptotic else []))
+    rows: list[list[str]] = []
+    for name, change in by_name.items():
+        if name.startswith(_ASYMPTOTIC):
+            continue
+        other = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
+        parameter = name.removeprefix(_EXACT)
+        shown = quantity(parameter) if parameter != name else QuantityDisplay(name, "", name)
+        of_other = [_in_u(other) if other else ""] if asymptotic else []
+        rows.append([shown.label, shown.text(*change.recorded), _in_u(change), *of_other])
+    print_tables([Table("changes", "", head, rows, head, rows)])
+
+
+def _in_u(change: ParameterDifference) -> str:
+    return "?" if math.isnan(change.in_u) else signed(change.in_u)
+
+
+def _largest(change_u: float, where: str, once: int, changed: int) -> str:
+    """Which of those in both changed most, and how many are in one of the two only."""
+    said = [f"{plain(change_u, 2)} u, {where}"] if change_u > 0 else []
+    said += [f"{once} in one of the two only"] if once else []
+    return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(max(seconds, 0.0)), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+_LOOK_S = 0.2
+
+
+def _events(reader: RecordReader) -> list[Event]:
+    """Events and notes in order of time."""
+    return sorted([*reader.events(), *(note.event for note in reader.notes())], key=lambda one: one.time_ns)
+
+
+def speed_of(text: str) -> float:
+    """Speed from a positive number or ``max`` (infinite); raises ConfigurationError for anything else."""
+    try:
+        speed = math.inf if text == "max" else float(text)
+    except ValueError:
+        speed = math.nan
+    if not speed > 0:
+        raise ConfigurationError(f"--speed {text}: must be a number above 0, or max")
+    return speed
+
+
+def replay_record(
+    record: Path,
+    output: Path | None,
+    *,
+    retrack: bool,
+    overrides: Sequence[str],
+    speed: str = "max",
+    from_s: float = 0.0,
+    to_s: float = math.inf,
+    mode: Mode = "none",
+    rrd: Path | None = None,
+) -> int:
+    """Replay, compare and fit; writes results.json into `output` if given. Returns the exit status.
+
+    Raises ConfigurationError for an invalid speed or invalid times, and RecordError for a file that
+    cannot be replayed, before anything is written; RecordError at the end where the Rerun file is not whole.
+    """
+    pace = speed_of(speed)
+    if not 0 <= from_s < to_s:
+        raise ConfigurationError(
+            f"--from {from_s:g} --to {to_s:g}: the part must begin before it ends, from 0 on"
+        )
+    with RecordReader(record) as reader:
+        remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
+        watched = KeyUseMonitor(recorded_configuration(reader, overrides), overrides, remedy)
+        config = watched.config
+        if reader.truncated:
+            say(reader.cut_notice)
+        wants_view = mode != "none" or rrd is not None
+        replay = Replay(reader, config, retrack=retrack, from_s=from_s, to_s=to_s, pictures=wants_view)
+        with ExitStack() as stack:
+            view = None
+            if wants_view:
+                name = f"replay of {record.stem}"
+                view = stack.enter_context(ScratchView(name, mode, rrd, "measuring", math.inf))
+                attachments = {**reader.attachments, **configuration_attachments(config, Path())}
+                metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
+                view.begin(replay.start_ns, ScratchHead(metadata, attachments, config.deflection_unit))
+            keys = stack.enter_context(Keys())
+            line = stack.enter_context(ReplayLine(config.deflection_unit.shown, HELP if keys.there else ""))
+            player = Player(
+                replay,
+                pace,
+                keys,
+                line,
+                retrack=retrack,
+                view=view,
+                events=_events(reader) if wants_view else [],
+            )
+            player.play()
+            result = player.finish()
+            if mode == "web" and not player.ended_by_user:
+                say("the page has all of it and stays until q or Ctrl-C; the results follow then")
+                _stay(keys)
+        partial = replay.partial or replay.sought or player.ended_by_user
+        run = replace(_analysed(reader, config, result), watched=watched)
+        if partial:
+            part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
+            # the record's end is not that of the part
+            found = replace(run.results, ended=None, warnings=(part, *run.results.warnings))
+            run = replace(run, results=found)
+    results = session_results([run], output or record.parent)
+    _say_differences(record, replay, result, run, partial=partial, retracked=retrack)
+    print_results(results, [])
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        write_results(output / RESULTS_NAME, results)
+        answer(written=[output / RESULTS_NAME])
+        print(f"results      {output / RESULTS_NAME}")
+    if rrd is not None:
+        answer(written=[rrd])
+        print(f"Rerun file   {rrd}")
+    return 1 if run.results.problem and config.lever is not None and not partial else 0
+
+
+def _stay(keys: Keys) -> None:
+    """Wait for the key q, or Ctrl-C, which end no more than the page."""
+    try:
+        while "q" not in keys.pressed(_LOOK_S):
+            pass
+    except Terminated:
+        raise
+    except KeyboardInterrupt:
+        pass
+
+
+def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = ()) -> AnalysedRun:
+    """Fit the half-cycles found again in the recorded spots, or with `retrack` in the recorded pixels.
+
+    Nothing is shown or written. Raises RecordError for a record that cannot be replayed.
+    """
+    with RecordReader(record) as reader:
+        config = recorded_configuration(reader, overrides)
+        replay = Replay(reader, config, retrack=retrack)
+        while replay.advance(math.inf, MOST_FRAMES[retrack]) is not None:
+            pass
+        return _analysed(reader, config, replay.finish())
+
+
+def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> AnalysedRun:
+    return analyse_run(
+        reader,
+        config,
+        result.swings,
+        result.deflections,
+        config.deflection_unit,
+        result.beam,
+        lambda _: result.dropped_frames,
+    )
+
+
+def _say_differences(
+    record: Path, replay: Replay, result: Replayed, run: AnalysedRun, *, partial: bool, retracked: bool
+) -> None:
+    """Print differences from the recorded spots, half-cycles and fitted parameters."""
+    if replay.sought:
+        print_line(
+            f"restarted at {replay.begun_s:.2f} s by going back: "
+            "the results are not compared with the recorded ones"
+        )
+        return
+    answer(comparison=result.comparison)
+    print_comparison(result.comparison, partial=partial, retracked=retracked)
+    if partial:
+        return
+    source, known = recorded_results(record, run.results.sha256)
+    if known is None and not result.comparison.identical:
+        source, known = "fitted", analyse_record(record).results
+    if known is not None:
+        changes = parameter_changes(known, run.results)
+        answer(changes=changes)
+        print_changes(changes, source)

@@ -1,0 +1,187 @@
+"""Aligning by eye: what is drawn, and what the keys do, on the simulated camera."""
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from acquisition.camera import CameraSettings
+from processing.spot import SensorModel, SpotTracker
+from rig.devices import align_camera
+from rig.devices.aligning import half_blocks, histogram_line
+from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
+from rig.devices.picture import figures
+from rig.instrument import camera_settings, make_camera
+from rig.presentation import palette
+from rig.presentation.quantities import Keys
+from rig.settings import load_configuration
+from tests.rig.command_line import CONFIGS
+
+FULL_SCALE_DN = 255
+SHAPE = (400, 300)
+
+
+class Presses(Keys):
+    """A keyboard on which one key is pressed at each look."""
+
+    def __init__(self, keys: str) -> None:
+        super().__init__(io.StringIO())
+        self._keys = iter(keys)
+
+    @property
+    def there(self) -> bool:
+        return False
+
+    def pressed(self, wait_s: float) -> list[str]:
+        return [key for key in (next(self._keys, "q"),) if key != "."]
+
+
+def look_at(image: np.ndarray, middle_px: tuple[float, float] = (149.5, 199.5)) -> AlignmentFrame:
+    tracker = SpotTracker(SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN))
+    spot = tracker.track(image)
+    return AlignmentFrame(
+        image, FULL_SCALE_DN, figures(image, FULL_SCALE_DN), spot, middle_px, CameraSettings()
+    )
+
+
+def spot_at(x_px: float, y_px: float, peak_dn: float) -> np.ndarray:
+    y, x = np.indices(SHAPE)
+    light = peak_dn * np.exp(-0.5 * (((x - x_px) / 9.0) ** 2 + ((y - y_px) / 6.0) ** 2))
+    noise = np.random.default_rng(3).normal(8.0, 1.5, SHAPE)
+    return np.clip(np.rint(light + noise), 0, FULL_SCALE_DN).astype(np.uint8)
+
+
+def coloured(picture: np.ndarray, colour: str) -> np.ndarray:
+    """Rows and columns (n, 2) of the pixels in exactly this colour."""
+    return np.argwhere((picture == np.array(palette.rgba(colour)[:3])).all(axis=2))
+
+
+def test_crosshair_ellipse_and_saturation_stand_where_they_are() -> None:
+    look = look_at(spot_at(100.0, 250.0, 400.0))
+    picture = annotated_picture(look, SHAPE[1], SHAPE[0])
+    assert picture.shape == (*SHAPE, 3)
+    saturated = coloured(picture, palette.VERMILLION)
+    assert len(saturated) == np.count_nonzero(look.image == FULL_SCALE_DN)
+    assert saturated.mean(axis=0) == pytest.approx([250.0, 100.0], abs=1.0)
+    ellipse = coloured(picture, palette.YELLOW)
+    wide, high = np.ptp(ellipse[:, 1]), np.ptp(ellipse[:, 0])
+    assert wide == pytest.approx(4 * look.spot.sigma_x_px, abs=3)
+    assert high == pytest.approx(4 * look.spot.sigma_y_px, abs=3)
+    cross = coloured(picture, palette.SKY_BLUE)
+    assert np.bincount(cross[:, 0]).argmax() == pytest.approx(199.5, abs=1)
+    assert np.bincount(cross[:, 1]).argmax() == pytest.approx(149.5, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("below_dn", "ok", "said"),
+    [
+        (90.0, True, ", 320.0 px"),
+        (0.0, False, "below row 260"),
+        (900.0, False, "weaken the reference's beam"),
+    ],
+)
+def test_the_reference_is_a_second_spot_with_a_lamp_of_its_own(below_dn: float, ok: bool, said: str) -> None:
+    """The pendulum's spot is found although the reference's is the brighter one."""
+    image = np.maximum(spot_at(100.0, 200.0, 60.0), spot_at(210.0, 320.0, below_dn))
+    model = SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=FULL_SCALE_DN)
+    reference = (SpotTracker(model), 260)
+    look = take_look(image, FULL_SCALE_DN, SpotTracker(model), None, CameraSettings(), reference)
+    assert (look.spot.x_px, look.spot.y_px) == pytest.approx((100.0, 200.0), abs=0.5)
+    lamps = {one.name: one for one in look.lamps()}
+    # what is wrong with the reference is none of the pendulum's spot
+    assert lamps["saturated"].ok
+    assert dict(look.rows())["nearest edge"] == "59 px"
+    assert lamps["reference"].ok is ok
+    assert said in lamps["reference"].line
+    drawn = coloured(annotated_picture(look, SHAPE[1], SHAPE[0]), palette.BLUISH_GREEN)
+    assert np.bincount(drawn[:, 0]).argmax() == pytest.approx(259.5, abs=1)
+    ellipse = drawn[drawn[:, 0] > 262]
+    assert (len(ellipse) > 0) is (below_dn > 0.0)
+    if below_dn:
+        assert ellipse.mean(axis=0) == pytest.approx([320.0, 210.0], abs=4.0)
+
+
+def test_a_saturated_pixel_stays_visible_in_a_small_picture() -> None:
+    image = np.full(SHAPE, 10, dtype=np.uint8)
+    image[17, 33] = FULL_SCALE_DN
+    small = annotated_picture(look_at(image), 30, 40)
+    assert small.shape == (40, 30, 3)
+    assert coloured(small, palette.VERMILLION).tolist() == [[1, 3]]
+
+
+def test_zoomed_in_the_spot_is_in_the_middle() -> None:
+    picture = annotated_picture(look_at(spot_at(100.0, 250.0, 150.0)), 300, 400, zoom=4.0)
+    ellipse = coloured(picture, palette.YELLOW)
+    assert ellipse.mean(axis=0) == pytest.approx([200.0, 150.0], abs=6.0)
+
+
+def test_a_spot_off_the_crosshair_is_a_matter_where_it_has_no_room() -> None:
+    for x_px, remedy in ((150.0, False), (60.0, False), (28.0, True)):
+        lamps = {one.name: one for one in look_at(spot_at(x_px, 200.0, 150.0)).lamps()}
+        assert bool(lamps["centring"].remedy) is remedy
+
+
+def test_words_say_where_the_spot_is_and_what_is_wrong() -> None:
+    light, place, shape, _ = look_at(spot_at(100.0, 250.0, 400.0)).lines()
+    assert "SATURATED" in light
+    assert "from the crosshair −49.5, +50.5 px" in place
+    assert "nearest edge 100 px" in place
+    assert "saturated" in shape
+    assert "a clean spot" in look_at(spot_at(100.0, 250.0, 150.0)).lines()[2]
+    assert "no spot" in look_at(np.full(SHAPE, 10, dtype=np.uint8)).lines()
+
+
+def test_half_blocks_hold_two_pixels_each() -> None:
+    picture = np.zeros((3, 2, 3), dtype=np.uint8)
+    picture[0, 1] = (255, 0, 0)
+    text = half_blocks(picture)
+    assert text.plain == "▀▀\n▀▀\n"
+    assert str(text.spans[1].style) == "#ff0000 on #000000"
+    assert histogram_line(look_at(spot_at(100.0, 250.0, 150.0))).startswith("0 █")
+
+
+@pytest.fixture
+def printed() -> Iterator[io.StringIO]:
+    with io.StringIO() as text:
+        yield text
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_keys_set_the_camera_and_save_pictures(tmp_path: Path, printed: io.StringIO, terminal: bool) -> None:
+    config = load_configuration(
+        CONFIGS / "demo.toml",
+        ["simulation.sensor.width_px=160", "simulation.sensor.height_px=640", "camera.exposure_us=100"],
+    )
+    camera = make_camera(config)
+    info = camera.open()
+    try:
+        applied = camera.configure(camera_settings(config))
+        tracker = SpotTracker(
+            SensorModel(gain_e_per_dn=2.4, read_noise_e=7.0, full_scale_dn=info.full_scale_dn)
+        )
+        console = Console(file=printed, force_terminal=terminal, width=100, height=40)
+        saved = align_camera(
+            camera,
+            info,
+            applied,
+            tracker,
+            folder=tmp_path,
+            keys=Presses(".EEezs.sq"),
+            console=console,
+        )
+        assert camera.configure(CameraSettings()).exposure_us == pytest.approx(100 * 1.25, rel=0.01)
+    finally:
+        camera.close()
+    assert [path.name for path in saved] == ["align-1.png", "align-2.png"]
+    picture = cv2.imread(str(saved[0]))
+    assert picture is not None
+    assert picture.shape[0] == 900
+    assert len(coloured(picture[..., ::-1], palette.YELLOW)) > 100
+    said = printed.getvalue()
+    assert ("▀" in said) is terminal
+    assert "exposure 156.25 µs" in said
+    assert "align-1.png saved" in said

@@ -1,0 +1,240 @@
+"""A session answers who has its key, keeps a frame when one is wanted, and takes the orders it knows."""
+
+import http.server
+import json
+import socket
+import stat
+import subprocess
+import threading
+from collections.abc import Iterator
+from multiprocessing import AuthenticationError
+from multiprocessing.connection import Connection, deliver_challenge
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acquisition.camera import Frame
+from processing.deflections import Deflections, DeflectionUnit
+from processing.errors import DeviceError, RigError
+from processing.spot import Spot
+from rig.control import Interlock
+from rig.devices import (
+    LOOPBACK,
+    ORDERS_NAME,
+    NoSession,
+    OrderConnection,
+    OrderSocket,
+    SessionNews,
+    running_sessions,
+)
+from rig.instrument import Block
+from rig.settings import Configuration
+
+SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
+
+
+def refuse(_: str) -> str:
+    raise DeviceError("the brake: does not answer; see its cable")
+
+
+@pytest.fixture
+def told() -> SessionNews:
+    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    session_news.begin_run("run 1", 255, None)
+    return session_news
+
+
+@pytest.fixture
+def line(told: SessionNews, tmp_path: Path) -> Iterator[OrderConnection]:
+    folder = tmp_path / "session"
+    folder.mkdir()
+    orders = {"stop": lambda _: "stopping", "brake": refuse, "acknowledge": lambda number: f"trip {number}"}
+    with (
+        OrderSocket(folder, told, orders, lambda: {"opened": Interlock.LASER}),
+        OrderConnection(folder) as opened,
+    ):
+        yield opened
+
+
+def block(number: int, count: int = 16) -> tuple[list[Frame], Block]:
+    """Frames whose pixels are their number, and what was found in them."""
+    times_ns = np.arange(count, dtype=np.int64) * 10_000_000 + number * 1_000_000_000
+    zeros = np.zeros(count)
+    at = Deflections(times_ns, zeros, zeros + number, zeros, zeros, DeflectionUnit.PX)
+    frames = [
+        Frame(np.full((6, 8), number, np.uint8), k, int(time_ns), int(time_ns))
+        for k, time_ns in enumerate(times_ns)
+    ]
+    return frames, Block([SPOT] * count, at, [], [])
+
+
+def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: OrderConnection) -> None:
+    told.note("interlock", "waits for a person")
+    told.state({"amplitude": float("nan"), "phase": "measuring"}, [("elapsed", "0:02")])
+    news = line.news()
+    assert news["run"] == "run 1"
+    assert news["state"] == {"amplitude": None, "phase": "measuring"}
+    assert news["opened"] == "laser"
+    (event,) = news["events"]
+    assert (event["kind"], event["elapsed_s"]) == ("interlock", None)
+    assert line.news(event["number"])["events"] == []
+
+
+def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: OrderConnection) -> None:
+    told.look(*block(1))
+    assert told.pictures == 0
+    assert line.picture() is None
+    told.look(*block(2))
+    told.look(*block(3))
+    picture = line.picture()
+    assert picture is not None
+    assert told.pictures == 1
+    np.testing.assert_array_equal(picture.image, np.full((6, 8), 2, np.uint8))
+    assert picture.spot == SPOT
+    assert picture.reference is None
+    assert line.picture(picture.number) is None
+
+
+def test_a_frame_is_told_with_the_spot_of_its_reference(told: SessionNews, line: OrderConnection) -> None:
+    line.picture()
+    frames, found = block(1)
+    below = SPOT._replace(y_px=5.0, x_px=float("nan"))
+    told.look(frames, found._replace(references=[SPOT, below]))
+    picture = line.picture()
+    assert picture is not None
+    assert picture.reference is not None
+    assert picture.reference.y_px == 5.0
+    assert np.isnan(picture.reference.x_px)
+
+
+def test_what_is_seen_before_the_record_is_told_until_the_record_tells_it(
+    told: SessionNews, line: OrderConnection
+) -> None:
+    frames, found = block(1)
+    line.picture()
+    told.before_record(frames, found.spots, found.deflections)
+    assert line.picture() is not None
+    assert line.news()["path"]["y"] == [1.0] * 16
+    told.look(frames, found)
+    assert line.news()["path"]["y"] == []
+
+
+def test_a_frame_that_can_be_written_to_is_copied(told: SessionNews, line: OrderConnection) -> None:
+    line.picture()
+    frames, found = block(2)
+    told.look(frames, found)
+    frames[-1].image[:] = 99
+    picture = line.picture()
+    assert picture is not None
+    assert picture.image.max() == 2
+
+
+def test_who_is_connected_is_not_answered_after_its_end(told: SessionNews, tmp_path: Path) -> None:
+    taken: list[str] = []
+    with OrderSocket(tmp_path, told, {"stop": lambda: str(taken.append("stop"))}):
+        line = OrderConnection(tmp_path)
+        assert line.news()["run"] == "run 1"
+    with line:
+        with pytest.raises(NoSession):
+            line.order("stop")
+        assert taken == []
+        with pytest.raises(NoSession):
+            line.news()
+
+
+def test_orders(line: OrderConnection) -> None:
+    assert line.order("stop") == "stopping"
+    assert line.order("acknowledge 5") == "trip 5"
+    with pytest.raises(RigError, match="does not answer; see its cable"):
+        line.order("brake on")
+    with pytest.raises(RigError, match="knows no such order"):
+        line.order("fly")
+
+
+@pytest.mark.parametrize("key", [b"", b"another"])
+def test_without_the_key_nothing_is_told_and_nothing_done(line: OrderConnection, key: bytes) -> None:
+    stated = json.loads((line.folder / ORDERS_NAME).read_text())
+    made = socket.create_connection((LOOPBACK, stated["port"]), timeout=5)
+    made.settimeout(None)
+    with Connection(made.detach()) as connection, pytest.raises((AuthenticationError, EOFError, OSError)):
+        deliver_challenge(connection, key)
+    # an order without any proof is taken for a wrong one
+    made = socket.create_connection((LOOPBACK, stated["port"]), timeout=5)
+    made.settimeout(None)
+    with Connection(made.detach()) as connection:
+        connection.send(("stop", ""))
+        with pytest.raises((EOFError, OSError)):
+            connection.recv()
+
+
+def test_who_stops_while_proving_the_key_holds_nobody_up(line: OrderConnection) -> None:
+    stated = json.loads((line.folder / ORDERS_NAME).read_text())
+    with socket.create_connection((LOOPBACK, stated["port"]), timeout=5):
+        assert line.order("stop") == "stopping"
+
+
+def test_the_key_is_this_users_own_and_goes_with_the_session(told: SessionNews, tmp_path: Path) -> None:
+    path = tmp_path / ORDERS_NAME
+    with OrderSocket(tmp_path, told, {}):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert not path.exists()
+    with pytest.raises(NoSession, match="no session runs here"):
+        OrderConnection(tmp_path)
+
+
+def test_of_a_killed_session_only_the_file_is_left(told: SessionNews, tmp_path: Path) -> None:
+    for name in ("killed", "runs"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "killed" / ORDERS_NAME).write_text('{"port": 1, "key": "00ff", "pid": 1}')
+    with OrderSocket(tmp_path / "runs", told, {}):
+        assert list(running_sessions(tmp_path)) == [tmp_path / "runs"]
+    assert list(running_sessions(tmp_path)) == []
+
+
+def test_a_session_that_nobody_can_watch_is_measured_all_the_same(told: SessionNews, tmp_path: Path) -> None:
+    with OrderSocket(tmp_path / "missing", told, {}) as watched:
+        assert "nobody can watch" in watched.problem
+
+
+class _Another(http.server.BaseHTTPRequestHandler):
+    """Any program that has got the port of a session which was killed."""
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing is logged."""
+
+
+def test_another_program_at_the_port_of_a_killed_session_is_no_session(
+    told: SessionNews, tmp_path: Path
+) -> None:
+    for name in ("killed", "runs"):
+        (tmp_path / name).mkdir()
+    with (
+        OrderSocket(tmp_path / "runs", told, {}),
+        http.server.HTTPServer(("127.0.0.1", 0), _Another) as another,
+    ):
+        threading.Thread(target=another.serve_forever, daemon=True).start()
+        ended = subprocess.Popen(["true"])
+        ended.wait()
+        stated = {"port": another.server_address[1], "key": "00ff", "pid": ended.pid}
+        (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps(stated))
+        with OrderConnection(tmp_path / "killed") as line:
+            for ask in (line.beat, lambda: line.order("dark")):
+                with pytest.raises(NoSession, match="another program answers"):
+                    ask()
+            assert line.process is None
+        assert list(running_sessions(tmp_path)) == [tmp_path / "runs"]
+        another.shutdown()
+
+
+def test_a_session_at_the_port_of_a_killed_one_does_not_answer_for_it(
+    told: SessionNews, tmp_path: Path
+) -> None:
+    for name in ("killed", "runs"):
+        (tmp_path / name).mkdir()
+    with OrderSocket(tmp_path / "runs", told, {}):
+        stated = json.loads((tmp_path / "runs" / ORDERS_NAME).read_text())
+        (tmp_path / "killed" / ORDERS_NAME).write_text(json.dumps({**stated, "key": "00ff"}))
+        with OrderConnection(tmp_path / "killed") as line, pytest.raises(NoSession, match="another program"):
+            line.news()

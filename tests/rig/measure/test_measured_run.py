@@ -1,0 +1,122 @@
+"""Half-cycles of a run that goes on: measured again as its final analysis does, in bounded memory."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calibration import Axes
+from processing.contact.laws import PAPER
+from processing.deflections import Deflections, DeflectionUnit, slow_deflections
+from processing.fit import FitOfSwings, FitResult, LinearisedFit, with_misfit
+from processing.swing import HalfCycle, HarmonicsWatch, TurningPointDetector
+from processing.units import ARCSEC_RAD
+from rig.analysis import evidence_of, settled_swings
+from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.recorded_seismometer import OPEN_DRAG
+from rig.analysis.turning_plane import follow_plane
+from rig.measure.posterior_worker import MeasuredRun
+from rig.settings import FitSettings
+from tests.processing.fit.decays import paper_pair
+from tests.processing.fit.driven import driven_path
+
+PARAMETERS, PENDULUM = paper_pair("glass_k8", 1.7e-3)
+STEPS = (60, 90, 120, 150)
+
+
+@cache
+def measured() -> tuple[list[HalfCycle], Deflections]:
+    """Half-cycles on ground that moves, and what they were found in: 25 frames a second, 0.02 arcsec."""
+    _, _, path = driven_path(PARAMETERS, PENDULUM, q=1e-9, seed=3, frames_per_s=25.0)
+    path = path[: 25 * 320]
+    noise = 0.02 * ARCSEC_RAD
+    seen = path + noise * np.random.default_rng(11).standard_normal(len(path))
+    samples = slow_deflections(np.arange(len(path), dtype=np.int64) * 40_000_000, seen, noise)
+    return TurningPointDetector().update(samples.times_ns, samples.y, samples.u_y), samples
+
+
+def fed(
+    run: MeasuredRun, swings: list[HalfCycle] | None = None, samples: Deflections | None = None
+) -> FitResult:
+    """What is known in the end, fitted in between, too, as the half-cycles come."""
+    if swings is None or samples is None:
+        swings, samples = measured()
+    before, since = 0, int(samples.times_ns[0])
+    for count in STEPS:
+        end_ns = swings[count].turn_time_ns
+        new = samples.since(since)
+        run.take(swings[before:count], new[: int(np.searchsorted(new.times_ns, end_ns))])
+        before, since = count, end_ns
+        _, fit = run.fitted(how(swings[:count], samples))
+    return fit
+
+
+def how(swings: list[HalfCycle], samples: Deflections) -> FitOfSwings:
+    watch = HarmonicsWatch(swings)
+    watch.update(samples)
+    return FitOfSwings(PENDULUM, evidence=evidence_of(OPEN_DRAG, watch.found()))
+
+
+def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> None:
+    swings, samples = measured()
+    swings = swings[: STEPS[-1]]
+    upto = samples[: int(np.searchsorted(samples.times_ns, measured()[0][STEPS[-1]].turn_time_ns))]
+    live = fed(MeasuredRun())
+    settled = settled_swings(swings, [upto], DeflectionUnit.RAD, PENDULUM, FitSettings())
+    assert settled.exact is not None
+    assert settled.motion is not None
+    fit = how(swings, samples)
+    final = with_misfit(LinearisedFit.of(fit.points(settled.swings), PENDULUM, settled.exact))
+    detected = fit.of(swings)
+    moved = 0.0
+    for name in PAPER.names(drag=True):
+        value, u = final.estimate(name)
+        assert live.estimate(name).standard_uncertainty == pytest.approx(u, rel=0.02), name
+        assert live.estimate(name).value == pytest.approx(value, abs=0.02 * u), name
+        moved = max(moved, abs(detected.estimate(name).value - value) / u)
+    # else the half-cycles as they were detected would do
+    assert moved > 0.1
+
+
+@cache
+def turned() -> tuple[list[HalfCycle], Deflections]:
+    """The same without the ground's motion, in a plane that turns by six degrees in five minutes."""
+    _, _, path = driven_path(PARAMETERS, PENDULUM, q=0.0, seed=3, frames_per_s=25.0)
+    path = path[: 25 * 320]
+    angle = np.radians(6.0) * np.linspace(0.0, 1.0, len(path))
+    noise = 0.02 * ARCSEC_RAD
+    seen = np.stack((path * np.sin(angle), path * np.cos(angle)))
+    seen += noise * np.random.default_rng(12).standard_normal(seen.shape)
+    u = np.full(len(path), noise)
+    times_ns = np.arange(len(path), dtype=np.int64) * 40_000_000
+    samples = Deflections(times_ns, seen[0], seen[1], u, u, DeflectionUnit.RAD)
+    return TurningPointDetector().update(samples.times_ns, samples.y, samples.u_y), samples
+
+
+def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> None:
+    swings, samples = turned()
+    live = fed(MeasuredRun(most=4000), swings, samples)
+    upto = samples[: int(np.searchsorted(samples.times_ns, swings[STEPS[-1]].turn_time_ns))]
+    followed = follow_plane(swings[: STEPS[-1]], PassingDeflections([upto], DeflectionUnit.RAD), Axes())
+    assert followed.is_turned
+    settled = settled_swings(
+        followed.swings, followed.deflections, DeflectionUnit.RAD, PENDULUM, FitSettings()
+    )
+    assert settled.exact is not None
+    unfollowed = 0.0
+    for name in PAPER.names(drag=True):
+        value, u = settled.exact.estimate(name)
+        assert live.estimate(name).value == pytest.approx(value, abs=0.3 * u), name
+        unfollowed = max(unfollowed, abs(how(swings, samples).of(swings).estimate(name).value - value) / u)
+    assert unfollowed > 3.0
+
+
+def test_deflections_are_let_go_where_there_are_many_and_the_fit_stays() -> None:
+    every, few = MeasuredRun(), MeasuredRun(most=4000)
+    whole, bounded = fed(every), fed(few)
+    assert every.samples > 7000
+    assert few.samples < 4500
+    for name in PAPER.names(drag=True):
+        value, u = whole.estimate(name)
+        assert bounded.estimate(name).standard_uncertainty == pytest.approx(u, rel=0.1), name
+        assert bounded.estimate(name).value == pytest.approx(value, abs=0.25 * u), name

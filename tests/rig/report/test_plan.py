@@ -1,0 +1,178 @@
+"""`rig plan`: from a record to the table and the picture."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acquisition.record.reader import RecordReader
+from processing.errors import ConfigurationError
+from processing.fit import LEAST_LEFT, Conditions, PlannedRun
+from rig.analysis import SessionResults, read_results
+from rig.commands.planning import plan
+from rig.instrument import complete, recorded_configuration
+from rig.report import expected_of, plan_figure, plan_table, planned_expectation
+from rig.report.plan import Plan
+from rig.settings import load_configuration
+from tests.rig.command_line import CONFIGS
+
+PENDULUM = "pendulum={mass_kg=0.4, ball_radius_m=6e-3, contact_radius_m=6e-5}"
+LEVER = "lever={arm_m=1.0, pixel_pitch_m=4.8e-6}"
+
+
+def test_a_run_is_planned_from_a_record(
+    measured_series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record, folder = measured_series / "run-1.mcap", tmp_path / "plan"
+    plan(record, [124.0], [60.0, 15.0], None, folder, None)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "124 to 15" in said
+    assert "u(γ)" in said
+    assert "Runs that reveal ageing of the contact" in said
+    assert said.count("<- proposed") == 1
+    names, *series = (line.split(",") for line in (folder / "plan.ageing.csv").read_text().splitlines())
+    alone, *pairs = (dict(zip(names, row, strict=True)) for row in series)
+    assert [float(pair["waiting_s"]) for pair in pairs] == [0.0, 3600.0]
+    for pair in pairs:
+        assert float(pair["u_ageing_per_s"]) < 0.2 * float(alone["u_ageing_per_s"])
+        assert float(pair["u_b"]) < float(alone["u_b"])
+    head, longer, shorter = (line.split(",") for line in (folder / "plan.csv").read_text().splitlines())
+    assert head[:4] == ["first_arcsec", "last_arcsec", "duration_s", "half_cycles"]
+    by_last = {float(row[1]): dict(zip(head, map(float, row), strict=True)) for row in (longer, shorter)}
+    assert by_last[15.0]["duration_s"] > by_last[60.0]["duration_s"]
+    assert by_last[15.0]["u_b"] < by_last[60.0]["u_b"]
+    assert (folder / "plan.png").stat().st_size > 10_000
+    with pytest.raises(FileExistsError, match=r"plan\.csv"):
+        plan(record, [124.0], [15.0], None, folder, None)
+
+
+def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
+    """Of a rig in vacuum the fitted drag is nearly 0: thousands of per cent of it say nothing."""
+    conditions = expected_of(complete(load_configuration(CONFIGS / "demo.toml"))).conditions
+    run = PlannedRun(6e-4, 1e-5, 600.0, 290, {"b": 1e-5, "drag_s": 2e-6})
+    vacuum = Plan(conditions, {"b": 4e-3, "drag_s": -3e-8}, (run,))
+    ((*_, b, drag),) = plan_table(vacuum).shown
+    assert b == "0.25 %"
+    assert drag == "2.0 × 10⁻⁶ s"
+    (axes, _) = plan_figure(vacuum).figure.axes
+    assert [line.get_label() for line in axes.get_lines()] == ["b"]
+    air = Plan(conditions, {"b": 4e-3, "drag_s": 2e-3}, (run,))
+    assert plan_table(air).shown[0][-1] == "0.1 %"
+
+
+def test_amplitudes_that_make_no_run_are_named(measured_series: Path) -> None:
+    with pytest.raises(ConfigurationError, match="should be below the first amplitude, 10 arcsec"):
+        plan(measured_series / "run-1.mcap", [10.0], [60.0], None, None, None)
+
+
+def test_a_configuration_says_what_its_rig_will_measure(measured_series: Path) -> None:
+    """Frames of the simulated rig, followed and detected, scatter as a plan of its configuration expects."""
+    with RecordReader(measured_series / "run-1.mcap") as reader:
+        conditions = expected_of(recorded_configuration(reader)).conditions
+    results = read_results(measured_series / "results.json")
+    assert isinstance(results, SessionResults)
+    stored = results.runs[0].turning_points
+    assert stored is not None
+    points = stored.points()
+    u_rad, u_s_rad = np.median(points.u_amplitude), np.median(points.u_time_s * points.amplitude)
+    assert conditions.u_amplitude_rad == pytest.approx(u_rad, rel=0.1)
+    assert conditions.u_time_amplitude_s_rad == pytest.approx(u_s_rad, rel=0.1)
+    assert conditions.ground_rad_per_s2_rthz == 0.0
+
+
+def test_the_ground_of_a_configuration_drives_the_planned_pendulum() -> None:
+    """A white level a drives it with w0^2 d a/(g R), a tilt of the base with w0^2 times its level."""
+
+    def drive(*overrides: str) -> float:
+        wanted = [f"simulation.ground.{override}" for override in overrides]
+        return conditions_of(*wanted).ground_rad_per_s2_rthz
+
+    w0_squared = (2 * math.pi / 4.071) ** 2
+    shaken = w0_squared * 1e-3 * 2e-6 / (9.80665 * 6.05e-3)
+    white = ("model=white", "white_m_per_s2_per_sqrt_hz=2e-6", "mass_centre_height_m=1e-3")
+    assert drive(*white) == pytest.approx(shaken, rel=1e-6)
+    tilted = w0_squared * 1e-7
+    assert drive("tilt_rad_per_sqrt_hz=1e-7") == pytest.approx(tilted, rel=1e-6)
+    assert drive(*white, "tilt_rad_per_sqrt_hz=1e-7") == pytest.approx(math.hypot(shaken, tilted), rel=1e-6)
+    higher = drive("model=peterson", "above_low_noise_db=40") / drive(
+        "model=peterson", "above_low_noise_db=20"
+    )
+    assert higher == pytest.approx(10.0)
+    with pytest.raises(ConfigurationError, match="state its drive with --ground"):
+        drive("model=file", "file=ground.csv")
+
+
+def test_air_and_a_wandering_beam_add_to_the_scatter_of_turning_points() -> None:
+    still = conditions_of("simulation.disturbances.air_arcsec=0")
+    for override in ("air_arcsec=0.02", "pointing_walk_px_per_sqrt_s=0.1", "pointing_jitter_px=0.2"):
+        moved = conditions_of(f"simulation.disturbances.{override}")
+        assert moved.u_amplitude_rad > 1.5 * still.u_amplitude_rad
+        assert moved.u_time_amplitude_s_rad > 1.5 * still.u_time_amplitude_s_rad
+
+
+def test_a_plan_of_a_configuration_has_series_of_runs(
+    measured_series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, folder = CONFIGS / "basement.toml", tmp_path / "plan"
+    limit = ["session.max_duration_s=60"]
+    plan(source, [124.0], [15.0], None, folder, limit, [3, 1], 0.02, measured_series / "results.json")
+    said = capsys.readouterr().out
+    assert "124 to 15 *" in said
+    assert "session.max_duration_s = 60 would end it earlier" in " ".join(said.split())
+    head, *rows = (line.split(",") for line in (folder / "plan.csv").read_text().splitlines())
+    one, three = (dict(zip(head, map(float, row), strict=True)) for row in rows)
+    assert (one["runs"], three["runs"]) == (1, 3)
+    assert three["rig_time_s"] == pytest.approx(3 * one["duration_s"])
+    assert three["u_c"] == pytest.approx(one["u_c"] / math.sqrt(3))
+    with pytest.raises(ConfigurationError, match="a record has its own noise and contact"):
+        plan(measured_series / "run-1.mcap", None, None, None, None, None, None, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["camera.driver=usb3vision"], r"needs \[pendulum\]: state mass_kg and ball_radius_m"),
+        (["camera.driver=usb3vision", PENDULUM, LEVER], "needs camera.frame_rate_hz"),
+        (["camera.driver=usb3vision", PENDULUM, "camera.frame_rate_hz=50"], r"needs \[lever\]"),
+        (["camera.frame_rate_hz=0.4"], "show a swing of 4.071 s too seldom: raise camera.frame_rate_hz"),
+    ],
+)
+def test_what_a_plan_needs_of_a_configuration_is_named(overrides: list[str], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        conditions_of(*overrides)
+
+
+def conditions_of(*overrides: str) -> Conditions:
+    """Of the demonstration, changed."""
+    return expected_of(complete(load_configuration(CONFIGS / "demo.toml", overrides))).conditions
+
+
+VAULT = CONFIGS / "vault.toml"
+
+
+def test_a_plan_of_a_configuration_has_its_own_witness_and_reference() -> None:
+    both, bare = (
+        planned_expectation(VAULT, overrides, None, None).conditions
+        for overrides in ((), ("witness.kind='none'",))
+    )
+    assert bare.witness_noise is None
+    assert both.witness_noise == pytest.approx(LEAST_LEFT, rel=0.2)
+    assert both.unknown_rad_per_s2_rthz < 0.03 * bare.unknown_rad_per_s2_rthz
+    # the air that the reference takes off does not bend the swing
+    plain = ("simulation.reference.relative=0", "simulation.disturbances.air_arcsec=0.1")
+    airy = planned_expectation(CONFIGS / "basement.toml", plain, None, None).conditions
+    less = planned_expectation(VAULT, ("simulation.disturbances.air_arcsec=0.1",), None, None).conditions
+    assert less.u_amplitude_rad < 0.6 * airy.u_amplitude_rad
+
+
+def test_a_witness_that_hears_itself_more_than_the_ground_is_planned_so() -> None:
+    noisy = ("simulation.witness.noise_m_per_s2_per_sqrt_hz=2.5e-4",)
+    found = planned_expectation(VAULT, noisy, None, None).conditions
+    assert found.witness_noise is not None
+    assert found.witness_noise > 10
+    louder = found.on_ground(100 * found.ground_rad_per_s2_rthz)
+    assert louder.witness_noise == pytest.approx(0.01 * found.witness_noise)
+    assert louder.on_ground(1e9).witness_noise == LEAST_LEFT
+    unknown = planned_expectation(VAULT, ("witness.kind='serial'", "witness.port='/dev/any'"), None, None)
+    assert unknown.conditions.witness_noise == LEAST_LEFT

@@ -1,0 +1,120 @@
+"""What the runs of a series say together is in every format, and read back by libraries that are not ours."""
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from processing.errors import ConfigurationError
+from processing.estimate import Estimate
+from processing.fit import FitMethod
+from processing.units import size
+from rig.analysis import InstrumentSeries, Series, read_results, write_results
+from rig.analysis.decay_values import MeanOverPlaces
+from rig.analysis.record_fit import analyse_record
+from rig.analysis.series import session_results
+from rig.report.figures_contact import series_figure
+from rig.report.session_export import export_session
+from rig.report.session_report import latex_tables
+
+
+@pytest.fixture
+def series(measured_series: Path) -> dict[str, Any]:
+    text = (measured_series / "results.json").read_text(encoding="utf-8")
+    found: dict[str, Any] = json.loads(text)["series"]
+    return found
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_tables_hold_every_number_of_the_series(
+    measured_series: Path, series: dict[str, Any], tmp_path: Path, kind: Any
+) -> None:
+    path = export_session(measured_series, kind, tmp_path)[-1]
+    assert path.name == f"series-table.{kind}"
+    if kind == "csv":
+        lines = path.read_text(encoding="utf-8").splitlines()
+        rows: list[dict[str, Any]] = list(csv.DictReader(line for line in lines if line[0] != "#"))
+        about = "\n".join(line for line in lines if line[0] == "#")
+    else:
+        rows = parquet.read_table(path).to_pylist()
+        about = parquet.read_schema(path).metadata[b"provenance"].decode()
+    assert [row["quantity"] for row in rows] == [row["quantity"] for row in series["table"]]
+    for name in ("value", "u", "u_total", "lower", "upper"):
+        found = [float(row[name] or "nan") if kind == "csv" else row[name] for row in rows]
+        wanted = [math.nan if row[name] is None else row[name] for row in series["table"]]
+        np.testing.assert_array_equal(found, wanted)
+    unit = {row["quantity"]: row["unit"] for row in rows}
+    assert size(unit["gamma_pa"]) == size("Pa")
+    assert "SIMULATED: 2 of 2 runs" in about
+    for run in read_results(measured_series).runs:
+        assert run.sha256 in about
+
+
+def test_hdf5_has_an_entry_for_the_series(
+    measured_series: Path, series: dict[str, Any], tmp_path: Path
+) -> None:
+    h5py = pytest.importorskip("h5py")
+    export_session(measured_series, "hdf5", tmp_path / "out.h5")
+    with h5py.File(tmp_path / "out.h5") as file:
+        entry = file["series"]
+        assert entry.attrs["NX_class"] == "NXentry"
+        assert json.loads(entry["results/json"][()]) == series
+        rows = {row["quantity"]: row for row in series["table"]}
+        gamma = entry["results/values/exact/gamma_pa_errors"]
+        assert gamma[()] == rows["gamma_pa"]["u_total"]
+        assert gamma.attrs["units"] == "Pa"
+
+
+def test_a_run_without_fit_shifts_no_number(measured_series: Path, tmp_path: Path) -> None:
+    """The report blamed run 2 where run 3 stood apart, as runs that could not be fitted were not counted."""
+    first = analyse_record(measured_series / "run-1.mcap")
+    second = analyse_record(measured_series / "run-2.mcap")
+    unfitted = replace(first, fits={}, results=replace(first.results, fits={}, problem="too short"))
+    exact = second.fits[FitMethod.EXACT]
+    odd = replace(exact, values=exact.values + 50 * exact.standard_uncertainty)
+    apart = replace(second, fits={**second.fits, FitMethod.EXACT: odd})
+    results = session_results([unfitted, first, first, apart], tmp_path)
+    assert results.series is not None
+    assert results.series.combined_runs == (2, 3, 4)
+    assert {each.run for each in results.series.disagreements} == {4}
+    ticks = [label.get_text() for label in series_figure(results.series).figure.axes[0].get_xticklabels()]
+    assert ticks == ["2", "3", "4"]
+
+
+KOENIG = InstrumentSeries(
+    kind="koenig",
+    time_s=MeanOverPlaces(80.8, 0.1, 3, 0.17, 0.43),
+    swings=MeanOverPlaces(57.7, 0.08, 3, 0.14, 0.34),
+    reference_time_s=Estimate(250.0, 0.5),
+    ratio=Estimate(0.323, 0.0008),
+)
+
+
+def test_places_of_a_sample_have_tables(measured_series: Path, tmp_path: Path) -> None:
+    """The ratio to the glass was in no table."""
+    found = read_results(measured_series)
+    runs = tuple(replace(run, record=str((measured_series / run.record).resolve())) for run in found.runs)
+    of_places = Series(runs=3, instrument=KOENIG)
+    write_results(tmp_path / "results.json", replace(found, runs=runs, series=of_places))
+    text = latex_tables(tmp_path)["series.tex"]
+    assert "ratio of damping times" in text
+    assert "0.323" in text
+
+
+def test_two_names_that_are_one_in_nexus(measured_series: Path, tmp_path: Path) -> None:
+    """``a b`` and ``a_b`` ended in h5py's ValueError."""
+    pytest.importorskip("h5py")
+    found = read_results(measured_series)
+    for name, run in zip(("a b.mcap", "a_b.mcap"), found.runs, strict=True):
+        (tmp_path / name).write_bytes((measured_series / run.record).read_bytes())
+    runs = tuple(replace(run, record=n) for n, run in zip(("a b.mcap", "a_b.mcap"), found.runs, strict=True))
+    write_results(tmp_path / "results.json", replace(found, runs=runs))
+    with pytest.raises(ConfigurationError, match="several records of one name"):
+        export_session(tmp_path, "hdf5", tmp_path / "x.h5")
+    assert len(export_session(tmp_path, "csv", tmp_path / "csv")) == 7
