@@ -17,7 +17,7 @@ from processing.spot import Spot
 from rig.desk.desk import Desk
 from rig.desk.following import Following
 from rig.desk.panels.live_picture import look_now
-from rig.devices import ORDERS_NAME, OrderSocket, SessionNews, line
+from rig.devices import ORDERS_NAME, OrderSocket, SessionNews
 from rig.settings import Configuration
 from tests.waiting import until
 
@@ -25,7 +25,7 @@ from tests.waiting import until
 @pytest.fixture
 def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Following]:
     """One that follows a session in `session` which answers."""
-    monkeypatch.setattr(line, "_ANSWER_S", 0.2)
+    monkeypatch.setattr(order_line, "_ANSWER_S", 0.2)
     folder = tmp_path / "session"
     folder.mkdir()
     told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
