@@ -17,7 +17,7 @@ from processing.spot import Spot
 from rig.desk.desk import Desk
 from rig.desk.following import Following
 from rig.desk.panels.live_picture import look_now
-from rig.devices import ORDERS_NAME, OrderSocket, SessionNews
+from rig.devices import ORDERS_NAME, OrderSocket, SessionNews, order_line
 from rig.settings import Configuration
 from tests.waiting import until
 
