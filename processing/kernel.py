@@ -170,6 +170,14 @@ class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
     finds the index without the code takes the cache for spoilt.
     """
 
+    def _load_index(self) -> dict[Any, str]:
+        """The names of the files; none where a class that the index names is gone, as after an update."""
+        try:
+            found: dict[Any, str] = super()._load_index()
+        except (AttributeError, ImportError):
+            return {}
+        return found
+
     def save(self, key: Any, data: Any) -> None:
         with byte_locked(Path(self._cache_path) / "keeping.lock", 0, lambda: None):
             overloads = self._load_index()

@@ -128,6 +128,27 @@ def test_compiled_again_when_a_module_of_what_it_calls_is_gone(folder: Path) -> 
     assert done.stdout == "21.0\n", done.stderr
 
 
+@pytest.mark.slow
+def test_compiled_again_when_the_class_of_an_argument_is_gone(folder: Path) -> None:
+    """As after an update of the program: the index of the machine code names the classes of arguments."""
+    source = folder / "outer_kernel.py"
+    source.write_text(
+        "from typing import NamedTuple\nfrom processing.kernel import kernel\n\n"
+        "class Pair(NamedTuple):\n    one: float\n    other: float\n\n"
+        "@kernel\ndef outer(pair):\n    return pair.one * pair.other\n"
+    )
+    for name in ("Pair", "Couple"):
+        source.write_text(source.read_text().replace("Pair", name))
+        done = subprocess.run(
+            [sys.executable, "-B", "-c", f"from outer_kernel import *; print(outer({name}(2.0, 10.5)))"],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.stdout == "21.0\n", done.stderr
+
+
 def test_not_compiled_again_for_words(folder: Path) -> None:
     assert compilations(imported_again()) == (21.0, [True])
     for name, old, new in (("outer", "Text.", "Other text."), ("inner", "FACTOR =", "# why\nFACTOR =")):
