@@ -39,7 +39,7 @@ def test_a_verdict_on_the_drag_is_said_and_shown(finding: DragFinding, begins: s
 def test_a_drag_that_a_fit_for_a_vacuum_takes_for_none_is_in_no_uncertainty() -> None:
     open_drag = replace(_SEEN, finding=DragFinding.OPEN, upper_95_s=3e-3)
     line = remarks(RunResults(record="run-1.mcap", drag=open_drag))[0]
-    assert "is in no uncertainty, as fit.drag = vacuum says" in line
+    assert "is in no uncertainty (fit.drag = vacuum)" in line
 
 
 _DRIVEN = Ground(
