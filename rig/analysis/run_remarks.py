@@ -261,9 +261,7 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
         case DragFinding.SEEN:
             said = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
         case DragFinding.OPEN if _by_the_data(drag):
-            counted = (
-                "part of every uncertainty" if fitted else "in no uncertainty (fit.drag = vacuum)"
-            )
+            counted = "part of every uncertainty" if fitted else "in no uncertainty (fit.drag = vacuum)"
             return (
                 f"This decay cannot distinguish a drag below {plain(drag.upper_95_s, 2)} s (95 %) from "
                 f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is {counted}{moved}."
