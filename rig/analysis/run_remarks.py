@@ -163,7 +163,7 @@ def remarks(run: RunResults) -> list[str]:
     row = run.rows.get(DRAG.key)
     is_withheld = row is not None and row.verdict is Determinacy.UNDETERMINED
     if run.drag is not None and not (run.drag.significant and is_withheld):
-        lines.append(_drag_sentence(run.drag, run.rows))
+        lines.append(_drag_sentence(run.drag, run.rows, fitted=DRAG.key in parameters))
     lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
     if exact is not None and (pairs := exact.correlation.strong):
         names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
@@ -249,8 +249,11 @@ def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
     return f"Without the waveform of the swing {', and '.join(said)}."
 
 
-def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow]) -> str:
-    """What the data say of a drag, and whose value stands where they say nothing."""
+def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
+    """What the data say of a drag, and whose value stands where they say nothing.
+
+    `fitted`: a drag is among the parameters of the fit.
+    """
     shown, shifts, row = quantity("drag_s"), shifts_by_drag(drag, rows), rows.get("drag_s")
     changes = " and ".join(f"{name} by {shift}" for name, shift in shifts.items())
     moved = f"; it changes {changes}" if changes else ""
@@ -258,10 +261,10 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow]) -> str:
         case DragFinding.SEEN:
             said = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
         case DragFinding.OPEN if _by_the_data(drag):
+            counted = "part of every uncertainty" if fitted else "in no uncertainty (fit.drag = vacuum)"
             return (
                 f"This decay cannot distinguish a drag below {plain(drag.upper_95_s, 2)} s (95 %) from "
-                f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is part of every uncertainty"
-                f"{moved}."
+                f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is {counted}{moved}."
             ).replace("-", "−")
         case DragFinding.OPEN if drag.known_s is not None:
             said = (

@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from rig.archive.listing import list_runs, selected, show_runs
+from rig.archive.listing import find_runs, list_runs, selected, show_runs
 
 if TYPE_CHECKING:
     from rig.archive.updating import add_folders, check_archive, client_of, refit_runs, update_archive

@@ -220,6 +220,27 @@ def meant(archive: Path, names: Sequence[str]) -> str:
     return f"sha256 in ({', '.join(runs)})" if names else "true"
 
 
+_FOUND = (
+    f"{_ID}, began_utc, folder, run, {_SAMPLE}, operator, state, "
+    f"b, p, c, {', '.join(_beside(('b', 'p', 'c')))}"
+)
+_SEARCHED = (
+    "lower(concat_ws(' ', strftime(began_utc, '%Y-%m-%d %H:%M:%S'), folder, run, sample, operator, state, "
+    "contact_history, noted))"
+)
+
+
+def find_runs(archive: Path, words: str, first: int = 0, most: int = 20) -> tuple[Table, int, int]:
+    """Some of the runs with all these words in their texts, newest first; how many have them, and how many
+    there are.
+    """
+    quoted = (word.replace("'", "''") for word in words.lower().split())
+    where = " and ".join(f"contains({_SEARCHED}, '{word}')" for word in quoted) or "true"
+    _, ((every, found),) = selected(archive, f"count(*), count(*) filter (where {where})", "")
+    order = f"order by began_utc desc nulls last, sha256 limit {most:d} offset {first:d}"
+    return _table(*selected(archive, _FOUND, f"{where} {order}")), found, every
+
+
 def selected(
     archive: Path, wanted: str, condition: str, then: str = ""
 ) -> tuple[list[str], list[tuple[Any, ...]]]:

@@ -200,13 +200,15 @@ def open_desk(
     port: int = 0,
     *,
     browser: bool = True,
+    archive: Path = Path(),
 ) -> int:
     """Serve the desk of a configuration until Ctrl-C; a session that it has started goes on.
 
-    `port` 0 is the last one, the usual one, or any. The address with its key is printed on
-    stdout. Raises ConfigurationError where a desk of this configuration is open already.
+    `port` 0 is the last one, the usual one, or any. The runs of an `archive` that is there are listed, too.
+    The address with its key is printed on stdout. Raises ConfigurationError where a desk of this
+    configuration is open already.
     """
-    desk = Desk(source, overrides)
+    desk = Desk(source, overrides, archive)
     desk.hold()
     try:
         check_wiring(desk.config.laser, desk.config.controller)

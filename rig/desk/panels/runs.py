@@ -1,17 +1,19 @@
-"""Runs: the sessions made so far; find, report, show in Rerun, fit again, resume."""
+"""Runs: the sessions made so far and the archive; find, report, show in Rerun, fit again, resume."""
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import quote
 
 from nicegui import run, ui
 
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, RigError
+from rig.archive import find_runs
 from rig.desk.alarm_bar import resume_dialog
 from rig.desk.desk import Desk
 from rig.desk.sessions import NUMBERS, SERVED, LastRun, SessionRow, last_run
-from rig.desk.tab import Tab
+from rig.desk.tab import Tab, at_once
 from rig.presentation import quantity
 
 KEYS = (("o", "runs: open the report"), ("v", "runs: show in Rerun"))
@@ -29,15 +31,28 @@ def build(desk: Desk, tab: Tab) -> None:
     with ui.row().classes("items-center"):
         find = ui.input("find").props('dense outlined clearable type="search" data-key="find"')
         find.classes("find")
+        which = at_once(ui.toggle(["sessions", "archive"], value="sessions"))
+        which.props('dense no-caps aria-label="which list"')
         actions = Actions(desk, tab)
+    archived = ArchivedRuns(desk, tab, lambda: str(find.value or ""), lambda: which.value == "archive")
+    archived.frame.set_visibility(False)
     listed = SessionList(desk, lambda: str(find.value or ""), actions.mark)
     output = CommandOutput(desk)
 
+    async def choose() -> None:
+        is_archive = which.value == "archive"
+        for one in (listed.frame, *actions.elements):
+            one.set_visibility(not is_archive)
+        archived.frame.set_visibility(is_archive)
+        await archived.refresh()
+
     async def refresh() -> None:
+        which.set_visibility(desk.archive.is_file())
         await listed.refresh()
         actions.refresh()
         output.refresh()
 
+    which.on_value_change(choose)
     find.on_value_change(listed.find_anew)
     tab.key("o", tab.act(actions.report))
     tab.key("v", tab.act(actions.view))
@@ -55,7 +70,7 @@ class SessionList:
         self._last_runs: dict[SessionRow, LastRun] = {}
         self._marked = ""
         self._first = 0
-        with ui.column().classes("full-width box"):
+        with ui.column().classes("full-width box") as self.frame:
             columns = [
                 {"name": name, "label": _head(name), "field": name, "align": "left"} for name in _COLUMNS
             ]
@@ -136,6 +151,7 @@ class Actions:
         ]
         self._wanted = ui.label().classes("dim")
         self._ending = tab.button("End it", desk.looking_again.end).props("flat")
+        self.elements = (*self._buttons, self._wanted)
         self.mark(None)
 
     def mark(self, row: SessionRow | None) -> None:
@@ -211,3 +227,67 @@ def _head(column: str) -> str:
     shown = quantity(NUMBERS[column])
     symbol = {"sigma": "σ"}.get(column, column)
     return f"{symbol} / ({shown.unit})" if shown.unit else symbol
+
+
+_AGAIN_S = 30.0
+"""After so long what others may have added is looked for."""
+
+
+class ArchivedRuns:
+    """The list; `words` says what is searched, `wanted` whether it is to be seen. Built where it is made."""
+
+    def __init__(self, desk: Desk, tab: Tab, words: Callable[[], str], wanted: Callable[[], bool]) -> None:
+        self._desk, self._words, self._wanted = desk, words, wanted
+        self._first = 0
+        self._asked: tuple[str, int] | None = None
+        self._asked_s = 0.0
+        with ui.column().classes("full-width box") as self.frame:
+            self._table = ui.table(columns=[], rows=[], pagination=0).classes("full-width")
+            self._table.props('dense flat hide-pagination hide-no-data aria-label="runs of the archive"')
+            with ui.row().classes("items-center"):
+                self._newer = ui.button("Newer runs", on_click=lambda: self._turn(-1)).props("outline dense")
+                self._place = ui.label().props('role="status"')
+                self._older = ui.button("Older runs", on_click=lambda: self._turn(1)).props("outline dense")
+        tab.every(1.0, self.refresh)
+
+    async def _turn(self, pages: int) -> None:
+        self._first = max(0, self._first + pages * _ON_A_PAGE)
+        await self.refresh()
+
+    async def refresh(self) -> None:
+        """Show what is found now; the archive is read again only for other words, or after a while."""
+        archive, words = self._desk.archive, self._words()
+        if not (archive.is_file() and self._wanted()):
+            return
+        if self._asked is None or words != self._asked[0]:
+            self._first = 0
+        now, now_s = (words, self._first), time.monotonic()
+        if now == self._asked and now_s - self._asked_s < _AGAIN_S:
+            return
+        self._asked, self._asked_s = now, now_s
+        if not self._table.rows:
+            self._place.set_text(f"{archive} is read …")
+        try:
+            found = await run.io_bound(find_runs, archive, words, self._first, _ON_A_PAGE)
+        except RigError as error:
+            self._table.rows = []
+            self._place.set_text(str(error))
+            return
+        if found is None or self._asked != now:
+            # typed on meanwhile
+            return
+        listed, count, every = found
+        self._table.columns = [
+            {"name": name, "label": name, "field": name, "align": "left"} for name in listed.head
+        ]
+        self._table.rows = [dict(zip(listed.head, row, strict=True)) for row in listed.shown]
+        self._table.update()
+        last = self._first + len(listed.shown)
+        of = f"{count:,}" if count == every else f"{count:,} found, of {every:,}"
+        self._place.set_text(
+            f"{self._first + 1} to {last} of {of} in {archive}"
+            if listed.shown
+            else f"no run in {archive} is found"
+        )
+        self._newer.set_enabled(self._first > 0)
+        self._older.set_enabled(last < count)

@@ -36,6 +36,12 @@ def test_a_verdict_on_the_drag_is_said_and_shown(finding: DragFinding, begins: s
     assert remarks(results)[0].startswith(begins)
 
 
+def test_a_drag_that_a_fit_for_a_vacuum_takes_for_none_is_in_no_uncertainty() -> None:
+    open_drag = replace(_SEEN, finding=DragFinding.OPEN, upper_95_s=3e-3)
+    line = remarks(RunResults(record="run-1.mcap", drag=open_drag))[0]
+    assert "is in no uncertainty (fit.drag = vacuum)" in line
+
+
 _DRIVEN = Ground(
     density_rad_per_s2_rthz=Estimate(8e-9, 4e-10),
     upper_95=9e-9,

@@ -13,7 +13,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.archive import add_folders, check_archive, list_runs, selected, update_archive
+from rig.archive import add_folders, check_archive, find_runs, list_runs, selected, update_archive
 from rig.archive.listing import write_sessions, writing
 from rig.archive.session_rows import COLUMNS, DERIVED, PARAMETERS, row_columns
 from tests.rig.command_line import rig
@@ -311,3 +311,13 @@ def test_every_column_stands_in_the_reference() -> None:
     assert listed == {name for name in COLUMNS if name not in of_rows}
     for name in PARAMETERS:
         assert f"`{name}`" in text
+
+
+def test_runs_are_found_by_words(archive: Path) -> None:
+    table, found, every = find_runs(archive, "k8 STEEL run-1")
+    assert (found, every, len(table.shown)) == (1, 3, 1)
+    shown = dict(zip(table.head, table.shown[0], strict=True))
+    assert shown["sample"].startswith("SIMULATED: ")
+    assert "±" in shown["c"]
+    assert find_runs(archive, "it's")[1] == 0
+    assert [len(find_runs(archive, "", first, 2)[0].shown) for first in (0, 2, 4)] == [2, 1, 0]

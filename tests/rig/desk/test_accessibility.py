@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from rig.archive import add_folders
 from rig.desk.theme import THEMES
 from rig.devices import OrderSocket, SessionNews
 from rig.settings import Configuration
@@ -152,6 +153,14 @@ def test_no_form_error_list_picture_or_hand_over_has_a_violation(
     page.wait_text(folder.name)
     mark(page, folder.name)
     judge("a session that is marked")
+    page.click("archive")
+    page.wait_text("1 to 3 of 3")
+    judge("the archive")
+    # not the panel of this name
+    page.ask(
+        "[...document.querySelectorAll('.q-btn-toggle button')].find(b => b.innerText === 'sessions').click()"
+    )
+    page.wait_text(folder.name)
     # what has just ended hands over
     page.key("3")
     news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
@@ -166,7 +175,10 @@ def test_no_form_error_list_picture_or_hand_over_has_a_violation(
 
 
 def finished(output: Path, name: str) -> Path:
-    """A session that has ended, with results and a report."""
+    """A session that has ended, with results and a report, in the archive of the desk, too."""
+    archive = output.parent / "archive.duckdb"
+    if not archive.exists():
+        add_folders(archive, [SAMPLES / "series", SAMPLES / "uncalibrated"])
     folder = output / f"over-{name}"
     shutil.copytree(SAMPLES / "series", folder)
     (folder / "report.html").write_text("<html lang='en'><head><title>r</title></head></html>", "utf-8")
