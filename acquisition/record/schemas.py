@@ -100,7 +100,7 @@ def descriptor_of(
         )
         _comment(file, comment_of(field), _FIELD_PATH, place)
     for place, meaning in enumerate(meanings):
-        enum = message.enum_type.add(name=meaning.__name__.removeprefix("Spot").removeprefix("Swing"))
+        enum = message.enum_type.add(name="Flag" if issubclass(meaning, IntFlag) else "Side")
         prefix = enum.name.upper()
         enum.value.add(name=f"{prefix}_NONE", number=0)
         for member in meaning:

@@ -272,7 +272,7 @@ def stepped_world(seed: int, folder: Path, kind: str = "", wired: bool | None = 
         monkeypatch.setattr(atomic_write, "replace", world.replace)
         # a full disk is no news here
         monkeypatch.setattr(light_permit._log, "disabled", True)
-        for module in ("laser", "light_watch", "lit_devices"):
+        for module in ("laser", "lit_devices"):
             monkeypatch.setattr(f"rig.devices.{module}.time", clock)
         yield world
         if world.program is not None:

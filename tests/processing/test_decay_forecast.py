@@ -93,7 +93,7 @@ def test_too_little_and_too_late() -> None:
 FIRST_FORECAST = """
 import sys
 import numpy as np
-from processing import decay_forecast
+from processing import decay_summary as decay_forecast
 decay_forecast.prepare()
 before = set(sys.modules)
 times_s = np.linspace(0.0, 100.0, 50)

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
-from processing.swing import Swing
+from processing.swing import HalfCycle
 path, spots, block = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 rng = np.random.default_rng(0)
 writer = RecordWriter(path, 0, flush_interval_s=1e9)
@@ -34,7 +34,7 @@ def record(first, last):
         sequences = range(start, start + block)
         noise = rng.normal(size=(4, block))
         writer.write_spots(sequences, times, times, table, Deflections(times, *noise, DeflectionUnit.RAD))
-        writer.write_swing(Swing(start, start, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
+        writer.write_swing(HalfCycle(start, start, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
         writer.write_window(start, int(times[0]), pixels, 0, 0)
         writer.flush()
 def resident():

@@ -36,7 +36,7 @@ def test_laws_are_compared_on_a_table(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "linear drag alone" in done.stdout
-    laws = json.loads((tmp_path / "out" / "results.json").read_text())["laws"]
+    laws = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]["laws"]
     assert {"paper", "viscous"} <= set(laws["laws"])
 
 

@@ -20,7 +20,6 @@ from rig.calibrate import (
     calibrate_pointing,
     calibrate_sensor,
     check_known_angle,
-    filed,
 )
 from rig.calibrate.frame_times import off_line
 from rig.calibrate.inputs import Filing
@@ -250,9 +249,6 @@ def test_a_clock_from_a_record_in_real_time_fills_the_timebase(tmp_path: Path) -
     assert timebase.camera_rate == pytest.approx(1 / (1 + 30e-6), abs=4 * timebase.u_camera_rate)
     assert found.details["ntp"]
     assert found.details["frame_jitter_limit_s"] == 15e-6
-    (left,) = filed(path).residuals
-    assert left.y_name == "off the line, µs"
-    assert max(abs(y) / u for y, u in zip(left.y, left.u, strict=True)) < 8
     by_command = rig("calibrate", "clock", str(record), cwd=tmp_path)
     assert by_command.returncode == 0, by_command.stderr
     assert "arrivals of frames" in by_command.stdout

@@ -2,7 +2,6 @@
 
 import json
 import re
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -203,26 +202,6 @@ def test_features_are_shown_with_unit_range_and_choices_and_can_be_set(usb_camer
     assert "-12 to 24" in str(done.exception)
     done = CliRunner().invoke(app, ["camera", "set", DEMO, *USB, "Width=wide"])
     assert "Width = 'wide' is not a number" in str(done.exception)
-
-
-def test_a_dump_shows_how_a_camera_behaves_and_not_whose_it_is(
-    usb_camera: VisionDevice, tmp_path: Path
-) -> None:
-    usb_camera.faults.units = lambda kind, block, data: [data, b""] if kind == "payload" else [data]
-    output = tmp_path / "camera.zip"
-    done = CliRunner().invoke(app, ["camera", "dump", DEMO, *USB, "-o", str(output)])
-    assert done.exit_code == 0, done.exception
-    with zipfile.ZipFile(output) as archive:
-        files = {name: archive.read(name) for name in archive.namelist()}
-    assert not any(usb_camera.serial.encode() in data for data in files.values())
-    assert not any(usb_camera.serial.encode().hex().encode() in data for data in files.values())
-    assert b"<RegisterDescription" in files["description.xml"]
-    assert json.loads(files["registers.json"])["abrm"]["0x1FC"] == "08000000"
-    sizes = [one["bytes"] for one in json.loads(files["transfers.json"])]
-    assert sizes[0] == 52
-    assert sizes[2] == 32, "the packet without bytes has ended the payload's transfer"
-    done = CliRunner().invoke(app, ["camera", "dump", DEMO, *USB, "-o", str(output)])
-    assert "exists already" in str(done.exception)
 
 
 def test_a_feature_that_can_not_be_read_says_why() -> None:

@@ -170,7 +170,7 @@ class SteppedBoard:
     def store_latch(self, number: int, cause: str) -> None:
         self.latch = (number, cause)
 
-    def settings(self) -> tuple[float, float, float]:
+    def environment(self) -> tuple[float, float, float]:
         if not self.sensor_works:
             raise OSError("no sensor")
         return 20.125, 45.5, 101325.0

@@ -36,8 +36,8 @@ def test_of_a_configuration_there_is_one_desk(tmp_path: Path) -> None:
     kept.hold(tmp_path)
     kept.opened_at("http://127.0.0.1:1/?key=k", 1)
     other = (
-        "import sys; from pathlib import Path; from rig.desk.store import Kept; "
-        "source = Path(sys.argv[1]); Kept(source).hold(source.parent)"
+        "import sys; from pathlib import Path; from rig.desk.store import DeskStore; "
+        "source = Path(sys.argv[1]); DeskStore(source).hold(source.parent)"
     )
     done = subprocess.run(
         [sys.executable, "-c", other, str(source)], capture_output=True, text=True, check=False, timeout=50

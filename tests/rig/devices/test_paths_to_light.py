@@ -37,10 +37,10 @@ LIVE = CONFIGS / "live.toml"
 
 ASKS = {
     # what asks the rig for light; a new name here needs a walk below
-    ("balance/look.py", "look"),
+    ("balance/balancing.py", "look"),
     ("desk/aligner.py", "_lit"),
-    ("devices/leave.py", "_light"),
-    ("measure/without_session.py", "preflight_rig"),
+    ("devices/acknowledgement.py", "_light"),
+    ("measure/plain_record.py", "preflight_rig"),
     ("measure/run_setup.py", "_execute"),
     ("measure/session_orders.py", "relight"),
 }
@@ -184,9 +184,9 @@ def typed(config: Configuration, folder: Path) -> None:
 
 
 WALKS: dict[tuple[str, str], tuple[Callable[[Configuration, Path], None], ...]] = {
-    ("balance/look.py", "look"): (balance,),
-    ("devices/leave.py", "_light"): (typed,),
-    ("measure/without_session.py", "preflight_rig"): (preflight,),
+    ("balance/balancing.py", "look"): (balance,),
+    ("devices/acknowledgement.py", "_light"): (typed,),
+    ("measure/plain_record.py", "preflight_rig"): (preflight,),
     ("measure/run_setup.py", "_execute"): (run, calibrate),
     ("measure/session_orders.py", "relight"): (ordered,),
 }

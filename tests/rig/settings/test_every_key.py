@@ -187,7 +187,7 @@ def test_nothing_changes_by_itself(observe: Callable[[Configuration], Any]) -> N
 def _driver_names(driver: str) -> set[str]:
     """Attributes that are read in a camera driver's source, or by the settings of all drivers themselves."""
     folder = Path(acquisition.cameras.__file__).parent
-    files = [*(folder / driver).rglob("*.py"), *folder.glob(f"{driver}.py"), folder / "device_settings.py"]
+    files = [*(folder / driver).rglob("*.py"), *folder.glob(f"{driver}.py"), folder / "drivers.py"]
     trees = (ast.parse(file.read_text(encoding="utf-8")) for file in files)
     return {node.attr for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
 

@@ -67,8 +67,8 @@ def test_a_replay_shows_the_same_curves(live: Path, tmp_path: Path) -> None:
 
 IMPATIENT = """
 from rig.cli import main
-from rig.view import launch
-launch._SHOW_END_S = launch._WRITE_END_S = 2.0
+from rig.view import scratch
+scratch._SHOW_END_S = scratch._WRITE_END_S = 2.0
 main()
 """
 """`rig`, which waits for less long for what draws its last."""
