@@ -192,11 +192,12 @@ def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
         return [Finding("warning", f"{results.name} does not contain {reader.path.name}")]
     if sha256 != sha256_of(reader.path):
         return _errors(f"SHA-256 is not the one in {results.name}: the record is not the one that was fitted")
-    of_pixels, pixels = run.get("pixels_sha256", ""), pixels_beside(reader.path)
+    pixels = pixels_beside(reader.path)
+    of_pixels = inputs.get(pixels.name, "")
     if of_pixels and pixels.is_file() and of_pixels != sha256_of(pixels):
         return _errors(f"{pixels.name}: its SHA-256 is not the one in {results.name}")
     held = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
-    others = sorted(name for name, value in inputs.items() if held.get(name) != value)
+    others = sorted(name for name, value in inputs.items() if name != pixels.name and held.get(name) != value)
     if others:
         return _errors(
             *(f"{results.name} states another SHA-256 of {name} than the record's" for name in others)

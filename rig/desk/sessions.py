@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from processing.errors import ConfigurationError, RigError
+from processing.fit import FitMethod
 from rig.calibrate import next_free
 from rig.desk.jobs import Job
 from rig.instrument import BALANCE_CONDITIONS
@@ -172,7 +173,7 @@ def last_run(folder: Path) -> LastRun:
     """Read it from the results of a session."""
     try:
         run = json.loads((folder / "results.json").read_bytes())["runs"][-1]
-        rows = {row["quantity"]: row for row in run["table"]}
+        rows = {row["quantity"]: row for row in run["table"] if row["fit"] != FitMethod.ASYMPTOTIC}
         of_balance = [one for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
         # what is ok and has a remedy is not known
         judged = [one["ok"] for one in of_balance if not (one["ok"] and one.get("remedy"))]

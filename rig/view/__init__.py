@@ -3,9 +3,9 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from rig.view.graticule import LayoutName, Mode
 from rig.view.scratch import RunningView, ScratchHead, ScratchView
 from rig.view.show import show_records
+from rig.view.values import LayoutName, Mode
 
 if TYPE_CHECKING:
     from rig.view.record_replay import analyse_replayed, replay_record

@@ -26,7 +26,8 @@ from rig.analysis import (
 )
 from rig.presentation import Table, palette
 from rig.view import layout
-from rig.view.graticule import AnalysisCurve, Graticule, Panel, faded, graticule_marks
+from rig.view.graticule import Graticule, faded, graticule_marks
+from rig.view.values import AnalysisCurve, Panel
 
 TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "decay": ("time / s", "amplitude / {unit}"),

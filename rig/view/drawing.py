@@ -14,8 +14,9 @@ from processing.spot import SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.presentation import QuantityDisplay, balance_drawn, balance_table, palette, quantity
 from rig.view import layout
-from rig.view.graticule import Floats, Setup, is_drawn, spot_cross
+from rig.view.graticule import spot_cross
 from rig.view.transverse import Breaks, Decimator, Gathering, Lissajous, TransverseCurves
+from rig.view.values import Floats, Setup, is_drawn
 
 DRAWN_RATE_HZ, REFERENCE_RATE_HZ = 100.0, 10.0
 """Largest rates of the samples that are drawn; the reference spot is watched for what drifts."""

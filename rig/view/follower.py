@@ -35,7 +35,7 @@ from rig.presentation import balance_numbers
 from rig.settings import Configuration
 from rig.view import layout
 from rig.view.drawing import Drawing
-from rig.view.graticule import Floats, is_drawn
+from rig.view.values import Floats, is_drawn
 
 _STATE_NS, _LOSSES_NS = 1_000_000_000, 10_000_000_000
 """Intervals of run time at which state and losses are drawn if nothing changes."""

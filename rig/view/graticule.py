@@ -6,69 +6,15 @@ archetypes of it, and of the cross at the spot.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple, Self
+from typing import Final, Self
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
 from rig.presentation import palette
-
-ShowMode = Literal["spawn", "web"]
-"""In a window, in a browser."""
-Mode = Literal["none", ShowMode]
-"""How a view is shown; none: not at all."""
-LayoutName = Literal["balancing", "measuring", "analysing"]
-Panel = Literal["decay", "residuals", "period", "period_residuals"]
-
-Floats = NDArray[np.float64]
-
-
-class Setup(NamedTuple):
-    """What a drawing has to know before its first value.
-
-    `runs` are the names of the runs that are overlaid, one empty name for a single run. `period_s` (of the
-    slow mode) and `amplitude` are expected values, `unit` is that of all deflections. `parameters`, with
-    their labels, are estimated while the run is measured, and each has a panel of the measuring layout. With
-    `has_reference` there is a panel for the spot of a mirror on the base.
-    """
-
-    title: str
-    layout: LayoutName = "measuring"
-    runs: tuple[str, ...] = ("",)
-    period_s: float = 4.07
-    amplitude: float = 125.0
-    unit: str = "arcsec"
-    parameters: Mapping[str, str] = {}
-    has_reference: bool = False
-
-
-class AnalysisCurve(NamedTuple):
-    """One curve of the analysing layout, drawn as points (data) or as a line (fit); arrays (n,).
-
-    Axes of the panels: ``decay`` time in s, amplitude; ``residuals`` time in s, residual of the amplitude;
-    ``period`` amplitude, period in s; ``period_residuals`` amplitude, residual in ms. Amplitudes are in
-    the unit of the setup. NaN interrupts a line. `u_y` is drawn as error bars of one standard uncertainty.
-    """
-
-    panel: Panel
-    name: str
-    x: Floats
-    y: Floats
-    u_y: Floats | None = None
-    style: Literal["points", "line"] = "line"
-
-
-_DRAWN_FROM = 0.5
-"""Relative uncertainty from which on a parameter is drawn."""
-
-
-def is_drawn(value: float, u: float) -> bool:
-    """Whether a parameter is known well enough to be drawn: the first values would hide all later ones."""
-    return u <= _DRAWN_FROM * abs(value)
-
+from rig.view.values import Floats
 
 PLANE_REACH = 100.0
 """Half the side of the trajectory's axes, in units of the plane."""

@@ -17,7 +17,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from rig.presentation import balance_panels
-from rig.view.graticule import BACKGROUND, BOX, PLANE_REACH, Setup
+from rig.view.graticule import BACKGROUND, BOX, PLANE_REACH
+from rig.view.values import Setup
 
 APPLICATION_ID: Final = "optical_pendulum_rig"
 TIMELINE: Final = "run_time"

@@ -38,11 +38,11 @@ from rig.presentation import (
 )
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import Terminated
-from rig.view.graticule import Mode
 from rig.view.replay import Replay, Replayed
 from rig.view.replay_comparison import ParameterDifference, ReplayDifferences, parameter_changes
 from rig.view.replay_player import HELP, MOST_FRAMES, Player
 from rig.view.scratch import ScratchHead, ScratchView
+from rig.view.values import Mode
 
 _PLAIN_INTERVAL_S = 5.0
 _LINE_INTERVAL_S = 0.1

@@ -25,8 +25,8 @@ import rerun_cli
 
 from processing.errors import ConfigurationError
 from rig.terminal import LOOPBACK, free_port, own_group
-from rig.view.graticule import ShowMode
 from rig.view.scratch import no_window, page_address, ports_of_view
+from rig.view.values import ShowMode
 
 _LOOK_S, _START_LIMIT_S = 0.05, 30.0
 _SERVER_MEMORY = "200MiB"

@@ -28,7 +28,7 @@ from processing.swing import HalfCycle
 from rig.instrument import Block
 from rig.presentation import say
 from rig.terminal import LOOPBACK, free_port, start_python
-from rig.view.graticule import LayoutName, Mode
+from rig.view.values import LayoutName, Mode
 
 _SHOW_END_S, _WRITE_END_S = 10.0, 30.0
 """So long a window or page, and a Rerun file, may take for what is left of their record of a run."""

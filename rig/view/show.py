@@ -20,7 +20,7 @@ from processing.errors import ConfigurationError, RecordError
 from rig.instrument import pendulum_on_ball
 from rig.presentation import say
 from rig.settings import Configuration
-from rig.view.graticule import LayoutName, Setup, ShowMode
+from rig.view.values import LayoutName, Setup, ShowMode
 
 if TYPE_CHECKING:
     from rig.view.drawing import Drawing

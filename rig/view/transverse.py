@@ -11,8 +11,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from rig.view import layout
-from rig.view.graticule import PLANE_REACH, Floats, faded, graticule_marks, reach_beyond, trajectory_graticule
+from rig.view.graticule import PLANE_REACH, faded, graticule_marks, reach_beyond, trajectory_graticule
 from rig.view.layout import TIMELINE
+from rig.view.values import Floats
 
 _WAITS_S = 20.0
 """Samples from before the first balance of a run are kept for so long."""

@@ -9,7 +9,7 @@ from rig.archive.updating import Level
 from rig.cli import app
 from rig.report.session_export import Format as ExportFormat
 from rig.settings.configuration import ViewSettings
-from rig.view.graticule import LayoutName, Mode
+from rig.view.values import LayoutName, Mode
 from tests.rig.commands.wrong_inputs import commands
 
 

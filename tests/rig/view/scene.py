@@ -21,7 +21,7 @@ from processing.units import ARCSEC_RAD
 from rig.view import layout
 from rig.view.analysis import draw_fits
 from rig.view.drawing import Drawing
-from rig.view.graticule import AnalysisCurve, Setup
+from rig.view.values import AnalysisCurve, Setup
 
 PERIOD_S = 4.07
 SECONDS = 60.0

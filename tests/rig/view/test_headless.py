@@ -14,8 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.presentation import palette
-from rig.view.graticule import LayoutName
 from rig.view.layout import TIMELINE, X_STRETCH
+from rig.view.values import LayoutName
 from tests.rig.view import scene as view_scene
 from tests.rig.view.headless_viewer import headless_viewer, pixels_of, require_software_vulkan
 
