@@ -173,7 +173,7 @@ def last_run(folder: Path) -> LastRun:
     """Read it from the results of a session."""
     try:
         run = json.loads((folder / "results.json").read_bytes())["runs"][-1]
-        rows = {row["quantity"]: row for row in run["table"] if row["fit"] != FitMethod.ASYMPTOTIC}
+        rows = {row["quantity"]: row for row in run["table"] if row["fit"] == FitMethod.EXACT}
         of_balance = [one for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
         # what is ok and has a remedy is not known
         judged = [one["ok"] for one in of_balance if not (one["ok"] and one.get("remedy"))]
