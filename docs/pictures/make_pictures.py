@@ -22,7 +22,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
 from rig.instrument import complete  # noqa: E402
-from rig.report import expected_of, plan_expected, plan_figure, png, styled  # noqa: E402
+from rig.report import draw_run, expected_of, plan_expected, plan_figure, png, styled  # noqa: E402
 from rig.settings import load_configuration  # noqa: E402
 from rig.view import LayoutName  # noqa: E402
 from rig.view.layout import TIMELINE  # noqa: E402
@@ -54,7 +54,7 @@ def main(session: Path) -> None:
             rrd = Path(folder) / f"{layout}.rrd"
             write_rrd([session / "run-1.mcap"], rrd, layout=layout)
             photograph(rrd, HERE / f"rerun-{layout}.png", MOMENT_S[layout])
-    gather_figures(session / "report" / "run-1", HERE / "result.png")
+    gather_figures(session, HERE / "result.png")
     draw_plan(HERE / "plan.png")
     draw_vault(HERE / "vault.png")
     DRAWN.write_text(json.dumps(drawn_now(), indent=2) + "\n", encoding="utf-8")
@@ -86,27 +86,28 @@ def draw_vault(picture: Path) -> None:
     with tempfile.TemporaryDirectory() as made:
         run = [sys.executable, "-m", "rig", "run", str(VAULT), "-o", f"{made}/session"]
         subprocess.run(run, check=True)
-        picture.write_bytes((Path(made) / "session" / "report" / "run-1" / "witness.png").read_bytes())
+        picture.write_bytes(figures_of(Path(made) / "session")["witness"])
     print(f"{picture.name}: {picture.stat().st_size / 1000:.0f} kB")
 
 
-def gather_figures(report: Path, picture: Path) -> None:
+def figures_of(session: Path) -> dict[str, bytes]:
+    """The figures of the first run by name, as PNG."""
+    with styled():
+        return {drawing.name: png(drawing) for drawing in draw_run(session, 1)}
+
+
+def gather_figures(session: Path, picture: Path) -> None:
     """Save figures of a report as one picture, row by row on a white sheet."""
-    rows = []
+    rows, figures = [], figures_of(session)
     for names in RESULT_FIGURES:
-        images = [read(report / f"{name}.png") for name in names]
+        images = [
+            cv2.imdecode(np.frombuffer(figures[name], dtype=np.uint8), cv2.IMREAD_COLOR) for name in names
+        ]
         height = max(image.shape[0] for image in images)
         rows.append(np.hstack([padded(image, height) for image in images]))
     sheet = np.vstack(rows)
     height_px = round(sheet.shape[0] * WIDTH_PX / sheet.shape[1])
     save(cv2.resize(sheet, (WIDTH_PX, height_px), interpolation=cv2.INTER_AREA), picture)
-
-
-def read(path: Path) -> np.ndarray:
-    image = cv2.imread(str(path))
-    if image is None:
-        raise SystemExit(f"{path}: cannot be read; rig report makes it")
-    return image
 
 
 def padded(image: np.ndarray, height: int) -> np.ndarray:
