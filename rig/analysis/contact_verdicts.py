@@ -171,7 +171,7 @@ def contact_values(
     sees_c = any(row.quantity == "c" and row.determined for row in rows)
     adhesion, spots = "", tuple[ResultRow, ...]()
     if rig is not None and rig.contact_radius_m is None and sees_c:
-        adhesion, spots = _adhesion(name, exact.estimate("c"), pendulum, tables["contact_radius_m"])
+        adhesion, spots = _adhesion(name, exact.estimate("c").value, pendulum, rows)
     # what the data leave open has no value by any method
     left_open = {row.quantity for row in rows if not row.determined}
     others = [
@@ -222,19 +222,24 @@ def _widening(fit: FitResult) -> dict[str, float]:
 
 
 def _adhesion(
-    run: str, c: Estimate, pendulum: PendulumOnBall, radius: Budget
+    run: str, c: float, pendulum: PendulumOnBall, rows: Sequence[ResultRow]
 ) -> tuple[str, tuple[ResultRow, ...]]:
-    """The theory that holds, and radius and energy of the spot by each, for a c and Hertz's radius of it."""
-    if not c.value > 0:
+    """The theory that holds, and radius and energy of the spot by each, for a c.
+
+    Each value has the relative uncertainties of Hertz's, which is in `rows`: they take the same inputs.
+    """
+    if not c > 0:
         return "", ()
-    found = adhesive_contacts(c.value, pendulum)
-    u_radius, u_c = radius.standard_uncertainty / radius.value, c.standard_uncertainty / c.value
-    rows = [plain_row("tabor", found.tabor, run, "adhesion")]
+    found = adhesive_contacts(c, pendulum)
+    by_hertz = {row.quantity: row for row in rows}
+    spots = [plain_row("tabor", found.tabor, run, "adhesion")]
     for theory, spot in (("JKR", found.jkr), ("Maugis-Dugdale", found.maugis), ("DMT", found.dmt)):
-        radius_m, energy = spot.radius_m, spot.surface_energy_j_per_m2
-        rows.append(plain_row("contact_radius_m", Estimate(radius_m, u_radius * radius_m), run, theory))
-        rows.append(plain_row(SURFACE_ENERGY, Estimate(energy, u_c * energy), run, theory))
-    return found.holds, tuple(rows)
+        values = {"contact_radius_m": spot.radius_m, SURFACE_ENERGY: spot.surface_energy_j_per_m2}
+        for key, value in values.items():
+            hertz, row = by_hertz[key], plain_row(key, value, run, theory)
+            share = value / hertz.value
+            spots.append(replace(row, u=share * hertz.u, u_total=share * hertz.u_total))
+    return found.holds, tuple(spots)
 
 
 def _shown_amplitudes(points: TurningPoints) -> Sequence[float]:

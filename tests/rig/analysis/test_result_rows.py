@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from math import isnan, log, nan
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,13 +19,15 @@ from processing.fit import (
     identifiability,
 )
 from processing.series import Combined
-from rig.analysis import RunResults, Series, SessionResults, encoded
+from rig.analysis import RunResults, Series, SessionResults, analyse_record, encoded
 from rig.analysis.fit_tables import parameter_table
 from rig.analysis.result_rows import ResultRow, result_rows, series_rows, withheld
 from rig.presentation import latex_table
 from rig.report.tables import budget_table
 from tests.processing.fit.decays import decay, paper_pair
 from tests.processing.fit.test_uncertainty import rig
+
+SERIES = Path(__file__).resolve().parents[1] / "data" / "samples" / "series"
 
 _PENDULUM = rig().pendulum()
 
@@ -164,3 +167,14 @@ def test_rows_are_found_by_name_and_by_symbol() -> None:
     assert together["T0"] is of_series
     assert repr(session).splitlines()[-1] == "  T₀ = 4.000 ± 0.020 s"
     assert len(repr(session).splitlines()) == 3
+
+
+def test_with_adhesion_the_whole_uncertainty_is_that_of_the_apparatus_too() -> None:
+    """Each theory takes c, the load and the radius of the spot from the same run, and no other input."""
+    table = analyse_record(SERIES / "run-1.mcap").results.table
+    rows = {(row.quantity, row.fit): row for row in table}
+    for name in ("surface_energy_table2_j_per_m2", "contact_radius_m"):
+        hertz = rows[name, "exact"]
+        for theory in ("JKR", "Maugis-Dugdale", "DMT"):
+            row = rows[name, theory]
+            assert row.u_total / row.value == pytest.approx(hertz.u_total / hertz.value, rel=0.02)
