@@ -123,7 +123,7 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
         text = f"{began and f'began {began}, '}lasted {_lasted(run)}"
         rows.append((run.title, text if alike else f"{text}; {surroundings or f'air {_NOT_STATED}'}"))
     if alike:
-        rows.append(("surroundings", around[0] or _NOT_STATED))
+        rows.append(("ambient conditions", around[0] or _NOT_STATED))
     if first.is_table:
         rows.append(("positions from", first.results.record))
     else:

@@ -207,7 +207,7 @@ def test_the_report_says_when_and_by_whom(measured_series: Path) -> None:
     text = parsed(measured_series / "report.html").text
     assert re.search(r"Run 1began 20\d\d-\d\d-\d\d \d\d:\d\d:\d\d UTC", text)
     assert "operatordemonstration" in text
-    assert text.count("surroundings") == 1, "what surrounds both runs alike is said once"
+    assert text.count("ambient conditions") == 1, "what surrounds both runs alike is said once"
 
 
 def test_nothing_is_stated_of_amplitudes_that_were_not_measured(measured_series: Path) -> None:
