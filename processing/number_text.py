@@ -60,6 +60,20 @@ def with_uncertainty(value: float, u: float, *, signed: bool = False) -> str:
     return f"({text}){power(exponent)}" if exponent else text
 
 
+def judged_number(value: float, u: float, limit: float) -> str:
+    """A number beside its limit: digits to its uncertainty, or a hundredth of the limit if u is less.
+
+    `−25.00` beside a limit of 10, where the uncertainty of 50 µarcsec decides nothing.
+    """
+    if not math.isfinite(value) or limit <= 0:
+        return with_uncertainty(value, u, signed=True)
+    place = math.floor(math.log10(limit)) - 2
+    if u >= 10.0**place:
+        return with_uncertainty(value, u, signed=True)
+    # a value that rounds to zero has no minus sign
+    return f"{round(value, -place) + 0.0:+.{max(-place, 0)}f}".replace("-", MINUS)
+
+
 def power(exponent: int) -> str:
     """A power of ten as a factor, `× 10⁻³`; empty for 0."""
     return f" × 10{str(exponent).translate(_SUPERSCRIPT)}" if exponent else ""

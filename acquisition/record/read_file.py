@@ -218,7 +218,7 @@ def open_mcap(path: Path) -> IO[bytes]:
 def _instead_of(path: Path) -> str:
     """What the folder of a missing record has."""
     there = [other.name for other in records_of(path.parent)][:5]
-    return f"; {path.parent} has {', '.join(there)}" if there else ""
+    return f"; {path.parent} has {', '.join(there) or 'no record; give the path of one'}"
 
 
 def _is_magic(head: bytes) -> bool:

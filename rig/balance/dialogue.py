@@ -13,11 +13,11 @@ from rig.instrument import turn_text
 from rig.presentation import (
     NOT_KNOWN,
     Table,
+    judged_number,
     print_json_line,
     print_line,
     print_tables,
     say,
-    with_uncertainty,
 )
 
 _WAY_LINES = 40
@@ -149,7 +149,7 @@ def print_faults(faults: Sequence[Fault], before: Sequence[Fault]) -> None:
 def _number(fault: Fault) -> str:
     if math.isnan(fault.value):
         return NOT_KNOWN
-    return f"{with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit}".rstrip()
+    return f"{judged_number(fault.value, fault.u_value, fault.limit)} {fault.unit}".rstrip()
 
 
 QUESTION = (

@@ -5,9 +5,6 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from processing.number_text import MINUS
-from rig.presentation import with_uncertainty
-
 
 def table(rows: Sequence[Sequence[str]], label: str) -> str:
     """A table of text whose first column names the rest."""
@@ -47,16 +44,6 @@ def bars(rows: Sequence[LimitBar], label: str) -> str:
             + (f"<span class='note'>{html.escape(row.note)}</span>" if row.note else "")
         )
     return f"<div class='against' role='group' aria-label='{html.escape(label)}'>{''.join(lines)}</div>"
-
-
-def judged_number(value: float, u: float, limit: float) -> str:
-    """A number beside its limit: digits to its uncertainty, or a hundredth of the limit if u is less."""
-    if not math.isfinite(value) or limit <= 0:
-        return with_uncertainty(value, u, signed=True)
-    place = math.floor(math.log10(limit)) - 2
-    if u >= 10.0**place:
-        return with_uncertainty(value, u, signed=True)
-    return f"{value:+.{max(-place, 0)}f}".replace("-", MINUS)
 
 
 def against_limit(value: float | None, limit: float) -> tuple[float | None, float]:

@@ -27,7 +27,7 @@ from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.units import ARCSEC_RAD
 from rig.instrument.pipeline import Deflector
-from rig.presentation import Verdict, percent, with_uncertainty
+from rig.presentation import Verdict, judged_number, percent
 from rig.settings import Configuration
 
 
@@ -142,7 +142,7 @@ def _verdicts(balance: Balance, limits: BalanceLimits, beyond_u: float) -> list[
 def _verdict(condition: _Condition, fault: Fault, beyond_u: float) -> Verdict:
     ok = fault.ok or not abs(fault.value) - beyond_u * fault.u_value > fault.limit
     if fault.unit:
-        measured = f"{with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit}"
+        measured = f"{judged_number(fault.value, fault.u_value, fault.limit)} {fault.unit}"
         limit = f"{fault.limit:g} {fault.unit}"
     else:
         measured, limit = percent(abs(fault.value)), f"{100 * fault.limit:g} %"
@@ -294,7 +294,7 @@ def advice_for(
     responses = learned or (WeightResponses(effects, config.balance) if effects else None)
     head = _faults_line(faults) if responses is None else turn_text(responses.advise(state, room), faults)
     lines = [
-        f"{fault.name} {with_uncertainty(fault.value, fault.u_value, signed=True)} {fault.unit} "
+        f"{fault.name} {judged_number(fault.value, fault.u_value, fault.limit)} {fault.unit} "
         f"(limit {fault.limit:g}): {fault.meaning}"
         for fault in faults
         if not fault.ok

@@ -174,8 +174,8 @@ def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -
 
 
 _SLOW_STEP_S = 1.0
-_USUAL_PERIOD_S = (1e-3, 100.0)
-"""Of times in s of which nothing states the unit."""
+_USUAL_PERIOD_S = (0.2, 100.0)
+"""Of times of which nothing states that they are s; a pendulum of 0.2 s is 1 cm long."""
 _TOO_LARGE = 3.0
 """Times the first amplitude of a session; 1 arcsec is 5 urad."""
 

@@ -61,7 +61,7 @@ _MARKS: Final = re.compile(rf"{_SURE.pattern}|[\s.#*–-]+|(?-i:(?<=[a-zß-ÿ])(
 _APART: Final = re.compile(r"\b(milli|mili|micro|mikro|nano|centi|deci)[\s-]+(?=[a-z])", re.IGNORECASE)
 """A prefix that is written apart from its unit."""
 _FACTOR: Final = re.compile(
-    r"(?:\s*[*×·]|(?<=[\s)\]])x)\s*(?:10+(?:\^|\*\*)?[+-]?\d*|0\.0*1|1e[+-]?\d+)(?![\w.])|"
+    r"(?:\s*[*×·]|(?<=[\s)\]_])x)\s*(?:10+(?:\^|\*\*)?[+-]?\d*|0\.0*1|1e[+-]?\d+)(?![\w.])|"
     r"\w*(?:tenth|hundredth|thousandth|millionth|zehntel|hundertstel|tausendstel|dixi[èe]me|[cm](?:ent|ill)i[èe]me|"
     r"d[ée]cim[ao]|cent[ée]sim[ao]|mil[ée]sim[ao]|mill[ée]sim[ao])s?(?:\s+\w+)*",
     re.IGNORECASE,

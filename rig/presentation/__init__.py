@@ -4,6 +4,7 @@ from processing.number_text import (
     NOT_KNOWN,
     decimals,
     interval,
+    judged_number,
     percent,
     plain,
     power,

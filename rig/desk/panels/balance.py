@@ -13,6 +13,7 @@ from rig.desk import charts, tables
 from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.instrument import WEIGHTS
+from rig.presentation import judged_number
 
 _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 
@@ -191,5 +192,5 @@ def _in_its_unit(fault: Mapping[str, Any]) -> Mapping[str, Any]:
 def _number(fault: Mapping[str, Any]) -> str:
     if fault["value"] is None or fault["u_value"] is None:
         return "not known"
-    shown = tables.judged_number(fault["value"], fault["u_value"], fault["limit"])
+    shown = judged_number(fault["value"], fault["u_value"], fault["limit"])
     return f"{shown} {fault['unit']}".rstrip()

@@ -340,6 +340,7 @@ def loggers() -> list[TableCase]:
         "Time (ms) (us)": "'(ms) and (us)' in",
         "Time*1000 (s)": "'*1000' in",
         "Time [s] x 10^3": "'x 10^3' in",
+        "t_ms_x10": "'x10' in 't_ms_x10' is not a known unit of time",
         "Time (tenths of a second)": "'tenths of a second' in",
         "Zeit in Zehntel Sekunden": "'Zehntel Sekunden' in",
         "temps (millièmes de seconde)": "is not a known unit of time",

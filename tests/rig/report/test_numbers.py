@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from processing.number_text import decimals, plain, rounded, signed, signed_percent, with_uncertainty
+from processing.number_text import (
+    decimals,
+    judged_number,
+    plain,
+    rounded,
+    signed,
+    signed_percent,
+    with_uncertainty,
+)
 from rig.report.drawing import broken, envelope, thinned
 from rig.terminal import spelled
 
@@ -42,6 +50,21 @@ def test_two_digits_of_the_uncertainty(value: float, u: float, text: str) -> Non
 )
 def test_a_difference_has_its_sign(value: float, text: str) -> None:
     assert signed(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "limit", "shown"),
+    [
+        (-29.93581, 0.00044, 10.0, "−29.9"),
+        (3.21, 0.4, 10.0, "+3.21 ± 0.40"),
+        (0.0004321, 1e-6, 0.002, "+0.00043"),
+        (-0.0004, 1e-6, 10.0, "+0.0"),
+        (120.4, 0.01, 200.0, "+120"),
+        (math.nan, 0.1, 10.0, "not determined"),
+    ],
+)
+def test_digits_beside_a_limit(value: float, u: float, limit: float, shown: str) -> None:
+    assert judged_number(value, u, limit) == shown
 
 
 def test_what_rounds_to_nought_has_no_minus() -> None:
