@@ -13,7 +13,7 @@ from rig.settings import Configuration
 from rig.settings.validation_messages import section_fields, section_of
 
 _MEANT = "tin"
-_STATED = {"config", "file", "ladder", "frames", "lever", "plan", "vanes"}
+_STATED = {"config", "file", "ladder", "frames", "lever", "configs", "vanes"}
 """Arguments that name what somebody has stated, in TOML: like a configuration, no record."""
 
 
