@@ -1,7 +1,6 @@
 """USB3 Vision cameras as a `Camera`."""
 
 import logging
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
@@ -11,13 +10,12 @@ import usb.backend
 from acquisition.camera import (
     CameraInfo,
     CameraLost,
-    CameraSettings,
     CameraStatus,
-    FeatureValue,
     Frame,
     FrameTimeout,
 )
 from acquisition.cameras.drivers import Usb3VisionSettings
+from acquisition.cameras.genicam import GenicamCamera
 from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.link import UsbLink, find_camera
@@ -38,7 +36,7 @@ _COMMANDS_S: Final = 0.25
 _JOIN_S: Final = 0.25
 
 
-class Usb3VisionCamera:
+class Usb3VisionCamera(GenicamCamera[Features]):
     """Any USB3 Vision camera, through pyusb and libusb.
 
     Parameters
@@ -57,16 +55,16 @@ class Usb3VisionCamera:
     def __init__(
         self, settings: Usb3VisionSettings | None = None, backend: usb.backend.IBackend | None = None
     ) -> None:
+        super().__init__("USB3 Vision camera")
         self._settings = settings or Usb3VisionSettings()
         self._backend = backend
-        self._lock = threading.RLock()
         self._session: UsbConnection | None = None
         self._channel: GenCpChannel | None = None
         self._stream: UsbFrameStream | None = None
-        self._name = "USB3 Vision camera"
-        self._before = CameraStatus()
-        self._was_lost = False
         self._camera_runs = False
+
+    def _is_running(self) -> bool:
+        return self._stream is not None and not self._stream.reading.stopped
 
     # ---- life cycle
 
@@ -90,30 +88,22 @@ class Usb3VisionCamera:
                 self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=_REPLY_S)
                 self._session = UsbConnection.learn(link, self._channel)
                 self._session.halt_leftovers()
+                self._features = self._session.features
                 return self._session.info()
             except BaseException:
-                self._session = None
+                self._session = self._features = None
                 link.release()
                 raise
             finally:
                 self._channel = None if self._session is None else self._session.channel
 
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        with self._lock:
-            session = self._opened()
-            if self._running():
-                raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
-            with self._noticing_loss():
-                return session.features.apply(settings)
-
     def start(self) -> None:
         """Set up the stream, then let the camera run."""
-        with self._lock, self._noticing_loss():
-            session = self._opened()
-            if self._running():
-                raise DeviceError(f"{self._name}: is running already; stop it first")
+        with self._lock, self._translated():
+            features, session = self._opened(), self._session
+            assert session is not None
+            self._must_be_idle()
             self._end_stream()
-            features = session.features
             pixel_format = features.pixel_format()
             pixel_format.prepare()
             features.run_on()
@@ -157,7 +147,7 @@ class Usb3VisionCamera:
         if stream is None:
             raise DeviceError(f"{self._name}: is not started; call start before read")
         try:
-            with self._noticing_loss():
+            with self._translated():
                 return stream.reading.read(timeout_s)
         except TimeoutError:
             raise FrameTimeout(
@@ -209,7 +199,7 @@ class Usb3VisionCamera:
             if not locked:
                 return  # the call that holds the lock has been told to abort and will release the camera
             self._end_stream()
-            session, self._session, self._channel = self._session, None, None
+            session, self._session, self._features, self._channel = self._session, None, None, None
             if session is None:
                 return
             if stream is None:
@@ -228,41 +218,7 @@ class Usb3VisionCamera:
     @property
     def features(self) -> Features:
         """All features of the open camera, for ``rig camera show`` and ``rig camera set``."""
-        return self._opened().features
-
-    def feature_values(self) -> dict[str, FeatureValue]:
-        with self._lock, self._noticing_loss():
-            readings = self._opened().features.nodes.readings()
-            return {
-                one.name: one.value.hex() if isinstance(one.value, bytes) else one.value
-                for one in readings
-                if one.value is not None and not one.problem and one.kind != "Command"
-            }
-
-    def feature_value(self, name: str) -> FeatureValue | None:
-        with self._lock, self._noticing_loss():
-            features = self._opened().features
-            features.nodes.forget()
-            value: FeatureValue | None = features.get_if_readable(name)
-            return value
-
-    # ---- inside
-
-    def _opened(self) -> UsbConnection:
-        if self._session is None:
-            raise DeviceError(f"{self._name}: is not open; call open first")
-        return self._session
-
-    def _running(self) -> bool:
-        return self._stream is not None and not self._stream.reading.stopped
-
-    @contextmanager
-    def _noticing_loss(self) -> Iterator[None]:
-        try:
-            yield
-        except CameraLost:
-            self._was_lost = True
-            raise
+        return self._opened()
 
     @contextmanager
     def _locked_soon(self) -> Iterator[bool]:
