@@ -22,19 +22,19 @@ from acquisition.record.chunk import (
     messages_in,
     packed_messages,
 )
-from acquisition.record.digest import is_being_written, utc
-from acquisition.record.events import Event
-from acquisition.record.pixels import decode_window
-from acquisition.record.read_file import ReadFile
-from acquisition.record.schemas import MessageType
-from acquisition.record.spot_messages import (
+from acquisition.record.codec import (
     balances_of,
     decode_log,
     decode_preview,
+    decode_window,
     deflections_of,
     preview_step,
     swings_of,
 )
+from acquisition.record.digest import is_being_written, utc
+from acquisition.record.events import Event
+from acquisition.record.read_file import ReadFile
+from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     BALANCE,
     EVENT,
