@@ -146,8 +146,9 @@ class _Disk:
 
     def raise_failure(self) -> None:
         """Raise, once, the error of the thread."""
-        failure, self._failure = self._failure, None
+        failure = self._failure
         if failure is not None:
+            self._failure = None
             raise failure
 
     def _force_aside(self) -> None:

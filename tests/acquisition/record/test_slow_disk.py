@@ -125,7 +125,7 @@ def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(Reserve, "hold", full)
     monkeypatch.setattr(mcap_file, "_SPARE_BYTES", 10**6)
-    written_after_a_second(writer, clock, "a")
+    writer.write_event(0, "a", "")
     with pytest.raises(RecordError, match=r"No space left on device; the record is closed and readable$"):
         write_until_it_fails(writer, clock)
     first, *between, record, failed, stop = kinds(path)
