@@ -1,8 +1,7 @@
 """Files that are on the disk whole or not at all, also after a power failure: the one way to write a file.
 
-A file is written under a temporary name beside its own, forced to the disk, read again and proved, and only
-then takes its name. Who writes one holds a lock on it, or on a claim beside it, which ends with the process:
-what a kill leaves is known by that and taken away by the next call (`take_away_leftovers`).
+A file is written under a temporary name beside its own, forced to the disk, and only then takes its name.
+What a kill leaves is known by such a name and taken away when it is a day old (`take_away_leftovers`).
 """
 
 import contextlib
@@ -14,18 +13,11 @@ import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-_fcntl: Any
-try:
-    import fcntl as _fcntl
-except ImportError:
-    # Windows: what a kill leaves stays there, because nothing tells it from what is being written
-    _fcntl = None
-
-_FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-_LEFTOVER = re.compile(r"\.(.+)\.[0-9a-f]{8}(\.claim)?", re.DOTALL)
-_CLAIM = ".claim"
+_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+_LEFTOVER = re.compile(r"\.(.+)\.[0-9a-f]{8}", re.DOTALL)
+_LEFT_S = 24 * 3600.0
+"""Nothing takes so long to write: what is older was left by a process that was killed."""
 
 
 def write_new(path: Path, data: bytes) -> None:
@@ -33,14 +25,15 @@ def write_new(path: Path, data: bytes) -> None:
 
     Raises FileExistsError, or OSError where it cannot be written.
     """
-    with _written_beside(path, data, 0o666) as beside:
-        _take_free_name(beside, path)
-    sync_folder(path.parent)
+    with being_written(path) as beside:
+        _write(beside, data)
 
 
 def replace(path: Path, data: bytes, *, mode: int = 0o666) -> None:
     """Write a file in place of an older one; a symbolic link of this name is replaced, never followed."""
-    with _written_beside(path, data, mode) as beside:
+    with _beside(path) as beside:
+        _write(beside, data, mode)
+        _force(beside)
         beside.replace(path)
     sync_folder(path.parent)
 
@@ -49,8 +42,8 @@ def replace(path: Path, data: bytes, *, mode: int = 0o666) -> None:
 def being_written(path: Path) -> Iterator[Path]:
     """A name to write a file under that takes its own when the block ends, forced to the disk.
 
-    Nothing is left of it where the block raises; what was left by a process that was killed while it wrote
-    the same file is taken away before. Raises FileExistsError, and OSError where it cannot be written.
+    Nothing is left of it where the block raises. Raises FileExistsError, and OSError where it cannot be
+    written.
     """
     _refuse_existing(path)
     with _beside(path) as beside:
@@ -78,55 +71,16 @@ def folder_being_written(path: Path) -> Iterator[Path]:
         sync_folder(path.parent)
 
 
-@contextlib.contextmanager
-def _beside(path: Path) -> Iterator[Path]:
-    """A claimed name beside a path; what has it at the end is taken away."""
-    take_away_leftovers(path.parent, path.name)
-    beside = _name_beside(path)
-    claim = beside.with_name(f"{beside.name}{_CLAIM}")
-    number = _claimed(claim)
-    try:
-        yield beside
-    finally:
-        # the claim goes last: without it the file would be nobody's
-        _take_away(beside)
-        os.close(number)
-        claim.unlink(missing_ok=True)
-
-
-def _refuse_existing(path: Path) -> None:
-    if os.path.lexists(path):
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-
-
-def _take_away(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)
-
-
 def take_away_leftovers(folder: Path, name: str = "") -> list[Path]:
-    """Remove what killed processes left of what was being written in a folder, or of one name; says of which.
-
-    What a living process writes is locked, and stays.
-    """
+    """Remove what killed processes left a day ago of files in a folder, or of one name; says of which."""
     gone: list[Path] = []
-    try:
-        entries = [entry.name for entry in os.scandir(folder) if entry.name.startswith(".")]
-    except OSError:
-        return gone
-    for entry in entries:
-        found = _LEFTOVER.fullmatch(entry)
-        if found is None or (name and found[1] != name):
-            continue
-        path = folder / entry
-        if not found[2] and path.with_name(f"{entry}{_CLAIM}").exists():
-            continue
-        if _is_nobodys(path):
-            with contextlib.suppress(OSError):
-                _take_away(path.with_name(entry.removesuffix(_CLAIM)))
-                path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(folder)):
+            found = _LEFTOVER.fullmatch(entry.name)
+            if found is None or (name and found[1] != name):
+                continue
+            if time.time() - entry.stat(follow_symlinks=False).st_mtime > _LEFT_S:
+                _take_away(Path(entry.path))
                 gone.append(folder / found[1])
     return gone
 
@@ -141,8 +95,27 @@ def sync_folder(folder: Path) -> None:
             os.close(number)
 
 
-def _name_beside(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+@contextlib.contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """A name beside a path; what has it at the end is taken away."""
+    take_away_leftovers(path.parent, path.name)
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        yield beside
+    finally:
+        _take_away(beside)
+
+
+def _refuse_existing(path: Path) -> None:
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+
+
+def _take_away(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _take_free_name(beside: Path, path: Path) -> None:
@@ -157,82 +130,14 @@ def _take_free_name(beside: Path, path: Path) -> None:
         beside.rename(path)
 
 
-@contextlib.contextmanager
-def _written_beside(path: Path, data: bytes, mode: int = 0o666) -> Iterator[Path]:
-    """The data in a locked file of a name of its own beside `path`, on the disk and read again."""
-    beside = _name_beside(path)
-    number = _claimed(beside, mode)
-    try:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[os.write(number, rest) :]
-        os.fsync(number)
-        os.lseek(number, 0, os.SEEK_SET)
-        read = bytearray()
-        while block := os.read(number, len(data) + 1 - len(read)):
-            read += block
-        if read != data:
-            raise OSError(errno.EIO, "read again it is not what was written")
-        if _fcntl is None:
-            # an open file cannot be renamed there
-            os.close(number)
-            number = -1
-        yield beside
-    finally:
-        # closed first: Windows removes no open file
-        if number >= 0:
-            os.close(number)
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
-
-
-def _claimed(path: Path, mode: int = 0o666) -> int:
-    """A new file, opened and locked; one that somebody takes for left over meanwhile is made again.
-
-    Without locks nobody takes it, and such a system may not know a file again by its number.
-    """
-    while True:
-        number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, mode)
-        locked = _locked(number)
-        if locked is None:
-            return number
-        try:
-            if locked and os.path.samestat(os.fstat(number), path.stat()):
-                return number
-        except FileNotFoundError:
-            pass
-        os.close(number)
-        path.unlink(missing_ok=True)
-        time.sleep(0)
-
-
-def _is_nobodys(path: Path) -> bool:
-    """Whether no living process has a file locked."""
-    try:
-        number = os.open(path, os.O_RDWR | _FLAGS)
-    except OSError:
-        return False
-    try:
-        return _locked(number) is True
-    finally:
-        os.close(number)
-
-
-def _locked(number: int) -> bool | None:
-    """Whether the file is now locked by this process; None where the system or its disk knows no locks."""
-    if _fcntl is None:
-        return None
-    try:
-        _fcntl.flock(number, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return None
-    return True
+def _write(path: Path, data: bytes, mode: int = 0o666) -> None:
+    """A new file with these bytes."""
+    with open(os.open(path, _FLAGS, mode), "wb") as file:
+        file.write(data)
 
 
 def _force(path: Path) -> None:
-    """Flush a file to the disk that somebody else has written and closed."""
+    """Flush a file to the disk that was written and closed."""
     number = os.open(path, os.O_RDWR)
     try:
         os.fsync(number)

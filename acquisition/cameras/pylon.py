@@ -3,29 +3,24 @@
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any, Final
 
 import numpy as np
 
 from acquisition.camera import (
-    CLOCK_STATES,
     CameraInfo,
     CameraLost,
     CameraSettings,
-    CameraStatus,
     ColourPlane,
     FeatureValue,
     Frame,
     FrameTimeout,
     PluggedCamera,
 )
-from acquisition.cameras import wiring
 from acquisition.cameras.drivers import PylonSettings, kept_frames
+from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures, Quantity
 from acquisition.cameras.pixel_formats import Format, plane_of
-from acquisition.cameras.preparation import GenicamFeatures, Quantity
-from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError, MissingPackage
 from processing.units import NS_PER_S
 
@@ -131,8 +126,6 @@ class PylonFeatures(GenicamFeatures):
         return None
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
-        """All features that can be read now; `error` is raised by pylon for those that cannot."""
-        wiring.latch_clock_state(self)
         found: dict[str, FeatureValue] = {}
         for node in self._nodes.GetNodes():
             if node.IsReadable() and hasattr(node, "ToString") and not hasattr(node, "Features"):
@@ -156,7 +149,7 @@ _GIGE_BLOCKS: Final = 65535
 """GigE cameras count from 65535 to 1, USB cameras on."""
 
 
-class PylonCamera:
+class PylonCamera(GenicamCamera[PylonFeatures]):
     """A camera supported by pylon (USB3 Vision, GigE, emulation); pylon acquires and queues the frames.
 
     Missing numbers of blocks are counted as dropped by the bus (pylon does not say which of them found no
@@ -165,19 +158,23 @@ class PylonCamera:
     """
 
     def __init__(self, settings: PylonSettings | None = None) -> None:
+        super().__init__("pylon camera")
         self._settings = settings or PylonSettings()
-        self._lock = threading.RLock()
         self._camera: Any = None
         self._pylon: Any = None
-        self._name = "pylon camera"
-        self._features: PylonFeatures | None = None
-        self._emulated = False
+        self._emulated = self._started = False
         self._seen: tuple[Format | None, ColourPlane | None] = (None, None)
         self._tick_ns = 0.0
         self._halted = threading.Event()
-        self._started = self._was_lost = False
-        self._numbers = BlockNumbers(self._name, ())
-        self._before = CameraStatus()
+
+    def _library_error(self) -> type[Exception]:
+        return Exception
+
+    def _is_gone(self) -> bool:
+        return self._camera is not None and bool(self._camera.IsCameraDeviceRemoved())
+
+    def _is_running(self) -> bool:
+        return self._camera is not None and bool(self._camera.IsGrabbing())
 
     def open(self) -> CameraInfo:
         self.close()
@@ -214,32 +211,12 @@ class PylonCamera:
                 shutter=str(shutter or ""),
             )
 
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        with self._lock, self._translated():
-            features = self._opened()
-            if self._camera.IsGrabbing():
-                raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
-            return features.apply(settings)
-
-    def feature_value(self, name: str) -> FeatureValue | None:
-        with self._lock, self._translated():
-            features = self._opened()
-            if name in CLOCK_STATES:
-                wiring.latch_clock_state(features)
-            return features.read(name)
-
-    def feature_values(self) -> dict[str, FeatureValue]:
-        with self._lock, self._translated():
-            return self._opened().values(self._pylon.GenericException)
-
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
         with self._lock, self._translated():
             features, camera = self._opened(), self._camera
-            if camera.IsGrabbing():
-                raise DeviceError(f"{self._name}: is running already; stop it first")
-            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
-            self._numbers = BlockNumbers(self._name, (_GIGE_BLOCKS,))
+            self._must_be_idle()
+            self._begin((_GIGE_BLOCKS,))
             self._halted.clear()
             self._started = True
             self._seen = (features.present_format(), features.plane)
@@ -277,7 +254,6 @@ class PylonCamera:
             host_time_ns = time.monotonic_ns()
             if result is None or not result.IsValid():
                 if not self._halted.is_set() and camera.IsCameraDeviceRemoved():
-                    self._was_lost = True
                     raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
                 return None
             try:
@@ -312,31 +288,6 @@ class PylonCamera:
             camera, self._camera, self._features = self._camera, None, None
             if camera is not None:
                 camera.Close()
-
-    @property
-    def status(self) -> CameraStatus:
-        """Counts since `start`, continued after a reconnection."""
-        return self._before + self._numbers.status(self._numbers.whole)
-
-    def _opened(self) -> PylonFeatures:
-        if self._features is None:
-            raise DeviceError(f"{self._name}: is not open; call open first")
-        return self._features
-
-    @contextmanager
-    def _translated(self) -> Iterator[None]:
-        """Convert pylon's errors into DeviceError, those of an unplugged camera into CameraLost."""
-        try:
-            yield
-        except DeviceError:
-            raise
-        except Exception as error:
-            text = " ".join(str(error).split())
-            gone: Callable[[], bool] = getattr(self._camera, "IsCameraDeviceRemoved", lambda: False)
-            if gone():
-                self._was_lost = True
-                raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
-            raise DeviceError(f"{self._name}: {text}") from None
 
 
 def load_pylon() -> Any:

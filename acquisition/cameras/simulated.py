@@ -1,5 +1,8 @@
 """The simulated rig as a `Camera`: in simulated time, with frames on demand, or in real time."""
 
+import logging
+import math
+import threading
 import time
 from collections.abc import Callable
 
@@ -7,19 +10,24 @@ from acquisition.camera import (
     BITS_OF_FORMAT,
     FORMAT_OF_BITS,
     CameraInfo,
+    CameraLost,
     CameraSettings,
     CameraStatus,
     Frame,
+    FrameTimeout,
+    Image,
     without_features,
 )
 from acquisition.simulation.inputs import FaultSettings, RigInputs
-from acquisition.simulation.run_reader import CAMERA_NAME, SimulatedFrames
-from acquisition.simulation.scene import Readings, Scene, block_frames
+from acquisition.simulation.scene import PlannedFrames, Readings, Scene, block_frames
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
+from processing.units import nanoseconds, seconds
 
-_NAMES = {"x0_px": "offset_x_px", "y0_px": "offset_y_px"}
-"""Names in the settings of what is called otherwise in the readings."""
+_log = logging.getLogger(__name__)
+_NAME = "simulated camera"
+_AHEAD_BYTES = 16 * 1024 * 1024
+"""Memory of this size comes in large pages, whose first use costs little."""
 
 
 class SimulatedCamera:
@@ -51,12 +59,12 @@ class SimulatedCamera:
         self._inputs = inputs
         self._clock_ns = monotonic_ns
         self._opened = False
-        self._reader: SimulatedFrames | None = None
+        self._reader: _SimulatedFrames | None = None
         self._runs = settings.first_run
         sensor = settings.sensor
         self._readings = Readings(
-            x0_px=0,
-            y0_px=0,
+            offset_x_px=0,
+            offset_y_px=0,
             width_px=sensor.width_px,
             height_px=sensor.height_px,
             bit_depth=sensor.bit_depth,
@@ -88,47 +96,42 @@ class SimulatedCamera:
         """Apply settings; None keeps a value. Raises DeviceError for values the sensor does not support."""
         self._must_be_open()
         if self._reader is not None and self._reader.running:
-            raise DeviceError(f"{CAMERA_NAME}: cannot be configured while frames are running; stop it first")
-        without_features(settings.model_copy(update={"binning": None}), CAMERA_NAME)
+            raise DeviceError(f"{_NAME}: cannot be configured while frames are running; stop it first")
+        without_features(settings.model_copy(update={"binning": None}), _NAME)
         binning = settings.binning or self._readings.binning
         sensor = self._settings.sensor
         width_px, height_px = sensor.width_px // binning, sensor.height_px // binning
         if binning != self._readings.binning:
             self._readings = self._readings._replace(
-                binning=binning, x0_px=0, y0_px=0, width_px=width_px, height_px=height_px
+                binning=binning, offset_x_px=0, offset_y_px=0, width_px=width_px, height_px=height_px
             )
         asked = {
-            name: value
-            for name in Readings._fields
-            if (value := getattr(settings, _NAMES.get(name, name), None)) is not None
+            name: value for name in Readings._fields if (value := getattr(settings, name, None)) is not None
         }
         if settings.pixel_format is not None:
             asked["bit_depth"] = BITS_OF_FORMAT[settings.pixel_format]
         new = self._readings._replace(**asked)
         if settings.width_px is not None and settings.offset_x_px is None:
-            new = new._replace(x0_px=min(new.x0_px, max(width_px - new.width_px, 0)))
+            new = new._replace(offset_x_px=min(new.offset_x_px, max(width_px - new.width_px, 0)))
         if settings.height_px is not None and settings.offset_y_px is None:
-            new = new._replace(y0_px=min(new.y0_px, max(height_px - new.height_px, 0)))
-        _check_range("width_px", new.x0_px + new.width_px, width_px)
-        _check_range("height_px", new.y0_px + new.height_px, height_px)
+            new = new._replace(offset_y_px=min(new.offset_y_px, max(height_px - new.height_px, 0)))
+        _check_range("width_px", new.offset_x_px + new.width_px, width_px)
+        _check_range("height_px", new.offset_y_px + new.height_px, height_px)
         if not 0 <= new.gain_db <= 48:
-            raise DeviceError(
-                f"{CAMERA_NAME}: gain_db = {new.gain_db:g} is out of range; 0 to 48 dB are possible"
-            )
+            raise DeviceError(f"{_NAME}: gain_db = {new.gain_db:g} is out of range; 0 to 48 dB are possible")
         if new.frame_rate_hz > 100_000:
             raise DeviceError(
-                f"{CAMERA_NAME}: frame_rate_hz = {new.frame_rate_hz:g} is out of range; "
-                "at most 100000 are possible"
+                f"{_NAME}: frame_rate_hz = {new.frame_rate_hz:g} is out of range; at most 100000 are possible"
             )
         if new.exposure_us * new.frame_rate_hz > 1e6:
             raise DeviceError(
-                f"{CAMERA_NAME}: exposure_us = {new.exposure_us:g} is longer than a frame at "
+                f"{_NAME}: exposure_us = {new.exposure_us:g} is longer than a frame at "
                 f"frame_rate_hz = {new.frame_rate_hz:g}; at most {1e6 / new.frame_rate_hz:.6g} fit"
             )
         self._readings = new
         return CameraSettings(
             pixel_format=FORMAT_OF_BITS[new.bit_depth],
-            **{_NAMES.get(name, name): value for name, value in new._asdict().items() if name != "bit_depth"},
+            **{name: value for name, value in new._asdict().items() if name != "bit_depth"},
         )
 
     def start(self) -> None:
@@ -136,14 +139,14 @@ class SimulatedCamera:
         self._must_be_open()
         if self._reader is not None:
             if self._reader.running:
-                raise DeviceError(f"{CAMERA_NAME}: is running already; stop it first")
+                raise DeviceError(f"{_NAME}: is running already; stop it first")
             if self._reader.lost or self._reader.stalled:
                 self._reader.resume()
                 return
         scene = Scene(self._settings, self._faults, self._readings, self._runs, self._inputs)
         self._runs += 1
         block = block_frames(self._readings.frame_rate_hz, self._inputs is not None)
-        self._reader = SimulatedFrames(
+        self._reader = _SimulatedFrames(
             scene, block, self._settings, self._faults, self._readings.frame_rate_hz, self._clock_ns
         )
 
@@ -151,7 +154,7 @@ class SimulatedCamera:
         reader = self._reader
         if reader is None:
             self._must_be_open()
-            raise DeviceError(f"{CAMERA_NAME}: is not started; call start before read")
+            raise DeviceError(f"{_NAME}: is not started; call start before read")
         return reader.read(timeout_s)
 
     def stop(self) -> None:
@@ -174,11 +177,219 @@ class SimulatedCamera:
 
     def _must_be_open(self) -> None:
         if not self._opened:
-            raise DeviceError(f"{CAMERA_NAME}: is not open; call open first")
+            raise DeviceError(f"{_NAME}: is not open; call open first")
 
 
 def _check_range(name: str, end_px: int, size_px: int) -> None:
     if end_px > size_px:
         raise DeviceError(
-            f"{CAMERA_NAME}: {name} with its offset reaches {end_px}; the sensor has {size_px}. Ask for less"
+            f"{_NAME}: {name} with its offset reaches {end_px}; the sensor has {size_px}. Ask for less"
         )
+
+
+class _SimulatedFrames:
+    """Delivers the frames of a run; `stop` may be called by another thread.
+
+    Parameters
+    ----------
+    scene
+        The run.
+    block
+        Number of frames that are calculated at once, before they are drawn.
+    rate_hz
+        Frame rate.
+    clock_ns
+        The host's monotonic clock.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        block: int,
+        settings: SimulationSettings,
+        faults: FaultSettings,
+        rate_hz: float,
+        clock_ns: Callable[[], int],
+    ) -> None:
+        self._scene = scene
+        self._settings = settings
+        self._faults = faults
+        self._rate_hz = rate_hz
+        self._clock_ns = clock_ns
+        self._block = block
+        self._plan: PlannedFrames = scene.plan(block)
+        self._ahead = 1 if settings.real_time else max(1, _AHEAD_BYTES // scene.image_bytes)
+        self._drawn: dict[int, Image] = {}
+        # the first drawing compiles: before the run's clock starts, and where no reader waits for a frame
+        self._draw(0, 0)
+        self._stopped = threading.Event()
+        self._next = 0
+        self._numbered_from = 0
+        self._begin_ns = clock_ns()
+        self._last_host_ns = 0
+        self._delivered = 0
+        self._dropped_by_camera = 0
+        self._dropped_by_host = 0
+        self._reconnects = 0
+        self._unplug_at: float = _frame_at(faults.camera_unplugged_at_s, self._rate_hz)
+        self._stall_at: float = _frame_at(faults.frames_stalled_at_s, self._rate_hz)
+        self._stall_end: float = self._stall_at + math.ceil(faults.frames_stalled_duration_s * self._rate_hz)
+        self._end: float = _frame_at(settings.max_duration_s, self._rate_hz)
+        self.lost = False
+
+    @property
+    def running(self) -> bool:
+        """Whether the run is neither stopped nor lost."""
+        return not self._stopped.is_set() and not self.lost
+
+    @property
+    def stalled(self) -> bool:
+        """Whether no frames come although the cable is plugged in; opening the camera again does not help."""
+        return self._stall_at <= self._next < self._stall_end
+
+    @property
+    def status(self) -> CameraStatus:
+        return CameraStatus(
+            delivered=self._delivered,
+            dropped_by_camera=self._dropped_by_camera,
+            dropped_by_host=self._dropped_by_host,
+            reconnects=self._reconnects,
+        )
+
+    def stop(self) -> None:
+        self._stopped.set()
+
+    def read(self, timeout_s: float) -> Frame | None:
+        deadline_ns = self._clock_ns() + nanoseconds(timeout_s)
+        stepped_s = 0.0
+        while not self._stopped.is_set():
+            if self.lost:
+                raise CameraLost(f"{_NAME}: is unplugged; plug it in, then open it again")
+            frame = self._next
+            if frame >= self._end:
+                return None
+            if frame >= self._unplug_at:
+                self._lose()
+                continue
+            if self._settings.real_time:
+                if not self._wait_for(frame, deadline_ns):
+                    if self._stopped.is_set():
+                        return None
+                    raise FrameTimeout(f"{_NAME}: no frame within {timeout_s:g} s")
+                frame = self._skip_overrun(frame)
+            if self._stall_at <= frame < self._stall_end:
+                if self._settings.real_time:
+                    self._pass_over(1)
+                    continue
+                silent_s = (self._stall_end - frame) / self._rate_hz
+                if silent_s > timeout_s - stepped_s:
+                    self._pass_over(math.ceil((timeout_s - stepped_s) * self._rate_hz))
+                    raise FrameTimeout(f"{_NAME}: no frame within {timeout_s:g} s")
+                stepped_s += silent_s
+                self._pass_over(int(self._stall_end) - frame)
+                continue
+            row = self._row(frame)
+            if self._plan.dropped[row]:
+                self._pass_over(1)
+                continue
+            return self._deliver(frame, row)
+        return None
+
+    def replug(self) -> None:
+        """Allow that the camera is opened again; DeviceError if the cable is still unplugged."""
+        back_s = self._faults.camera_replugged_at_s
+        if back_s is None:
+            raise DeviceError(f"{_NAME}: is unplugged; plug it in")
+        back = math.ceil(back_s * self._rate_hz)
+        now = self._due(self._clock_ns()) if self._settings.real_time else max(back, self._next)
+        if now < back:
+            raise DeviceError(f"{_NAME}: is unplugged; plug it in")
+        self._unplug_at = math.inf
+        self._next = max(self._next, now)
+
+    def resume(self) -> None:
+        """Continue the run; frames are numbered from 0 again."""
+        if self._settings.real_time:
+            self._next = max(self._next, self._due(self._clock_ns()))
+        self._numbered_from = self._next
+        self._reconnects += 1
+        self.lost = False
+        self._stopped.clear()
+
+    def _lose(self) -> None:
+        self.lost = True
+        _log.warning("%s: unplugged at frame %d", _NAME, self._next)
+
+    def _due(self, now_ns: int) -> int:
+        """Number of frames that the simulated camera has exposed by now."""
+        return math.floor(seconds(now_ns - self._begin_ns) * self._rate_hz) + 1
+
+    def _wait_for(self, frame: int, deadline_ns: int) -> bool:
+        due_ns = self._begin_ns + nanoseconds(frame / self._rate_hz)
+        while True:
+            now_ns = self._clock_ns()
+            if now_ns >= due_ns:
+                return True
+            if now_ns >= deadline_ns or self._stopped.wait(seconds(min(due_ns, deadline_ns) - now_ns)):
+                return False
+
+    def _skip_overrun(self, frame: int) -> int:
+        """Lose the oldest frames if the reader is late by more than the buffer holds; the next frame."""
+        late = self._due(self._clock_ns()) - frame - self._settings.buffer_frames
+        if late > 0:
+            self._next += late
+            self._dropped_by_host += late
+        return self._next
+
+    def _pass_over(self, count: int) -> None:
+        self._next += count
+        self._dropped_by_camera += count
+
+    def _row(self, frame: int) -> int:
+        while frame >= self._plan.first + self._block:
+            self._plan = self._scene.plan(self._block)
+            self._drawn.clear()
+        return frame - self._plan.first
+
+    def _draw(self, frame: int, row: int) -> None:
+        """Draw the image of a row of the plan, and on demand the next ones with it."""
+        plan = self._plan
+        rows = slice(row, row + self._ahead)
+        images = self._scene.draw_frames(
+            frame, plan.x_px[rows], plan.y_px[rows], plan.power[rows], plan.slope[rows], plan.beam_px[rows]
+        )
+        self._drawn = dict(enumerate(images, start=row))
+
+    def _image(self, frame: int, row: int) -> Image:
+        if row not in self._drawn:
+            self._draw(frame, row)
+        return self._drawn.pop(row)
+
+    def _deliver(self, frame: int, row: int) -> Frame:
+        plan = self._plan
+        image = self._image(frame, row)
+        host_ns = self._clock_ns()
+        if self._settings.real_time:
+            # a frame in the buffer arrived at its exposure, before it was read
+            arrived_ns = self._begin_ns + nanoseconds(frame / self._rate_hz)
+            host_ns = max(arrived_ns, self._last_host_ns + 1)
+        self._last_host_ns = host_ns
+        self._next = frame + 1
+        self._delivered += 1
+        device_ns = int(plan.device_time_ns[row])
+        if self._settings.real_time:
+            device_ns = self._by_faulty_clock(frame, device_ns)
+        return Frame(image, frame - self._numbered_from, device_ns, host_ns)
+
+    def _by_faulty_clock(self, frame: int, device_ns: int) -> int:
+        faults = self._faults
+        if frame >= _frame_at(faults.clock_steps_at_s, self._rate_hz):
+            device_ns += nanoseconds(faults.clock_step_s)
+        if faults.clock_bits is not None:
+            device_ns %= 1 << faults.clock_bits
+        return 0 if frame == _frame_at(faults.clock_zero_at_s, self._rate_hz) else device_ns
+
+
+def _frame_at(time_s: float | None, rate_hz: float) -> float:
+    """Number of the first frame at or after a time; inf for None (never)."""
+    return math.inf if time_s is None else float(math.ceil(time_s * rate_hz - 1e-9))

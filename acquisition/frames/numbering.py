@@ -117,12 +117,28 @@ class FrameLine:
         frame = self._delivered.checked(read)
         if self._in_real_time:
             self._clock.see(frame)
-        last = self._before_gap
-        if last is not None and (frame.device_time_ns < NO_TIME_NS or not self._in_real_time):
-            note, step = self._go_on(frame, last)
-            passed = self._judged(frame)
-            return passed._replace(notes=(*passed.notes, note), steps=(*step, *passed.steps))
-        return self._judged(frame)
+        shown_ns = frame.device_time_ns
+        has_time = 0 <= shown_ns < NO_TIME_NS
+        before_gap, usual = self._before_gap, self._usual
+        continues = before_gap is not None and (shown_ns < NO_TIME_NS or not self._in_real_time)
+        note, step = self._go_on(frame, before_gap) if before_gap is not None and continues else (None, [])
+        time_ns = self._middle_ns(frame) + self._offset_ns if has_time else shown_ns
+        if self._from_number or time_ns != shown_ns:
+            frame = Frame(frame.image, frame.sequence + self._from_number, time_ns, frame.host_time_ns)
+        if shown_ns < 0 or not self._in_real_time:
+            passed = NumberedFrames([usual.joined(frame)])
+        elif self._given_up:
+            passed = NumberedFrames([usual.carried(frame)])
+        else:
+            off_ns = math.inf if usual.last is None or not has_time else self._off_ns(frame, usual.last)
+            if has_time and (off_ns is None or usual.last is None):
+                # one of the clocks confirms the time
+                passed = self._after_doubts(frame) if self._waiting else NumberedFrames([usual.joined(frame)])
+            else:
+                passed = self._doubted(_Doubtful(frame, off_ns or 0.0, shown_ns))
+        if note is None:
+            return passed
+        return passed._replace(notes=(*passed.notes, note), steps=(*step, *passed.steps))
 
     @property
     def waiting(self) -> int:
@@ -156,25 +172,11 @@ class FrameLine:
     def _middle_ns(self, frame: Frame) -> int:
         return max(frame.device_time_ns + self._to_middle_ns, 0)
 
-    def _judged(self, frame: Frame) -> NumberedFrames:
-        shown_ns = frame.device_time_ns
-        has_time = 0 <= shown_ns < NO_TIME_NS
-        time_ns = self._middle_ns(frame) + self._offset_ns if has_time else shown_ns
-        if self._from_number or time_ns != shown_ns:
-            frame = Frame(frame.image, frame.sequence + self._from_number, time_ns, frame.host_time_ns)
-        if shown_ns < 0 or not self._in_real_time:
-            return NumberedFrames([self._usual.joined(frame)])
-        if self._given_up:
-            return NumberedFrames([self._usual.carried(frame)])
-        last, off_ns = self._usual.last, math.inf
-        if has_time:
-            found_ns = None if last is None else self._off_ns(frame, last)
-            if found_ns is None:
-                return self._confirmed(frame)
-            off_ns = found_ns
-        self._waiting.append(_Doubtful(frame, off_ns, shown_ns))
-        allowed_ns = self._usual.allowed_ns
-        agreed = [one for one in self._waiting if abs(one.off_ns - off_ns) < allowed_ns]
+    def _doubted(self, one: _Doubtful) -> NumberedFrames:
+        """Neither clock confirms the time: it waits until the next frames tell what it is."""
+        self._waiting.append(one)
+        last, allowed_ns = self._usual.last, self._usual.allowed_ns
+        agreed = [other for other in self._waiting if abs(other.off_ns - one.off_ns) < allowed_ns]
         decides = len(self._waiting) >= _MOST_WAITING and (self._reader_is_up or self._is_full)
         if len(agreed) >= _ALIKE and last is not None:
             step = self._step_of(agreed, last, decides=decides)
@@ -230,13 +232,11 @@ class FrameLine:
             early_ns = min(early_ns, abs(by_last_ns))
         return early_ns < min(usual.allowed_by_arrival_ns, 0.5 * abs(off_ns))
 
-    def _confirmed(self, frame: Frame) -> NumberedFrames:
+    def _after_doubts(self, frame: Frame) -> NumberedFrames:
         """One of the clocks confirms the time. Those that waited were alone; or they rise to this one, which
         the computer confirms and the rate does not: frames without numbers are missing, or the rate has
         changed, and they were read too late to be confirmed.
         """
-        if not self._waiting:
-            return NumberedFrames([self._usual.joined(frame)])
         usual, kept = self._usual, list[int]()
         if usual.last is not None and usual.is_regular:
             several = len(self._waiting) >= _ALIKE

@@ -4,12 +4,10 @@ import contextlib
 import errno
 import os
 import random
-import secrets
-import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
@@ -27,55 +25,6 @@ _INDEX_BYTES = 512
 """At least what a chunk takes in the file's ending: one entry of about 100 bytes and 10 for each topic."""
 _RESERVE_STEP_BYTES = 1024 * 1024
 _SPARE_BYTES = 64 * 1024
-
-
-class BackgroundSync:
-    """Forces a file to the disk in a thread, so that the thread that writes it does not wait.
-
-    It runs `action` on request; all requests during a run are answered by one further run. The thread ends
-    when there is nothing left to do, so that a record that is never closed leaves no thread. An OSError of
-    the action is kept until `take_failure`.
-    """
-
-    def __init__(self, action: Callable[[], None]) -> None:
-        self._action = action
-        self._lock = threading.Lock()
-        self._asked = False
-        self._thread: threading.Thread | None = None
-        self._failure: OSError | None = None
-
-    def request(self) -> None:
-        """Start a run of the action after this call, as soon as possible; does not wait for it."""
-        with self._lock:
-            self._asked = True
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._work, name="record sync", daemon=True)
-                self._thread.start()
-
-    def wait(self) -> None:
-        """Wait until all requested runs have ended."""
-        thread = self._thread
-        if thread is not None:
-            thread.join()
-
-    def take_failure(self) -> OSError | None:
-        """First error since the last call, or None."""
-        with self._lock:
-            failure, self._failure = self._failure, None
-        return failure
-
-    def _work(self) -> None:
-        while True:
-            with self._lock:
-                if not self._asked:
-                    self._thread = None
-                    return
-                self._asked = False
-            try:
-                self._action()
-            except OSError as error:
-                with self._lock:
-                    self._failure = self._failure or error
 
 
 class Reserve:
@@ -118,7 +67,7 @@ class _Disk:
     """The stream under the library's writer; what could not be written completely is cut off again.
 
     If the disk is full, the reserve is released, the bytes are written, and `full` holds the error: the owner
-    must then finish the file. `size` is the length of the file so far.
+    must then finish the file. `size` is the length of the file so far, `chunks` the number of its chunks.
     """
 
     def __init__(self, path: Path, reserve_bytes: int) -> None:
@@ -128,8 +77,9 @@ class _Disk:
         self._path = path
         self._reserve_bytes = reserve_bytes
         self._reserve_lock = threading.Lock()
-        # also readable, so that a record whose name was removed can be copied
-        self._file = path.open("x+b", buffering=0)
+        self._forcing: threading.Thread | None = None
+        self._failure: OSError | None = None
+        self._file = path.open("xb", buffering=0)
         lock_for_writing(self._file.fileno())
         try:
             self._reserve = Reserve(path.parent, reserve_bytes)
@@ -150,31 +100,26 @@ class _Disk:
         try:
             self._write_whole(data)
         except OSError as error:
-            self._cut_off()
             if not self._give_reserve_back(error):
                 raise
-            try:
-                self._write_whole(data)
-            except OSError:
-                self._cut_off()
-                raise
+            self._write_whole(data)
         self.size += len(data)
         return len(data)
 
     def _write_whole(self, data: bytes) -> None:
         rest = memoryview(data)
-        while rest:
-            rest = rest[self._file.write(rest) or 0 :]
-
-    def _cut_off(self) -> None:
-        with contextlib.suppress(OSError):
-            self._file.truncate(self.size)
-            self._file.seek(self.size)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) or 0 :]
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self.size)
+                self._file.seek(self.size)
+            raise
 
     def force(self) -> None:
         """Flush the file to the disk, and adapt the reserve to the size of the file's ending."""
-        if not self._has_its_name():
-            raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
+        self._must_have_its_name()
         try:
             with self._reserve_lock:
                 needed = self._reserve_bytes + _INDEX_BYTES * self.chunks + _SPARE_BYTES
@@ -187,11 +132,35 @@ class _Disk:
                 raise
             _sync_file(self._file.fileno())
 
+    def begin_force(self) -> None:
+        """The same in a thread, so that nobody waits; one that is still under way is not asked again."""
+        if self._forcing is None or not self._forcing.is_alive():
+            self._forcing = threading.Thread(target=self._force_aside, name="record sync", daemon=True)
+            self._forcing.start()
+
+    def wait_for_force(self) -> None:
+        """Wait for the thread. Raises its error, once."""
+        if self._forcing is not None:
+            self._forcing.join()
+        self.raise_failure()
+
+    def raise_failure(self) -> None:
+        """Raise, once, the error of the thread."""
+        failure = self._failure
+        if failure is not None:
+            self._failure = None
+            raise failure
+
+    def _force_aside(self) -> None:
+        try:
+            self.force()
+        except OSError as error:
+            self._failure = self._failure or error
+
     def last_force(self) -> None:
-        """Flush the finished file, and save what was removed meanwhile under its name."""
+        """Flush the finished file."""
         _sync_file(self._file.fileno())
-        if not self._has_its_name():
-            self._copy_to_its_name()
+        self._must_have_its_name()
 
     def close(self) -> None:
         """Close file and reserve; never raises."""
@@ -200,25 +169,12 @@ class _Disk:
         with contextlib.suppress(OSError):
             self._file.close()
 
-    def _has_its_name(self) -> bool:
-        """Whether the path still names this file."""
-        try:
-            return os.path.samestat(os.fstat(self._file.fileno()), self._path.stat())
-        except FileNotFoundError:
-            return False
-
-    def _copy_to_its_name(self) -> None:
-        """Save the content of a file that was removed: it lives only as long as it is open."""
-        path = self._path
-        if os.path.lexists(path):
-            path = path.with_name(f"{path.stem}-{secrets.token_hex(4)}{path.suffix}")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file.seek(0)
-        with path.open("xb") as copy:
-            shutil.copyfileobj(self._file, copy)
-            copy.flush()
-            _sync_file(copy.fileno())
-        sync_folder(path.parent)
+    def _must_have_its_name(self) -> None:
+        """Raise OSError where the path no longer names this file."""
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(self._file.fileno()), self._path.stat()):
+                return
+        raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
 
     def _give_reserve_back(self, error: OSError) -> bool:
         if error.errno not in _FULL_DISK:
@@ -253,7 +209,6 @@ class McapFile:
         except OSError as error:
             raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
         self.path = path
-        self._background = BackgroundSync(self._disk.force)
         self._attachments: list[tuple[int, str, str, bytes]] = []
         self.waiting = 0
         self.broken = False
@@ -320,23 +275,26 @@ class McapFile:
         Without `wait` this is done in a background thread, so that a slow disk does not delay what is
         appended meanwhile. Errors of that thread are raised by the next call.
         """
-        self._raise_failure()
+        self._disk.raise_failure()
         if self.waiting:
             self._disk.chunks += 1
         with self._writing() as writer:
             writer.flush()  # type: ignore[no-untyped-call]
         self.waiting = 0
-        if not wait:
-            self._background.request()
-            return
-        self._background.wait()
-        self._raise_failure()
-        self._disk.force()
+        if wait:
+            self._disk.wait_for_force()
+            self._disk.force()
+        else:
+            self._disk.begin_force()
 
     def finish(self) -> None:
         """Write summary and ending, or only the shortest ending if there is no space for them, and close."""
-        self._background.wait()
+        failure: OSError | None = None
         try:
+            try:
+                self._disk.wait_for_force()
+            except OSError as error:
+                failure = error
             try:
                 if not self.broken:
                     with self._writing() as writer:
@@ -351,20 +309,16 @@ class McapFile:
                 Footer(0, 0, 0).write(builder)
                 self._disk.write(builder.end() + MCAP0_MAGIC)  # type: ignore[no-untyped-call]
             self._disk.last_force()
-            self._raise_failure()
+            if failure is not None:
+                raise failure
         finally:
             self.abandon()
 
     def abandon(self) -> None:
         """Close the file without an ending; never raises."""
-        self._background.wait()
+        with contextlib.suppress(OSError):
+            self._disk.wait_for_force()
         self._disk.close()
-
-    def _raise_failure(self) -> None:
-        """Raise, once, the error of a `flush` in the background."""
-        failure = self._background.take_failure()
-        if failure is not None:
-            raise failure
 
 
 def _sync_file(number: int) -> None:

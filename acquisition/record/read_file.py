@@ -13,9 +13,9 @@ import os
 import stat
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Sized
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import IO
 
 import numpy as np
 from mcap.exceptions import McapError
@@ -39,7 +39,6 @@ from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
 
 _log = logging.getLogger(__name__)
-_Found = TypeVar("_Found", bound=Sized)
 _INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode and length of a chunk's message index, channel, bytes of entries, which follow."""
 _INDEX_ENTRY_BYTES = 16
@@ -95,25 +94,19 @@ class ReadFile:
         _walk(self.file, contents)
         return contents.readable_bytes > was
 
-    def by_chunk(
-        self, take: Callable[[bytes, frozenset[int]], _Found], channel: int, from_ns: int = 0
-    ) -> Iterator[_Found]:
-        """What `take` returns for each chunk's bytes and the channel, if not empty.
+    def chunks_with(self, channel: int, from_ns: int = 0) -> Iterator[bytes]:
+        """The decompressed messages of each intact chunk that may have some of this channel.
 
         Chunks that end before `from_ns` (UTC) are not read.
         """
-        wanted = frozenset({channel})
         for place in self.contents.chunks:
             listed = self.contents.indexed and place.channels
             if place.end_ns < from_ns or (listed and channel not in place.channels):
                 continue
             try:
-                found = take(self.open_chunk(place), wanted)
+                yield self.open_chunk(place)
             except ChunkDamage as damage:
                 self.note_damage(place, str(damage))
-                continue
-            if len(found):
-                yield found
 
     def open_chunk(self, place: ChunkPlace) -> bytes:
         """The decompressed messages of a chunk. Raises ChunkDamage."""

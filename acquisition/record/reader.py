@@ -2,7 +2,7 @@
 
 import datetime
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence, Sized
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, Self, TypeAlias, TypeVar
@@ -22,19 +22,19 @@ from acquisition.record.chunk import (
     messages_in,
     packed_messages,
 )
-from acquisition.record.digest import is_being_written, utc
-from acquisition.record.events import Event
-from acquisition.record.pixels import decode_window
-from acquisition.record.read_file import ReadFile
-from acquisition.record.schemas import MessageType
-from acquisition.record.spot_messages import (
+from acquisition.record.codec import (
     balances_of,
     decode_log,
     decode_preview,
+    decode_window,
     deflections_of,
     preview_step,
     swings_of,
 )
+from acquisition.record.digest import is_being_written, utc
+from acquisition.record.events import Event
+from acquisition.record.read_file import ReadFile
+from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     BALANCE,
     EVENT,
@@ -62,7 +62,6 @@ from processing.errors import RecordError
 from processing.swing import HalfCycle
 
 _Value = TypeVar("_Value")
-_Taken = TypeVar("_Taken", bound=Sized)
 Piece: TypeAlias = dict[str, list[Message]]
 """Messages of a chunk, by topic."""
 
@@ -291,17 +290,19 @@ class RecordReader:
         Those before `start_ns` (on the frames' clock) are left out, and chunks before it are not read.
         """
         from_ns = self.epoch_offset_ns + (start_ns or 0)
-        for messages in self._by_chunk(messages_in, topic, start_ns):
-            yield from (one for one in messages if start_ns is None or one.log_time_ns >= from_ns)
+        for data, channel in self._chunks(topic, start_ns):
+            yield from (
+                one for one in messages_in(data, channel) if start_ns is None or one.log_time_ns >= from_ns
+            )
 
-    def _by_chunk(
-        self, take: Callable[[bytes, frozenset[int]], _Taken], topic: str, start_ns: int | None = None
-    ) -> Iterator[_Taken]:
+    def _chunks(self, topic: str, start_ns: int | None = None) -> Iterator[tuple[bytes, frozenset[int]]]:
+        """Chunks that may have messages of a topic, and its channel in them."""
         from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
         for file in self.files:
             for number, known in file.contents.channels.items():
                 if known == topic:
-                    yield from file.by_chunk(take, number, from_ns)
+                    for data in file.chunks_with(number, from_ns):
+                        yield data, frozenset({number})
 
     def table(self, topic: str) -> NDArray[Any]:
         """All messages of a topic of numbers as a structured array (n,).
@@ -399,7 +400,10 @@ class RecordReader:
         """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
         held: list[NDArray[np.void]] = []
         count = 0
-        for part in self._by_chunk(packed_messages, kind.topic, start_ns):
+        for data, channel in self._chunks(kind.topic, start_ns):
+            part = packed_messages(data, channel)
+            if not len(part):
+                continue
             if part.dtype.itemsize != kind.wire_dtype.itemsize:
                 raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
             held.append(part)

@@ -13,19 +13,19 @@ from typing import Any, Self
 
 from acquisition.camera import Frame, Image
 from acquisition.record import pixels_beside
-from acquisition.record.events import Event, EventKind, Severity
-from acquisition.record.mcap_file import McapFile
-from acquisition.record.pixels import PixelEncoder
-from acquisition.record.schemas import MessageType
-from acquisition.record.spot_messages import (
+from acquisition.record.codec import (
     encode_balance,
     encode_camera_calibration,
     encode_log,
     encode_preview,
     encode_swing,
+    encode_window,
     foxglove_schema,
     spot_rows,
 )
+from acquisition.record.events import Event, EventKind, Severity
+from acquisition.record.mcap_file import McapFile
+from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     BALANCE,
     CAMERA_TOPIC,
@@ -119,7 +119,6 @@ class RecordWriter:
         self._unit = DeflectionUnit(deflection_unit)
         kinds = number_kinds(self._unit)
         self._spot, self._swing, self._balance, *_ = kinds
-        self._encoder = PixelEncoder()
         self._full_scale_dn = int((metadata or {}).get("camera", {}).get("full_scale_dn", "255"))
         self._own = {
             "schema_version": str(SCHEMA_VERSION),
@@ -182,12 +181,12 @@ class RecordWriter:
 
         With the fitted `spot` about half the bytes are written. It need not be correct.
         """
-        data = self._encoder.encode(sequence, time_ns, image, x0_px, y0_px, spot)
+        data = encode_window(sequence, time_ns, image, x0_px, y0_px, spot)
         self._add(WINDOW.topic, time_ns, data, sequence)
 
     def write_image(self, frame: Frame) -> None:
         """Write a whole frame."""
-        data = self._encoder.encode(frame.sequence, frame.time_ns, frame.image, 0, 0)
+        data = encode_window(frame.sequence, frame.time_ns, frame.image, 0, 0)
         self._add(IMAGE.topic, frame.time_ns, data, frame.sequence)
 
     def write_preview(self, frame: Frame) -> None:
@@ -396,4 +395,4 @@ def _finished(file: McapFile) -> OSError | None:
 
 def compile_window(image: Image, spot: Spot) -> None:
     """Compile what `RecordWriter.write_window` needs for images of this pixel type."""
-    PixelEncoder().encode(0, 0, image, 0, 0, spot)
+    encode_window(0, 0, image, 0, 0, spot)

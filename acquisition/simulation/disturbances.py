@@ -15,7 +15,8 @@ from acquisition.simulation.motion import Motion
 from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.smooth_series import KNOTS_PER_PERIOD, BandNoise, SmoothSeries
 
-_JITTER, _WALK, _CLOCK, _POWER, _DROP = 4, 5, 6, 7, 8
+JITTER, WALK, CLOCK, POWER, _DROP = 4, 5, 6, 7, 8
+"""Purposes of the random numbers of a frame."""
 _AIR, _PHASE, _OWN_AIR = (17, 18), 19, (20, 21)
 
 
@@ -27,33 +28,18 @@ class FrameNoise:
         self._run = run
         self._edges = randomness.ziggurat()
 
-    def jitter(self, first: int, count: int) -> NDArray[np.float64]:
-        """White noise of the pointing, (count, 2), standard normal."""
-        return self._normals(_JITTER, first, count, 2)
-
-    def walk(self, first: int, count: int) -> NDArray[np.float64]:
-        """Steps of the random walk of the pointing, (count, 2), standard normal."""
-        return self._normals(_WALK, first, count, 2)
-
-    def clock(self, first: int, count: int) -> NDArray[np.float64]:
-        """Errors of the timestamps, (count,), standard normal."""
-        return self._normals(_CLOCK, first, count, 1)[:, 0]
-
-    def power(self, first: int, count: int) -> NDArray[np.float64]:
-        """Noise of the laser power, (count,), standard normal."""
-        return self._normals(_POWER, first, count, 1)[:, 0]
+    def normals(self, purpose: int, first: int, count: int, columns: int = 1) -> NDArray[np.float64]:
+        """Standard normal numbers (count, columns) for one purpose."""
+        out = np.empty((count, columns))
+        randomness.frame_normals(self._seed, self._run, purpose, first, self._edges, out)
+        return out
 
     def dropped(self, first: int, count: int, fraction: float) -> NDArray[np.bool_]:
         """Whether the camera loses each frame, (count,), with the probability `fraction`."""
         if fraction == 0.0:
             return np.zeros(count, dtype=np.bool_)
         # normal numbers below the quantile of `fraction`, so that one generator suffices for all purposes
-        return self._normals(_DROP, first, count, 1)[:, 0] < NormalDist().inv_cdf(fraction)
-
-    def _normals(self, purpose: int, first: int, count: int, columns: int) -> NDArray[np.float64]:
-        out = np.empty((count, columns))
-        randomness.frame_normals(self._seed, self._run, purpose, first, self._edges, out)
-        return out
+        return self.normals(_DROP, first, count)[:, 0] < NormalDist().inv_cdf(fraction)
 
 
 class Pointing:
@@ -82,11 +68,11 @@ class Pointing:
         drift = np.array([truth.pointing_drift_x_px_per_min, truth.pointing_drift_y_px_per_min])
         offset: NDArray[np.float64] = minutes[:, None] * drift
         if truth.pointing_jitter_px > 0:
-            offset += truth.pointing_jitter_px * self._noise.jitter(first, count)
+            offset += truth.pointing_jitter_px * self._noise.normals(JITTER, first, count, 2)
         if truth.pointing_walk_px_per_sqrt_s > 0:
             step_px = truth.pointing_walk_px_per_sqrt_s * math.sqrt(self._period_s)
             # the sum continues from the last position, so that it does not depend on the length of the blocks
-            steps = np.vstack([self._walked, step_px * self._noise.walk(first, count)])
+            steps = np.vstack([self._walked, step_px * self._noise.normals(WALK, first, count, 2)])
             path = np.cumsum(steps, axis=0)[1:]
             self._walked = path[-1]
             offset += path

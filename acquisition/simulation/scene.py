@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from acquisition.camera import Image
 from acquisition.simulation import randomness, sensor
-from acquisition.simulation.disturbances import FrameNoise, Pointing, add_draught, laser_factor, vibration_rad
+from acquisition.simulation.disturbances import (
+    CLOCK,
+    POWER,
+    FrameNoise,
+    Pointing,
+    add_draught,
+    laser_factor,
+    vibration_rad,
+)
 from acquisition.simulation.ground import ground_of
 from acquisition.simulation.inputs import FaultSettings, RigInputs, RigState
 from acquisition.simulation.motion import motions
@@ -43,14 +51,14 @@ class PlannedFrames(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """Settings of the camera: region of the sensor, bit depth, exposure, gain, frame rate.
+    """Settings of the camera, by its names: region, bit depth, exposure, gain, frame rate.
 
     Motion during an exposure is neglected. With `binning`, place and size of the region are in pixels of the
     image, each the mean of that many of the sensor in each direction, read one by one.
     """
 
-    x0_px: int
-    y0_px: int
+    offset_x_px: int
+    offset_y_px: int
     width_px: int
     height_px: int
     bit_depth: int
@@ -108,14 +116,14 @@ class Scene:
             ambient_e=truth.ambient_dn * truth.gain_e_per_dn * brightness * area,
         )
         self._dark = sensor.dark_table(state)
-        region_px = (readings.x0_px, readings.y0_px, readings.width_px, readings.height_px)
+        region_px = (readings.offset_x_px, readings.offset_y_px, readings.width_px, readings.height_px)
         self._pixels = sensor.pixels(truth, settings.seed, *region_px, readings.binning)
         self._edges = randomness.ziggurat()
         self._light_e = np.zeros((readings.height_px, readings.width_px))
         self._dtype = np.uint8 if readings.bit_depth == 8 else np.uint16
         self._rolling: RollingReadout | None = None
         if truth.row_time_s:
-            top, rows = readings.y0_px * readings.binning, readings.height_px * readings.binning
+            top, rows = readings.offset_y_px * readings.binning, readings.height_px * readings.binning
             self._rolling = RollingReadout(truth, top, rows, readings.frame_rate_hz)
 
     def plan(self, count: int) -> PlannedFrames:
@@ -142,7 +150,7 @@ class Scene:
         if pulsed:
             power = power * self._seen_of_pulse(position_px[:, 1])
         if settings.optics.power_noise > 0:
-            relative = 1 + settings.optics.power_noise * self._noise.power(first, count)
+            relative = 1 + settings.optics.power_noise * self._noise.normals(POWER, first, count)[:, 0]
             power = power * np.maximum(relative, 0)
         return PlannedFrames(
             first=first,
@@ -230,8 +238,8 @@ class Scene:
         peak_e = self._peak_e * power
         binning = readings.binning
         # the middle of the first pixel of the image lies between those of the sensor that it combines
-        x = (x_px - 0.5 * (binning - 1)) / binning - readings.x0_px
-        y = (y_px - 0.5 * (binning - 1)) / binning - readings.y0_px
+        x = (x_px - 0.5 * (binning - 1)) / binning - readings.offset_x_px
+        y = (y_px - 0.5 * (binning - 1)) / binning - readings.offset_y_px
         main = np.column_stack((x, y, peak_e))
         sheared = ShearedBeams(optics, np.zeros((len(x), 2)) if slope is None else slope)
         ghost = np.column_stack(
@@ -245,7 +253,7 @@ class Scene:
         if reference.relative > 0:
             moved = np.zeros((len(x), 2)) if beam_px is None else beam_px / reference.gain
             place = np.array([reference.x_px, reference.y_px]) + moved - 0.5 * (binning - 1)
-            place = place / binning - (readings.x0_px, readings.y0_px)
+            place = place / binning - (readings.offset_x_px, readings.offset_y_px)
             ghost = np.column_stack((place, peak_e * reference.relative))
         images = np.empty((len(x_px), readings.height_px, readings.width_px), dtype=self._dtype)
         sensor.expose_frames(
@@ -291,7 +299,7 @@ class Scene:
         clock = self._settings.clock
         exact_ns = np.rint((clock.start_s + times_s * (1 + 1e-6 * clock.drift_ppm)) * NS_PER_S)
         if clock.jitter_s > 0:
-            late_s = clock.jitter_s * self._noise.clock(first, len(times_s))
+            late_s = clock.jitter_s * self._noise.normals(CLOCK, first, len(times_s))[:, 0]
             exact_ns += np.rint(np.clip(late_s, -0.4 * period_s, 0.4 * period_s) * NS_PER_S)
         return np.maximum(exact_ns, 0).astype(np.int64)
 

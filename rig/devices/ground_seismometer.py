@@ -8,7 +8,7 @@ from typing import Self
 from acquisition.camera import Camera, Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.record.topics import RecordedWitness
-from acquisition.simulation.seismometer import SimulatedSeismometer
+from acquisition.simulation.ground import SimulatedSeismometer
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import ConfigurationError, RigError
 from processing.units import nanoseconds, seconds

@@ -48,62 +48,37 @@ def test_what_is_not_finished_takes_no_name(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_disk_that_gives_back_something_else_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    read = os.read
-    monkeypatch.setattr(os, "read", lambda number, count: read(number, count)[:-1])
-    with pytest.raises(OSError, match="read again it is not what was written"):
-        atomic_write.write_new(tmp_path / "file", b"data")
-    monkeypatch.undo()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_that_somebody_else_writes(tmp_path: Path) -> None:
+def test_a_file_that_somebody_else_writes_meanwhile_stays(tmp_path: Path) -> None:
     path = tmp_path / "file"
-    with atomic_write.being_written(path) as beside:
-        beside.write_bytes(b"mine")
-        # he is alive: nothing of his is taken away
-        assert atomic_write.take_away_leftovers(tmp_path) == []
-        path.write_bytes(b"other")
-        with pytest.raises(FileExistsError):
-            atomic_write.being_written(path).__enter__()
-        path.unlink()
-    assert path.read_bytes() == b"mine"
+    writing = atomic_write.being_written(path)
+    writing.__enter__().write_bytes(b"mine")
+    path.write_bytes(b"other")
+    with pytest.raises(FileExistsError):
+        writing.__exit__(None, None, None)
+    with pytest.raises(FileExistsError):
+        atomic_write.write_new(path, b"mine")
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"other", [path])
 
 
-def test_what_the_dead_left_is_taken_away_and_nothing_else(tmp_path: Path) -> None:
-    for name in (".run-1.mcap.0123abcd", ".run-1.mcap.0123abcd.claim", ".run-2.mcap.89abcdef", ".hidden"):
+def test_what_a_kill_left_a_day_ago_is_taken_away_and_nothing_else(tmp_path: Path) -> None:
+    for name in (".run-1.mcap.0123abcd", ".run-2.mcap.89abcdef", ".hidden", ".run-1.mcap.76543210"):
         (tmp_path / name).write_bytes(b"half")
+        if not name.endswith("0"):
+            os.utime(tmp_path / name, (0, 0))
     assert atomic_write.take_away_leftovers(tmp_path, "run-1.mcap") == [tmp_path / "run-1.mcap"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".hidden", ".run-2.mcap.89abcdef"]
-    assert atomic_write.take_away_leftovers(tmp_path) == [tmp_path / "run-2.mcap"]
-    assert [path.name for path in tmp_path.iterdir()] == [".hidden"]
+    (tmp_path / ".run-2.mcap.76543210").mkdir()
+    atomic_write.write_new(tmp_path / "run-2.mcap", b"whole")
+    left = [".hidden", ".run-1.mcap.76543210", ".run-2.mcap.76543210", "run-2.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == left
 
 
-def test_a_folder_appears_whole_and_what_a_kill_left_of_it_is_taken_away(tmp_path: Path) -> None:
+def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "crate"
-
-    def killed() -> None:
-        with atomic_write.folder_being_written(path) as beside:
-            (beside / "inner").mkdir()
-            (beside / "inner" / "file").write_bytes(b"half")
-            os._exit(9)
-
-    child = os.fork()
-    if child == 0:
-        killed()
-    os.waitpid(child, 0)
-    left = [entry.name for entry in tmp_path.iterdir()]
-    assert len(left) == 2
-    assert not path.exists()
     with atomic_write.folder_being_written(path) as beside:
-        # of who writes at the same time nothing is taken away
-        atomic_write.take_away_leftovers(tmp_path)
-        (beside / "file").write_bytes(b"whole")
+        (beside / "inner").mkdir()
+        (beside / "inner" / "file").write_bytes(b"whole")
         assert not path.exists()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["crate"]
-    assert (path / "file").read_bytes() == b"whole"
+    assert (path / "inner" / "file").read_bytes() == b"whole"
     with pytest.raises(FileExistsError), atomic_write.folder_being_written(path):
         pass
     with pytest.raises(ValueError, match="not good"), atomic_write.folder_being_written(tmp_path / "other"):

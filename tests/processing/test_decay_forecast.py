@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.simulation.ground_settings import GroundTruth
-from acquisition.simulation.settings import ContactTruth, SimulationSettings
+from acquisition.simulation.settings import ContactTruth, GroundTruth, SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
 from processing.decay_summary import forecast
 

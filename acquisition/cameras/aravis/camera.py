@@ -3,21 +3,15 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any, Final
 
 from acquisition.camera import (
-    CLOCK_STATES,
     CameraInfo,
     CameraLost,
-    CameraSettings,
-    CameraStatus,
-    FeatureValue,
     Frame,
     FrameTimeout,
 )
-from acquisition.cameras import wiring
 from acquisition.cameras.aravis.library import (
     SHORT_IDS,
     AravisDevice,
@@ -28,7 +22,7 @@ from acquisition.cameras.aravis.library import (
     load_library,
 )
 from acquisition.cameras.drivers import AravisSettings, kept_frames
-from acquisition.frames.losses import BlockNumbers
+from acquisition.cameras.genicam import GenicamCamera
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
@@ -44,7 +38,7 @@ _USB_VERSION_REGISTER: Final = 0x0000
 _TICKS_REGISTERS: Final = (0x093C, 0x0940)
 
 
-class AravisCamera:
+class AravisCamera(GenicamCamera[AravisFeatures]):
     """A GigE Vision or USB3 Vision camera read by libaravis, which acquires and queues the frames.
 
     Parameters
@@ -58,14 +52,14 @@ class AravisCamera:
     arrive, a register is read to test the connection; a camera that does not answer is reported as lost.
     """
 
+    _HINT = "; is it in use by another program, or has it lost its cable?"
+
     def __init__(self, settings: AravisSettings | None = None) -> None:
+        super().__init__("aravis camera")
         self._settings = settings or AravisSettings()
-        self._lock = threading.RLock()
         self._library: Library | None = None
-        self._features: AravisFeatures | None = None
         self._stream: Any = None
-        self._name = "aravis camera"
-        self._has_clock = self._started = self._was_lost = False
+        self._has_clock = self._started = False
         self._closings = 0
         self._gone = threading.Event()
         self._halted = threading.Event()
@@ -73,7 +67,15 @@ class AravisCamera:
         self._asking: threading.Thread | None = None
         self._heard_s = 0.0
         self._buffers: BufferReader | None = None
-        self._before = CameraStatus()
+
+    def _library_error(self) -> type[Exception]:
+        return DeviceError if self._library is None else self._library.error
+
+    def _is_gone(self) -> bool:
+        return self._gone.is_set()
+
+    def _is_running(self) -> bool:
+        return self._stream is not None
 
     # ---- life cycle
 
@@ -141,19 +143,11 @@ class AravisCamera:
         except library.error as refused:
             logger.info("%s: packet size not changed: %s", self._name, refused)
 
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        with self._lock, self._translated():
-            features = self._opened()
-            if self._stream is not None:
-                raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
-            return features.apply(settings)
-
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
         with self._lock, self._translated():
             features = self._opened()
-            if self._stream is not None:
-                raise DeviceError(f"{self._name}: is running already; stop it first")
+            self._must_be_idle()
             self._parting.wait(self._name)
             camera, library = features.camera, self._library
             assert library is not None
@@ -165,7 +159,6 @@ class AravisCamera:
             count = kept_frames(self._settings.buffers, features.stated_rate(), payload, 64, 4096)
             for _ in range(count):
                 stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
-            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
             self._buffers = BufferReader(
                 library.aravis,
                 self._name,
@@ -173,7 +166,7 @@ class AravisCamera:
                 width_px,
                 height_px,
                 self._has_clock,
-                BlockNumbers(self._name, (SHORT_IDS,) if camera.is_gv_device() else ()),
+                self._begin((SHORT_IDS,) if camera.is_gv_device() else ()),
                 features.plane,
             )
             self._halted.clear()
@@ -251,51 +244,6 @@ class AravisCamera:
         features, self._features = self._features, None
         if features is not None and self._library is not None:
             self._parting.leave(_nothing, features.give_up(), self._library.error)
-
-    # ---- beyond the protocol
-
-    @property
-    def status(self) -> CameraStatus:
-        """Counts since `start`, continued after a reconnection."""
-        if self._buffers is None:
-            return self._before
-        numbers = self._buffers.numbers
-        return self._before + numbers.status(numbers.whole)
-
-    def feature_values(self) -> dict[str, FeatureValue]:
-        with self._lock, self._translated():
-            library = self._library
-            return {} if library is None else self._opened().values(library.error)
-
-    def feature_value(self, name: str) -> FeatureValue | None:
-        """Value of one feature, as text; None if it cannot be read now."""
-        with self._lock, self._translated():
-            features = self._opened()
-            if name in CLOCK_STATES:
-                wiring.latch_clock_state(features)
-            return features.read(name)
-
-    def _opened(self) -> AravisFeatures:
-        if self._features is None:
-            raise DeviceError(f"{self._name}: is not open; call open first")
-        return self._features
-
-    @contextmanager
-    def _translated(self) -> Iterator[None]:
-        """Convert libaravis's errors into DeviceError, those of an unplugged camera into CameraLost."""
-        try:
-            yield
-        except Exception as refused:
-            library = self._library
-            if isinstance(refused, DeviceError) or library is None or not isinstance(refused, library.error):
-                raise
-            text = " ".join(str(getattr(refused, "message", refused)).split())
-            if self._gone.is_set():
-                self._was_lost = True
-                raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
-            raise DeviceError(
-                f"{self._name}: {text}; is it in use by another program, or has it lost its cable?"
-            ) from None
 
 
 class _ClosingActions:

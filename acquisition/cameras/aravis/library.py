@@ -10,9 +10,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, Frame, PluggedCamera
-from acquisition.cameras import wiring
+from acquisition.cameras.genicam import GenicamFeatures, Quantity
 from acquisition.cameras.pixel_formats import Format, plane_of
-from acquisition.cameras.preparation import GenicamFeatures, Quantity
 from acquisition.frames.losses import BlockNumbers, Place
 from processing.errors import DeviceError
 
@@ -196,8 +195,6 @@ class AravisFeatures(GenicamFeatures):
     # ---- for the driver
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
-        """All features that can be read now; `error` is raised by libaravis for those that cannot."""
-        wiring.latch_clock_state(self)
         found: dict[str, FeatureValue] = {}
         waiting = ["Root"]
         genicam = self.camera.get_device().get_genicam()

@@ -100,17 +100,6 @@ def _layouts() -> Mapping[str, _Layout]:
 _LAYOUTS: Final = _layouts()
 
 
-class FilmPixels(NamedTuple):
-    """Grey values (ny, nx), or blue, green and red (ny, nx, 3), and their largest possible value.
-
-    `coloured`: beside these grey values the film has chroma that is not neutral.
-    """
-
-    pixels: NDArray[Any]
-    full_scale: int
-    coloured: bool
-
-
 def known_pixel_format(label: str, name: str) -> None:
     """Raise DeviceError for a pixel format whose samples nothing here can place."""
     if name not in _LAYOUTS:
@@ -120,8 +109,8 @@ def known_pixel_format(label: str, name: str) -> None:
         )
 
 
-def film_pixels(frame: "VideoFrame", label: str) -> FilmPixels:
-    """The samples of a decoded frame, as stored.
+def film_pixels(frame: "VideoFrame", label: str) -> Stored:
+    """The samples of a decoded frame, as stored: grey, or blue, green and red.
 
     Raises DeviceError for a pixel format that is not listed, and for interlaced frames.
     """
@@ -134,19 +123,19 @@ def film_pixels(frame: "VideoFrame", label: str) -> FilmPixels:
     if layout.kind is _Kind.PALETTE:
         numbers, palette = frame.planes[0], np.frombuffer(bytes(frame.planes[1]), dtype="<u4")
         colours = palette.view(np.uint8).reshape(-1, 4)[:, :3]
-        return FilmPixels(colours[_rows(numbers, np.dtype(np.uint8), frame.width)], 255, False)
+        return Stored(colours[_rows(numbers, np.dtype(np.uint8), frame.width)], 255, False)
     full_scale = 2**layout.bits - 1
     if layout.kind is _Kind.RGB:
         # planes are in the order green, blue, red
         planes = [_samples(frame.planes[k], layout, frame.width, 0) for k in (1, 0, 2)]
-        return FilmPixels(np.dstack(planes), full_scale, False)
+        return Stored(np.dstack(planes), full_scale, False)
     parts = [_samples(frame.planes[0], layout, frame.width, place) for place in layout.places]
     if layout.kind is _Kind.PACKED_RGB:
-        return FilmPixels(np.dstack(parts), full_scale, False)
+        return Stored(np.dstack(parts), full_scale, False)
     if layout.grey or frame.format.name.startswith("yuvj") or frame.color_range == _FULL_RANGE:
-        return FilmPixels(parts[0], full_scale, not layout.grey and _has_chroma(frame, layout))
+        return Stored(parts[0], full_scale, not layout.grey and _has_chroma(frame, layout))
     # of the limited range 16 is black and 235 white, in 8 bits
-    return FilmPixels(parts[0], 235 << (layout.bits - 8), _has_chroma(frame, layout))
+    return Stored(parts[0], 235 << (layout.bits - 8), _has_chroma(frame, layout))
 
 
 def _rows(plane: "VideoPlane", dtype: np.dtype[Any], samples: int) -> NDArray[Any]:
@@ -185,7 +174,7 @@ _log = logging.getLogger(__name__)
 _LOSSLESS: Final = (
     "ffv1", "huffyuv", "ffvhuff", "rawvideo", "v210", "v410", "v308", "v408", "r210", "r10k", "png", "tiff",
     "bmp", "utvideo", "magicyuv", "qtrle", "zlib", "zmbv", "lagarith", "gif", "pgm", "pgmyuv", "ppm", "y41p",
-    "yuv4", "targa", "dpx", "apng", "sgi", "pam", "pbm", "exr", "fits",
+    "yuv4", "targa", "dpx", "sgi", "pam", "pbm", "exr", "fits",
 )  # fmt: skip
 _STRICT: Final = {"err_detect": "crccheck+bitstream+buffer+explode"}
 """Without concealment, which tells what it conceals, H.264 of several slices is all marked as damaged."""
@@ -240,7 +229,7 @@ class FilmSource(FrameSource):
         place, frame = self._held
         if place != index or index in self._spoilt:
             raise Unreadable(self._spoilt.get(index, "the decoder delivers no picture of this packet"))
-        return Stored(*film_pixels(frame, self.label(index)))
+        return film_pixels(frame, self.label(index))
 
     def close(self) -> None:
         if self._container is not None:

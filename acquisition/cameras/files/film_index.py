@@ -7,11 +7,10 @@ takes the rounding to the container's ticks (whole ms in Matroska) off the times
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from acquisition.cameras.files.formats import apng_delays_s
 from acquisition.cameras.files.frame_source import ONE_IMAGE, missing_frames, numbers_by_steps
 from processing.errors import DeviceError
 
@@ -157,10 +156,6 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
     else:
         numbers = numbers_by_steps(ticks)
         time_ns = [round((tick - ticks[0]) * tick_s * _SECOND_NS) for tick in ticks]
-    if container.format.name == "apng" and len(delays_s := apng_delays_s(path)) == len(ticks):
-        begins_s = [*accumulate(delays_s[:-1], initial=Fraction(0))]
-        time_ns = [round(begin_s * _SECOND_NS) for begin_s in begins_s]
-        rate_hz = 1 / delays_s[0] if len(set(delays_s[:-1])) == 1 and delays_s[0] else None
     said += missing_frames(time_ns, numbers, "the container's times")
     cut_off = _cut_off(container, stream, ticks, total, tick_s, last_duration)
     if cut_off:

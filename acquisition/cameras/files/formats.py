@@ -6,7 +6,6 @@ its directories, of which ImageJ writes one.
 
 import re
 import zlib
-from fractions import Fraction
 from mmap import mmap
 from pathlib import Path
 from typing import Any, BinaryIO, Final, Literal, NamedTuple
@@ -15,90 +14,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
-_HEADER: Final = re.compile(
-    rb"\s*P(?:[14]" + 2 * (_GAP + rb"(\d+)") + rb"|[2356]" + 3 * (_GAP + rb"(\d+)") + rb")\s"
-)
-_PLAIN: Final = re.compile(rb"P[123]\s")
-_COMMENT: Final = re.compile(rb"#[^\n\r]*")
+_HEADER: Final = re.compile(rb"\s*P([56])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
 
 
 class _Portable(NamedTuple):
-    """What the header of an image states; `largest` is 0 for black and white."""
+    """What the header of a binary PGM (1 channel) or PPM (3) image states, and where its pixels begin."""
 
-    kind: int
+    channels: int
     nx: int
     ny: int
     largest: int
     pixels_at: int
 
     @property
-    def row(self) -> int:
-        """Samples of a row, or its bytes where it is of bits."""
-        return -(-self.nx // 8) if self.kind == 4 else self.nx * (3 if self.kind in (3, 6) else 1)
-
-    @property
     def dtype(self) -> np.dtype[Any]:
         return np.dtype(np.uint8 if self.largest < 256 else ">u2")
+
+    @property
+    def end(self) -> int:
+        return self.pixels_at + self.channels * self.nx * self.ny * self.dtype.itemsize
 
 
 def _portable(data: bytes | mmap, begin: int) -> _Portable | None:
     header = _HEADER.match(data, begin)
     if header is None:
         return None
-    numbers = [int(one) for one in header.groups() if one]
-    kind = header.group().split(maxsplit=1)[0][1:2]
-    return _Portable(int(kind), numbers[0], numbers[1], numbers[2] if len(numbers) > 2 else 0, header.end())
+    kind, nx, ny, largest = (int(one) for one in header.groups())
+    return _Portable(3 if kind == 6 else 1, nx, ny, largest, header.end())
 
 
 def portable_images(data: bytes | mmap) -> list[tuple[int, int]]:
     """Where each image of a portable map begins and ends; the last may end behind the end of the file."""
     found, begin = list[tuple[int, int]](), 0
     while header := _portable(data, begin):
-        if header.kind <= 3:
-            # a comment may say anything
-            bare = _COMMENT.sub(lambda comment: bytes(len(comment.group())), bytes(data))
-            begins = [one.start() for one in _PLAIN.finditer(bare)]
-            return list(zip(begins, [*begins[1:], len(data)], strict=True))
-        end = header.pixels_at + header.row * header.ny * header.dtype.itemsize
-        found.append((begin, end))
-        begin = end
+        found.append((begin, header.end))
+        begin = header.end
     return found
 
 
 def read_portable(data: bytes) -> tuple[NDArray[Any], int]:
     """Pixels (ny, nx), or (ny, nx, 3) with blue first, as uint8 or uint16, and the largest value stated.
 
-    Raises ValueError with the reason: no portable map, too short, or a pixel above the maximum.
+    Raises ValueError with the reason: no binary PGM or PPM, too short, or a pixel above the maximum.
     """
     header = _portable(data, 0)
     if header is None:
-        raise ValueError("no header of a PBM, PGM or PPM file")
-    kind, nx, ny, largest, begin = header
-    if not largest < 65536 or nx * ny == 0 or (largest == 0 and kind not in (1, 4)):
+        raise ValueError("no header of a binary PGM or PPM file (P5, P6)")
+    channels, nx, ny, largest, begin = header
+    if not 0 < largest < 65536 or nx * ny == 0:
         raise ValueError(f"the header states {nx}x{ny} pixels up to {largest}")
-    if kind > 3:
-        wanted = header.row * ny * header.dtype.itemsize
-        raster = data[begin : begin + wanted]
-        if len(raster) < wanted:
-            raise ValueError(f"the file ends after {len(raster)} of {wanted} bytes of pixels")
-        values: NDArray[Any] = np.frombuffer(raster, dtype=header.dtype)
-    else:
-        bare = _COMMENT.sub(b"", data[begin:])
-        # the figures of black and white need no gap between them
-        words = list(b"".join(bare.split()).decode()) if kind == 1 else bare.split()
-        if len(words) < header.row * ny:
-            raise ValueError(f"the file ends after {len(words)} of {header.row * ny} pixels")
-        values = np.array([int(word) for word in words[: header.row * ny]])
-    values = values.reshape(ny, header.row)
-    if kind in (1, 4):
-        bits = values if kind == 1 else np.unpackbits(values, axis=1)[:, :nx]
-        return np.where(bits > 0, 0, 255).astype(np.uint8), 255
-    if values.min() < 0:
-        raise ValueError(f"a pixel of {values.min()}")
+    raster = data[begin : header.end]
+    if len(raster) < header.end - begin:
+        raise ValueError(f"the file ends after {len(raster)} of {header.end - begin} bytes of pixels")
+    values: NDArray[Any] = np.frombuffer(raster, dtype=header.dtype)
     if values.max() > largest:
         raise ValueError(f"a pixel of {values.max()} is above the stated largest value {largest}")
-    pixels = values.astype(header.dtype.newbyteorder("="))
-    return pixels.reshape(ny, nx, 3)[:, :, ::-1] if kind in (3, 6) else pixels, largest
+    pixels = values.astype(header.dtype.newbyteorder("=")).reshape(ny, nx, channels)
+    return pixels[:, :, ::-1] if channels == 3 else pixels[:, :, 0], largest
 
 
 _Order = Literal["little", "big"]
@@ -183,24 +155,6 @@ def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool)
         return None
     file.seek(end)
     return int.from_bytes(file.read(place_bytes), order)
-
-
-def apng_delays_s(path: Path) -> list[Fraction]:
-    """How long each picture of an animated PNG is shown, as it states; FFmpeg rounds a thirtieth by 1e-4."""
-    found = list[Fraction]()
-    with path.open("rb") as file:
-        file.seek(8)
-        while len(head := file.read(8)) == 8:
-            length = int.from_bytes(head[:4], "big")
-            if head[4:] == b"fcTL":
-                body = file.read(length)
-                # a denominator of 0 stands for 100
-                found.append(
-                    Fraction(*(int.from_bytes(body[k : k + 2], "big") or 100 * (k == 22) for k in (20, 22)))
-                )
-                length = 0
-            file.seek(length + 4, 1)
-    return found
 
 
 # Checksums of FFV1 video (RFC 9043): a decoder that finds damage delivers a picture all the same.

@@ -30,15 +30,13 @@ from acquisition.cameras.files.frame_source import Unreadable as Unreadable
 from acquisition.cameras.files.raw import RawSource, is_raw
 from processing.errors import DeviceError
 
-_PORTABLE = (".pgm", ".pbm", ".ppm", ".pnm")
+_PORTABLE = (".pgm", ".ppm", ".pnm")
 _STACKS = (".tif", ".tiff")
 _LOSSY = (".jpg", ".jpeg")
 IMAGES = (".png", *_PORTABLE, *_STACKS, ".bmp", *_LOSSY)
-_HEAD_OF_PNG = 1 << 16
-"""Bytes in which it is said whether a PNG file is animated."""
 _FILMS = (
     ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv",
-    ".3gp", ".nut", ".gif", ".apng",
+    ".3gp", ".nut", ".gif",
 )  # fmt: skip
 _LISTED = 5
 """Places that a message names one by one."""
@@ -54,7 +52,7 @@ def open_source(path: Path) -> FrameSource:
         return StackSource(path)
     if path.suffix.lower() not in _STACKS and is_raw(path):
         return RawSource(path)
-    if path.suffix.lower() in IMAGES and not _animated(path):
+    if path.suffix.lower() in IMAGES:
         return ImageSource(path)
     return FilmSource(path)
 
@@ -106,7 +104,7 @@ class _Images:
 
 
 class _PortableImages(_Images):
-    """PBM, PGM or PPM, plain or raw, in which one image may follow another."""
+    """Binary PGM or PPM, in which one image may follow another."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -216,16 +214,7 @@ def _images_of(path: Path) -> _Images:
             return _PortableImages(path)
         if suffix in _STACKS:
             return _TiffImages(path)
-        if _animated(path):
-            raise DeviceError(f"{path}: is an animated PNG; name it itself, as a film")
     return _Images(path)
-
-
-def _animated(path: Path) -> bool:
-    if path.suffix.lower() != ".png":
-        return False
-    with path.open("rb") as file:
-        return b"acTL" in file.read(_HEAD_OF_PNG)
 
 
 def images_in(names: Sequence[str]) -> list[str]:

@@ -1,9 +1,8 @@
 """USB3 Vision cameras as a `Camera`."""
 
 import logging
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Final
 
 import usb.backend
@@ -11,18 +10,24 @@ import usb.backend
 from acquisition.camera import (
     CameraInfo,
     CameraLost,
-    CameraSettings,
     CameraStatus,
-    FeatureValue,
     Frame,
     FrameTimeout,
 )
 from acquisition.cameras.drivers import Usb3VisionSettings
+from acquisition.cameras.genicam import GenicamCamera
+from acquisition.cameras.pixel_formats import BY_NAME
+from acquisition.cameras.usb3vision.description import read_description
 from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.link import UsbLink, find_camera
-from acquisition.cameras.usb3vision.node_map import load_genapi
-from acquisition.cameras.usb3vision.open_camera import UsbConnection
+from acquisition.cameras.usb3vision.node_map import NodeMap, load_genapi
+from acquisition.cameras.usb3vision.packets import (
+    Identity,
+    StreamRegisters,
+    read_identity,
+    silence_events,
+)
 from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, LibusbTransfers, Transfers
 from processing.errors import DeviceError
@@ -36,9 +41,11 @@ _REPLY_S: Final = 0.5
 _LOCK_S: Final = 0.2
 _COMMANDS_S: Final = 0.25
 _JOIN_S: Final = 0.25
+_COARSE_NS: Final = 15_000
+"""Jitter of the frame times above which the times of turning points suffer."""
 
 
-class Usb3VisionCamera:
+class Usb3VisionCamera(GenicamCamera[Features]):
     """Any USB3 Vision camera, through pyusb and libusb.
 
     Parameters
@@ -57,16 +64,18 @@ class Usb3VisionCamera:
     def __init__(
         self, settings: Usb3VisionSettings | None = None, backend: usb.backend.IBackend | None = None
     ) -> None:
+        super().__init__("USB3 Vision camera")
         self._settings = settings or Usb3VisionSettings()
         self._backend = backend
-        self._lock = threading.RLock()
-        self._session: UsbConnection | None = None
+        self._link: UsbLink | None = None
         self._channel: GenCpChannel | None = None
+        self._registers: StreamRegisters | None = None
+        self._has_clock = False
         self._stream: UsbFrameStream | None = None
-        self._name = "USB3 Vision camera"
-        self._before = CameraStatus()
-        self._was_lost = False
         self._camera_runs = False
+
+    def _is_running(self) -> bool:
+        return self._stream is not None and not self._stream.reading.stopped
 
     # ---- life cycle
 
@@ -88,32 +97,65 @@ class Usb3VisionCamera:
             link.claim()
             try:
                 self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=_REPLY_S)
-                self._session = UsbConnection.learn(link, self._channel)
-                self._session.halt_leftovers()
-                return self._session.info()
+                identity = read_identity(self._channel)
+                silence_events(self._channel, identity.event_address)
+                features = self._learned(self._channel, identity)
+                self._registers = StreamRegisters(self._channel, identity.stream_address, link.name)
+                self._has_clock = identity.timestamp_increment_ns > 0
+                # an acquisition that a program left running when it was killed
+                self._try_each(
+                    lambda: features.execute("AcquisitionStop"),
+                    lambda: self._enable(False),
+                    lambda: _set_locked(features, False),
+                )
+                info = self._info(features, identity)
             except BaseException:
-                self._session = None
+                self._channel = None
                 link.release()
                 raise
-            finally:
-                self._channel = None if self._session is None else self._session.channel
+            self._link, self._features = link, features
+            return info
 
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        with self._lock:
-            session = self._opened()
-            if self._running():
-                raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
-            with self._noticing_loss():
-                return session.features.apply(settings)
+    def _learned(self, channel: GenCpChannel, identity: Identity) -> Features:
+        """The camera's features; DeviceError if its description is invalid or incomplete."""
+        xml = read_description(channel, identity.manifest_address, self._name)
+        features = Features(NodeMap(xml, channel, self._name))
+        for name in ("Width", "Height", "PixelFormat", "AcquisitionStart", "AcquisitionStop"):
+            if name not in features.nodes:
+                raise DeviceError(f"{self._name}: its description lacks {name}, which every camera must have")
+        if identity.timestamp_increment_ns > _COARSE_NS:
+            logger.warning(
+                "%s: its clock counts in steps of %g us, by which the times of its frames are uncertain; "
+                "turning times need %g us",
+                self._name,
+                identity.timestamp_increment_ns / 1e3,
+                _COARSE_NS / 1e3,
+            )
+        return features
+
+    def _info(self, features: Features, identity: Identity) -> CameraInfo:
+        """Identity and sensor size of the camera."""
+        pixel_format = BY_NAME.get(str(features.get("PixelFormat")))
+        return CameraInfo(
+            driver="usb3vision",
+            vendor=identity.vendor,
+            model=identity.model,
+            serial=identity.serial,
+            width_px=features.sensor_size("Width"),
+            height_px=features.sensor_size("Height"),
+            full_scale_dn=255 if pixel_format is None else pixel_format.full_scale_dn,
+            has_clock=self._has_clock,
+            shutter=str(features.get_if_readable("SensorShutterMode") or ""),
+        )
 
     def start(self) -> None:
         """Set up the stream, then let the camera run."""
-        with self._lock, self._noticing_loss():
-            session = self._opened()
-            if self._running():
-                raise DeviceError(f"{self._name}: is running already; stop it first")
+        with self._lock, self._translated():
+            features, link, registers = self._opened(), self._link, self._registers
+            assert link is not None
+            assert registers is not None
+            self._must_be_idle()
             self._end_stream()
-            features = session.features
             pixel_format = features.pixel_format()
             pixel_format.prepare()
             features.run_on()
@@ -121,25 +163,25 @@ class Usb3VisionCamera:
                 pixel_format,
                 int(features.get("Width")),
                 int(features.get("Height")),
-                session.identity.timestamp_increment_ns > 0,
+                self._has_clock,
                 features.plane,
             )
-            session.registers.enable(False)
-            session.link.reset_stream()
-            plan = session.registers.set_up(_LARGEST_FRAME, _LARGEST_TRANSFER)
+            registers.enable(False)
+            link.reset_stream()
+            plan = registers.set_up(_LARGEST_FRAME, _LARGEST_TRANSFER)
             if sum(plan.payload) < expected.image_bytes:
                 size = f"{expected.width_px} x {expected.height_px} in {pixel_format.name}"
                 raise DeviceError(
                     f"{self._name}: announces frames of {sum(plan.payload)} bytes, but {size} takes "
                     f"{expected.image_bytes}; set its size again"
                 )
-            session.set_locked(True)
-            session.registers.enable(True)
+            _set_locked(features, True)
+            registers.enable(True)
             self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
             self._stream = None
             ahead = self._settings.frames_ahead(features.stated_rate(), expected.image_bytes)
-            transfers = self._transfers(session.link, ahead)
-            self._stream = UsbFrameStream(transfers, plan, expected, session.link)
+            transfers = self._transfers(link, ahead)
+            self._stream = UsbFrameStream(transfers, plan, expected, link)
             self._camera_runs = True
             try:
                 features.execute("AcquisitionStart")
@@ -157,7 +199,7 @@ class Usb3VisionCamera:
         if stream is None:
             raise DeviceError(f"{self._name}: is not started; call start before read")
         try:
-            with self._noticing_loss():
+            with self._translated():
                 return stream.reading.read(timeout_s)
         except TimeoutError:
             raise FrameTimeout(
@@ -173,33 +215,42 @@ class Usb3VisionCamera:
                 self._end_stream()
 
     def _end_stream(self) -> None:
-        stream, session = self._stream, self._session
+        stream, features, channel = self._stream, self._features, self._channel
         if stream is None:
             return
         stream.reading.request_stop()
-        if session is None or not self._camera_runs:
+        if features is None or channel is None or not self._camera_runs:
             stream.reading.stop(_JOIN_S)
             return
         self._camera_runs = False
-        # each step may fail if the camera is unplugged or does not answer; the others are tried nevertheless
-        steps: tuple[Callable[[], None], ...] = (
-            lambda: session.features.execute("AcquisitionStop"),
-            lambda: session.registers.enable(False),
-        )
+        with suppress(CameraLost):
+            self._try_each(
+                lambda: features.execute("AcquisitionStop"),
+                lambda: self._enable(False),
+                within_s=_COMMANDS_S / 2,
+            )
+        stream.reading.stop(_JOIN_S)
+        with suppress(CameraLost):
+            self._try_each(lambda: _set_locked(features, False), within_s=_COMMANDS_S / 2)
+
+    def _enable(self, on: bool) -> None:
+        if self._registers is not None:
+            self._registers.enable(on)
+
+    def _try_each(self, *steps: Callable[[], None], within_s: float | None = None) -> None:
+        """Each step may fail if the camera does not answer; the others are tried nevertheless.
+
+        Raises CameraLost where it is unplugged.
+        """
+        assert self._channel is not None
         for step in steps:
             try:
-                with session.channel.within(_COMMANDS_S / len(steps)):
+                with nullcontext() if within_s is None else self._channel.within(within_s):
                     step()
+            except CameraLost:
+                raise
             except DeviceError as refused:
                 logger.info("%s", refused)
-                if isinstance(refused, CameraLost):
-                    break
-        stream.reading.stop(_JOIN_S)
-        try:
-            with session.channel.within(_COMMANDS_S / 2):
-                session.set_locked(False)
-        except DeviceError as refused:
-            logger.debug("%s", refused)
 
     def close(self) -> None:
         stream = self._stream
@@ -209,13 +260,13 @@ class Usb3VisionCamera:
             if not locked:
                 return  # the call that holds the lock has been told to abort and will release the camera
             self._end_stream()
-            session, self._session, self._channel = self._session, None, None
-            if session is None:
+            link, self._link, self._features, self._channel = self._link, None, None, None
+            if link is None:
                 return
             if stream is None:
-                session.link.release()
+                link.release()
             else:
-                stream.reading.when_ended(session.link.release)  # a handle must not be closed during a read
+                stream.reading.when_ended(link.release)  # a handle must not be closed during a read
 
     # ---- beyond the protocol
 
@@ -228,41 +279,7 @@ class Usb3VisionCamera:
     @property
     def features(self) -> Features:
         """All features of the open camera, for ``rig camera show`` and ``rig camera set``."""
-        return self._opened().features
-
-    def feature_values(self) -> dict[str, FeatureValue]:
-        with self._lock, self._noticing_loss():
-            readings = self._opened().features.nodes.readings()
-            return {
-                one.name: one.value.hex() if isinstance(one.value, bytes) else one.value
-                for one in readings
-                if one.value is not None and not one.problem and one.kind != "Command"
-            }
-
-    def feature_value(self, name: str) -> FeatureValue | None:
-        with self._lock, self._noticing_loss():
-            features = self._opened().features
-            features.nodes.forget()
-            value: FeatureValue | None = features.get_if_readable(name)
-            return value
-
-    # ---- inside
-
-    def _opened(self) -> UsbConnection:
-        if self._session is None:
-            raise DeviceError(f"{self._name}: is not open; call open first")
-        return self._session
-
-    def _running(self) -> bool:
-        return self._stream is not None and not self._stream.reading.stopped
-
-    @contextmanager
-    def _noticing_loss(self) -> Iterator[None]:
-        try:
-            yield
-        except CameraLost:
-            self._was_lost = True
-            raise
+        return self._opened()
 
     @contextmanager
     def _locked_soon(self) -> Iterator[bool]:
@@ -277,3 +294,9 @@ class Usb3VisionCamera:
         finally:
             if locked:
                 self._lock.release()
+
+
+def _set_locked(features: Features, locked: bool) -> None:
+    """Lock or unlock the features that determine the size of frames."""
+    if features.writable("TLParamsLocked"):
+        features.write("TLParamsLocked", int(locked))

@@ -4,9 +4,8 @@ import logging
 from typing import Any, Final
 
 from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
-from acquisition.cameras import wiring
+from acquisition.cameras.genicam import GenicamFeatures, Quantity
 from acquisition.cameras.pixel_formats import names_by_depth
-from acquisition.cameras.preparation import GenicamFeatures, Quantity
 from acquisition.cameras.usb3vision.node_map import NodeMap
 from processing.errors import DeviceError
 
@@ -86,12 +85,18 @@ class Features(GenicamFeatures):
     def write(self, feature: str, value: FeatureValue) -> None:
         self.nodes.set(feature, value)
 
+    def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
+        return {
+            one.name: one.value.hex() if isinstance(one.value, bytes) else one.value
+            for one in self.nodes.readings()
+            if one.value is not None and not one.problem and one.kind != "Command"
+        }
+
     def set_feature(self, name: str, value: FeatureValue) -> None:
         self.set(name, value)
 
-    def apply(self, settings: CameraSettings) -> CameraSettings:
+    def renew(self) -> None:
         self.nodes.forget()
-        return super().apply(settings)
 
     def number(self, key: Quantity) -> float | None:
         if key == "frame_rate_hz" and self.get_if_readable(self.rate_switch) is False:
@@ -116,10 +121,6 @@ class Features(GenicamFeatures):
     @property
     def rate_switch(self) -> str:
         return self.find(super().rate_switch)
-
-    def _read_back(self, settings: CameraSettings) -> CameraSettings:
-        self.nodes.forget()
-        return super()._read_back(settings)
 
     def free_rate(self, possible_hz: float | None) -> float | None:
         return super().free_rate(possible_hz) if self.number("frame_rate_hz") else None
@@ -199,4 +200,4 @@ class Features(GenicamFeatures):
         if "Continuous" in self.choices("AcquisitionMode") and self.writable("AcquisitionMode"):
             self.write("AcquisitionMode", "Continuous")
         if not self.waits:
-            wiring.run_freely(self)
+            self.run_freely()

@@ -343,7 +343,19 @@ class UsbFrameStream:
             return None
         self._misfits = 0
         self._leader = None
-        return self._delivered_frame(leader, host_time_ns)
+        lost: Place = "dropped_by_bus" if self._disturbed else "dropped_by_camera"
+        number = self._numbers.number(leader.block, lost, leader.timestamp)
+        if number is None:
+            return None
+        self._disturbed = False
+        self._trouble_since_s = None
+        self._deviations, self._deviated = self._deviations * self._deviated, False
+        image = wanted.pixel_format.image(
+            self._arrived.whole(), wanted.width_px, wanted.height_px, leader.x_padding
+        )
+        image = plane_of(image, wanted.pixel_format.colours, wanted.plane)
+        image.flags.writeable = False
+        return Frame(image, number, leader.timestamp if wanted.has_clock else -1, host_time_ns)
 
     def _fits(self, leader: Leader) -> bool:
         wanted = self._expected
@@ -360,20 +372,3 @@ class UsbFrameStream:
                 f"its features say {said}. Stop it and set size and format again"
             )
         return False
-
-    def _delivered_frame(self, leader: Leader, host_time_ns: int) -> Frame | None:
-        lost: Place = "dropped_by_bus" if self._disturbed else "dropped_by_camera"
-        number = self._numbers.number(leader.block, lost, leader.timestamp)
-        if number is None:
-            return None
-        self._disturbed = False
-        self._trouble_since_s = None
-        self._deviations, self._deviated = self._deviations * self._deviated, False
-        wanted = self._expected
-        image = wanted.pixel_format.image(
-            self._arrived.whole(), wanted.width_px, wanted.height_px, leader.x_padding
-        )
-        image = plane_of(image, wanted.pixel_format.colours, wanted.plane)
-        image.flags.writeable = False
-        device_time_ns = leader.timestamp if wanted.has_clock else -1
-        return Frame(image, number, device_time_ns, host_time_ns)

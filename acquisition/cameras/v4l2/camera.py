@@ -2,8 +2,6 @@
 
 import sys
 import threading
-from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from acquisition.camera import (
     CameraInfo,
@@ -16,12 +14,10 @@ from acquisition.camera import (
 )
 from acquisition.cameras.drivers import V4l2Settings
 from acquisition.cameras.reading import CameraRun
+from acquisition.cameras.v4l2.devices import VideoDevice
+from acquisition.cameras.v4l2.linux import LinuxSource
+from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError
-
-if TYPE_CHECKING:
-    # Linux alone has its calls
-    from acquisition.cameras.v4l2.devices import VideoDevice
-    from acquisition.cameras.v4l2.linux import LinuxSource
 
 _STOP_S = 0.4
 
@@ -41,14 +37,19 @@ class V4l2Camera:
         self._lock = threading.RLock()
         self._source: LinuxSource | None = None
         self._known: VideoDevice | None = None
-        self._run: _Streaming | None = None
+        self._run: CameraRun | None = None
+        self._numbers = BlockNumbers("video camera", ())
         self._before = CameraStatus()
         self._was_lost = False
 
     def open(self) -> CameraInfo:
+        if sys.platform != "linux":
+            raise DeviceError(
+                "camera.driver = 'v4l2' reads cameras on Linux only; use 'usb3vision' or 'files'"
+            )
         self.close()
         with self._lock:
-            source = _make_source(self._settings, self._known)
+            source = LinuxSource(self._settings, self._known)
             info = source.open()
             self._source, self._known = source, source.found
             return info
@@ -64,19 +65,20 @@ class V4l2Camera:
         with self._lock:
             source = self._opened()
             self._must_not_run("stop it first")
-            if self._run is not None and not self._run.reading.stop(1.0):
+            if self._run is not None and not self._run.stop(1.0):
                 raise DeviceError("video camera: still waits for a frame of the last run; close and open it")
             self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
             self._run = None
+            self._numbers = numbers = BlockNumbers("video camera", ())
             source.start()
-            self._run = _Streaming(source)
+            self._run = CameraRun(lambda timeout_s: source.next(timeout_s, numbers), source.stop)
 
     def read(self, timeout_s: float) -> Frame | None:
         run = self._run
         if run is None:
             raise DeviceError("video camera: is not started; call start before read")
         try:
-            return run.reading.read(timeout_s)
+            return run.read(timeout_s)
         except TimeoutError:
             raise FrameTimeout(
                 f"video camera: no frame within {timeout_s:g} s; is it still plugged in?"
@@ -88,7 +90,7 @@ class V4l2Camera:
     def stop(self) -> None:
         run = self._run
         if run is not None:
-            run.reading.stop(_STOP_S)
+            run.stop(_STOP_S)
 
     def close(self) -> None:
         """Stop and give the device back, at the latest when a read that waits has come to its end."""
@@ -100,13 +102,13 @@ class V4l2Camera:
             if self._run is None:
                 source.close()
             else:
-                self._run.reading.when_ended(source.close)
+                self._run.when_ended(source.close)
 
     @property
     def status(self) -> CameraStatus:
         """Counts since `start`; they go on over a reconnection."""
         run = self._run
-        return self._before if run is None else self._before + run.status
+        return self._before if run is None else self._before + self._numbers.status(run.delivered)
 
     def feature_values(self) -> dict[str, FeatureValue]:
         """All controls of the device that can be read now."""
@@ -116,50 +118,11 @@ class V4l2Camera:
         """Value of one control; None if it cannot be read now."""
         return self.feature_values().get(name)
 
-    def _opened(self) -> "LinuxSource":
+    def _opened(self) -> LinuxSource:
         if self._source is None:
             raise DeviceError("video camera: is not open; call open first")
         return self._source
 
     def _must_not_run(self, remedy: str) -> None:
-        if self._run is not None and not self._run.reading.stopped:
+        if self._run is not None and not self._run.stopped:
             raise DeviceError(f"video camera: is running; {remedy}")
-
-
-class _Streaming:
-    """The frames from one start to the next stop, numbered from 0, and their counts."""
-
-    def __init__(self, source: "LinuxSource") -> None:
-        self._source = source
-        self._last = self._number = -1
-        self._lost = CameraStatus()
-        self.reading = CameraRun(self._step, source.stop)
-
-    @property
-    def status(self) -> CameraStatus:
-        return replace(self._lost, delivered=self.reading.delivered)
-
-    def _step(self, timeout_s: float) -> Frame | None:
-        raw = self._source.next(timeout_s)
-        if raw is None:
-            return None
-        # a driver that counts again, without being opened again, says nothing of what is missing between
-        missing = max(raw.sequence - self._last - 1, 0) if self._number >= 0 else 0
-        self._last = raw.sequence
-        self._number += 1 + missing
-        self._lost += CameraStatus(
-            dropped_by_bus=0 if raw.late else missing,
-            dropped_by_host=missing if raw.late else 0,
-            error_status=int(raw.image is None),
-        )
-        if raw.image is None:
-            return None
-        return Frame(raw.image, self._number, raw.device_time_ns, raw.host_time_ns)
-
-
-def _make_source(settings: V4l2Settings, known: "VideoDevice | None") -> "LinuxSource":
-    if sys.platform != "linux":
-        raise DeviceError("camera.driver = 'v4l2' reads cameras on Linux only; use 'usb3vision' or 'files'")
-    from acquisition.cameras.v4l2.linux import LinuxSource
-
-    return LinuxSource(settings, known)

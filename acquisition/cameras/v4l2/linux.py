@@ -8,7 +8,6 @@ import os
 import re
 import select
 import time
-from typing import NamedTuple
 
 from acquisition.camera import (
     BITS_OF_FORMAT,
@@ -17,7 +16,7 @@ from acquisition.camera import (
     CameraSettings,
     ColourPlane,
     FeatureValue,
-    Image,
+    Frame,
     PixelFormat,
     without_wires,
 )
@@ -35,24 +34,11 @@ from acquisition.cameras.v4l2.devices import (
     refusal,
     to_image,
 )
+from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError
 
 _FEWEST_BUFFERS, _MOST_BUFFERS = 4, 32
 _EXPOSURE_STEP_US = 100.0  # the kernel's unit of V4L2_CID_EXPOSURE_ABSOLUTE
-
-
-class RawFrame(NamedTuple):
-    """One frame; `host_time_ns` is on the host's monotonic clock.
-
-    `image` is None if the driver reports a damaged frame. `late`: frames that are missing before this one
-    were lost because earlier ones were not fetched in time.
-    """
-
-    image: Image | None
-    sequence: int
-    device_time_ns: int
-    host_time_ns: int
-    late: bool = False
 
 
 class LinuxSource:
@@ -70,6 +56,7 @@ class LinuxSource:
         self._maps: list[mmap.mmap] = []
         self._started_ns = 0
         self._last_ns = 0
+        self._last_sequence: int | None = None
         self._queued_ns: list[int] = []
         self._bounds: kernel.Rectangle | None = None
         self._plane: ColourPlane | None = None
@@ -145,7 +132,7 @@ class LinuxSource:
                 )
                 kernel.queue(self._device, index)
             self._started_ns = self._last_ns = time.monotonic_ns()
-            self._queued_ns = [0] * count
+            self._last_sequence, self._queued_ns = None, [0] * count
             kernel.stream(self._device, True)
         except OSError as error:
             self.stop()
@@ -157,8 +144,8 @@ class LinuxSource:
         frame_bytes = image_bytes(self._layout)
         return kept_frames(self._settings.buffers, known_hz, frame_bytes, _FEWEST_BUFFERS, _MOST_BUFFERS)
 
-    def next(self, timeout_s: float) -> RawFrame | None:
-        """The next frame, copied; its buffer is returned to the driver immediately.
+    def next(self, timeout_s: float, numbers: BlockNumbers) -> Frame | None:
+        """The next frame, copied, with the number that `numbers` gives it; None where there is no whole one.
 
         The driver fills buffers in the order in which it received them. If it received the one of this
         frame only after the frame before had arrived, it had none for the frames in between.
@@ -186,7 +173,15 @@ class LinuxSource:
             raise self._failure(error) from None
         if stale:
             return None
-        return RawFrame(image, filled.sequence, filled.time_ns, host_time_ns, late)
+        if image is None:
+            numbers.lost_parts += 1
+            numbers.faulty += 1
+            return None
+        # a driver that gives all the same number does not count
+        block = None if filled.sequence == self._last_sequence else filled.sequence
+        self._last_sequence = filled.sequence
+        number = numbers.number(block, "dropped_by_host" if late else "dropped_by_bus")
+        return None if number is None else Frame(image, number, filled.time_ns, host_time_ns)
 
     def stop(self) -> None:
         """Stop the stream and free the buffers; errors of an unplugged device are ignored."""

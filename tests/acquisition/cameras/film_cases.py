@@ -164,7 +164,6 @@ def _layouts() -> list[Case]:
     return [
         *found,
         Case("gif", gif),
-        Case("apng", Film("apng", "apng", "gray")),
         Case("full range", Film("ffv1", "mkv", "yuv420p", full_range=True)),
         Case("colour, nothing stated", hue),
         Case("colour, brightness", hue, stated={"colour": "brightness"}),

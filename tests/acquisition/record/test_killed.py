@@ -117,11 +117,5 @@ def kill_at(writers: Writers, folder: Path, moments_s: np.ndarray) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is of POSIX systems")
-def test_killed_at_ten_moments(writers: Writers, tmp_path: Path) -> None:
-    kill_at(writers, tmp_path, np.random.default_rng(1).uniform(0.0, 3.0, 10))
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is of POSIX systems")
 def test_killed_at_thirty_moments(writers: Writers, tmp_path: Path) -> None:
     kill_at(writers, tmp_path, np.random.default_rng(2).uniform(0.0, 3.0, 30))

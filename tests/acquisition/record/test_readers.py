@@ -102,7 +102,9 @@ def previewed(record: Path) -> list[np.ndarray[Any, Any]]:
     with RecordReader(record) as reader:
         (number,) = (n for n, topic in enumerate(PIXEL_TOPICS, 1) if topic == PREVIEW_TOPIC)
         (pixels,) = reader.files[1:]
-        kept = [m.sequence for chunk in pixels.by_chunk(messages_in, number) for m in chunk]
+        kept = [
+            m.sequence for data in pixels.chunks_with(number) for m in messages_in(data, frozenset({number}))
+        ]
         shown = {frame.sequence: frame.image for frame in reader.images()}
         return [shown[sequence] for sequence in kept]
 

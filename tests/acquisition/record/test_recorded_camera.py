@@ -32,17 +32,3 @@ def test_what_is_written_is_read_as_the_same_values(
 def test_a_record_that_says_nothing_is_no_camera_without_a_clock() -> None:
     assert RecordedCamera.of({}) == RecordedCamera(False, None, ShutterKind.UNKNOWN)
     assert RecordedCamera.of({"camera": {"has_clock": "perhaps"}}).has_clock is None
-
-
-def test_the_metadata_are_spelled_as_earlier_records_have_them() -> None:
-    assert camera_metadata(INFO)["camera"] == {
-        "driver": "v4l2",
-        "vendor": "Maker",
-        "model": "Model",
-        "serial": "7",
-        "width_px": "640",
-        "height_px": "480",
-        "full_scale_dn": "255",
-        "has_clock": "True",
-        "shutter": "",
-    }

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
+from acquisition.record.codec import decode_window, encode_window
 from acquisition.record.events import Event
-from acquisition.record.pixels import PixelEncoder, decode_window
 from acquisition.record.reader import RecordReader
 from acquisition.record.schemas import MessageType, message_type_of
 from acquisition.record.topics import (
@@ -114,7 +114,7 @@ def test_any_bytes_decode_or_raise_value_error(data: bytes) -> None:
 @settings(max_examples=100, deadline=None)
 def test_pixels_come_back(image: np.ndarray, origin: tuple[int, int], transposed: bool) -> None:
     image = image.T if transposed else image
-    window = decode_window(WINDOW, PixelEncoder().encode(7, 8, image, *origin))
+    window = decode_window(WINDOW, encode_window(7, 8, image, *origin))
     assert (window.sequence, window.time_ns, window.origin_px) == (7, 8, origin)
     assert window.image.dtype == image.dtype
     np.testing.assert_array_equal(window.image, image)

@@ -9,7 +9,7 @@ import pytest
 
 from acquisition.record import mcap_file
 from acquisition.record.check import check_record
-from acquisition.record.mcap_file import BackgroundSync, Reserve
+from acquisition.record.mcap_file import Reserve
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from processing.errors import RecordError
@@ -71,8 +71,8 @@ def test_writing_does_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.
     go_on.set()
     writer.close()
     assert kinds(path) == ["a", *["b"] * 20]
-    # the one under way, one for all that came meanwhile, and two of closing
-    assert len(forced) == 4
+    # the one under way, and two of closing, which force what came meanwhile
+    assert len(forced) == 3
 
 
 def test_what_fails_behind_ones_back_is_said_by_the_next_flush(
@@ -125,7 +125,7 @@ def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytes
 
     monkeypatch.setattr(Reserve, "hold", full)
     monkeypatch.setattr(mcap_file, "_SPARE_BYTES", 10**6)
-    written_after_a_second(writer, clock, "a")
+    writer.write_event(0, "a", "")
     with pytest.raises(RecordError, match=r"No space left on device; the record is closed and readable$"):
         write_until_it_fails(writer, clock)
     first, *between, record, failed, stop = kinds(path)
@@ -133,26 +133,11 @@ def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytes
     assert not [finding for finding in check_record(path) if finding.severity == "error"]
 
 
-def test_requests_that_come_meanwhile_are_one_and_are_not_forgotten() -> None:
-    begun, go_on = threading.Semaphore(0), threading.Semaphore(0)
-    done: list[int] = []
-
-    def action() -> None:
-        begun.release()
-        assert go_on.acquire(timeout=DEADLINE_S)
-        done.append(len(done))
-
-    background = BackgroundSync(action)
-    background.request()
-    assert begun.acquire(timeout=DEADLINE_S)
-    for _ in range(5):
-        background.request()
-    go_on.release(2)
-    background.wait()
-    assert done == [0, 1]
-    background.wait()
-    background.request()
-    go_on.release()
-    background.wait()
-    assert done == [0, 1, 2]
-    assert background.take_failure() is None
+def test_a_record_that_is_removed_while_it_is_written_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    writer = RecordWriter(path, 0)
+    writer.write_event(0, "a", "")
+    path.unlink()
+    with pytest.raises(RecordError, match="removed or renamed while it was written"):
+        writer.flush()
+    writer.close()

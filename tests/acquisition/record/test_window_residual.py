@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from acquisition.record.pixels import PixelEncoder, decode_window
+from acquisition.record.codec import decode_window, encode_window
 from acquisition.record.topics import WINDOW
 from processing.spot import Spot
 
@@ -62,7 +62,7 @@ def spot(
 def test_pixels_come_back_whatever_the_spot_is(
     image: np.ndarray[Any, Any], origin: tuple[int, int], spot: Spot
 ) -> None:
-    window = decode_window(WINDOW, PixelEncoder().encode(7, 8, image, *origin, spot))
+    window = decode_window(WINDOW, encode_window(7, 8, image, *origin, spot))
     assert (window.sequence, window.time_ns, window.origin_px) == (7, 8, origin)
     assert window.image.dtype == image.dtype
     np.testing.assert_array_equal(window.image, image)
@@ -72,7 +72,7 @@ def test_pixels_come_back_whatever_the_spot_is(
 def test_a_spot_comes_back_by_the_rule_of_the_documents(dtype: str, scale: float) -> None:
     """docs/reference/record.md in plain Python, one pixel after the other."""
     image = shot_noise(spot(1, scale=scale), 1, dtype, scale)
-    stored = field(PixelEncoder().encode(1, 2, image, 100, 200, spot(1, scale=scale)))
+    stored = field(encode_window(1, 2, image, 100, 200, spot(1, scale=scale)))
     table = [round(4096 * math.exp(-i / 512)) for i in range(9216)] + [0]
     planes, width, height = stored["bit_planes"], stored["width_px"], stored["height_px"]
     assert 0 < planes < 8 * image.itemsize
@@ -98,8 +98,7 @@ def test_an_upright_spot_takes_much_less_room(dtype: str, scale: float, at_most:
     images = [shot_noise(spot, seed, dtype, scale) for seed, spot in enumerate(spots)]
     whole, rest = (
         b"".join(
-            PixelEncoder().encode(0, 0, image, 100, 200, known)
-            for image, known in zip(images, given, strict=True)
+            encode_window(0, 0, image, 100, 200, known) for image, known in zip(images, given, strict=True)
         )
         for given in ([None] * 60, spots)
     )
@@ -110,6 +109,6 @@ def test_an_upright_spot_takes_much_less_room(dtype: str, scale: float, at_most:
 def test_a_tilted_spot_is_stored_as_it_is() -> None:
     tilted = spot(3, (4.0, 8.0), 0.7)
     image = shot_noise(tilted, 3)
-    stored = field(PixelEncoder().encode(1, 2, image, 100, 200, tilted))
+    stored = field(encode_window(1, 2, image, 100, 200, tilted))
     assert (stored["bit_planes"], stored["model_inverse_x"]) == (0, 0)
     assert stored["pixels"] == image.tobytes()

@@ -12,9 +12,8 @@ from scipy.signal import welch
 from scipy.stats import chi2
 
 from acquisition.simulation.ground import FAST, SLOW, GroundMotion, acceleration_density, ground_of
-from acquisition.simulation.ground_settings import GroundTruth
 from acquisition.simulation.motion import motions
-from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
+from acquisition.simulation.settings import ARCSEC_RAD, GroundTruth, SimulationSettings
 from acquisition.simulation.smooth_series import BLOCK_KNOTS, SmoothSeries
 from acquisition.simulation.true_path import true_path, true_turning_points
 from processing.errors import ConfigurationError

@@ -48,22 +48,8 @@ def test_demonstration_is_what_it_is_said_to_be() -> None:
 
 def test_every_setting_says_its_unit_or_what_it_is() -> None:
     def bare(model: type[BaseModel]) -> list[str]:
-        units = (
-            "_s",
-            "_rad",
-            "_px",
-            "_m",
-            "_kg",
-            "_e",
-            "_dn",
-            "_pa",
-            "_arcsec",
-            "_us",
-            "_hz",
-            "_ppm",
-            "_min",
-            "_s2",
-        )
+        ends = "s rad px m kg e dn pa arcsec us hz ppm min s2"
+        units = tuple(f"_{end}" for end in ends.split())
         found = []
         for name, field in model.model_fields.items():
             if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.simulation.seismometer import SimulatedSeismometer
+from acquisition.simulation.ground import SimulatedSeismometer
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path
 from processing.arrays import Floats

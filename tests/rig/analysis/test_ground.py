@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from acquisition.simulation.ground_settings import GroundTruth
+from acquisition.simulation.settings import GroundTruth
 from processing.estimate import Estimate
 from processing.fit import fit_exact
 from rig.analysis.contact_verdicts import base_motion, fit_results

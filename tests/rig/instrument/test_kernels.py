@@ -18,7 +18,7 @@ import gc, json, sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from acquisition.camera import Frame
-from acquisition.record.pixels import PixelEncoder
+from acquisition.record.codec import encode_window
 from calibration.axes_fit import Axes
 from processing.spot import SensorModel, SpotTracker
 from rig.instrument.provenance import prepare_kernels
@@ -52,7 +52,7 @@ for start in range(0, len(frames), 50):
     block = pipeline.process(frames[start : start + 50])
     swings += len(block.swings)
     for frame, spot in zip(frames[start : start + 50], block.spots):
-        PixelEncoder().encode(0, 0, frame.image[10:-10, 40:-40].copy(), 40, 10, spot)
+        encode_window(0, 0, frame.image[10:-10, 40:-40].copy(), 40, 10, spot)
 swings += len(pipeline.finish())
 print(json.dumps([swings, len(before), [name for name in compiled() if name not in before]]))
 """

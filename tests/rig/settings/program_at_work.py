@@ -10,8 +10,8 @@ import pytest
 
 from acquisition.camera import CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
+from acquisition.simulation.ground import SimulatedSeismometer
 from acquisition.simulation.inputs import FaultSettings, RigInputs
-from acquisition.simulation.seismometer import SimulatedSeismometer
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
 from processing.errors import RigError

@@ -25,7 +25,7 @@ from tests.acquisition.cameras.usb3vision.device import (
 WITHOUT_GENICAM = "USB3 Vision cameras need genicam: pip install '.[usb3vision]'"
 
 # Fields of the descriptors, in order
-DEVICE_FIELDS = (
+DEVICE_FIELDS = [
     "bLength",
     "bDescriptorType",
     "bcdUSB",
@@ -40,8 +40,8 @@ DEVICE_FIELDS = (
     "iProduct",
     "iSerialNumber",
     "bNumConfigurations",
-)
-CONFIGURATION_FIELDS = (
+]
+CONFIGURATION_FIELDS = [
     "bLength",
     "bDescriptorType",
     "wTotalLength",
@@ -50,8 +50,8 @@ CONFIGURATION_FIELDS = (
     "iConfiguration",
     "bmAttributes",
     "bMaxPower",
-)
-INTERFACE_FIELDS = (
+]
+INTERFACE_FIELDS = [
     "bLength",
     "bDescriptorType",
     "bInterfaceNumber",
@@ -61,15 +61,15 @@ INTERFACE_FIELDS = (
     "bInterfaceSubClass",
     "bInterfaceProtocol",
     "iInterface",
-)
-ENDPOINT_FIELDS = (
+]
+ENDPOINT_FIELDS = [
     "bLength",
     "bDescriptorType",
     "bEndpointAddress",
     "bmAttributes",
     "wMaxPacketSize",
     "bInterval",
-)
+]
 
 
 def _usb_error(error: Exception) -> usb.core.USBError:

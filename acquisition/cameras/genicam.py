@@ -1,0 +1,484 @@
+"""What the drivers of GenICam cameras do alike, whichever library reads their features.
+
+Names are those of the Standard Feature Naming Convention (SFNC) and of older cameras.
+"""
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Final, Generic, Literal, TypeVar
+
+from acquisition.camera import (
+    CLOCK_STATES,
+    CameraLost,
+    CameraSettings,
+    CameraStatus,
+    ColourPlane,
+    Edge,
+    FeatureValue,
+    PixelFormat,
+)
+from acquisition.cameras.pixel_formats import (
+    Format,
+    format_of,
+    in_plane_px,
+    in_sensor_px,
+    names_by_depth,
+    preferred_names,
+)
+from acquisition.frames.losses import BlockNumbers
+from processing.errors import DeviceError
+
+Quantity = Literal["exposure_us", "gain_db", "frame_rate_hz"]
+
+_KEPT: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
+"""Settings that stay as they were asked for before where they are left out."""
+_FRAME_TRIGGERS: Final = ("FrameStart", "ExposureStart", "AcquisitionStart")
+_EDGES: Final[dict[Edge, str]] = {"rising": "RisingEdge", "falling": "FallingEdge"}
+_EXPOSURE: Final = "ExposureActive"
+_PTP: Final = ("PtpEnable", "GevIEEE1588")
+_PTP_LATCHES: Final = ("PtpDataSetLatch", "GevIEEE1588DataSetLatch")
+_BINNING: Final = ("BinningHorizontal", "BinningVertical")
+_DECIMATION: Final = ("DecimationHorizontal", "DecimationVertical")
+_AUTOMATIC: Final = (
+    "ExposureAuto",
+    "GainAuto",
+    "BalanceWhiteAuto",
+    "BlackLevelAuto",
+    "GammaAuto",
+    "AutoExposureControl",
+)
+"""Enumerations that are set to "Off", in this order."""
+_BENDING: Final = ("GammaEnable", "GammaEnabled", "LUTEnable", "SharpnessEnable", "SharpeningEnable")
+"""Switches that make DN no longer proportional to light; set to false."""
+_RESULTING_RATES: Final = (
+    "AcquisitionResultingFrameRate",
+    "ResultingFrameRate",
+    "ResultingFrameRateAbs",
+    "AcquisitionResultingFrameRateAbs",
+)
+"""Frames per second that exposure, size and bus leave, by what different makers call it."""
+
+
+class GenicamFeatures(ABC):
+    """Features of an open camera that the rig uses; each driver says how its library reads and sets them.
+
+    Methods raise DeviceError for values that the camera does not support; errors of the driver's library are
+    passed on.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._asked = CameraSettings()
+
+    @property
+    def plane(self) -> ColourPlane | None:
+        """The colour that is read, of a sensor with a Bayer mosaic."""
+        return self._asked.colour_plane
+
+    @property
+    def rate_switch(self) -> str:
+        """Switch without which a frame rate has no effect."""
+        return "AcquisitionFrameRateEnable"
+
+    @property
+    def waits(self) -> bool:
+        """Whether the camera shall wait for a trigger, by the rig's setting of it or by its own features."""
+        return self._asked.trigger is not None or any("Trigger" in name for name in self._asked.features)
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Apply the settings that are not None, in the order that cameras require; return all as read back.
+
+        Wiring, binning and colour that they leave out stay as they were asked for before.
+        """
+        self.renew()
+        self._leave_images_alone()
+        kept = {name: getattr(self._asked, name) for name in _KEPT if getattr(settings, name) is None}
+        asked = settings.model_copy(update=kept)
+        self._set_binning(asked.binning or 1)
+        self._wire(asked)
+        self._asked, settings = asked, in_sensor_px(asked)
+        self.set_format(settings.pixel_format)
+        self.set_region(settings)
+        self._set_times(settings)
+        if settings.gain_db is not None:
+            self.set_number("gain_db", settings.gain_db)
+        for name, value in settings.features.items():
+            self.set_feature(name, value)
+        self.renew()
+        return self._read_back(settings)
+
+    # ---- what a driver says
+
+    @abstractmethod
+    def writable(self, feature: str) -> bool:
+        """Whether the camera has the feature and it can be set now."""
+
+    @abstractmethod
+    def choices(self, feature: str) -> tuple[str, ...]:
+        """Values that an enumeration takes now; none for other features."""
+
+    @abstractmethod
+    def read(self, feature: str) -> FeatureValue | None:
+        """Value of a feature, possibly as text; None if the camera has none of this name or it is not
+        readable now.
+        """
+
+    @abstractmethod
+    def write(self, feature: str, value: FeatureValue) -> None:
+        """Set a feature; of a command, any value runs it."""
+
+    def renew(self) -> None:  # noqa: B027 most libraries keep nothing
+        """From here on read everything from the camera again."""
+
+    @abstractmethod
+    def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
+        """All features that can be read now; `error` is raised by the library for those that cannot."""
+
+    @abstractmethod
+    def number(self, key: Quantity) -> float | None:
+        """A quantity's present value; None where the camera has none, or none in use."""
+
+    @abstractmethod
+    def set_number(self, key: Quantity, wanted: float) -> None:
+        """Set a quantity; DeviceError if the camera has none, or not this value."""
+
+    @abstractmethod
+    def region(self) -> tuple[int | None, int | None, int, int]:
+        """(x, y, width, height) of the frames, in pixels of the sensor."""
+
+    @abstractmethod
+    def set_region(self, asked: CameraSettings) -> None:
+        """Set what is asked of the region, and leave the rest of it."""
+
+    @abstractmethod
+    def format_name(self) -> str:
+        """The camera's name of its present pixel format."""
+
+    @abstractmethod
+    def offered_formats(self) -> Iterable[str]:
+        """The names of the pixel formats that it offers now, and that the driver can read."""
+
+    @abstractmethod
+    def set_format_name(self, name: str) -> None:
+        """Set one of them."""
+
+    def set_feature(self, name: str, value: FeatureValue) -> None:
+        """Set a feature that the user names."""
+        self.write(name, value)
+
+    def shown(self, name: str) -> FeatureValue:
+        """What a feature that the user names is now; empty if it cannot be read."""
+        value = self.read(name)
+        return "" if value is None else value
+
+    def possible_rate(self) -> float | None:
+        """Frames per second that exposure, size and bus leave, if the camera says it."""
+        rates_hz = (float(self.read(name) or 0) for name in _RESULTING_RATES)
+        return next(filter(None, rates_hz), None)
+
+    def stated_rate(self) -> float | None:
+        """Frames per second that may come, with a trigger too; None if the camera says nothing of it."""
+        return min(filter(None, (self.number("frame_rate_hz"), self.possible_rate())), default=None)
+
+    def free_rate(self, possible_hz: float | None) -> float | None:
+        """Frames per second without a trigger."""
+        return min(filter(None, (self.number("frame_rate_hz"), possible_hz)), default=None)
+
+    # ---- pixel formats
+
+    def present_format(self) -> Format | None:
+        """The present pixel format; None if the rig does not support it."""
+        return format_of(self.format_name(), self.plane)
+
+    def pixel_format(self) -> Format:
+        """The present pixel format; DeviceError if the rig does not support it."""
+        found = self.present_format()
+        if found is not None:
+            return found
+        mosaic = not self.plane and format_of(self.format_name(), "red") is not None
+        raise DeviceError(
+            f"{self.name}: pixel format {self.format_name()} is not supported; "
+            f"set one of: {self.usable_depths()}"
+            + (", or camera.colour_plane to the laser's colour" if mosaic else "")
+        )
+
+    def usable_depths(self) -> str:
+        """The depths that the camera offers, for a message."""
+        there = names_by_depth(set(self.offered_formats()), self.plane)
+        return ", ".join(there) or "none that this camera has"
+
+    def choose_usable_format(self) -> Format:
+        """Keep the present pixel format if the rig supports it, of a mosaic, too; otherwise set the first
+        supported one.
+        """
+        mosaic = format_of(self.format_name(), "red")
+        if mosaic is None:
+            self.set_format(None)
+        return mosaic or self.pixel_format()
+
+    def set_format(self, wanted: PixelFormat | None) -> None:
+        """Set a format of this depth; without one the first that is supported, unless the present one is."""
+        if wanted is None and self.present_format() is not None:
+            return
+        there = preferred_names(self.name, self.offered_formats(), self.plane)
+        wanted = wanted or next(iter(there))
+        if wanted not in there:
+            raise DeviceError(
+                f"{self.name}: pixel format {wanted} is not supported; there are {', '.join(there)}"
+            )
+        self.set_format_name(there[wanted])
+
+    # ---- wiring
+
+    def run_freely(self) -> None:
+        """Switch all triggers off."""
+        selectors = self.choices("TriggerSelector") if self.writable("TriggerSelector") else ()
+        before = self.read("TriggerSelector") if selectors else None
+        for selector in selectors or ("",):
+            if selector:
+                self.write("TriggerSelector", selector)
+            if self.writable("TriggerMode") and self.read("TriggerMode") != "Off":
+                self.write("TriggerMode", "Off")
+        if before is not None:
+            self.write("TriggerSelector", before)
+
+    def latch_clock_state(self) -> None:
+        """Have the camera renew its `CLOCK_STATES`, which some do on command only."""
+        if latch := next(filter(self.writable, _PTP_LATCHES), ""):
+            self.write(latch, True)
+
+    def _choose(self, feature: str, wanted: str, key: str) -> None:
+        """Set an enumeration for ``camera.KEY``; DeviceError with what the camera offers, if not this
+        value.
+        """
+        if not self.writable(feature):
+            raise DeviceError(f"{self.name}: has no {feature} that can be set; leave camera.{key} out")
+        offered = self.choices(feature)
+        if wanted not in offered:
+            there = ", ".join(offered)
+            raise DeviceError(
+                f"{self.name}: camera.{key}: its {feature} cannot be {wanted}; it can be {there}"
+            )
+        self.write(feature, wanted)
+
+    def _choose_if_possible(self, feature: str, wanted: str) -> None:
+        """Set an enumeration where the camera has it, it can be set and takes this value."""
+        if wanted in self.choices(feature) and self.writable(feature):
+            self.write(feature, wanted)
+
+    def _wire(self, settings: CameraSettings) -> None:
+        """Set trigger, exposure output and network clock; without a trigger the camera runs freely."""
+        self.run_freely()
+        if settings.trigger is not None:
+            offered = self.choices("TriggerSelector")
+            selector = next((name for name in _FRAME_TRIGGERS if name in offered), None)
+            if selector is not None and self.writable("TriggerSelector"):
+                self.write("TriggerSelector", selector)
+            self._choose("TriggerSource", settings.trigger, "trigger")
+            self._choose_if_possible("TriggerActivation", _EDGES[settings.trigger_edge or "rising"])
+            self._choose("TriggerMode", "On", "trigger")
+        if settings.exposure_output is not None:
+            self._choose("LineSelector", settings.exposure_output, "exposure_output")
+            self._choose_if_possible("LineMode", "Output")
+            self._choose("LineSource", _EXPOSURE, "exposure_output")
+        if settings.ptp is not None:
+            switch = next(filter(self.writable, _PTP), "")
+            if switch:
+                self.write(switch, settings.ptp)
+            elif settings.ptp:
+                raise DeviceError(f"{self.name}: has no {_PTP[0]}; leave camera.ptp out")
+
+    def _wired(self, settings: CameraSettings) -> dict[str, str | bool]:
+        """What the camera says of its wiring, by the settings' names, as far as `settings` ask for it."""
+        found: dict[str, str | bool] = {}
+        if settings.trigger is not None and self.read("TriggerMode") == "On":
+            found["trigger"] = str(self.read("TriggerSource"))
+            for edge, name in _EDGES.items():
+                if self.read("TriggerActivation") == name:
+                    found["trigger_edge"] = edge
+        if settings.exposure_output is not None and self.read("LineSource") == _EXPOSURE:
+            found["exposure_output"] = str(self.read("LineSelector"))
+        if settings.ptp is not None:
+            found["ptp"] = any(_is_on(self.read(name)) for name in _PTP)
+        return found
+
+    # ---- inside
+
+    def _leave_images_alone(self) -> None:
+        """Switch off what the camera does by itself to its images, which another program may have left on;
+        the exposure is as long as it is set.
+        """
+        for name in _AUTOMATIC:
+            self._choose_if_possible(name, "Off")
+        for name in _BENDING:
+            if self.writable(name) and _is_on(self.read(name)):
+                self.write(name, False)
+        self._choose_if_possible("ExposureMode", "Timed")
+
+    def _set_binning(self, binning: int) -> None:
+        """Combine this many pixels in each direction, leave none out; 1 undoes what another program set."""
+        wanted = dict.fromkeys(_BINNING, binning) | dict.fromkeys(_DECIMATION, 1)
+        for name, value in wanted.items():
+            now = self.read(name)
+            if now is None and value == 1:
+                continue
+            if now is None:
+                raise DeviceError(f"{self.name}: has no {name}; leave camera.binning out")
+            if float(now) != value:
+                if self.writable(name):
+                    self.write(name, value)
+                got = self.read(name)
+                if got is None or float(got) != value:
+                    raise DeviceError(
+                        f"{self.name}: {name} = {value} was requested, the camera reports {got}; "
+                        "set camera.binning to what it can do"
+                    )
+
+    def _set_times(self, settings: CameraSettings) -> None:
+        """Set exposure and frame rate in the order in which they fit: each limits the other.
+
+        A trigger alone decides when frames are taken.
+        """
+        exposure_us, rate_hz = settings.exposure_us, settings.frame_rate_hz
+        if settings.trigger is not None:
+            rate_hz = None
+            if self.writable(self.rate_switch):
+                self.write(self.rate_switch, False)
+        now_us = None if exposure_us is None else self.number("exposure_us")
+        wanted: list[tuple[Quantity, float | None]] = [
+            ("exposure_us", exposure_us),
+            ("frame_rate_hz", rate_hz),
+        ]
+        if exposure_us is not None and now_us is not None and exposure_us > now_us:
+            wanted.reverse()
+        for key, value in wanted:
+            if value is not None:
+                self.set_number(key, value)
+
+    def _read_back(self, settings: CameraSettings) -> CameraSettings:
+        """The camera's present settings, in pixels of the colour plane; None for what it does not have."""
+        possible_hz = self.possible_rate()
+        # a triggered camera is expected to be triggered at the rate that was asked for
+        triggered_hz = min(filter(None, (settings.frame_rate_hz, possible_hz)), default=None)
+        x, y, width_px, height_px = self.region()
+        applied = CameraSettings(
+            exposure_us=self.number("exposure_us") or None,
+            gain_db=self.number("gain_db"),
+            frame_rate_hz=self.free_rate(possible_hz) if settings.trigger is None else triggered_hz,
+            pixel_format=self.pixel_format().pixel_format,
+            binning=None if (binned := self.read(_BINNING[0])) is None else round(float(binned)),
+            width_px=width_px,
+            height_px=height_px,
+            offset_x_px=x,
+            offset_y_px=y,
+            features={name: self.shown(name) for name in settings.features},
+        )
+        return in_plane_px(applied.model_copy(update=self._wired(settings)), settings.colour_plane)
+
+    def _check(self, key: str, wanted: float, low: float, high: float) -> None:
+        if not low <= wanted <= high:
+            raise DeviceError(
+                f"{self.name}: {key} = {wanted:g} is out of range; {low:g} to {high:g} are possible"
+            )
+
+    def _check_end(self, key: str, end: int, size: int) -> None:
+        if end > size:
+            raise DeviceError(f"{self.name}: {key} with its offset reaches {end}; the sensor has {size}")
+
+
+def _is_on(value: FeatureValue | None) -> bool:
+    """Whether a switch is on, whichever way its library says so."""
+    return str(value).lower() in ("true", "1", "on")
+
+
+_Features = TypeVar("_Features", bound=GenicamFeatures)
+
+
+class GenicamCamera(ABC, Generic[_Features]):
+    """What the drivers' cameras have alike: settings, features by name, counts over a reconnection.
+
+    `_features` are those of the open camera; a driver sets it, `_name` and `_numbers`.
+    """
+
+    _HINT = ""
+    """What a message of the library is followed by."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._lock = threading.RLock()
+        self._features: _Features | None = None
+        self._numbers = BlockNumbers(name, ())
+        self._before = CameraStatus()
+        self._was_lost = False
+
+    @abstractmethod
+    def _is_running(self) -> bool:
+        """Whether frames are delivered."""
+
+    def _library_error(self) -> type[Exception]:
+        """What the library raises."""
+        return DeviceError
+
+    def _is_gone(self) -> bool:
+        """Whether the library says that the camera is no longer connected."""
+        return False
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        with self._lock, self._translated():
+            features = self._opened()
+            if self._is_running():
+                raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
+            return features.apply(settings)
+
+    def feature_values(self) -> dict[str, FeatureValue]:
+        with self._lock, self._translated():
+            features = self._opened()
+            features.latch_clock_state()
+            return features.values(self._library_error())
+
+    def feature_value(self, name: str) -> FeatureValue | None:
+        with self._lock, self._translated():
+            features = self._opened()
+            features.renew()
+            if name in CLOCK_STATES:
+                features.latch_clock_state()
+            return features.read(name)
+
+    @property
+    def status(self) -> CameraStatus:
+        """Counts since `start`, continued after a reconnection."""
+        return self._before + self._numbers.status(self._numbers.whole)
+
+    def _begin(self, counters: tuple[int, ...], *, has_clock: bool = False) -> BlockNumbers:
+        """Count anew, or on after a loss of the camera; see `BlockNumbers`."""
+        self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+        self._numbers = BlockNumbers(self._name, counters, has_clock=has_clock)
+        return self._numbers
+
+    def _opened(self) -> _Features:
+        if self._features is None:
+            raise DeviceError(f"{self._name}: is not open; call open first")
+        return self._features
+
+    def _must_be_idle(self) -> None:
+        if self._is_running():
+            raise DeviceError(f"{self._name}: is running already; stop it first")
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Convert the library's errors into DeviceError, those of an unplugged camera into CameraLost."""
+        try:
+            yield
+        except DeviceError as error:
+            self._was_lost = self._was_lost or isinstance(error, CameraLost)
+            raise
+        except Exception as error:
+            if not isinstance(error, self._library_error()):
+                raise
+            text = " ".join(str(getattr(error, "message", error)).split())
+            if self._is_gone():
+                self._was_lost = True
+                raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
+            raise DeviceError(f"{self._name}: {text}{self._HINT}") from None
