@@ -14,7 +14,7 @@ from processing.envelope import unsigned_period_s
 from processing.errors import ConfigurationError, DataError
 from processing.swing import HalfCycle, turning_points
 from processing.units import conversion, seconds
-from rig.intake.cell_text import MOMENT, is_missing
+from rig.intake.cell_text import is_missing
 from rig.intake.times import likely_units, number
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.intake.units import NOT_STATED_TIME, TIME_UNITS
@@ -32,9 +32,6 @@ _DAYS: Final = (30_000.0, 60_000.0)
 _DAY_NS: Final = 86_400_000_000_000
 SPREADSHEET_ZERO_NS: Final = 25_569 * _DAY_NS
 """1970 on the clock of a spreadsheet."""
-_HOUR_S: Final = 3600.0
-_JUMP: Final = 0.7
-"""Of the range of a position, that no swing goes from one sample to the next while others are far smaller."""
 _FEWEST_JUMPS: Final = 4
 _FEWEST_CUT: Final = 3
 """Rows that stay at the largest value where a sensor cuts it off."""
@@ -82,33 +79,18 @@ def judge_size(path: Path, unit: str, table: NDArray[np.float64]) -> None:
         )
 
 
-def unwrapped(
-    path: Path, name: str, unit: str, values: NDArray[np.float64], lines: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], int]:
-    """An angle that was counted round a turn without its jumps, and how many there were.
-
-    Raises ConfigurationError for jumps of another size against the motion, as a turn in another unit has.
-    """
+def unwrapped(unit: str, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    """An angle (n,) that was counted round a turn without its jumps, and how many there were."""
     known = np.flatnonzero(np.isfinite(values))
-    steps = np.diff(values[known])
-    span = float(np.ptp(values[known])) if len(known) else 0.0
-    turn = conversion("rad", unit) * 2.0 * math.pi if unit in ANGLES else math.inf
-    if span <= 1.001 * turn < math.inf and (count := int(np.count_nonzero(np.abs(steps) > 0.5 * turn))):
-        found = values.copy()
-        found[known] = np.unwrap(values[known], period=turn)
-        return found, count
-    jumps = np.flatnonzero(np.abs(steps[1:-1]) > _JUMP * span) + 1
-    others = np.delete(steps, jumps)
-    against = steps[jumps] * (steps[jumps - 1] + steps[jumps + 1]) < 0.0
-    # there and back, unlike a wheel
-    both_ways = len(jumps) >= _FEWEST_JUMPS and abs(np.sign(steps[jumps]).sum()) <= 1.0
-    if both_ways and np.abs(others).max() < (1.0 - _JUMP) * span and np.mean(against) > 0.8:
-        raise ConfigurationError(
-            f"{path}: {name} jumps by {np.median(np.abs(steps[jumps])):.4g} {unit} against its motion, "
-            f"{len(jumps)} times, first after line {lines[known[jumps[0]]]}, as an angle does that is "
-            "counted round a turn: state its unit with --unit, or write it without the jumps"
-        )
-    return values, 0
+    if unit not in ANGLES or not len(known):
+        return values, 0
+    steps, turn = np.diff(values[known]), conversion("rad", unit) * 2.0 * math.pi
+    count = int(np.count_nonzero(np.abs(steps) > 0.5 * turn))
+    if not count or np.ptp(values[known]) > 1.001 * turn:
+        return values, 0
+    found = values.copy()
+    found[known] = np.unwrap(values[known], period=turn)
+    return found, count
 
 
 def judge_begin(
@@ -129,47 +111,6 @@ def judge_begin(
         raise ConfigurationError(
             f"{path}: {title!r} begins at {first:.16g} {unit}, in the year {1970 + first_s / _YEAR_S:.0f}: "
             f"{remedy} {likely_units(first)}"
-        )
-
-
-def judge_clock_digits(path: Path, title: str, times: NDArray[np.float64]) -> None:
-    """Refuse the digits of a clock that are read as one number: 235959.95 (HHMMSS), 59.5995 (MM.SS).
-
-    `times` are as the column holds them, shape (n,). At the end of each minute such a number jumps by 40.
-    """
-    for minute, form in ((100.0, "HHMMSS"), (1.0, "MM.SS")):
-        whole, part = np.divmod(times / minute, 1.0)
-        step = float(np.median(np.diff(times))) / minute
-        border = np.flatnonzero(np.diff(whole))
-        if not len(border) or step > 0.01 or part.max() >= 0.6 + 1e-9:
-            continue
-        if np.all(part[border] > 0.58) and np.all(part[border + 1] < 0.02):
-            before, after = times[border[0] : border[0] + 2]
-            raise ConfigurationError(
-                f"{path}: {title!r} goes from {before:.10g} to {after:.10g} as the digits of a clock do "
-                f"({form}), and is no time in s; write it with colons, or state the rate of the rows "
-                "instead: --rate HZ --position COLUMN"
-            )
-
-
-def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -> None:
-    """Refuse moments of which some have a zone, and a local clock that is put forward an hour."""
-    found = [match for cell in cells if (match := MOMENT.fullmatch(cell.strip())) and match["date"]]
-    with_zone = [match[0] for match in found if match["zone"]]
-    without = [match[0] for match in found if not match["zone"]]
-    if with_zone and without:
-        raise DataError(
-            f"{path}: {with_zone[0]!r} has a zone and {without[0]!r} has none; write all times with theirs, "
-            "or in UTC"
-        )
-    steps_s = seconds(np.diff(times_ns))
-    step_s = float(np.median(steps_s))
-    forward = np.flatnonzero(np.abs(steps_s - step_s - _HOUR_S) < step_s)
-    if without and len(forward) == 1 and step_s < 1.0:
-        row = int(forward[0])
-        raise DataError(
-            f"{path}: {cells[row + 1]!r} follows {cells[row]!r}, an hour and one step later: was the clock "
-            "set to summer time? Write the times with their zone (+01:00, then +02:00), or in UTC (...Z)"
         )
 
 

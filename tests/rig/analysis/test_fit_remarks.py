@@ -9,7 +9,8 @@ from processing.fit import BaseMotion, Drag, DragFinding, Ground
 from rig.analysis import RunResults
 from rig.analysis.contact_results import Correlation, Fit
 from rig.analysis.result_rows import ResultRow
-from rig.analysis.run_remarks import ground_sentence, remarks
+from rig.analysis.run_remarks import RemarkLevel, ground_sentence, remark_rows, remarks
+from rig.presentation import Verdict
 
 _SEEN = Drag(
     drag_s=Estimate(2e-3, 1e-4),
@@ -129,9 +130,6 @@ def test_what_the_waveform_gave_is_said() -> None:
 _CORRELATED = Correlation(("p", "b"), ((1.0, -0.998), (-0.998, 1.0)))
 
 
-_CORRELATED = Correlation(("p", "b"), ((1.0, -0.998), (-0.998, 1.0)))
-
-
 def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
     known = ResultRow(quantity="b", value=1e-3, lower=9e-4, upper=1.1e-3)
     bound = ResultRow(quantity="c", verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=2e-9)
@@ -148,3 +146,20 @@ def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
         "a note",
     ]
     assert remarks(RunResults(record="run-1.mcap", fits={"exact": Fit()})) == []
+
+
+def test_the_table_of_remarks_says_who_has_to_read_what() -> None:
+    run = RunResults(
+        record="run-1.mcap",
+        fits={"exact": Fit(ground=_DRIVEN)},
+        conditions=(Verdict("light", True), Verdict("end", False, "cut", "again", "none", "its own")),
+        warnings=("asymptotic fit: far", "late"),
+        notes=("a note",),
+    )
+    assert [(row.code, row.level, row.line) for row in remark_rows(run)] == [
+        ("ground", RemarkLevel.RESULT, ground_sentence(_DRIVEN)),
+        ("note", RemarkLevel.DETAIL, "a note"),
+        ("end", RemarkLevel.CONDITION, "END: none (limit its own); cut; again"),
+        ("warning", RemarkLevel.OF_OTHER_FIT, "asymptotic fit: far"),
+        ("warning", RemarkLevel.WARNING, "late"),
+    ]

@@ -38,7 +38,7 @@ def test_the_parameters_know_nothing_of_a_reflection_of_three_percent(x_px: str,
     for name, true in TRUE.items():
         assert abs(exact[name]["value"] - true) < 2.5 * exact[name]["standard_uncertainty"], name
     assert exact["c"]["standard_uncertainty"] < 0.06 * TRUE["c"]
-    # as without the light: none is left out, and u is as large; the last half-cycle may miss the end of the record
+    # as without the light, with u as large; the last half-cycle may miss the end of the record
     assert run["half_cycles"] >= 142
     said = condition(run)
     assert said["ok"]
