@@ -22,7 +22,6 @@ from processing.fit import (
 )
 from rig.analysis.contact_results import Correlation
 from rig.analysis.decay_values import DECAY, AmplitudeDamping
-from rig.analysis.recorded_seismometer import CLOCK_SET
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import RunResults, Series
 from rig.presentation import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
@@ -388,7 +387,7 @@ _WELL = 1.05
 
 def witness_sentences(use: SeismometerUse) -> list[str]:
     """What a witness told, or why it was refused; and what was left out where it was read."""
-    lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
+    lost = [line for line in use.understood if line.startswith(("left out", "missing"))]
     return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
 
 

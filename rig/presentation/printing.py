@@ -29,8 +29,6 @@ from processing.errors import ConfigurationError, RecordError
 
 Cell = float | int | str
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
-_FORMULA_WITHIN = re.compile(r"([,;|](?:\s*(?=[=@]))?\"?)([=+@-])")
-"""Behind what may part cells: a sign directly, = and @ also behind a blank or a quote."""
 
 
 class TableRow(NamedTuple):
@@ -83,16 +81,6 @@ class Table:
 def harmless_text(text: str) -> str:
     """A text as the cell of a CSV file: one that a spreadsheet would take for a formula begins with ``'``."""
     return f"'{text}" if text.startswith(_FORMULA_STARTS) else text
-
-
-def harmless_line(text: str) -> str:
-    """A line of words above a CSV file's columns, which a spreadsheet splits into cells like any other.
-
-    A cell that it would take for a formula begins with ``'``; JSON stays the same content, escaped.
-    """
-    if ": {" in text and text.endswith("}"):
-        return _FORMULA_WITHIN.sub(lambda found: f"{found[1]}\\u{ord(found[2]):04x}", text)
-    return _FORMULA_WITHIN.sub(r"\1'\2", text)
 
 
 def _cell(value: Cell) -> Cell:
