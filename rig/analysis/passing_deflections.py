@@ -222,13 +222,13 @@ class _Change:
 
 
 class Changed:
-    """Deflections without the beam's motion or a fixed light's pull, each time they are asked for."""
+    """Deflections with a change of each block, each time they are asked for."""
 
-    def __init__(self, blocks: Iterable[Deflections], less: Callable[[Deflections], Deflections]) -> None:
-        self._blocks, self._less = blocks, less
+    def __init__(self, blocks: Iterable[Deflections], change: Callable[[Deflections], Deflections]) -> None:
+        self._blocks, self._change = blocks, change
 
     def __iter__(self) -> Iterator[Deflections]:
-        return map(self._less, self._blocks)
+        return map(self._change, self._blocks)
 
 
 _PICTURES = 48

@@ -32,6 +32,8 @@ _DAYS: Final = (30_000.0, 60_000.0)
 _DAY_NS: Final = 86_400_000_000_000
 SPREADSHEET_ZERO_NS: Final = 25_569 * _DAY_NS
 """1970 on the clock of a spreadsheet."""
+_JUMP: Final = 0.7
+"""Of the range of a position, that no swing goes from one sample to the next while others are far smaller."""
 _FEWEST_JUMPS: Final = 4
 _FEWEST_CUT: Final = 3
 """Rows that stay at the largest value where a sensor cuts it off."""
@@ -79,18 +81,33 @@ def judge_size(path: Path, unit: str, table: NDArray[np.float64]) -> None:
         )
 
 
-def unwrapped(unit: str, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """An angle (n,) that was counted round a turn without its jumps, and how many there were."""
+def unwrapped(
+    path: Path, name: str, unit: str, values: NDArray[np.float64], lines: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], int]:
+    """An angle that was counted round a turn without its jumps, and how many there were.
+
+    Raises ConfigurationError for jumps of another size against the motion, as a turn in another unit has.
+    """
     known = np.flatnonzero(np.isfinite(values))
-    if unit not in ANGLES or not len(known):
-        return values, 0
-    steps, turn = np.diff(values[known]), conversion("rad", unit) * 2.0 * math.pi
-    count = int(np.count_nonzero(np.abs(steps) > 0.5 * turn))
-    if not count or np.ptp(values[known]) > 1.001 * turn:
-        return values, 0
-    found = values.copy()
-    found[known] = np.unwrap(values[known], period=turn)
-    return found, count
+    steps = np.diff(values[known])
+    span = float(np.ptp(values[known])) if len(known) else 0.0
+    turn = conversion("rad", unit) * 2.0 * math.pi if unit in ANGLES else math.inf
+    if span <= 1.001 * turn < math.inf and (count := int(np.count_nonzero(np.abs(steps) > 0.5 * turn))):
+        found = values.copy()
+        found[known] = np.unwrap(values[known], period=turn)
+        return found, count
+    jumps = np.flatnonzero(np.abs(steps[1:-1]) > _JUMP * span) + 1
+    others = np.delete(steps, jumps)
+    against = steps[jumps] * (steps[jumps - 1] + steps[jumps + 1]) < 0.0
+    # there and back, unlike a wheel
+    both_ways = len(jumps) >= _FEWEST_JUMPS and abs(np.sign(steps[jumps]).sum()) <= 1.0
+    if both_ways and np.abs(others).max() < (1.0 - _JUMP) * span and np.mean(against) > 0.8:
+        raise ConfigurationError(
+            f"{path}: {name} jumps by {np.median(np.abs(steps[jumps])):.4g} {unit} against its motion, "
+            f"{len(jumps)} times, first after line {lines[known[jumps[0]]]}, as an angle does that is "
+            "counted round a turn: state its unit with --unit, or write it without the jumps"
+        )
+    return values, 0
 
 
 def judge_begin(

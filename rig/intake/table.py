@@ -55,13 +55,9 @@ class TableColumns:
     def read(self, path: Path) -> Trajectory:
         """The table, or the one run that is asked for.
 
-        Raises
-        ------
-        DataError
-            No such file, no numbers, times that do not increase.
-        ConfigurationError
-            A column that there is not, a unit that is not known, or two that contradict one another; several
-            runs of which none is chosen.
+        Raises DataError: no such file, no numbers, times that do not increase; ConfigurationError: a column
+        that there is not, a unit that is not known, or two that contradict one another; several runs of
+        which none is chosen.
         """
         cells, chosen, every = self._runs(path)
         if len(chosen) > 1:
@@ -129,7 +125,9 @@ class _Reading:
         if (empty := np.all(np.isnan(table), axis=0)).any():
             raise self._without_numbers(p_columns[int(np.argmax(empty))])
         for place, k in enumerate(p_columns):
-            table[:, place], turns = unwrapped(unit, table[:, place])
+            table[:, place], turns = unwrapped(
+                self._path, self._names[k], unit, table[:, place], lines[inside]
+            )
             if turns:
                 self._said.append(f"position: {self._names[k]} jumps by a turn {turns} times: unwrapped")
         judge_size(self._path, unit, table)

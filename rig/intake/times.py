@@ -140,10 +140,7 @@ def clock_form(
 
     The option or the header states it; otherwise a fraction (``0:05.2``) decides.
 
-    Raises
-    ------
-    ConfigurationError
-        Neither of them decides, or two of them disagree.
+    Raises ConfigurationError: neither of them decides, or two of them disagree.
     """
     two = [cell.strip() for cell in cells if _has_two_fields(cell)]
     by_option, by_header = _stated(asked), _stated(title) or _stated(named.strange) or _stated(named.unit)

@@ -42,10 +42,7 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
     light, air, pointing, and the ground. `frame_noise_rad` is the noise of one frame where it is known
     better, as preflight measures it.
 
-    Raises
-    ------
-    ConfigurationError
-        No pendulum, lever or frame rate, or a ground whose density is not stated.
+    Raises ConfigurationError: no pendulum, lever or frame rate, or a ground whose density is not stated.
     """
     pendulum = pendulum_on_ball(config)
     if pendulum is None:
@@ -96,10 +93,7 @@ def expected_of_run(run: AnalysedRun) -> PlannedContact:
 def expected_of_table(results: Path) -> PlannedContact:
     """Contact, noise and ground of the longest decay of a table or film, as its results have them.
 
-    Raises
-    ------
-    DataError
-        No decay in it has a fit of the contact.
+    Raises DataError: no decay in it has a fit of the contact.
     """
     exact, pendulum, stored = max(
         (

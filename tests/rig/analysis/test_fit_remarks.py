@@ -1,6 +1,7 @@
 """What is said of a run follows from its numbers, not from the sentences stored beside them."""
 
 from dataclasses import replace
+from math import nan
 
 import pytest
 
@@ -35,12 +36,6 @@ _SEEN = Drag(
 def test_a_verdict_on_the_drag_is_said_and_shown(finding: DragFinding, begins: str) -> None:
     results = RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=finding))
     assert remarks(results)[0].startswith(begins)
-
-
-def test_a_drag_that_a_fit_for_a_vacuum_takes_for_none_is_in_no_uncertainty() -> None:
-    open_drag = replace(_SEEN, finding=DragFinding.OPEN, upper_95_s=3e-3)
-    line = remarks(RunResults(record="run-1.mcap", drag=open_drag))[0]
-    assert "is in no uncertainty (fit.drag = vacuum)" in line
 
 
 _DRIVEN = Ground(
@@ -101,11 +96,27 @@ def test_of_what_is_not_determined_no_change_in_per_cent_is_told() -> None:
     assert sentence.endswith("s; it changes c by +3.4 %.")
 
 
-def test_where_the_data_do_not_tell_the_air_is_named_with_its_doubt() -> None:
-    text = remarks(RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=DragFinding.OPEN)))[0]
-    assert "expected of the air, (1.5 ± 1.0) × 10⁻³ s, is used; its uncertainty is part of all others" in text
-    unknown = replace(_SEEN, finding=DragFinding.OPEN, known_s=None)
-    assert "fit.drag" in remarks(RunResults(record="run-1.mcap", drag=unknown))[0]
+@pytest.mark.parametrize(
+    ("of_data", "known", "words"),
+    [
+        (Estimate(1e-7, 1e-6), Estimate(1.8e-3, 1.3e-3), "a drag below 2.0 × 10⁻⁶ s (95 %)"),
+        (Estimate(1e-7, 1e-6), None, "is in no uncertainty (fit.drag = vacuum)"),
+        (
+            Estimate(1e-3, 5e-3),
+            Estimate(1.8e-3, 1.3e-3),
+            "the drag expected of the air, (1.8 ± 1.3) × 10⁻³ s, is used; its uncertainty is part of all",
+        ),
+        (Estimate(nan, nan), None, "state what you know of the air (fit.drag)"),
+    ],
+)
+def test_where_the_data_do_not_tell_it_is_said_whose_drag_it_is(
+    of_data: Estimate, known: Estimate | None, words: str
+) -> None:
+    upper_s = of_data.value + 1.9 * of_data.standard_uncertainty
+    drag = Drag(of_data_s=of_data, known_s=known, upper_95_s=upper_s)
+    (line,) = remarks(RunResults(record="run-1.mcap", drag=drag))
+    assert "distinguish a drag" in line
+    assert words in line
 
 
 def test_a_drag_that_is_seen_stands_in_the_headline_and_vacuum_too() -> None:

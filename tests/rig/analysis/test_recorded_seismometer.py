@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.analysis.recorded_seismometer import taken
+from rig.analysis.seismometer import taken
 
 RATE_HZ, COUNT = 20.0, 12_000
 EPOCH_S = 1_790_000_000.0

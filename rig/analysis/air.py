@@ -1,9 +1,8 @@
-"""The witness of the ground that a record holds itself, beside its frames."""
+"""The air about a run and the history of its contact, and what they make expect: drag and drifts."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from datetime import datetime
-from itertools import pairwise
 from math import isfinite, nan
 from typing import NamedTuple
 
@@ -11,95 +10,15 @@ import numpy as np
 
 from acquisition.record.digest import utc
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import ENVIRONMENT, SPOT, WITNESS
+from acquisition.record.topics import ENVIRONMENT, SPOT
 from processing.ambient import AmbientConditions, doubtful_humidity, humid_air
-from processing.arrays import Floats, Ints
+from processing.arrays import Floats
 from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
 from processing.swing import SwingHarmonics
-from rig.analysis.seismometer_file import SeismometerRecord
 from rig.presentation import percent, quantity
 from rig.settings import Configuration
-
-_VALUES = ("first", "second", "third")
-_FEWEST = 3
-_PAUSE_S, _PAUSE_STEPS = 0.5, 4.0
-"""A pause between arrivals that is longer than both, the second in steps, is a gap."""
-_LINE = 20
-"""Fewest samples of a stretch whose arrivals make a line."""
-_LATE_S = 0.3
-"""What arrives later than the usual by less did not wait."""
-_WAITED, _MOST_TURNS = 5.0, 30
-"""What is later by so many times the distance between the earliest and the usual arrivals had waited."""
-
-
-def recorded_witness(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
-    """Its samples on the frames' clock; None without any, or with witness.kind = 'none'."""
-    if config.witness.kind == "none":
-        return None
-    table = reader.table(WITNESS.topic)
-    if len(table) < _FEWEST:
-        return None
-    names = config.witness.components
-    times_ns = taken(table["time_ns"], table["own_time_s"])
-    order = np.concatenate([[True], np.diff(times_ns) > 0])
-    stray = int(np.count_nonzero(~order))
-    value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
-    return SeismometerRecord(
-        f"{reader.path.name}: {WITNESS.topic}",
-        times_ns[order] - times_ns[0],
-        value[order],
-        names,
-        int(times_ns[0]),
-        absolute=False,
-        offset_stated=True,
-        understood=(
-            f"columns: {', '.join(names)}",
-            *([f"left out: {stray} samples not later than the previous one"] if stray else []),
-        ),
-    )
-
-
-def taken(arrived_ns: Ints, own_s: Floats) -> Ints:
-    """When samples were taken, on the frames' clock: lines arrive in bursts, late by parts of a second.
-
-    By a line through the arrivals over the instrument's own time; without one, over the count of samples, for
-    each stretch without a pause of its own. What is constant of the lateness the fit finds as a delay.
-    """
-    since_s = (arrived_ns - arrived_ns[0]) * 1e-9
-    if np.all(np.isfinite(own_s)) and np.all(np.diff(own_s) > 0):
-        over, begins = own_s - own_s[0], [0, len(since_s)]
-    else:
-        over = np.arange(len(since_s), dtype=np.float64)
-        steps = np.diff(since_s)
-        paused = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * float(np.median(steps)))) + 1
-        begins = [0, *paused.tolist(), len(since_s)]
-    taken_s = since_s.copy()
-    for begin, end in pairwise(begins):
-        if end - begin >= _LINE:
-            part = slice(begin, end)
-            taken_s[part] = _line_of(over[part], since_s[part])
-    return np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
-
-
-def _line_of(over: Floats, since_s: Floats) -> Floats:
-    """The line through arrivals without those that waited, maybe for minutes: nothing arrives early.
-
-    All of them make it where none was later than their usual scatter.
-    """
-    line = np.polyval(np.polyfit(over, since_s, 1), over)
-    kept = np.ones(len(over), dtype=np.bool_)
-    for _ in range(_MOST_TURNS):
-        late_s = since_s - line
-        low, usual = np.quantile(late_s, (0.05, 0.25))
-        now = late_s <= usual + max(_LATE_S, _WAITED * (usual - low))
-        if np.count_nonzero(now) < _LINE or np.array_equal(now, kept):
-            break
-        kept = now
-        line = np.polyval(np.polyfit(over[kept], since_s[kept], 1), over)
-    return np.asarray(line)
-
 
 _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}

@@ -1,19 +1,23 @@
-"""A witness of the ground from a file: a table, or miniSEED and SAC through ObsPy."""
+"""A seismometer or tiltmeter beside the run: from a table, miniSEED, SAC, or the record itself."""
 
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import WITNESS
 from processing.arrays import Floats, Ints
 from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
 from processing.fit import Witness
 from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.intake import read_columns
+from rig.settings import Configuration
 
 _SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")
 FIRST_UTC_S = 1e9
@@ -209,3 +213,82 @@ def _chosen(path: Path, known: Sequence[str], wanted: Sequence[str]) -> tuple[li
             )
         chosen += [name for name in matching if name not in chosen]
     return chosen, [name for name in known if name not in chosen]
+
+
+_VALUES = ("first", "second", "third")
+_FEWEST = 3
+_PAUSE_S, _PAUSE_STEPS = 0.5, 4.0
+"""A pause between arrivals that is longer than both, the second in steps, is a gap."""
+_LINE = 20
+"""Fewest samples of a stretch whose arrivals make a line."""
+_LATE_S = 0.3
+"""What arrives later than the usual by less did not wait."""
+_WAITED, _MOST_TURNS = 5.0, 30
+"""What is later by so many times the distance between the earliest and the usual arrivals had waited."""
+
+
+def recorded_witness(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
+    """Its samples on the frames' clock; None without any, or with witness.kind = 'none'."""
+    if config.witness.kind == "none":
+        return None
+    table = reader.table(WITNESS.topic)
+    if len(table) < _FEWEST:
+        return None
+    names = config.witness.components
+    times_ns = taken(table["time_ns"], table["own_time_s"])
+    order = np.concatenate([[True], np.diff(times_ns) > 0])
+    stray = int(np.count_nonzero(~order))
+    value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
+    return SeismometerRecord(
+        f"{reader.path.name}: {WITNESS.topic}",
+        times_ns[order] - times_ns[0],
+        value[order],
+        names,
+        int(times_ns[0]),
+        absolute=False,
+        offset_stated=True,
+        understood=(
+            f"columns: {', '.join(names)}",
+            *([f"left out: {stray} samples not later than the previous one"] if stray else []),
+        ),
+    )
+
+
+def taken(arrived_ns: Ints, own_s: Floats) -> Ints:
+    """When samples were taken, on the frames' clock: lines arrive in bursts, late by parts of a second.
+
+    By a line through the arrivals over the instrument's own time; without one, over the count of samples, for
+    each stretch without a pause of its own. What is constant of the lateness the fit finds as a delay.
+    """
+    since_s = (arrived_ns - arrived_ns[0]) * 1e-9
+    if np.all(np.isfinite(own_s)) and np.all(np.diff(own_s) > 0):
+        over, begins = own_s - own_s[0], [0, len(since_s)]
+    else:
+        over = np.arange(len(since_s), dtype=np.float64)
+        steps = np.diff(since_s)
+        paused = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * float(np.median(steps)))) + 1
+        begins = [0, *paused.tolist(), len(since_s)]
+    taken_s = since_s.copy()
+    for begin, end in pairwise(begins):
+        if end - begin >= _LINE:
+            part = slice(begin, end)
+            taken_s[part] = _line_of(over[part], since_s[part])
+    return np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
+
+
+def _line_of(over: Floats, since_s: Floats) -> Floats:
+    """The line through arrivals without those that waited, maybe for minutes: nothing arrives early.
+
+    All of them make it where none was later than their usual scatter.
+    """
+    line = np.polyval(np.polyfit(over, since_s, 1), over)
+    kept = np.ones(len(over), dtype=np.bool_)
+    for _ in range(_MOST_TURNS):
+        late_s = since_s - line
+        low, usual = np.quantile(late_s, (0.05, 0.25))
+        now = late_s <= usual + max(_LATE_S, _WAITED * (usual - low))
+        if np.count_nonzero(now) < _LINE or np.array_equal(now, kept):
+            break
+        kept = now
+        line = np.polyval(np.polyfit(over[kept], since_s[kept], 1), over)
+    return np.asarray(line)
