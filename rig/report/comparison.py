@@ -141,8 +141,10 @@ def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigur
             if seen:
                 value, u = np.array([tuple(run.parameters[key]) for run in seen]).T * of.factor
                 at = np.array([run.at for run in seen]) * over.factor
-                style = {"color": colours[label], "label": label}
-                axes.errorbar(at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9, **style)
+                axes.errorbar(
+                    at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9,
+                    color=colours[label], label=label,
+                )  # fmt: skip
         axes.set_title(of.label)
         axes.tick_params(axis="y", labelsize=7)
         axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))

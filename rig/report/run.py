@@ -159,13 +159,13 @@ def read_table_decay(folder: Path, decay: RunResults, name: str) -> Exported:
     time_s, positions = read_positions(folder)
     inside = (time_s >= place.began_s) & (time_s <= place.ended_s)
     suffix = re.sub(r"\W", "_", unit)
-    spots = {"time_s": time_s[inside]}
+    spots: dict[str, NDArray[Any]] = {"time_s": time_s[inside]}
     spots |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
     provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
     provenance |= {f"session.{name}": text for name, text in place.session.items()}
     air = {} if decay.surroundings is None else decay.surroundings.known()
     provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
-    swings = {
+    swings: dict[str, NDArray[Any]] = {
         "index": stored.index,
         "time_s": stored.first_ns / NS_PER_S + stored.time_s,
         "u_time_s": stored.u_time_s,

@@ -3,15 +3,29 @@
 from dataclasses import replace
 from math import nan
 
+import numpy as np
 import pytest
 
+from acquisition.simulation.ground_settings import GroundTruth
 from processing.estimate import Determinacy, Estimate
-from processing.fit import BaseMotion, Drag, DragFinding, Ground
+from processing.fit import BaseMotion, Budget, Drag, DragFinding, Ground, fit_exact
+from processing.fit.uncertainty import BudgetSource
 from rig.analysis import RunResults
 from rig.analysis.contact_results import Correlation, Fit
-from rig.analysis.result_rows import ResultRow
-from rig.analysis.run_remarks import RemarkLevel, ground_sentence, remark_rows, remarks
+from rig.analysis.contact_verdicts import base_motion, fit_results
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
+from rig.analysis.run_remarks import (
+    RemarkLevel,
+    drag_headline,
+    ground_sentence,
+    remark_rows,
+    remarks,
+    whole_result,
+)
 from rig.presentation import Verdict
+from rig.settings import PendulumSettings
+from tests.processing.fit.decays import decay, paper_pair
+from tests.processing.fit.driven import driven_decay
 
 _SEEN = Drag(
     drag_s=Estimate(2e-3, 1e-4),
@@ -174,3 +188,76 @@ def test_the_table_of_remarks_says_who_has_to_read_what() -> None:
         ("warning", RemarkLevel.OF_OTHER_FIT, "asymptotic fit: far"),
         ("warning", RemarkLevel.WARNING, "late"),
     ]
+
+
+def source(name: str, kind: str, share: float) -> BudgetSource:
+    return BudgetSource(name, "A" if kind == "A" else "B", 1.0, 1.0, share**0.5, share)
+
+
+BUDGET = Budget(
+    value=0.0834,
+    standard_uncertainty=0.0013,
+    sources=(
+        source("swings", "A", 0.28),
+        source("flat_youngs_modulus_pa", "B", 0.7),
+        source("mass_kg", "B", 0.02),
+    ),
+)
+ROW = ResultRow(quantity=SURFACE_ENERGY, value=0.0834, u=0.0007, u_total=0.0013)
+
+
+def test_what_is_said_first_is_named_and_has_the_whole_uncertainty() -> None:
+    """Sigma stood there without a name; a drag was 1.93 +- 0.10 where its interval is uneven."""
+    run = RunResults(record="run-1.mcap", table=(ROW,), budget={SURFACE_ENERGY: BUDGET})
+    assert whole_result(run).text == "surface energy σ (Table 2's form) = 83.4 ± 1.3 mJ/m²"
+    drag = ResultRow(quantity="drag_s", verdict=Determinacy.INTERVAL, lower=1.58e-3, upper=2.09e-3)
+    seen = Drag(drag_s=Estimate(1.93e-3, 1e-4), finding=DragFinding.SEEN)
+    said = drag_headline(seen, {"drag_s": drag, "b": replace(drag, quantity="b")}, fitted=True)
+    assert said == "The drag of the air is seen, (1.58 … 2.09) × 10⁻³ (95 %) s."
+
+
+RIG = PendulumSettings(mass_kg=0.406, ball_radius_m=6.05e-3, mass_centre_height_m=-2e-4)
+
+
+def test_the_base_of_a_known_drive() -> None:
+    """A basement half way between the noise models drives a pendulum balanced to 0.2 mm with 8e-9."""
+    truth = GroundTruth(model="peterson", between_noise_models=0.5, mass_centre_height_m=-2e-4)
+    assert truth.mass_centre_height_m == RIG.mass_centre_height_m
+    moved = base_motion(Estimate(8.04e-9, 8e-10), 1e-8, 4.071, RIG)
+    assert moved is not None
+    value, u = moved.acceleration_m_per_s2_rthz
+    assert value == pytest.approx(1.0e-6, rel=0.02)
+    assert u == pytest.approx(0.1 * value, rel=0.01)
+    # half way: 22 dB over the low model, whose level at 4 s is -141 dB
+    assert moved.above_low_noise_model_db == pytest.approx(22.0, abs=1.0)
+    assert (
+        base_motion(Estimate(8e-9, 8e-10), 1e-8, 4.071, RIG.model_copy(update={"mass_centre_height_m": None}))
+        is None
+    )
+
+
+def test_a_driven_run_says_what_drives_it_and_what_that_costs() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = driven_decay(parameters, pendulum, q=1e-8, noise_arcsec=0.005, seed=2, last_arcsec=10)
+    found = fit_results(fit_exact(points, pendulum, averaged=False), RIG).ground
+    assert found is not None
+    assert found.seen
+    assert min(found.widening.values()) > 3
+    text = ground_sentence(found)
+    assert "rad/s²/√Hz" in text
+    assert "nm/s²/√Hz of acceleration for a mass centre −0.200 mm high, NLNM +24 dB" in text
+    assert "Finer balancing, a quieter hour, a larger first amplitude or more runs would help." in text
+
+
+def test_a_run_at_rest_sets_a_bound_and_asks_for_nothing() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=10)
+    found = fit_results(fit_exact(points, pendulum), RIG).ground
+    assert found is not None
+    assert not found.seen
+    assert np.isfinite(found.upper_95)
+    text = ground_sentence(found)
+    assert text.count("below") == 2
+    assert text.count("(95 %)") == 2
+    assert "dB" not in text
+    assert "help" not in text
