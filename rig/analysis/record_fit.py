@@ -111,11 +111,11 @@ def analyse_run(
     """
     less = less_beam_motion(reader, config)
     if less is not None and less.used:
-        blocks = Changed(blocks, less)
+        blocks = Changed(blocks, less.change)
         swings = swings_of_blocks(blocks)
     pulled = without_fixed_light(reader, config)
     if pulled is not None and pulled.used:
-        blocks = Changed(blocks, pulled)
+        blocks = Changed(blocks, pulled.change)
         swings = swings_of_blocks(blocks)
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config)

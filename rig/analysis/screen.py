@@ -59,9 +59,7 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
         print_tables([combined])
     if not logger.isEnabledFor(logging.INFO) and any(run.fits for run in results.runs):
         print_line("  -v, and the report, show both fits of every run, their quality, and more remarks")
-    if results.series is not None and results.series.instrument is not None:
-        for line in results.series.instrument.text:
-            print_line(line)
+    _print_series(results.series)
     for name, path in paths:
         print(f"{name:<12} {path}")
 
