@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
-from math import isfinite, pi
+from math import isfinite
 from typing import Final, NamedTuple
 
 from processing.contact import DRAG
@@ -17,14 +17,13 @@ from processing.fit import (
     DragFinding,
     FitMethod,
     Ground,
-    Response,
-    SeismometerUse,
 )
 from rig.analysis.contact_results import Correlation
 from rig.analysis.decay_values import DECAY, AmplitudeDamping
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import RunResults, Series
-from rig.presentation import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
+from rig.analysis.seismometer import witness_sentences
+from rig.presentation import SOURCES, plain, quantity, signed_percent, with_uncertainty
 
 _LARGE = 0.25
 """Share of the variance from which on a source is named; the largest one always is."""
@@ -379,61 +378,3 @@ def damping_lines(results: AmplitudeDamping, unit: str) -> list[str]:
             tau = with_uncertainty(*where.time_constant_s)
             said.append(f"time constant {tau} s at {where.amplitude:.4g} {unit}{more}")
     return said
-
-
-_WELL = 1.05
-"""Factor by which an uncertainty is smaller, from which on it is named."""
-
-
-def witness_sentences(use: SeismometerUse) -> list[str]:
-    """What a witness told, or why it was refused; and what was left out where it was read."""
-    lost = [line for line in use.understood if line.startswith(("left out", "missing"))]
-    return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
-
-
-def _told(use: SeismometerUse) -> list[str]:
-    if not use.used:
-        gain = use.gain_of_prediction
-        judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
-        reason = f": {use.reason}" if use.reason else ""
-        sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
-        said = f"Witness of the ground {use.verdict}{reason}{judged}{sought}."
-        return [f"{said} The results are the same as without it."]
-    before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
-    explained = (
-        f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
-        f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
-    )
-    if use.spectra is not None and isfinite(use.spectra.coherence_near):
-        explained += (
-            f" (squared coherence within a tenth of it {use.spectra.coherence_near:.4g}, over "
-            f"{use.spectra.stretches} stretches)"
-        )
-    responses = "; ".join(map(_response_text, use.responses))
-    lines = [f"Witness of the ground: {explained}. Its response: {responses}."]
-    saved = ", ".join(
-        f"{plain(factor, 3)} ({quantity(name).symbol})"
-        for name, factor in use.saved.items()
-        if factor > _WELL
-    )
-    if saved:
-        lines.append(f"The witness reduces the uncertainties by factors of {saved}.")
-    found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
-    lines.append(
-        f"Clock of the witness: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
-        f"{with_uncertainty(*use.clock_drift)} s/s."
-    )
-    if use.missing_half_cycles:
-        lines.append(
-            f"{use.missing_half_cycles} half-swings have no witness; their drive is treated as unknown."
-        )
-    return lines
-
-
-def _response_text(response: Response) -> str:
-    degrees = 180 / pi
-    slope = ", changing within the band" if response.with_slope else ""
-    return (
-        f"{response.name} {with_uncertainty(response.gain, response.u_gain)} rad/s² per unit at "
-        f"{with_uncertainty(degrees * response.phase_rad, degrees * response.u_phase_rad)}°{slope}"
-    )

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import pairwise
+from math import isfinite, pi
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,9 +15,10 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WITNESS
 from processing.arrays import Floats, Ints
 from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
-from processing.fit import Witness
+from processing.fit import Response, SeismometerUse, Witness
 from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.intake import read_columns
+from rig.presentation import percent, plain, quantity, with_uncertainty
 from rig.settings import Configuration
 
 _SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")
@@ -292,3 +294,61 @@ def _line_of(over: Floats, since_s: Floats) -> Floats:
         kept = now
         line = np.polyval(np.polyfit(over[kept], since_s[kept], 1), over)
     return np.asarray(line)
+
+
+_WELL = 1.05
+"""Factor by which an uncertainty is smaller, from which on it is named."""
+
+
+def witness_sentences(use: SeismometerUse) -> list[str]:
+    """What a witness told, or why it was refused; and what was left out where it was read."""
+    lost = [line for line in use.understood if line.startswith(("left out", "missing"))]
+    return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
+
+
+def _told(use: SeismometerUse) -> list[str]:
+    if not use.used:
+        gain = use.gain_of_prediction
+        judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
+        reason = f": {use.reason}" if use.reason else ""
+        sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
+        said = f"Witness of the ground {use.verdict}{reason}{judged}{sought}."
+        return [f"{said} The results are the same as without it."]
+    before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
+    explained = (
+        f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
+        f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
+    )
+    if use.spectra is not None and isfinite(use.spectra.coherence_near):
+        explained += (
+            f" (squared coherence within a tenth of it {use.spectra.coherence_near:.4g}, over "
+            f"{use.spectra.stretches} stretches)"
+        )
+    responses = "; ".join(map(_response_text, use.responses))
+    lines = [f"Witness of the ground: {explained}. Its response: {responses}."]
+    saved = ", ".join(
+        f"{plain(factor, 3)} ({quantity(name).symbol})"
+        for name, factor in use.saved.items()
+        if factor > _WELL
+    )
+    if saved:
+        lines.append(f"The witness reduces the uncertainties by factors of {saved}.")
+    found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
+    lines.append(
+        f"Clock of the witness: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
+        f"{with_uncertainty(*use.clock_drift)} s/s."
+    )
+    if use.missing_half_cycles:
+        lines.append(
+            f"{use.missing_half_cycles} half-swings have no witness; their drive is treated as unknown."
+        )
+    return lines
+
+
+def _response_text(response: Response) -> str:
+    degrees = 180 / pi
+    slope = ", changing within the band" if response.with_slope else ""
+    return (
+        f"{response.name} {with_uncertainty(response.gain, response.u_gain)} rad/s² per unit at "
+        f"{with_uncertainty(degrees * response.phase_rad, degrees * response.u_phase_rad)}°{slope}"
+    )
