@@ -1,5 +1,12 @@
 """From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
 
+from rig.analysis.air import (
+    evidence_of,
+    expected_drag,
+    known_drag,
+    recorded_surroundings,
+    stated_surroundings,
+)
 from rig.analysis.compared_laws import Curves, ModelCurve, chosen_laws, curves_of, model_curves, with_laws
 from rig.analysis.contact_fits import loss_of, settled_swings
 from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, ModelFreeMoments
@@ -10,14 +17,6 @@ from rig.analysis.fit_tables import law_table, moments_table, parameter_table, q
 from rig.analysis.half_cycle_fits import clock_rate_of
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.record_fit import analyse_record, analyse_run
-from rig.analysis.recorded_seismometer import (
-    evidence_of,
-    expected_drag,
-    known_drag,
-    recorded_surroundings,
-    stated_surroundings,
-    taken,
-)
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named
 from rig.analysis.results import (
     AveragedCurves,
@@ -49,7 +48,7 @@ from rig.analysis.run_remarks import (
     whole_result,
 )
 from rig.analysis.screen import TableFit, fit_envelope_table, fit_several, fit_trajectory, print_results
-from rig.analysis.seismometer_file import SeismometerSource
+from rig.analysis.seismometer import SeismometerSource, taken
 from rig.analysis.series import AnalysedRun, combined_series, refuse_copies, refuse_unread, session_results
 from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory
 from rig.analysis.turning_plane import PlaneBalances, follow_plane

@@ -54,10 +54,7 @@ _TELLING, _MOST_RUNS = 3.0, 100
 def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
     """The default law and others of the registry by name; "all" means all, "none" none but those beside it.
 
-    Raises
-    ------
-    ConfigurationError
-        There is no law of that name.
+    Raises ConfigurationError: there is no law of that name.
     """
     for name in names:
         if name not in ("all", NO_LAW, *LAWS):
@@ -315,10 +312,7 @@ class ModelCurve:
 def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[str, ModelCurve]:
     """The curves of both fits, and of the laws that were compared; of a `stated` one under its name.
 
-    Raises
-    ------
-    DataError
-        The run was not fitted, or not with the law that is stated.
+    Raises DataError: the run was not fitted, or not with the law that is stated.
     """
     stored = run.turning_points
     curves = None if stored is None else curves_of(stored.points(), run)

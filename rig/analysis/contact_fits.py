@@ -1,6 +1,6 @@
 """Half-cycles as they stand once the motion is known, and both fits of their decay."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -50,8 +50,7 @@ from processing.swing import (
     TurningPoints,
     with_learned_weights,
 )
-from rig.analysis.recorded_seismometer import OPEN_DRAG, FittedDrag, evidence_of
-from rig.analysis.seismometer_file import SeismometerRecord
+from rig.analysis.air import OPEN_DRAG, FittedDrag, evidence_of
 from rig.settings import FitSettings
 
 
@@ -206,32 +205,6 @@ def loss_of(settings: FitSettings) -> Loss:
     return "soft_l1" if settings.robust else "linear"
 
 
-WitnessAt = Callable[[int], tuple[Witness, bool]]
-"""A witness for a run whose first fitted turning point is at a time in ns, and whether its clock is known."""
-
-
-class SynchronisedSeismometer(NamedTuple):
-    """A witness on the clock of a run's turning points, and whether that is known."""
-
-    witness: Witness
-    clock_known: bool
-
-    def fit(
-        self, points: TurningPoints, pendulum: PendulumOnBall, alone: FitResult
-    ) -> tuple[FitResult, SeismometerUse]:
-        """The exact fit with the witness; the one without it where the witness does not pay."""
-        found = fit_with_witness(points, pendulum, self.witness, alone, offset_known=self.clock_known)
-        fit = found.fit.with_terms_of(alone, PLACE) if found.use.used else found.fit
-        return fit, found.use
-
-
-def with_source(use: SeismometerUse | None, record: SeismometerRecord | None) -> SeismometerUse | None:
-    """The same with where it came from, and what was read there."""
-    if use is None or record is None:
-        return use
-    return replace(use, source=record.name, understood=record.understood)
-
-
 def fit_decay(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
@@ -241,12 +214,13 @@ def fit_decay(
     drag: bool = True,
     evidence: Evidence = NO_EVIDENCE,
     drifts: Mapping[str, float] | None = None,
-    witness: SynchronisedSeismometer | None = None,
+    witness: tuple[Witness, bool] | None = None,
 ) -> tuple[Mapping[str, FitResult], TurningPoints, SeismometerUse | None]:
     """Asymptotic and exact fit of turning points, by name; the points that were fitted; a witness's use.
 
     `exact` is the exact fit of these points where it has been made; otherwise a `drag` is fitted or not, and
-    `evidence` restrains the fit. `witness` tells of the ground; Eqs. 5 and 6 keep the paper's procedure.
+    `evidence` restrains the fit. `witness` is an auxiliary seismometer on the clock of the points, and
+    whether that is known; Eqs. 5 and 6 keep the paper's procedure.
     Raises DataError for a decay that cannot be fitted.
     """
     if pendulum is None:
@@ -274,7 +248,10 @@ def fit_decay(
 
     use, alone = None, exact
     if witness is not None:
-        exact, use = witness.fit(points, pendulum, exact)
+        seen, clock_known = witness
+        found = fit_with_witness(points, pendulum, seen, alone, offset_known=clock_known)
+        use = found.use
+        exact = found.fit.with_terms_of(alone, PLACE) if use.used else found.fit
     exact = judged(exact)
     if use is not None and use.used:
         # of the uncertainties as they are reported

@@ -47,8 +47,8 @@ from processing.fit import (
 from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
+from rig.analysis.air import limit_sentence
 from rig.analysis.contact_results import Correlation, Fit
-from rig.analysis.recorded_seismometer import limit_sentence
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row, result_rows, withheld
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings

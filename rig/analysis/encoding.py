@@ -10,40 +10,23 @@ from typing import Annotated, Any, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, GetCoreSchemaHandler, JsonValue, TypeAdapter
-from pydantic_core import CoreSchema, PydanticCustomError, SchemaSerializer, SchemaValidator, core_schema
+from pydantic import Field, GetCoreSchemaHandler, JsonValue, TypeAdapter
+from pydantic_core import CoreSchema, SchemaSerializer, SchemaValidator, core_schema
 
-from processing.contact import PendulumOnBall
 from processing.quantity import quantities_of
 
 JsonObject: TypeAlias = Mapping[str, JsonValue]
 """A JSON object of no fixed keys."""
 LARGEST_NUMBER = 1e100
-"""No quantity is larger, and the square of a larger one may be none: it is not determined."""
+"""No quantity is larger: it is not determined."""
 
 
 def _null_to_nan(value: object) -> object:
-    if isinstance(value, int | float) and abs(value) > LARGEST_NUMBER:
-        raise PydanticCustomError("too_large", f"a number up to {LARGEST_NUMBER:.0e}")
     return math.nan if value is None else value
 
 
 def _nan_to_null(value: float) -> float | None:
     return float(value) if abs(value) <= LARGEST_NUMBER else None
-
-
-def _possible_pendulum(pendulum: PendulumOnBall) -> PendulumOnBall:
-    """Refuse what no pendulum can be, before moments and torques are computed from it."""
-    radius_m = pendulum.ball_radius_m
-    for name, largest in (
-        ("mass_kg", 1e4),
-        ("ball_radius_m", 1.0),
-        ("contact_radius_m", radius_m),
-        ("gravity_m_per_s2", 100.0),
-    ):
-        if not 0 < getattr(pendulum, name) <= largest:
-            raise PydanticCustomError("no_pendulum", f"a pendulum: its {name} lies outside 0 to {largest:g}")
-    return pendulum
 
 
 class Codec:
@@ -177,7 +160,6 @@ def _allow_null(schema: Any) -> None:
             _allow_null(item)
 
 
-Pendulum = Annotated[PendulumOnBall, AfterValidator(_possible_pendulum)]
 Floats = Annotated[NDArray[np.float64], _Array(float)]
 Integers = Annotated[NDArray[np.int64], _Array(int)]
 Entries = Field(json_schema_extra={"x-entries": True})

@@ -1,7 +1,7 @@
 """From half-cycles to results: fits, verdicts, what other kinds of pendulum report."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -18,18 +18,20 @@ from processing.errors import DataError, RecordError
 from processing.fit import (
     FitResult,
     InputQuantity,
+    Witness,
     delay_of_rows,
     points_in_true_time,
 )
 from processing.instruments import SharedError
 from processing.swing import HalfCycle, TurningPoints
-from rig.analysis.contact_fits import SynchronisedSeismometer, WitnessAt, fit_decay, settled_swings
+from rig.analysis.air import OPEN_DRAG, believed_drifts, evidence_of, known_drag
+from rig.analysis.contact_fits import fit_decay, settled_swings
 from rig.analysis.contact_verdicts import contact_values, rig_quantities
 from rig.analysis.decay_values import amplitude_rows, values_of_points
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.recorded_seismometer import OPEN_DRAG, believed_drifts, evidence_of, known_drag
 from rig.analysis.results import PositionErrors, RunResults, StoredTurningPoints
+from rig.analysis.seismometer import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.instrument import (
@@ -43,6 +45,9 @@ _MUCH: Final = 100.0
 _FEWEST: Final = 4
 """Half-cycles of which a period and a decrement can be had (`processing/decay_summary.py`)."""
 
+SeismometerBeside = tuple[SeismometerRecord, Callable[[int], FitStart]]
+"""A seismometer's record, and where on its clocks a run's first fitted turning point lies, by its time."""
+
 
 def analyse_swings(
     path: Path,
@@ -51,7 +56,7 @@ def analyse_swings(
     deflections: PassingDeflections,
     air: AmbientConditions,
     u_clock: float = 0.0,
-    witness: WitnessAt | None = None,
+    witness: SeismometerBeside | None = None,
     *,
     u_common_rad: float = 0.0,
     followed: FollowedPlane | None = None,
@@ -113,6 +118,8 @@ def analyse_swings(
             **drifting,
         )
     contact: dict[str, Any] = {}
+    if of_ground is not None and witness is not None:
+        of_ground = replace(of_ground, source=witness[0].name, understood=witness[0].understood)
     if fits and pendulum is not None:
         plane_errors = followed.amplitude_errors(points)
         contact = contact_values(
@@ -148,10 +155,15 @@ def analyse_swings(
     )
 
 
-def _witness_beside(swings: Sequence[HalfCycle], witness: WitnessAt | None) -> SynchronisedSeismometer | None:
-    """A witness on the clock of the turning points of these swings."""
+def _witness_beside(
+    swings: Sequence[HalfCycle], witness: SeismometerBeside | None
+) -> tuple[Witness, bool] | None:
+    """A seismometer on the clock of the turning points of these swings, and whether that is known."""
     first_ns = next((swing.turn_time_ns for swing in swings if not swing.flags), None)
-    return None if witness is None or first_ns is None else SynchronisedSeismometer(*witness(first_ns))
+    if witness is None or first_ns is None:
+        return None
+    record, start_at = witness
+    return record.beside(start_at(first_ns))
 
 
 def _reduced(

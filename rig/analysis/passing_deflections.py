@@ -1,6 +1,6 @@
 """Deflections of a run while they pass, and those of a record less what its reference spot shares."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -139,7 +139,8 @@ def less_beam_motion(reader: RecordReader, config: Configuration) -> "WithoutBea
 class WithoutBeamMotion:
     """What to add to a record's deflections, and to their variances, by the times of its frames.
 
-    Raises DataError for a reference that was found in too few frames.
+    `change` makes of deflections of some of its frames those without the beam's motion. Raises DataError for
+    a reference that was found in too few frames.
     """
 
     def __init__(self, reader: RecordReader, config: Configuration) -> None:
@@ -152,7 +153,7 @@ class WithoutBeamMotion:
         )
         # nobody says when the pendulum rests: what is stated of the arms is believed
         quiet = np.zeros(len(spots), dtype=np.bool_)
-        self.found: Mapping[str, LessReference] = {}
+        self.found: dict[str, LessReference] = {}
         moved = spots[list(_FIELDS)].copy()
         for name in ("x_px", "y_px"):
             place, u = np.full(len(spots), np.nan), np.full(len(spots), np.nan)
@@ -165,9 +166,9 @@ class WithoutBeamMotion:
                 less = refused(ours_px, u_ours_px, unknown, ReferenceVerdict.UNKNOWN_GAIN)
             else:
                 less = less_reference(ours_px, u_ours_px, common, stated, quiet)
-            self.found = {**self.found, name: less}
+            self.found[name] = less
             moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
-        self._change = _Change(config, spots, moved)
+        self.change = change_of_places(config, spots, moved)
 
     @property
     def used(self) -> bool:
@@ -187,31 +188,22 @@ class WithoutBeamMotion:
             return ""
         return f" with a gain of {with_uncertainty(*one.gain)} from the run itself"
 
-    def __call__(self, deflections: Deflections) -> Deflections:
-        """Deflections of some of the record's frames without the beam's motion."""
-        return self._change(deflections)
 
+def change_of_places(
+    config: Configuration, spots: np.ndarray, moved: np.ndarray
+) -> Callable[[Deflections], Deflections]:
+    """What other places of a record's spots do to deflections of its frames, and to their variances."""
+    deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
+    before, after = (deflector(spots["time_ns"], _spots(table)) for table in (spots, moved))
+    times_ns = spots["time_ns"]
+    by = np.nan_to_num(np.stack([after.x - before.x, after.y - before.y]))
+    variance = np.nan_to_num(np.stack([after.u_x**2 - before.u_x**2, after.u_y**2 - before.u_y**2]), nan=0.0)
 
-class _Change:
-    """What other places of some spots add to the deflections of their frames, and to the variances."""
-
-    def __init__(self, config: Configuration, spots: np.ndarray, moved: np.ndarray) -> None:
-        deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
-        before, after = (deflector(spots["time_ns"], _spots(table)) for table in (spots, moved))
-        self._times_ns = spots["time_ns"]
-        self._moved = np.nan_to_num(np.stack([after.x - before.x, after.y - before.y]))
-        self._variance = np.nan_to_num(
-            np.stack([after.u_x**2 - before.u_x**2, after.u_y**2 - before.u_y**2]), nan=0.0
-        )
-
-    def __call__(self, deflections: Deflections) -> Deflections:
-        """Deflections of any frames, as the spots' other places make them."""
-        after = np.clip(np.searchsorted(self._times_ns, deflections.times_ns), 1, len(self._times_ns) - 1)
-        nearer = (
-            deflections.times_ns - self._times_ns[after - 1] < self._times_ns[after] - deflections.times_ns
-        )
-        rows = np.where(nearer, after - 1, after)
-        (x, y), (of_x, of_y) = self._moved[:, rows], self._variance[:, rows]
+    def changed(deflections: Deflections) -> Deflections:
+        behind = np.clip(np.searchsorted(times_ns, deflections.times_ns), 1, len(times_ns) - 1)
+        nearer = deflections.times_ns - times_ns[behind - 1] < times_ns[behind] - deflections.times_ns
+        rows = np.where(nearer, behind - 1, behind)
+        (x, y), (of_x, of_y) = by[:, rows], variance[:, rows]
         return replace(
             deflections,
             x=deflections.x + x,
@@ -220,15 +212,17 @@ class _Change:
             u_y=np.sqrt(deflections.u_y**2 + of_y),
         )
 
+    return changed
+
 
 class Changed:
-    """Deflections without the beam's motion or a fixed light's pull, each time they are asked for."""
+    """Deflections with a change of each block, each time they are asked for."""
 
-    def __init__(self, blocks: Iterable[Deflections], less: Callable[[Deflections], Deflections]) -> None:
-        self._blocks, self._less = blocks, less
+    def __init__(self, blocks: Iterable[Deflections], change: Callable[[Deflections], Deflections]) -> None:
+        self._blocks, self._change = blocks, change
 
     def __iter__(self) -> Iterator[Deflections]:
-        return map(self._less, self._blocks)
+        return map(self._change, self._blocks)
 
 
 _PICTURES = 48
@@ -248,6 +242,8 @@ class WithoutFixedLight:
     ----------
     used
         Whether they were: not where the record has not the pixels around the spot.
+    change
+        Makes of deflections of some of the record's frames those without what the light does to them.
     """
 
     def __init__(self, reader: RecordReader, config: Configuration, light: FixedLight) -> None:
@@ -267,11 +263,7 @@ class WithoutFixedLight:
         # where it was and how far that may be wrong, so that nothing is made of it
         for name in _PLACES:
             moved[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
-        self._change = _Change(config, spots, moved)
-
-    def __call__(self, deflections: Deflections) -> Deflections:
-        """Deflections of some of the record's frames, without what the light does to them."""
-        return self._change(deflections)
+        self.change = change_of_places(config, spots, moved)
 
     @property
     def verdict(self) -> Verdict:

@@ -14,21 +14,19 @@ from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import (
     FitMethod,
-    Witness,
 )
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
-from rig.analysis.contact_fits import with_source
-from rig.analysis.half_cycle_fits import analyse_swings
+from rig.analysis.air import doubts_of, recorded_surroundings
+from rig.analysis.half_cycle_fits import SeismometerBeside, analyse_swings
 from rig.analysis.passing_deflections import (
     Changed,
     PassingDeflections,
     less_beam_motion,
     without_fixed_light,
 )
-from rig.analysis.recorded_seismometer import doubts_of, recorded_surroundings, recorded_witness
 from rig.analysis.run_conditions import Beam, run_clock, run_conditions
-from rig.analysis.seismometer_file import FitStart, SeismometerRecord
+from rig.analysis.seismometer import FitStart, SeismometerRecord, recorded_witness
 from rig.analysis.series import AnalysedRun
 from rig.instrument import (
     inputs_sha256,
@@ -113,28 +111,26 @@ def analyse_run(
     """
     less = less_beam_motion(reader, config)
     if less is not None and less.used:
-        blocks = Changed(blocks, less)
+        blocks = Changed(blocks, less.change)
         swings = swings_of_blocks(blocks)
     pulled = without_fixed_light(reader, config)
     if pulled is not None and pulled.used:
-        blocks = Changed(blocks, pulled)
+        blocks = Changed(blocks, pulled.change)
         swings = swings_of_blocks(blocks)
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
     own = recorded_witness(reader, config) if witness is None else None
-    of_ground = own or witness
-
-    def beside(turn_time_ns: int) -> tuple[Witness, bool]:
-        assert of_ground is not None
-        if own is not None:
-            return own.beside(FitStart(turn_time_ns))
-        in_file_ns = turn_time_ns - deflections.first_ns
-        return of_ground.beside(FitStart(in_file_ns, turn_time_ns + reader.epoch_offset_ns))
-
-    at = None if of_ground is None else beside
-    run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, at)
+    beside: SeismometerBeside | None = None
+    if own is not None:
+        beside = own, FitStart
+    elif witness is not None:
+        beside = (
+            witness,
+            lambda ns: FitStart(ns - deflections.first_ns, ns + reader.epoch_offset_ns),
+        )
+    run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.results.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
@@ -156,7 +152,6 @@ def analyse_run(
         calibration=calibration,
         ended=None if end is None else end.text,
         inputs_sha256={**inputs_sha256(reader), **run.results.inputs_sha256},
-        witness=with_source(run.results.witness, of_ground),
         surroundings=surroundings,
         clock=clock,
         conditions=run_conditions(

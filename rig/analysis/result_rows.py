@@ -1,9 +1,9 @@
 """The table of results: what is known of every quantity, made once, and read by every output."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import exp, floor, hypot, inf, isfinite, log, log10, nan
-from typing import Annotated, Final
+from typing import Annotated, Final, NamedTuple
 
 from processing.contact import DRAG, PendulumOnBall, surface_energy
 from processing.errors import ConfigurationError
@@ -117,6 +117,18 @@ def plain_row(name: str, found: Estimate | float, run: str, fit: str, unit: str 
     return ResultRow(quantity=name, fit=fit, value=value, u=u, u_total=u, unit=unit or unit_of(name), run=run)
 
 
+class _OfSwings(NamedTuple):
+    """What the swings alone say of a quantity: value, u, and both ends of the interval."""
+
+    name: str
+    value: float
+    u: float
+    lower: float
+    upper: float
+    verdict: Determinacy = Determinacy.DETERMINED
+    by_profile: bool = False
+
+
 def result_rows(
     run: str,
     fit: FitResult,
@@ -130,7 +142,7 @@ def result_rows(
     uncertainty is so small that it needs none.
     """
     known = {one.name: one for one in determinations}
-    rows = []
+    swings = []
     for name in fit.contact_names:
         value, u = fit.estimate(name)
         if (found := known.get(name)) is not None:
@@ -140,15 +152,15 @@ def result_rows(
         else:
             ends, verdict = (nan, nan), Determinacy.UNDETERMINED
         by_profile = found is not None and found.profile_likelihood
-        rows.append(_of_swings(run, name, (value, u, *ends), verdict, by_profile=by_profile))
-    return _rows(rows, budget, pendulum)
+        swings.append(_OfSwings(name, value, u, *ends, verdict, by_profile))
+    return _rows(run, swings, budget, pendulum)
 
 
 def series_rows(
     combined: Mapping[str, Combined], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
     """The rows of several runs together, each quantity by the interval of their mean."""
-    rows = []
+    swings = []
     for name, item in combined.items():
         half = item.expanded_uncertainty_95
         lower, upper = item.value - half, item.value + half
@@ -157,60 +169,49 @@ def series_rows(
             verdict = Determinacy.INTERVAL
             if lower <= 0 and law_parameters()[name].lower == 0:
                 verdict, lower = Determinacy.UPPER_BOUND, 0.0
-        numbers = (item.value, item.standard_uncertainty, lower, upper)
-        rows.append(_of_swings("series", name, numbers, verdict))
-    return _rows(rows, budget, pendulum)
-
-
-def _of_swings(
-    run: str,
-    name: str,
-    numbers: Sequence[float],
-    verdict: Determinacy = Determinacy.DETERMINED,
-    *,
-    by_profile: bool = False,
-) -> ResultRow:
-    """What the swings alone say: value, u, and both ends of the interval."""
-    value, u, lower, upper = numbers
-    return ResultRow(
-        quantity=name, value=value, u=u, u_total=u, lower=lower, upper=upper, verdict=verdict,
-        unit=unit_of(name), run=run, by_profile=by_profile,
-    )  # fmt: skip
+        swings.append(_OfSwings(name, item.value, item.standard_uncertainty, lower, upper, verdict))
+    return _rows("series", swings, budget, pendulum)
 
 
 def _rows(
-    fitted: Sequence[ResultRow], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+    run: str, swings: list[_OfSwings], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
     """The rows of what was fitted, of the surface energies, and of what the apparatus alone gives."""
-    rows, run = list(fitted), fitted[0].run if fitted else ""
-    for c in (one for one in fitted if one.quantity == "c"):
+    for c in [one for one in swings if one.name == "c"]:
         # each surface energy is c times what is known of the apparatus
         per_c = surface_energy(Estimate(1.0, 0.0), pendulum)
         for name, factor in zip(ENERGIES, (per_c.table2.value, per_c.eq2.value), strict=True):
-            numbers = [factor * number for number in (c.value, c.u, c.lower, c.upper)]
-            rows.append(_of_swings(run, name, numbers, c.verdict, by_profile=c.by_profile))
-    names = {one.quantity for one in rows}
-    for name, item in budget.items():
-        if name not in names:
-            rows.append(_of_swings(run, name, (item.value, 0.0, item.value, item.value)))
-    return tuple(_with_apparatus(one, budget.get(one.quantity)) for one in rows)
+            scaled = {key: factor * getattr(c, key) for key in ("value", "u", "lower", "upper")}
+            swings.append(c._replace(name=name, **scaled))
+    names = {one.name for one in swings}
+    swings += [
+        _OfSwings(name, item.value, 0.0, item.value, item.value)
+        for name, item in budget.items()
+        if name not in names
+    ]
+    return tuple(_with_apparatus(run, one, budget.get(one.name)) for one in swings)
 
 
-def _with_apparatus(row: ResultRow, item: Budget | None) -> ResultRow:
+def _with_apparatus(run: str, known: _OfSwings, item: Budget | None) -> ResultRow:
     """With what the apparatus adds to the uncertainty, and to both sides of the interval.
 
     Without value and uncertainty where they would not describe what is known.
     """
+    numbers, ends = (known.value, known.u, known.u), (known.lower, known.upper)
     if item is not None and (part := item.apparatus_u) > 0:
-        lower, upper = _wider_ends(row, item.coverage_factor_95 * part)
-        row = replace(row, u_total=hypot(row.u, part), lower=lower, upper=upper)
-    return row if row.determined else replace(row, value=nan, u=nan, u_total=nan)
+        ends = _wider_ends(known, item.coverage_factor_95 * part)
+        numbers = (known.value, known.u, hypot(known.u, part))
+    value, u, u_total = numbers if known.verdict is Determinacy.DETERMINED else (nan, nan, nan)
+    return ResultRow(
+        quantity=known.name, value=value, u=u, u_total=u_total, lower=ends[0], upper=ends[1],
+        verdict=known.verdict, unit=unit_of(known.name), run=run, by_profile=known.by_profile,
+    )  # fmt: skip
 
 
-def _wider_ends(known: ResultRow, expanded: float) -> tuple[float, float]:
+def _wider_ends(known: _OfSwings, expanded: float) -> tuple[float, float]:
     """The ends of an interval with what the apparatus adds to both sides of it."""
     value, ends = known.value, (known.lower, known.upper)
-    parameter = law_parameters().get(known.quantity)
+    parameter = law_parameters().get(known.name)
     logarithmic = parameter is not None and parameter.logarithmic and ends[0] > 0
     relative = expanded / value if value > 0 else inf
     if logarithmic and relative < _TANGENT:

@@ -15,6 +15,7 @@ import numpy as np
 
 from acquisition.frames.losses import FrameLosses
 from processing.ambient import AmbientConditions
+from processing.contact import PendulumOnBall
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from processing.fit import Budget, Drag, SeismometerUse, Work
@@ -25,7 +26,7 @@ from processing.swing import HalfCycle, KnownMotion, TurningPoints
 from processing.units import seconds
 from rig.analysis.contact_results import ComparedLaws, Fit
 from rig.analysis.decay_values import AmplitudeDamping, InstrumentResults, InstrumentSeries
-from rig.analysis.encoding import Entries, Floats, Integers, JsonObject, MergedField, Pendulum
+from rig.analysis.encoding import Entries, Floats, Integers, JsonObject, MergedField
 from rig.analysis.result_rows import ResultRow, RowsByName
 from rig.analysis.run_conditions import Beam, RunClock
 from rig.presentation import Verdict
@@ -213,7 +214,7 @@ class RunResults(RowsByName):
     warnings: tuple[str, ...] = ()
     settings: JsonObject = field(default_factory=dict)
     calibration: JsonObject = field(default_factory=dict)
-    pendulum: Pendulum | None = None
+    pendulum: PendulumOnBall | None = None
     adhesion: str = ""
     drag: Drag | None = None
     budget: Mapping[str, Budget] = field(default_factory=dict)

@@ -87,18 +87,17 @@ class Beam:
 
     def verdict(self, most: float) -> Verdict:
         """A warning where more than the fraction `most` of the judged spots have the flag POOR_FIT."""
-        poor = self.poor_fit_fraction > most
-        return Verdict(
-            "beam",
-            True,
-            f"the model does not fit it, and uncertainties are only widened for that: {self.likely_cause}"
-            if poor
-            else "",
-            self.remedy if poor else "",
-            measured=f"{self.model or 'no spot'}, POOR_FIT in {self.poor_fit_frames} of {self.judged_frames} "
-            f"({percent(self.poor_fit_frames / max(self.judged_frames, 1))})",
-            limit=f"{100 * most:g} %",
-        )
+        why = f"the model does not fit it, and uncertainties are only widened for that: {self.likely_cause}"
+        part = percent(self.poor_fit_frames / max(self.judged_frames, 1))
+        measured = f"{self.model or 'no spot'}, POOR_FIT in {self.poor_fit_frames} of {self.judged_frames}"
+        good = not self.poor_fit_fraction > most
+        found = _judged("beam", good, why, self.remedy, f"{measured} ({part})", f"{100 * most:g} %")
+        return replace(found, ok=True)
+
+
+def _judged(name: str, ok: bool, reason: str, remedy: str, measured: str, limit: str) -> Verdict:
+    """A condition, with reason and remedy where it is not met."""
+    return Verdict(name, ok, "" if ok else reason, "" if ok else remedy, measured=measured, limit=limit)
 
 
 def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
@@ -291,15 +290,8 @@ def _end(end: Event | None) -> Verdict:
 
 def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdict:
     part = count / of if of else 0.0
-    ok = part <= most
-    return Verdict(
-        name,
-        ok,
-        "" if ok else "too many",
-        "" if ok else remedy,
-        measured=f"{count} of {of} ({percent(part)})",
-        limit=f"{100 * most:g} %",
-    )
+    measured = f"{count} of {of} ({percent(part)})"
+    return _judged(name, part <= most, "too many", remedy, measured, f"{100 * most:g} %")
 
 
 def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
@@ -319,17 +311,14 @@ def _steps(events: Sequence[Event]) -> list[Verdict]:
     events = [one._replace(kind=unlit) if one.kind == EventKind.LASER_UNKNOWN else one for one in events]
     happened = Counter(event.kind for event in events)
     texts = {event.kind: event.text for event in reversed(events)}
+    times = {0: "never", 1: "once"}
     return [
-        Verdict(
-            name,
-            not happened[kind],
-            f"{reason}: {texts[kind]}" if happened[kind] else "",
-            remedy if happened[kind] else "",
-            measured={0: "never", 1: "once"}.get(happened[kind], f"{happened[kind]} times"),
-            limit="never",
+        _judged(
+            name, not happened[kind], f"{reason}: {texts.get(kind, '')}", remedy,
+            times.get(happened[kind], f"{happened[kind]} times"), "never",
         )
         for kind, (name, reason, remedy) in _STEPS.items()
-    ]
+    ]  # fmt: skip
 
 
 def _watching(events: Sequence[Event]) -> list[Verdict]:
@@ -346,18 +335,10 @@ def _temperature(reader: RecordReader) -> list[Verdict]:
     read_c = table["temperature_c"][np.isfinite(table["temperature_c"])] if len(table) else np.empty(0)
     if not len(read_c):
         return []
-    spread = float(np.ptp(read_c))
-    ok = spread <= _MOST_KELVIN
-    return [
-        Verdict(
-            "temperature",
-            ok,
-            "" if ok else "it changed during the run",
-            "" if ok else "wait until the room is steady; shield the rig",
-            measured=f"{np.min(read_c):.2f} to {np.max(read_c):.2f} °C",
-            limit=f"within {_MOST_KELVIN:g} K",
-        )
-    ]
+    measured = f"{np.min(read_c):.2f} to {np.max(read_c):.2f} °C"
+    reason, remedy = "it changed during the run", "wait until the room is steady; shield the rig"
+    ok = float(np.ptp(read_c)) <= _MOST_KELVIN
+    return [_judged("temperature", ok, reason, remedy, measured, f"within {_MOST_KELVIN:g} K")]
 
 
 def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
@@ -365,15 +346,9 @@ def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
     if ground is None or not half_cycles:
         return []
     part = ground.left_out_half_cycles / (half_cycles + ground.left_out_half_cycles)
-    ok = part <= _MOST_LEFT_OUT
     widest = max((value for value in ground.widening.values() if np.isfinite(value)), default=1.0)
-    return [
-        Verdict(
-            "ground",
-            ok,
-            "" if ok else "it drove the pendulum more than friction braked it",
-            "" if ok else "measure at a quieter time or place; end at a larger amplitude",
-            measured=f"{percent(part)} of the half-cycles left out, uncertainties × {widest:.2g}",
-            limit=f"{100 * _MOST_LEFT_OUT:g} % left out",
-        )
-    ]
+    reason = "it drove the pendulum more than friction braked it"
+    remedy = "measure at a quieter time or place; end at a larger amplitude"
+    measured = f"{percent(part)} of the half-cycles left out, uncertainties × {widest:.2g}"
+    limit = f"{100 * _MOST_LEFT_OUT:g} % left out"
+    return [_judged("ground", part <= _MOST_LEFT_OUT, reason, remedy, measured, limit)]

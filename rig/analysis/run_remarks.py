@@ -1,7 +1,8 @@
 """What is said about a run beside its numbers, the same on the terminal and in reports."""
 
-from collections.abc import Mapping, Sequence
-from math import isfinite, pi
+from collections.abc import Iterator, Mapping, Sequence
+from enum import StrEnum
+from math import isfinite
 from typing import Final, NamedTuple
 
 from processing.contact import DRAG
@@ -16,14 +17,13 @@ from processing.fit import (
     DragFinding,
     FitMethod,
     Ground,
-    Response,
-    SeismometerUse,
 )
+from rig.analysis.contact_results import Correlation
 from rig.analysis.decay_values import DECAY, AmplitudeDamping
-from rig.analysis.recorded_seismometer import CLOCK_SET
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import RunResults, Series
-from rig.presentation import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
+from rig.analysis.seismometer import witness_sentences
+from rig.presentation import SOURCES, plain, quantity, signed_percent, with_uncertainty
 
 _LARGE = 0.25
 """Share of the variance from which on a source is named; the largest one always is."""
@@ -150,47 +150,105 @@ _MUCH = 1.5
 """Factor by which the ground enlarges an uncertainty, from which on it is named."""
 
 
+class RemarkLevel(StrEnum):
+    """Who has to read a remark."""
+
+    RESULT = "result"
+    """No reader of the numbers should miss it: a drag, the ground, an auxiliary seismometer."""
+    ADVICE = "advice"
+    """What limits the result, and what to do."""
+    DETAIL = "detail"
+    """Stands beside the numbers in the report and with `rig -v`."""
+    CONDITION = "condition"
+    """A condition of the run that was not met, or is doubtful."""
+    WARNING = "warning"
+    """Of the fits and of the record."""
+    OF_OTHER_FIT = "of another fit"
+    """A warning of the asymptotic fit alone: it concerns no number of the exact one."""
+
+
+class Remark(NamedTuple):
+    """A row of the table of remarks: what it is about, who has to read it, text and remedy."""
+
+    code: str
+    level: RemarkLevel
+    text: str
+    remedy: str = ""
+
+    @property
+    def line(self) -> str:
+        """Text and remedy in one line."""
+        return f"{self.text}; {self.remedy}" if self.level is RemarkLevel.CONDITION else self.text
+
+
+def remark_rows(run: RunResults, *levels: RemarkLevel) -> list[Remark]:
+    """The table of remarks of a run in the order in which they are read; of some levels, or all."""
+    rows = [row for row in (*_of_fit(run), *_of_run(run)) if row.text]
+    return [row for row in rows if not levels or row.level in levels]
+
+
 def remarks(run: RunResults) -> list[str]:
     """Sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
-    exact = run.fits.get(FitMethod.EXACT)
+    return [row.text for row in remark_rows(run, RemarkLevel.RESULT, RemarkLevel.DETAIL)]
+
+
+def _of_fit(run: RunResults) -> Iterator[Remark]:
+    """What is to be said of the numbers, apart from warnings."""
+    exact, result, detail = run.fits.get(FitMethod.EXACT), RemarkLevel.RESULT, RemarkLevel.DETAIL
     parameters = {} if exact is None else exact.parameters
-    of_drag = drag_headline(run.drag, run.rows, fitted=DRAG.key in parameters) if parameters else ""
-    lines = [of_drag] if of_drag else []
-    lines += [] if run.beam is None else [run.beam.sentence]
-    lines += [] if run.clock is None else [f"Camera's clock: {run.clock.text}."]
-    lines += [ground_sentence(exact.ground)] if exact is not None and exact.ground is not None else []
-    lines += [] if run.witness is None else witness_sentences(run.witness)
+    is_fitted, ground = DRAG.key in parameters, None if exact is None else exact.ground
+    if parameters:
+        yield Remark("drag", result, drag_headline(run.drag, run.rows, fitted=is_fitted))
+    if run.beam is not None:
+        yield Remark("beam", detail, run.beam.sentence)
+    if run.clock is not None:
+        yield Remark("clock", detail, f"Camera's clock: {run.clock.text}.")
+    if ground is not None:
+        yield Remark("ground", result if ground.seen else detail, ground_sentence(ground))
+    for line in () if run.witness is None else witness_sentences(run.witness):
+        yield Remark("witness", result, line)
     row = run.rows.get(DRAG.key)
     is_withheld = row is not None and row.verdict is Determinacy.UNDETERMINED
     if run.drag is not None and not (run.drag.significant and is_withheld):
-        lines.append(_drag_sentence(run.drag, run.rows, fitted=DRAG.key in parameters))
-    lines += [] if exact is None else list(filter(None, [_worth_sentence(exact.worth)]))
-    if exact is not None and (pairs := exact.correlation.strong):
-        names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
-        lines.append(f"Strongly correlated in this run: {names}.".replace("-", "−"))
-    lines += [
-        f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip() + "."
-        for row in run.contact
-        if not row.determined and row.quantity not in ENERGIES
-    ]
-    return [*lines, *run.notes]
+        yield Remark("drag", detail, _drag_sentence(run.drag, run.rows, fitted=is_fitted))
+    if exact is not None:
+        yield Remark("waveform", detail, _worth_sentence(exact.worth))
+        yield Remark("correlation", detail, _correlation_sentence(exact.correlation))
+        yield Remark("advice", RemarkLevel.ADVICE, _advice(whole_result(run)))
+    for row in run.contact:
+        if not row.determined and row.quantity not in ENERGIES:
+            said = f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip()
+            yield Remark("not determined", detail, f"{said}.")
+    for note in run.notes:
+        yield Remark("note", detail, note)
 
 
-def brief_remarks(run: RunResults) -> list[str]:
-    """What no reader of the result should miss: a drag, a ground that is seen, a witness, what to do next."""
-    exact = run.fits.get(FitMethod.EXACT)
-    if exact is None:
-        return []
-    lines = [drag_headline(run.drag, run.rows, fitted=DRAG.key in exact.parameters)]
-    lines += [ground_sentence(exact.ground)] if exact.ground is not None and exact.ground.seen else []
-    lines += [] if run.witness is None else witness_sentences(run.witness)
-    result = whole_result(run)
+def _of_run(run: RunResults) -> Iterator[Remark]:
+    """Conditions that were not met or are doubtful, and warnings."""
+    for one in run.conditions:
+        if not one.ok or one.remedy:
+            text = f"{one.name.upper()}: {one.measured} (limit {one.limit}); {one.reason}"
+            yield Remark(one.name, RemarkLevel.CONDITION, text, one.remedy)
+    for warning in run.warnings:
+        of_other = warning.startswith(f"{FitMethod.ASYMPTOTIC} fit: ")
+        yield Remark("warning", RemarkLevel.OF_OTHER_FIT if of_other else RemarkLevel.WARNING, warning)
+
+
+def _advice(result: WholeResult) -> str:
+    """What limits a result and what to do about it; empty where nothing was fitted."""
     steps = "; ".join(result.next_steps)
-    if steps and result.symbol:
-        lines.append(f"{result.symbol} is limited by: {result.limits[0].name}. To improve it: {steps}.")
-    elif steps:
-        lines.append(f"{result.text}. To improve it: {steps}.")
-    return list(filter(None, lines))
+    if not steps:
+        return ""
+    if result.symbol:
+        return f"{result.symbol} is limited by: {result.limits[0].name}. To improve it: {steps}."
+    return f"{result.text}. To improve it: {steps}."
+
+
+def _correlation_sentence(correlation: Correlation) -> str:
+    if not (pairs := correlation.strong):
+        return ""
+    names = ", ".join(f"{quantity(a).symbol} and {quantity(b).symbol} ({r:+.3f})" for a, b, r in pairs)
+    return f"Strongly correlated in this run: {names}.".replace("-", "−")
 
 
 def ground_sentence(ground: Ground) -> str:
@@ -320,61 +378,3 @@ def damping_lines(results: AmplitudeDamping, unit: str) -> list[str]:
             tau = with_uncertainty(*where.time_constant_s)
             said.append(f"time constant {tau} s at {where.amplitude:.4g} {unit}{more}")
     return said
-
-
-_WELL = 1.05
-"""Factor by which an uncertainty is smaller, from which on it is named."""
-
-
-def witness_sentences(use: SeismometerUse) -> list[str]:
-    """What a witness told, or why it was refused; and what was left out where it was read."""
-    lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
-    return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
-
-
-def _told(use: SeismometerUse) -> list[str]:
-    if not use.used:
-        gain = use.gain_of_prediction
-        judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
-        reason = f": {use.reason}" if use.reason else ""
-        sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
-        said = f"Witness of the ground {use.verdict}{reason}{judged}{sought}."
-        return [f"{said} The results are the same as without it."]
-    before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
-    explained = (
-        f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
-        f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
-    )
-    if use.spectra is not None and isfinite(use.spectra.coherence_near):
-        explained += (
-            f" (squared coherence within a tenth of it {use.spectra.coherence_near:.4g}, over "
-            f"{use.spectra.stretches} stretches)"
-        )
-    responses = "; ".join(map(_response_text, use.responses))
-    lines = [f"Witness of the ground: {explained}. Its response: {responses}."]
-    saved = ", ".join(
-        f"{plain(factor, 3)} ({quantity(name).symbol})"
-        for name, factor in use.saved.items()
-        if factor > _WELL
-    )
-    if saved:
-        lines.append(f"The witness reduces the uncertainties by factors of {saved}.")
-    found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
-    lines.append(
-        f"Clock of the witness: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
-        f"{with_uncertainty(*use.clock_drift)} s/s."
-    )
-    if use.missing_half_cycles:
-        lines.append(
-            f"{use.missing_half_cycles} half-swings have no witness; their drive is treated as unknown."
-        )
-    return lines
-
-
-def _response_text(response: Response) -> str:
-    degrees = 180 / pi
-    slope = ", changing within the band" if response.with_slope else ""
-    return (
-        f"{response.name} {with_uncertainty(response.gain, response.u_gain)} rad/s² per unit at "
-        f"{with_uncertainty(degrees * response.phase_rad, degrees * response.u_phase_rad)}°{slope}"
-    )

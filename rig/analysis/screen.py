@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 from processing.decay_summary import DecayMean
 from processing.errors import ConfigurationError, DataError, DeviceError
-from processing.fit import FitMethod
 from processing.swing import HalfCycleFlag, turning_points
 from processing.units import seconds
 from rig.analysis.compared_laws import chosen_laws
@@ -19,8 +18,8 @@ from rig.analysis.decay_values import DECAY
 from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table, waveform_table
 from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults, TableDecay
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
-from rig.analysis.run_remarks import brief_remarks, damping_lines, decay_lines, remarks
-from rig.analysis.seismometer_file import SeismometerSource
+from rig.analysis.run_remarks import RemarkLevel, damping_lines, decay_lines, remark_rows
+from rig.analysis.seismometer import SeismometerSource
 from rig.analysis.table_fit import (
     AnalysedTable,
     FoundDecay,
@@ -60,9 +59,7 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
         print_tables([combined])
     if not logger.isEnabledFor(logging.INFO) and any(run.fits for run in results.runs):
         print_line("  -v, and the report, show both fits of every run, their quality, and more remarks")
-    if results.series is not None and results.series.instrument is not None:
-        for line in results.series.instrument.text:
-            print_line(line)
+    _print_series(results.series)
     for name, path in paths:
         print(f"{name:<12} {path}")
 
@@ -84,19 +81,12 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
     if run.laws is not None:
         print_tables([law_table(run.laws), waveform_table(run.laws)])
         print_line(f"  {run.laws.verdict}")
-    said = [] if short else remarks(run) if full else brief_remarks(run)
-    for line in (*(run.instrument.text if run.instrument else ()), *said):
+    wanted = [RemarkLevel.RESULT, RemarkLevel.DETAIL if full else RemarkLevel.ADVICE] if not short else []
+    lines = [*(run.instrument.text if run.instrument else ())]
+    lines += [row.line for row in remark_rows(run, *wanted, RemarkLevel.CONDITION)]
+    others = [RemarkLevel.WARNING, *([RemarkLevel.OF_OTHER_FIT] if full else [])]
+    for line in (*lines, *(f"note: {row.text}" for row in remark_rows(run, *others))):
         print_line(f"  {line}")
-    for condition in run.conditions:
-        if not condition.ok or condition.remedy:
-            line = f"  {condition.name.upper()}: {condition.measured} (limit {condition.limit}); "
-            line += f"{condition.reason}; {condition.remedy}"
-            print_line(line)
-    # what only the asymptotic fit is warned of concerns no number that is shown
-    of_other = run.fits[FitMethod.ASYMPTOTIC].warnings if FitMethod.ASYMPTOTIC in run.fits else ()
-    hidden = () if full or short else [f"{FitMethod.ASYMPTOTIC} fit: {warning}" for warning in of_other]
-    for warning in (one for one in run.warnings if one not in hidden):
-        print_line(f"  note: {warning}")
 
 
 _TOO_QUIET = 0.01

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -159,29 +159,25 @@ def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> Ins
     places = [one for number, one in numbered if one and number not in settings.reference_runs]
     glass = [one for number, one in numbered if one and number in settings.reference_runs]
     lines: list[str] = []
-    found = InstrumentSeries(kind=description.kind)
+    made: dict[str, Any] = {"kind": description.kind}
     if places:
-        time_s = _over_places(places, "time_s", "damping time", " s", lines)
-        swings = _over_places(places, "swings", "swings", "", lines)
-        found = replace(found, time_s=time_s, swings=swings)
-    reference = _reference(settings, glass)
-    problem = _reference_fault(settings, numbered)
+        made["time_s"] = _over_places(places, "time_s", "damping time", " s", lines)
+        made["swings"] = _over_places(places, "swings", "swings", "", lines)
+    reference, problem = _reference(settings, glass), _reference_fault(settings, numbered)
     if reference is None:
         problem += ": no ratio"
-        return replace(found, problem=problem, text=(*lines, problem))
+        return InstrumentSeries(**made, problem=problem, text=(*lines, problem))
     lines += [problem] if problem else []
-    found = replace(found, reference_time_s=reference.estimate)
+    made["reference_time_s"] = reference.estimate
     if glass:
-        found = replace(found, acceptance=_acceptance(description, glass, lines))
+        made["acceptance"] = _acceptance(description, glass, lines)
     if places:
-        relative = ratio(_mean(places, "time_s"), reference)
-        found = replace(found, ratio=relative)
+        made["ratio"] = relative = ratio(_mean(places, "time_s"), reference)
         lines.append(f"ratio of damping times, sample to reference: {with_uncertainty(*relative)}")
-        if glass:
-            counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
-            found = replace(found, ratio_of_swings=counted)
-            lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
-    return replace(found, text=tuple(lines))
+    if places and glass:
+        made["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
+        lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
+    return InstrumentSeries(**made, text=tuple(lines))
 
 
 def _mean(readings: _Readings, name: str) -> ValueWithSharedErrors:

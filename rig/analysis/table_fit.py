@@ -17,7 +17,6 @@ from processing.deflections import Deflections, DeflectionUnit, joined, slow_def
 from processing.envelope import EnvelopeDecay, fit_envelope
 from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
-from processing.fit import Witness
 from processing.swing import (
     HalfCycle,
     HalfCycleFlag,
@@ -29,12 +28,11 @@ from processing.swing import (
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
+from rig.analysis.air import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.compared_laws import with_laws
-from rig.analysis.contact_fits import with_source
 from rig.analysis.decay_values import DECAY, amplitude_damping, amplitude_rows, decay_values
-from rig.analysis.half_cycle_fits import analyse_swings
+from rig.analysis.half_cycle_fits import SeismometerBeside, analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.recorded_seismometer import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.results import (
     EnvelopeResults,
     RunResults,
@@ -45,7 +43,7 @@ from rig.analysis.results import (
     TableUnit,
 )
 from rig.analysis.results_file import relative_record
-from rig.analysis.seismometer_file import FIRST_UTC_S, FitStart, SeismometerRecord
+from rig.analysis.seismometer import FIRST_UTC_S, FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun, instrument_series
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.intake import (
@@ -265,14 +263,10 @@ def _analyse(
         record=relative_record(path, Path.cwd()), sha256=known_sha256_of_any(path), problem=problem
     )
     if config is not None and not problem:
-
-        def beside(turn_time_ns: int) -> tuple[Witness, bool]:
-            assert witness is not None
-            in_file_ns = turn_time_ns + trajectory.first_ns
-            absolute = seconds(trajectory.first_ns) > FIRST_UTC_S
-            return witness.beside(FitStart(in_file_ns, in_file_ns if absolute else None))
-
-        at = None if witness is None else beside
+        zero_ns, absolute = trajectory.first_ns, seconds(trajectory.first_ns) > FIRST_UTC_S
+        beside: SeismometerBeside | None = None
+        if witness is not None:
+            beside = witness, lambda ns: FitStart(ns + zero_ns, ns + zero_ns if absolute else None)
         air = stated_surroundings(config)
         fitted = analyse_swings(
             path,
@@ -280,12 +274,11 @@ def _analyse(
             config,
             passing,
             air,
-            witness=at,
+            witness=beside,
             u_common_rad=u_common,
             followed=followed,
         )
         run = (with_laws(fitted, laws) if laws else fitted).results
-        run = replace(run, witness=with_source(run.witness, witness))
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
     # while the pendulum is held or pushed it does not swing

@@ -1,7 +1,7 @@
 """A decay whose plane of swing turns: its deflections turned back, and what that leaves uncertain."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -14,7 +14,7 @@ from processing.decay_summary import mean_period
 from processing.deflections import Deflections
 from processing.swing import HalfCycle, TurningPoints, swings_of_blocks, turning_points
 from processing.units import seconds
-from rig.analysis.passing_deflections import PassingDeflections
+from rig.analysis.passing_deflections import Changed, PassingDeflections
 from rig.presentation import with_uncertainty
 
 Array = NDArray[np.float64]
@@ -164,25 +164,12 @@ def follow_plane(
             "amplitudes are not known; let the pendulum settle before the release (rig balance)"
         )
         return replace(found, plane=plane, problem=problem.replace("-", "−"))
+    angle_rad = plane.direction_rad if along_line else plane.turned_rad
     back = PassingDeflections(
-        _RotatedDeflections(deflections, plane, _oblique_rad(axes), along_line=along_line), deflections.unit
+        Changed(deflections, lambda block: turned(block, angle_rad(block.times_ns), _oblique_rad(axes))),
+        deflections.unit,
     )
     return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)
-
-
-class _RotatedDeflections(Iterable[Deflections]):
-    """Deflections along the axes that turn with the plane of swing."""
-
-    def __init__(
-        self, blocks: Iterable[Deflections], plane: PlaneOfSwing, oblique_rad: float, *, along_line: bool
-    ) -> None:
-        self._blocks = blocks
-        self._angle_rad = plane.direction_rad if along_line else plane.turned_rad
-        self._oblique_rad = oblique_rad
-
-    def __iter__(self) -> Iterator[Deflections]:
-        for block in self._blocks:
-            yield turned(block, self._angle_rad(block.times_ns), self._oblique_rad)
 
 
 def _matters(

@@ -1,7 +1,7 @@
 """A session's folder as rows of the archive: its records, and what its newest results say of each."""
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -194,48 +194,40 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
 
 def row_of_results(run: RunResults) -> Row:
     """What results say of a run, by the names of columns."""
-    return dict(_result_columns(run))
-
-
-def _result_columns(run: RunResults) -> Iterator[tuple[str, Any]]:
-    for name in ("frames", "dropped_frames", "half_cycles", "amplitude_unit", "problem"):
-        yield name, getattr(run, name)
-    for name in ("initial_amplitude", "final_amplitude"):
-        yield name, _number(run.number(name).value)
-    yield "configuration_sha256", run.inputs_sha256.get("configuration.json")
-    yield "conditions_met", all(item.ok for item in run.conditions) if run.conditions else None
+    row: Row = {
+        name: getattr(run, name)
+        for name in ("frames", "dropped_frames", "half_cycles", "amplitude_unit", "problem")
+    }
+    row |= {name: _number(run.number(name).value) for name in ("initial_amplitude", "final_amplitude")}
+    row["configuration_sha256"] = run.inputs_sha256.get("configuration.json")
+    row["conditions_met"] = all(item.ok for item in run.conditions) if run.conditions else None
     if run.pendulum is not None:
-        yield "mass_kg", run.pendulum.mass_kg
-        yield "ball_radius_m", run.pendulum.ball_radius_m
+        row |= {"mass_kg": run.pendulum.mass_kg, "ball_radius_m": run.pendulum.ball_radius_m}
     fit = run.fits.get(FitMethod.EXACT)
-    if fit is None:
-        for name in ("mean_period_s", "log_decrement"):
-            if (found := run.number(name)).value > 0:
-                yield from _estimate(name, found)
     if fit is not None:
-        yield "law", fit.law
-        yield "chi2_per_dof", _number(fit.chi2_per_dof)
-        yield "degrees_of_freedom", fit.degrees_of_freedom
-        yield from _estimate("mean_period_s", fit.mean_period_s)
+        row |= {"law": fit.law, "chi2_per_dof": _number(fit.chi2_per_dof)}
+        row["degrees_of_freedom"] = fit.degrees_of_freedom
+        row |= _estimate("mean_period_s", fit.mean_period_s)
+    else:
+        decay = {name: run.number(name) for name in ("mean_period_s", "log_decrement")}
+        for name, found in decay.items():
+            row |= _estimate(name, found) if found.value > 0 else {}
     if run.witness is not None:
-        yield "witness", run.witness.verdict.value
-        yield "witness_explained", _number(run.witness.explained)
-    for row in run.contact:
-        name = row.quantity
-        if name in PARAMETERS or name in DERIVED:
-            numbers = (row.value, row.u, row.u_total, row.lower, row.upper)
-            yield from zip(row_columns(name), map(_number, numbers), strict=False)
-            yield f"verdict_{name}", row.verdict.value
+        row |= {"witness": run.witness.verdict.value, "witness_explained": _number(run.witness.explained)}
+    for one in run.contact:
+        if one.quantity in (*PARAMETERS, *DERIVED):
+            numbers = map(_number, (one.value, one.u, one.u_total, one.lower, one.upper))
+            row |= dict(zip(row_columns(one.quantity), numbers, strict=True))
+            row[f"verdict_{one.quantity}"] = one.verdict.value
     if run.instrument is not None:
-        yield "instrument", run.instrument.kind
-        for row in run.table:
-            if row.quantity in OF_INSTRUMENTS:
-                yield from _estimate(row.quantity, Estimate(*row))
+        row["instrument"] = run.instrument.kind
+        for one in (one for one in run.table if one.quantity in OF_INSTRUMENTS):
+            row |= _estimate(one.quantity, Estimate(*one))
+    return row
 
 
-def _estimate(name: str, item: Estimate) -> Iterator[tuple[str, float | None]]:
-    yield name, _number(item.value)
-    yield f"u_{name}", _number(item.standard_uncertainty)
+def _estimate(name: str, item: Estimate) -> Row:
+    return {name: _number(item.value), f"u_{name}": _number(item.standard_uncertainty)}
 
 
 def _number(value: float) -> float | None:

@@ -74,12 +74,8 @@ class Campaign:
 def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False) -> Campaign:
     """The answer of a campaign; with `sample` the posterior is a sampler's.
 
-    Raises
-    ------
-    DataError
-        No run can enter, or nothing is known of what is asked for.
-    ConfigurationError
-        A parameter is stated that there is not.
+    Raises DataError: no run can enter, or nothing is known of what is asked for; ConfigurationError: a
+    parameter is stated that there is not.
     """
     reference_rad = stated.reference_arcsec * ARCSEC_RAD
     tried = [(one, *compressed(one, reference_rad, stated.u)) for one in found]

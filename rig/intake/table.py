@@ -17,11 +17,9 @@ from rig.intake.doubts import (
     SPREADSHEET_ZERO_NS,
     is_spreadsheet_time,
     judge_begin,
-    judge_clock_digits,
     judge_size,
     judge_time_unit,
     judge_words,
-    judge_zones,
     unwrapped,
 )
 from rig.intake.times import M_SS, SORT, clock_form, number, placed, read_times, rising
@@ -57,13 +55,9 @@ class TableColumns:
     def read(self, path: Path) -> Trajectory:
         """The table, or the one run that is asked for.
 
-        Raises
-        ------
-        DataError
-            No such file, no numbers, times that do not increase.
-        ConfigurationError
-            A column that there is not, a unit that is not known, or two that contradict one another; several
-            runs of which none is chosen.
+        Raises DataError: no such file, no numbers, times that do not increase; ConfigurationError: a column
+        that there is not, a unit that is not known, or two that contradict one another; several runs of
+        which none is chosen.
         """
         cells, chosen, every = self._runs(path)
         if len(chosen) > 1:
@@ -137,19 +131,8 @@ class _Reading:
             if turns:
                 self._said.append(f"position: {self._names[k]} jumps by a turn {turns} times: unwrapped")
         judge_size(self._path, unit, table)
-        return Trajectory(
-            times_ns=times_ns,
-            positions=tuple(table.T),
-            names=tuple(self._names[k] for k in p_columns),
-            unit=unit,
-            scale_rad=conversion(unit, "rad") if unit in ANGLES else None,
-            time_unit=time_unit,
-            time_name="the rate" if t_column is None else self._names[t_column],
-            time_is_assumed=self._time_is_assumed,
-            understood=(self._how_written(), *self._said),
-            first_ns=first_ns,
-            run=self._run,
-        )
+        names = [self._names[k] for k in p_columns]
+        return self._made(t_column, times_ns, time_unit, first_ns, table, names, unit)
 
     def columns(self) -> Trajectory:
         """Time and any number of columns, whatever their units; all but the time where none is named."""
@@ -174,17 +157,30 @@ class _Reading:
             self._said.append(f"left out: columns without numbers: {without}")
         table = table[:, ~empty]
         self._left_out(good, np.asarray(self._cells.lines)[good], table, kept)
+        return self._made(t_column, times_ns, time_unit, first_ns, table, kept, NOT_STATED)
+
+    def _made(
+        self,
+        t_column: int | None,
+        times_ns: NDArray[np.int64],
+        time_unit: str,
+        first_ns: int,
+        table: NDArray[np.float64],
+        names: Sequence[str],
+        unit: str,
+    ) -> Trajectory:
         return Trajectory(
             times_ns=times_ns,
             positions=tuple(table.T),
-            names=tuple(kept),
-            unit=NOT_STATED,
-            scale_rad=None,
+            names=tuple(names),
+            unit=unit,
+            scale_rad=conversion(unit, "rad") if unit in ANGLES else None,
             time_unit=time_unit,
-            time_name=self._names[t_column],
+            time_name="the rate" if t_column is None else self._names[t_column],
             time_is_assumed=self._time_is_assumed,
             understood=(self._how_written(), *self._said),
             first_ns=first_ns,
+            run=self._run,
         )
 
     def _times(self, column: int) -> tuple[NDArray[np.int64], NDArray[np.bool_], str, int]:
@@ -199,7 +195,6 @@ class _Reading:
             times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)
             read = [cell for cell, yes in zip(cells, good, strict=True) if yes]
             rising(self._path, times_ns, read, SORT)
-            judge_zones(self._path, read, times_ns)
             self._said.append(
                 f"time: {self._names[column]}, " + (f"as {form} ({source})" if form else "moments")
             )
@@ -210,8 +205,6 @@ class _Reading:
         times_ns, good, first_ns = read_times(self._path, cells, unit, remedy)
         self._time_is_assumed = source == NOT_STATED_TIME
         judge_begin(self._path, self._names[column], unit, source, first_ns, times_ns)
-        if unit == "s":
-            judge_clock_digits(self._path, self._names[column], seconds(times_ns + first_ns))
         self._said.append(f"time: {self._names[column]}, in {unit} ({source})")
         if unit == "d" and is_spreadsheet_time(first_ns):
             first_ns -= SPREADSHEET_ZERO_NS

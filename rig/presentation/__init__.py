@@ -22,7 +22,6 @@ from rig.presentation.printing import (
     TimeLeft,
     answer,
     columns_of,
-    harmless_line,
     harmless_text,
     loud,
     one_json_object,

@@ -29,8 +29,6 @@ from processing.errors import ConfigurationError, RecordError
 
 Cell = float | int | str
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
-_FORMULA_WITHIN = re.compile(r"([,;|](?:\s*(?=[=@]))?\"?)([=+@-])")
-"""Behind what may part cells: a sign directly, = and @ also behind a blank or a quote."""
 
 
 class TableRow(NamedTuple):
@@ -83,16 +81,6 @@ class Table:
 def harmless_text(text: str) -> str:
     """A text as the cell of a CSV file: one that a spreadsheet would take for a formula begins with ``'``."""
     return f"'{text}" if text.startswith(_FORMULA_STARTS) else text
-
-
-def harmless_line(text: str) -> str:
-    """A line of words above a CSV file's columns, which a spreadsheet splits into cells like any other.
-
-    A cell that it would take for a formula begins with ``'``; JSON stays the same content, escaped.
-    """
-    if ": {" in text and text.endswith("}"):
-        return _FORMULA_WITHIN.sub(lambda found: f"{found[1]}\\u{ord(found[2]):04x}", text)
-    return _FORMULA_WITHIN.sub(r"\1'\2", text)
 
 
 def _cell(value: Cell) -> Cell:
@@ -219,14 +207,29 @@ def print_json_line(kind: str, values: Mapping[str, Any]) -> None:
 
 
 def plain_values(value: Any) -> Any:
-    """Nested values for JSON, where NaN and infinity become null (not determined)."""
+    """Nested values as JSON has them, where NaN and infinity become null (not determined)."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Table):
+        about = {"name": value.name, "title": value.title, "columns": value.columns, "rows": value.rows}
+        return plain_values(about)
+    if isinstance(value, BaseModel):
+        return plain_values(value.model_dump(mode="json"))
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {item.name: plain_values(getattr(value, item.name)) for item in dataclasses.fields(value)}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return plain_values(value._asdict())
     if isinstance(value, Mapping):
         return {str(key): plain_values(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | set | frozenset):
         return [plain_values(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    if isinstance(value, np.ndarray | np.generic):
+        return plain_values(value.tolist())
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, datetime.datetime | datetime.date):
+        return value.isoformat()
+    return str(value) if isinstance(value, Path) else value
 
 
 _FOUND: ContextVar[dict[str, Any] | None] = ContextVar("found", default=None)
@@ -260,31 +263,7 @@ def one_json_object() -> Iterator[None]:
             yield
     finally:
         _FOUND.reset(before)
-    print(json.dumps(plain_values(_plain(found)), ensure_ascii=False), flush=True)
-
-
-def _plain(value: Any) -> Any:
-    """Nested values as JSON has them."""
-    if isinstance(value, Table):
-        rows = [_plain(list(row)) for row in value.rows]
-        return {"name": value.name, "title": value.title, "columns": list(value.columns), "rows": rows}
-    if isinstance(value, BaseModel):
-        return value.model_dump(mode="json")
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {item.name: _plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
-    if isinstance(value, tuple) and hasattr(value, "_asdict"):
-        return _plain(value._asdict())
-    if isinstance(value, dict):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, datetime.datetime | datetime.date):
-        return value.isoformat()
-    return str(value) if isinstance(value, Path) else value
+    print(json.dumps(plain_values(found), ensure_ascii=False), flush=True)
 
 
 _NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")

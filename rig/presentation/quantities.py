@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import select
 import sys
 import time
@@ -216,8 +217,8 @@ def balance_table(numbers: Mapping[str, tuple[float, float]], unit: str) -> str:
 
 
 _SEQUENCES: Final = {b"[A": "up", b"[B": "down", b"[C": "right", b"[D": "left", b"OC": "right", b"OD": "left"}
-_ESCAPE: Final = 0x1B
-_LONGEST_SEQUENCE: Final = 8
+_KEY: Final = re.compile(rb"\x1b[\[O][^@-~]*[@-~]|\x1b(?=[^\[O])|[^\x1b]")
+"""A sequence, a single escape character that something else follows, or a character."""
 
 
 class KeyParser:
@@ -234,22 +235,17 @@ class KeyParser:
         """The keys that these bytes complete."""
         self._waiting += data
         keys: list[str] = []
-        while self._waiting:
-            if self._waiting[0] == _ESCAPE:
-                length = _sequence_length(self._waiting)
-                if not length:
-                    break
-                name = "escape" if length == 1 else _SEQUENCES.get(self._waiting[1:length])
-                keys += [name] if name else []
-                self._waiting = self._waiting[length:]
-                continue
-            character, self._waiting = self._waiting[:1].decode("latin-1"), self._waiting[1:]
-            keys.append(_name(character))
+        while (found := _KEY.match(self._waiting)) is not None:
+            key, self._waiting = found[0], self._waiting[found.end() :]
+            if not key.startswith(b"\x1b"):
+                keys.append(_name(key.decode("latin-1")))
+            elif name := _SEQUENCES.get(key[1:], "escape" if len(key) == 1 else ""):
+                keys.append(name)
         return keys
 
     def flush(self) -> list[str]:
         """Complete the last key if nothing follows: a single escape character is the key ``escape``."""
-        alone = self._waiting == bytes([_ESCAPE])
+        alone = self._waiting == b"\x1b"
         self._waiting = b""
         return ["escape"] if alone else []
 
@@ -309,16 +305,6 @@ class Keys:
             # the terminal was closed; no more keys
             self._number = -1
         return self._parser.feed(data)
-
-
-def _sequence_length(data: bytes) -> int:
-    """Length in bytes of the escape sequence at the start of `data`; 0 if it is incomplete."""
-    if len(data) > 1 and data[1:2] not in (b"[", b"O"):
-        return 1
-    for end in range(2, min(len(data), _LONGEST_SEQUENCE)):
-        if 0x40 <= data[end] <= 0x7E:
-            return end + 1
-    return len(data) if len(data) >= _LONGEST_SEQUENCE else 0
 
 
 def _name(character: str) -> str:

@@ -16,8 +16,7 @@ from rig.report.session_report import (
     save_tables,
 )
 from rig.report.source import ShownTrajectory, ShownUnit
-from rig.report.tables import series_table
-from rig.report.tables_instruments import instrument_table
+from rig.report.tables import instrument_table, series_table
 
 if TYPE_CHECKING:
     from rig.report.paper_tables import reproduce_paper

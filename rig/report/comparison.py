@@ -1,7 +1,7 @@
 """`rig compare`: series of several samples, days, humidities beside each other."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from math import isfinite, nan
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.series import Combined, Comparison, combine, compare_series
-from rig.analysis import SURFACE_ENERGY, ResultRow, RunResults, SessionResults, read_results
+from rig.analysis import SURFACE_ENERGY, ResultRow, SessionResults, read_results
 from rig.presentation import (
     Cell,
     Table,
@@ -26,7 +26,7 @@ from rig.presentation import (
     written,
 )
 from rig.report import html
-from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, canvas, styled
+from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, styled, three_columns
 from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
 
@@ -46,10 +46,7 @@ class RunUnderConditions(NamedTuple):
 def chosen_surrounding(name: str) -> str:
     """The name of a quantity of the surroundings, which may be given without its unit.
 
-    Raises
-    ------
-    ConfigurationError
-        There is none of that name.
+    Raises ConfigurationError: there is none of that name.
     """
     known = {field.name: field.name for field in fields(AmbientConditions)}
     known |= {key.rpartition("_")[0]: key for key in list(known)}
@@ -62,10 +59,7 @@ def chosen_surrounding(name: str) -> str:
 def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnderConditions]:
     """The fitted runs of which a quantity of the surroundings is known.
 
-    Raises
-    ------
-    RecordError
-        It is known of fewer than two.
+    Raises RecordError: it is known of fewer than two.
     """
     found = []
     fitted = [(label, run) for label, one in sessions.items() for run in one.runs if run.fits]
@@ -135,30 +129,28 @@ def _line(runs: Sequence[RunUnderConditions], key: str) -> tuple[float, float, f
 def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigure:
     """One panel a parameter, one point a run with its standard uncertainty, one colour a series."""
     names = [key for key in DEFAULT_LAW.names() if any(key in run.parameters for run in runs)]
-    rows = (len(names) + 2) // 3
-    figure = canvas(0.5 + 1.9 * rows)
-    panels = figure.subplots(rows, 3, squeeze=False, sharex=True)
-    figure.subplots_adjust(left=0.1, right=0.985, bottom=0.13, top=0.86, wspace=0.5, hspace=0.45)
+    margins = {"left": 0.1, "bottom": 0.13, "top": 0.86, "wspace": 0.5, "hspace": 0.45}
+    figure, panels = three_columns(len(names), lambda rows: 0.5 + 1.9 * rows, **margins)
     over = quantity(name)
     labels = list(dict.fromkeys(run.series for run in runs))
     colours = dict(zip(labels, (DATA, EXACT, ASYMPTOTIC, *palette.SEQUENCE) * len(labels), strict=False))
-    for axes, key in zip(panels.flat, names, strict=False):
+    for axes, key in zip(panels, names, strict=True):
         of = quantity(key)
         for label in labels:
             seen = [run for run in runs if run.series == label and key in run.parameters]
             if seen:
                 value, u = np.array([tuple(run.parameters[key]) for run in seen]).T * of.factor
                 at = np.array([run.at for run in seen]) * over.factor
-                style = {"color": colours[label], "label": label}
-                axes.errorbar(at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9, **style)
+                axes.errorbar(
+                    at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9,
+                    color=colours[label], label=label,
+                )  # fmt: skip
         axes.set_title(of.label)
         axes.tick_params(axis="y", labelsize=7)
         axes.ticklabel_format(axis="y", useOffset=False, scilimits=(-3, 4))
-    for axes in panels[-1]:
+    for axes in panels[-3:]:
         axes.set_xlabel(over.label)
-    figure.legend(*panels.flat[0].get_legend_handles_labels(), loc="upper center", ncols=4)
-    for axes in list(panels.flat)[len(names) :]:
-        axes.set_visible(False)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
     return ReportFigure(
         "against",
         f"Parameters against {over.name}",
@@ -186,19 +178,18 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     unknown `against`.
     """
     over = chosen_surrounding(against) if against else ""
-    sessions = [read_results(folder) for folder in folders]
-    labels = [
-        _label(folder, folders) + _origin_text(found) for folder, found in zip(folders, sessions, strict=True)
-    ]
-    fitted = any(_combined_of(found) or any(run.fits for run in found.runs) for found in sessions)
+    sessions = {}
+    for folder in folders:
+        found = read_results(folder)
+        sessions[_label(folder, folders) + _origin_text(found)] = found
+    fitted = any(_combined_of(found) or any(run.fits for run in found.runs) for found in sessions.values())
     series = {
         label: (series_of if fitted else decays_of)(found, folder)
-        for label, folder, found in zip(labels, folders, sessions, strict=True)
+        for (label, found), folder in zip(sessions.items(), folders, strict=True)
     }
-    seen = seen_runs(dict(zip(labels, sessions, strict=True)), over) if over else []
-    rows = {label: rows_of(found, series[label]) for label, found in zip(labels, sessions, strict=True)}
-    values = values_table(series, rows)
-    tables = [with_witnesses(values, dict(zip(labels, sessions, strict=True)))]
+    seen = seen_runs(sessions, over) if over else []
+    rows = {label: rows_of(found, series[label]) for label, found in sessions.items()}
+    tables = [values_table(series, rows, _witnesses_note(sessions))]
     tables += [differences_table(compare_series(series))] if len(series) > 1 else []
     tables += [against_table(seen, over)] if over else []
     if output is not None:
@@ -235,16 +226,17 @@ def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
 
     Raises RecordError where nothing was fitted.
     """
-    combined = _combined_of(session)
-    if combined:
+    if combined := _combined_of(session):
         return combined
-    fitted = [run for run in session.runs if run.fits]
-    if not fitted:
+    run = next((run for run in session.runs if run.fits), None)
+    if run is None:
         raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
-    parameters = _single(fitted[0])
-    if not parameters:
+    dof = run.fits[FitMethod.EXACT].degrees_of_freedom
+    rows = (row for name in DEFAULT_LAW.names() if (row := run.rows.get(name)) is not None)
+    alone = {row.quantity: _alone(Estimate(row.value, row.u), dof) for row in rows if row.determined}
+    if not alone:
         raise RecordError(f"{folder}: its run determines no parameter of the contact")
-    return parameters
+    return alone
 
 
 def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
@@ -255,15 +247,18 @@ def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
     runs = [run for run in session.runs if run.number("mean_period_s").value > 0]
     if not runs:
         raise RecordError(f"{folder}: has no decay ({session.runs[0].problem})")
-    parameters = {}
-    for name in _OF_ANY_DECAY:
-        values = [run.number(name) for run in runs]
-        # one clock times all runs: it does not fall in their mean
-        by_clock = [0.0 if run.clock is None else run.clock.u_rate * run.number(name).value for run in runs]
-        shared = by_clock if name == "mean_period_s" else ()
+    if len(runs) == 1:
         dof = max(runs[0].half_cycles - 2, 1)
-        parameters[name] = _alone(values[0], dof) if len(values) == 1 else combine(name, values, shared)
-    return parameters
+        return {name: _alone(runs[0].number(name), dof) for name in _OF_ANY_DECAY}
+    # one clock times all runs: it does not fall in their mean
+    by_clock = [
+        0.0 if run.clock is None else run.clock.u_rate * run.number("mean_period_s").value for run in runs
+    ]
+    shared = {"mean_period_s": by_clock}
+    return {
+        name: combine(name, [run.number(name) for run in runs], shared.get(name, ()))
+        for name in _OF_ANY_DECAY
+    }
 
 
 def rows_of(session: SessionResults, series: Mapping[str, Combined]) -> Mapping[str, ResultRow]:
@@ -287,17 +282,8 @@ def _combined_of(session: SessionResults) -> Mapping[str, Combined]:
     return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
 
 
-def _single(run: RunResults) -> dict[str, Combined]:
-    """What one run determines, as a series of its own: how runs scatter is not known, and no test is made."""
-    dof = run.fits[FitMethod.EXACT].degrees_of_freedom
-    return {
-        name: _alone(Estimate(row.value, row.u), dof)
-        for name, row in run.rows.items()
-        if name in DEFAULT_LAW.names() and row.determined
-    }
-
-
 def _alone(estimate: Estimate, dof: int) -> Combined:
+    """One run as a series of its own: how runs scatter is not known, and no test is made."""
     value, u = estimate
     return Combined(
         value=value,
@@ -310,7 +296,7 @@ def _alone(estimate: Estimate, dof: int) -> Combined:
 
 
 def values_table(
-    series: Mapping[str, Mapping[str, Combined]], found: Mapping[str, Mapping[str, ResultRow]]
+    series: Mapping[str, Mapping[str, Combined]], found: Mapping[str, Mapping[str, ResultRow]], note: str
 ) -> Table:
     """One row a quantity, one column a series; what is not determined as interval or bound."""
     known = {name for rows in found.values() for name in rows}
@@ -328,27 +314,21 @@ def values_table(
         lines.append(TableRow(cells, [quantity(name).label, *texts]))
     what = ("value", "u_total", "lower_95", "upper_95", "verdict")
     columns = [f"{label}_{each}" for label in series for each in what]
-    runs = ", ".join(f"{label}: {len(_runs(one))}" for label, one in series.items())
+    runs = ", ".join(f"{label}: {len(next(iter(one.values())).runs)}" for label, one in series.items())
     return Table.of(
         "values", "Parameters of each series", ("parameter", *columns), ("", *series), lines,
         ("Means over the decays" if known <= set(_OF_ANY_DECAY) else "Exact fits")
-        + f", value ± standard uncertainty of swings and apparatus, as far as stated. Runs: {runs}.",
+        + f", value ± standard uncertainty of swings and apparatus, as far as stated. Runs: {runs}.{note}",
     )  # fmt: skip
 
 
-def with_witnesses(table: Table, sessions: Mapping[str, SessionResults]) -> Table:
-    """The table, and under it which of the series were fitted with a witness of the ground."""
+def _witnesses_note(sessions: Mapping[str, SessionResults]) -> str:
+    """Which of the series were fitted with an auxiliary seismometer; empty: none."""
     said = []
     for label, session in sessions.items():
         used = sum(run.witness is not None and run.witness.used for run in session.runs)
         said += [f"{label}: {used} of {len(session.runs)} runs"] if used else []
-    if not said:
-        return table
-    return replace(table, note=f"{table.note} With a witness of the ground: {', '.join(said)}.")
-
-
-def _runs(found: Mapping[str, Combined]) -> tuple[Estimate, ...]:
-    return next(iter(found.values())).runs
+    return f" With a witness of the ground: {', '.join(said)}." if said else ""
 
 
 def differences_table(comparisons: Sequence[Comparison]) -> Table:

@@ -9,18 +9,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
 from acquisition.atomic_write import write_new
 from processing.errors import MissingPackage
 from processing.units import in_ascii
 from rig.analysis import ResultRow
-from rig.report.run import ExportedResults, ExportedRun, columns_of
+from rig.report.run import Exported
 
 _NEXUS_UNITS = {"px": "pixel", "DN": "count", "1": "", "°C": "degC", "%": "percent"}
 
 
-def write_nexus(path: Path, runs: Sequence[ExportedRun], series: ExportedResults | None = None) -> None:
+def write_nexus(path: Path, runs: Sequence[Exported], series: Exported | None = None) -> None:
     """One file: ``/run_1/spots``, ``/run_1/swings``, ``/run_1/results``, ``/run_1/provenance``, and
     ``/series/results``, ``/series/provenance`` of a series.
 
@@ -52,17 +50,17 @@ def item_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", text) or "_"
 
 
-def _entry(file: Any, run: ExportedRun) -> None:
+def _entry(file: Any, run: Exported) -> None:
     about = run.provenance
     entry = _described(file, run)
     entry.attrs["default"] = "swings"
     entry["start_time"], entry["end_time"] = run.began, run.ended
     _about_the_rig(entry, about)
-    _data(entry, "spots", run.spots, ("y_rad", "y_deflection_px", "position_1"), run)
-    _data(entry, "swings", run.swings, ("amplitude",), run)
+    _data(entry, "spots", ("y_rad", "y_deflection_px", "position_1"), run)
+    _data(entry, "swings", ("amplitude",), run)
 
 
-def _described(file: Any, run: ExportedResults) -> Any:
+def _described(file: Any, run: Exported) -> Any:
     """An entry with results and what they come from."""
     about = run.provenance
     entry = _group(file, item_name(run.name), "NXentry")
@@ -109,9 +107,9 @@ def _group(above: Any, name: str, nexus_class: str) -> Any:
     return group
 
 
-def _data(entry: Any, name: str, table: NDArray[Any], signals: tuple[str, ...], run: ExportedRun) -> None:
+def _data(entry: Any, name: str, signals: tuple[str, ...], run: Exported) -> None:
     """Columns, the first that begins like one of `signals` against the time."""
-    group, columns = _group(entry, name, "NXdata"), columns_of(table)
+    group, columns = _group(entry, name, "NXdata"), run.columns[name]
     signal = next((key for begin in signals for key in columns if key.startswith(begin)), "")
     axis = next((key for key in ("time_ns", "turn_time_ns", "time_s") if key in columns), "")
     if signal and axis:

@@ -61,10 +61,7 @@ def plan_expected(
 ) -> Plan:
     """Runs between all first and last amplitudes, and series of so many of each.
 
-    Raises
-    ------
-    DataError
-        No pair of amplitudes makes a run.
+    Raises DataError: no pair of amplitudes makes a run.
     """
     values, pendulum, conditions, longest_s = expected
     if ground_rad_per_s2_rthz is not None:

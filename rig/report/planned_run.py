@@ -16,7 +16,7 @@ from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsWatch, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, nanoseconds
-from rig.analysis import AnalysedRun, SessionResults, known_drag, read_results, stated_surroundings
+from rig.analysis import AnalysedRun, Fit, known_drag, read_results, stated_surroundings
 from rig.instrument import complete, pendulum_on_ball, sensor_model
 from rig.settings import Configuration, load_configuration
 
@@ -42,10 +42,7 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
     light, air, pointing, and the ground. `frame_noise_rad` is the noise of one frame where it is known
     better, as preflight measures it.
 
-    Raises
-    ------
-    ConfigurationError
-        No pendulum, lever or frame rate, or a ground whose density is not stated.
+    Raises ConfigurationError: no pendulum, lever or frame rate, or a ground whose density is not stated.
     """
     pendulum = pendulum_on_ball(config)
     if pendulum is None:
@@ -96,10 +93,7 @@ def expected_of_run(run: AnalysedRun) -> PlannedContact:
 def expected_of_table(results: Path) -> PlannedContact:
     """Contact, noise and ground of the longest decay of a table or film, as its results have them.
 
-    Raises
-    ------
-    DataError
-        No decay in it has a fit of the contact.
+    Raises DataError: no decay in it has a fit of the contact.
     """
     exact, pendulum, stored = max(
         (
@@ -122,19 +116,25 @@ def expected_of_table(results: Path) -> PlannedContact:
         scale * float(np.median(points.u_time_s * points.amplitude)),
         0.0 if ground is None else ground.density_rad_per_s2_rthz.value,
     )
-    names = DEFAULT_LAW.names(drag=DRAG.key in exact.parameters)
-    return PlannedContact({name: exact.parameters[name].value for name in names}, pendulum, conditions)
+    return PlannedContact(_values_of(exact), pendulum, conditions)
 
 
 def _contact_of(results: Path) -> dict[str, float]:
     """The contact's values by key, of the first fitted run of a results file."""
-    found = read_results(results)
-    for run in found.runs if isinstance(found, SessionResults) else ():
-        if FitMethod.EXACT in run.fits:
-            parameters = run.fits[FitMethod.EXACT].parameters
-            known = DEFAULT_LAW.names(drag=True)
-            return {name: parameters[name].value for name in known if name in parameters}
-    raise DataError(f"{results}: no run in it has a fit of the contact; name another, or leave --contact out")
+    fit = next(
+        (run.fits[FitMethod.EXACT] for run in read_results(results).runs if FitMethod.EXACT in run.fits), None
+    )
+    if fit is None:
+        raise DataError(
+            f"{results}: no run in it has a fit of the contact; name another, or leave --contact out"
+        )
+    return _values_of(fit)
+
+
+def _values_of(fit: Fit) -> dict[str, float]:
+    """The contact's values by key, with the drag where one was fitted."""
+    known = DEFAULT_LAW.names(drag=True)
+    return {name: fit.parameters[name].value for name in known if name in fit.parameters}
 
 
 def _frame_rate_hz(config: Configuration) -> float:

@@ -36,38 +36,28 @@ SERIES_NAME = "series"
 
 
 @dataclass(frozen=True)
-class ExportedResults:
-    """Results of a run or of a series: the rows of their table, and all that results.json has of them.
-
-    `provenance` maps names to texts. `notes` say what the records lack: that one was cut short, what is
-    damaged.
-    """
+class Exported:
+    """What is exported of a run or a series: the rows of its table, and all that results.json has of it."""
 
     name: str
     rows: Sequence[ResultRow]
     results: JsonObject
+    """Empty if the run was not fitted."""
     provenance: Mapping[str, str]
+    """Texts by name: the record's hash and its complete configuration."""
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportedRun(ExportedResults):
-    """One run: also structured arrays by the record's own field names.
-
-    `results` is empty if the run was not fitted; `provenance` includes the record's hash and its complete
-    configuration. `began` and `ended` are the UTC of its first and its last message, as ISO 8601;
-    `column_units` are units of columns whose names do not say them.
-    """
-
-    spots: NDArray[Any]
-    swings: NDArray[Any]
+    """What the records lack: that one was cut short, what is damaged."""
+    columns: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
+    """Of a run its `spots` and `swings`, by the record's own names of fields."""
     began: str = ""
     ended: str = ""
-    column_units: Mapping[str, str] = field(default_factory=dict)
+    """UTC of the first and the last message, as ISO 8601."""
+    own_units: Mapping[str, str] = field(default_factory=dict)
+    """Of columns whose names do not say them."""
 
     def unit_of(self, column: str) -> str:
         """Unit of a column of `spots` or `swings`."""
-        return self.column_units.get(column) or unit_of_name(column)
+        return self.own_units.get(column) or unit_of_name(column)
 
 
 def runs_in(source: Path) -> list[tuple[str, Path, RunResults | None]]:
@@ -99,7 +89,7 @@ def _name(run: RunResults, decay: int | None) -> str:
     return run.source_name if decay is None else f"{run.source_name}-decay-{decay}"
 
 
-def read_run(path: Path, results: RunResults | None) -> ExportedRun:
+def read_run(path: Path, results: RunResults | None) -> Exported:
     """Read a record; raises RecordError where the results were made from another one."""
     with RecordReader(path) as reader:
         provenance = {"record": path.name, "deflection_unit": reader.deflection_unit}
@@ -119,17 +109,9 @@ def read_run(path: Path, results: RunResults | None) -> ExportedRun:
             f"{path}: differs from the record from which {RESULTS_NAME} was made (other hash); "
             "run rig fit again"
         )
-    return ExportedRun(
-        path.stem,
-        () if results is None else results.table,
-        {} if results is None else encoded(results),
-        provenance,
-        notes,
-        spots=spots,
-        swings=swings,
-        began=began,
-        ended=ended,
-    )
+    columns = {"spots": _fields(spots), "swings": _fields(swings)}
+    rows, tree = ((), {}) if results is None else (results.table, encoded(results))
+    return Exported(path.stem, rows, tree, provenance, notes, columns, began, ended)
 
 
 def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
@@ -140,14 +122,12 @@ def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
     return first_ns + reader.epoch_offset_ns, last_ns + reader.epoch_offset_ns
 
 
-def columns_of(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
+def _fields(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """The fields of a structured array as contiguous arrays, in order."""
     return {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
 
 
-def exported_series(
-    source: Path, series: Series, runs: Sequence[tuple[ExportedRun, RunResults]]
-) -> ExportedResults:
+def exported_series(source: Path, series: Series, runs: Sequence[tuple[Exported, RunResults]]) -> Exported:
     """The series of a results file, with the hashes of that file and of the records that are combined in it,
     in the order of its lists of runs.
     """
@@ -164,10 +144,10 @@ def exported_series(
     alone = SessionResults(runs=(), series=series)
     notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
     tree = cast(JsonObject, encoded(alone)["series"])
-    return ExportedResults(SERIES_NAME, series.table, tree, about, notes)
+    return Exported(SERIES_NAME, series.table, tree, about, notes)
 
 
-def read_table_decay(folder: Path, decay: RunResults, name: str) -> ExportedRun:
+def read_table_decay(folder: Path, decay: RunResults, name: str) -> Exported:
     """A decay of which a folder holds the results; angles in rad, other positions in the table's own unit.
 
     Raises RecordError where the positions beside the results cannot be read.
@@ -179,34 +159,19 @@ def read_table_decay(folder: Path, decay: RunResults, name: str) -> ExportedRun:
     time_s, positions = read_positions(folder)
     inside = (time_s >= place.began_s) & (time_s <= place.ended_s)
     suffix = re.sub(r"\W", "_", unit)
-    columns = {"time_s": time_s[inside]}
-    columns |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
+    spots: dict[str, NDArray[Any]] = {"time_s": time_s[inside]}
+    spots |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
     provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
     provenance |= {f"session.{name}": text for name, text in place.session.items()}
     air = {} if decay.surroundings is None else decay.surroundings.known()
     provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
-    swings = {
+    swings: dict[str, NDArray[Any]] = {
         "index": stored.index,
         "time_s": stored.first_ns / NS_PER_S + stored.time_s,
         "u_time_s": stored.u_time_s,
         f"amplitude_{suffix}": stored.amplitude,
         f"u_amplitude_{suffix}": stored.u_amplitude,
     }
-    return ExportedRun(
-        name,
-        decay.table,
-        encoded(decay),
-        provenance,
-        spots=_table(columns),
-        swings=_table(swings),
-        column_units={key: unit for key in (*columns, *swings) if key.endswith(f"_{suffix}")},
-    )
-
-
-def _table(columns: dict[str, NDArray[Any]]) -> NDArray[Any]:
-    table = np.empty(
-        len(columns[next(iter(columns))]), [(name, each.dtype) for name, each in columns.items()]
-    )
-    for name, each in columns.items():
-        table[name] = each
-    return table
+    units = {key: unit for key in (*spots, *swings) if key.endswith(f"_{suffix}")}
+    columns = {"spots": spots, "swings": swings}
+    return Exported(name, decay.table, encoded(decay), provenance, columns=columns, own_units=units)

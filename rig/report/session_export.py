@@ -12,13 +12,11 @@ from pyarrow import csv, parquet
 from acquisition.atomic_write import being_written, write_new
 from processing.errors import ConfigurationError, RecordError
 from rig.analysis import ResultRow
-from rig.presentation import harmless_line, harmless_text, say, written
+from rig.presentation import harmless_text, say, written
 from rig.report.nexus import item_name, write_nexus
 from rig.report.run import (
     SERIES_NAME,
-    ExportedResults,
-    ExportedRun,
-    columns_of,
+    Exported,
     exported_series,
     read_run,
     read_table_decay,
@@ -96,7 +94,7 @@ def _export_latex(source: Path, output: Path) -> list[Path]:
 TABLES = ("spots", "swings", "table")
 
 
-def write_csv(folder: Path, run: ExportedResults) -> list[Path]:
+def write_csv(folder: Path, run: Exported) -> list[Path]:
     """Write CSV files; lines that begin with ``#`` contain the provenance, followed by one header line.
 
     What the record lacks comes first.
@@ -105,7 +103,7 @@ def write_csv(folder: Path, run: ExportedResults) -> list[Path]:
         *(f"NOTE: {note}" for note in run.notes),
         *(f"{n}: {text}" for n, text in run.provenance.items()),
     ]
-    head = "".join(f"# {harmless_line(' '.join(line.split()))}\n" for line in lines)
+    head = "".join(f"# {' '.join(line.split())}\n" for line in lines)
     made = []
     for path, table in _tables(folder, run, "csv", harmless_text):
         with being_written(path) as beside, beside.open("xb") as file:
@@ -116,7 +114,7 @@ def write_csv(folder: Path, run: ExportedResults) -> list[Path]:
     return made
 
 
-def write_parquet(folder: Path, run: ExportedResults) -> list[Path]:
+def write_parquet(folder: Path, run: Exported) -> list[Path]:
     """Write Parquet files; provenance (JSON), notes on what the record lacks (JSON) and units are in the
     metadata of schema and fields.
     """
@@ -135,18 +133,15 @@ def write_parquet(folder: Path, run: ExportedResults) -> list[Path]:
 
 
 def _tables(
-    folder: Path, run: ExportedResults, suffix: str, text_of: Callable[[str], str]
+    folder: Path, run: Exported, suffix: str, text_of: Callable[[str], str]
 ) -> Iterator[tuple[Path, pa.Table]]:
-    if isinstance(run, ExportedRun):
-        for name, columns in (("spots", columns_of(run.spots)), ("swings", columns_of(run.swings))):
-            fields = [
-                pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": run.unit_of(key)})
-                for key, values in columns.items()
-            ]
-            yield (
-                table_path(folder, run.name, name, suffix),
-                pa.table(list(columns.values()), schema=pa.schema(fields)),
-            )
+    for name, columns in run.columns.items():
+        fields = [
+            pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": run.unit_of(key)})
+            for key, values in columns.items()
+        ]
+        table = pa.table(list(columns.values()), schema=pa.schema(fields))
+        yield table_path(folder, run.name, name, suffix), table
     if run.rows:
         rows = [
             {key: text_of(cell) if isinstance(cell, str) else cell for key, cell in asdict(row).items()}

@@ -19,7 +19,7 @@ from rig.analysis import (
 from rig.presentation import latex_rows, plain, quantity
 from rig.report import html
 from rig.report.source import ReportSource, RunData
-from rig.report.tables_instruments import headline
+from rig.report.tables import headline
 
 _NOT_STATED = "not stated"
 _PAPER = "I. Gilavdary, S. Mekid, N. Riznookaya, Lubricants 2023, 11(2), 88, doi:10.3390/lubricants11020088"

@@ -1,15 +1,20 @@
 """Tables of a run and of a series: fits, what follows from them, what is known how well."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from typing import Final
 
 from processing.contact import weight_moment
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Budget, FitMethod
+from processing.quantity import OfInstrument
 from processing.units import ARCSEC_RAD
 from rig.analysis import (
+    INSTRUMENT,
     AveragedCurves,
     Curves,
+    InstrumentSeries,
     ResultRow,
     RunResults,
     Series,
@@ -32,7 +37,6 @@ from rig.presentation import (
     with_uncertainty,
 )
 from rig.report.source import RunData
-from rig.report.tables_instruments import instrument_series_table, instrument_table
 
 _NEGLIGIBLE = 0.005
 """Share of the variance below which a source is shown with others in one line."""
@@ -191,8 +195,7 @@ def adhesion_table(results: RunResults) -> Table:
         f"of {results.number('tabor').value:.2g} (equilibrium separation 0.3 nm) selects {results.adhesion}; "
         "all other values follow the paper, with Hertz's theory."
     )
-    columns = "quantity value standard_uncertainty"
-    return Table.of("adhesion", "Contact with adhesion", columns, ("", "value", "unit"), lines, note)
+    return Table.of("adhesion", "Contact with adhesion", _VALUE_COLUMNS, ("", "value", "unit"), lines, note)
 
 
 def work_table(results: RunResults) -> Table:
@@ -249,3 +252,84 @@ def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
         ]
     rows = list(zip(*(array.tolist() for array in arrays), strict=True))
     return Table("half-cycles", "Half-cycles", columns, rows)
+
+
+_MOST_FIRST = 4
+_ORDER: Final = [field.name for field in fields(OfInstrument)]
+
+
+def _rows(results: RunResults) -> list[ResultRow]:
+    """The rows of what this kind of pendulum reports, first things first."""
+    hidden = ("damping_start_deg", "damping_end_deg")
+    found = [row for row in results.table if row.fit.startswith(INSTRUMENT) and row.quantity not in hidden]
+    return sorted(found, key=lambda row: _ORDER.index(row.quantity))
+
+
+def _name(row: ResultRow) -> str:
+    """In words, with the part of the decay of which it is."""
+    return f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}"
+
+
+def _labelled(name: str, unit: str) -> str:
+    return f"{name} / ({unit})" if "/" in unit else " / ".join(filter(None, (name, unit)))
+
+
+def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple[str, str]]:
+    """Labels and texts of what is looked for first.
+
+    They are those of the series where it has several places, else of the run; the ratio to a reference is the
+    series'.
+    """
+    found = [(_labelled(_name(row), row.shown.unit), row.text) for row in _rows(results)]
+    if series is not None:
+        many = series.time_s is not None and series.time_s.places > 1
+        of_series = [*_ratios(series), *(_place_rows(series) if many else ())]
+        of_series_text = [(_labelled(name, row.shown.unit), row.text) for name, row in of_series]
+        found = [*of_series_text, *([] if many else found)]
+    return found[:_MOST_FIRST]
+
+
+def instrument_table(results: RunResults) -> Table:
+    """Every number with its unit, and what the standard wants of environment and apparatus."""
+    checks = () if results.instrument is None else results.instrument.checks
+    more = [""] if checks else []
+    lines = [_line(row.quantity, _name(row), row, more) for row in _rows(results)]
+    for check in checks:
+        limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
+        cells: list[Cell] = [check.name, check.value, check.standard_uncertainty]
+        lines.append(TableRow(cells, [check.name, f"{check.value:.5g}", check.unit, limits]))
+    head = ("", "value ± u", "unit", *(["standard"] if checks else []))
+    return Table.of("instrument", "What this kind of pendulum reports", _VALUE_COLUMNS, head, lines)
+
+
+_VALUE_COLUMNS = "quantity value standard_uncertainty"
+
+
+def _line(key: str, name: str, row: ResultRow, more: list[str]) -> TableRow:
+    return TableRow([key, *row], [name, row.text, row.shown.unit, *more])
+
+
+def instrument_series_table(series: InstrumentSeries) -> Table:
+    """What the places of a sample say together, and their ratio to a reference."""
+    found = [*_ratios(series), *_place_rows(series)]
+    if series.reference_time_s is not None:
+        value, u = series.reference_time_s
+        row = ResultRow(quantity="damping_time_s", value=value, u_total=u)
+        found.append(("damping time of the reference", row))
+    lines = [_line(name, name, row, []) for name, row in found]
+    return Table.of("series", "The series", _VALUE_COLUMNS, ("", "value ± u", "unit"), lines)
+
+
+def _place_rows(series: InstrumentSeries) -> Iterator[tuple[str, ResultRow]]:
+    for key, found in (("damping_time_s", series.time_s), ("damping_swings", series.swings)):
+        if found is not None:
+            row = ResultRow(quantity=key, value=found.value, u_total=found.standard_uncertainty)
+            yield f"{row.shown.name}, mean of {found.places} places", row
+
+
+def _ratios(series: InstrumentSeries) -> Iterator[tuple[str, ResultRow]]:
+    for name, found in (("damping times", series.ratio), ("swings", series.ratio_of_swings)):
+        value, u = found or (math.nan, math.nan)
+        if found is not None:
+            row = ResultRow(quantity="damping_swings", value=value, u_total=u)
+            yield f"ratio of {name}, sample to reference", row

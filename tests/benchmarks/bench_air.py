@@ -21,7 +21,7 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
 from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from rig.analysis import evidence_of, settled_swings
-from rig.analysis.recorded_seismometer import FittedDrag
+from rig.analysis.air import FittedDrag
 from rig.settings import FitSettings
 from tests.benchmarks.bench_ground import GROUND_FILE, recorded, simulated
 from tests.benchmarks.bound import bound, true_columns

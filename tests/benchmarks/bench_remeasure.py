@@ -21,7 +21,7 @@ from processing.deflections import DeflectionUnit, slow_deflections
 from processing.fit import fit_exact
 from processing.swing import swings_of_blocks, turning_points
 from rig.analysis import settled_swings
-from rig.analysis.recorded_seismometer import FittedDrag
+from rig.analysis.air import FittedDrag
 from rig.settings import FitSettings
 from tests.benchmarks.cases import chosen
 from tests.processing.fit.decays import ARCSEC, paper_pair

@@ -21,8 +21,8 @@ from processing.estimate import WELL_DETERMINED, Estimate
 from processing.fit import DragFinding, FitMethod, FitResult, drag_verdict, drifts_of
 from processing.swing import TurningPoints, swings_of_blocks, turning_points
 from rig.analysis import settled_swings
+from rig.analysis.air import FittedDrag, evidence_of
 from rig.analysis.contact_fits import fit_decay
-from rig.analysis.recorded_seismometer import FittedDrag, evidence_of
 from rig.settings import FitSettings
 from tests.benchmarks.cases import chosen
 from tests.benchmarks.coverage import rms

@@ -11,7 +11,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.ambient import AmbientConditions
 from processing.errors import ConfigurationError
-from rig.analysis.recorded_seismometer import doubts_of, recorded_surroundings
+from rig.analysis.air import doubts_of, recorded_surroundings
 from rig.instrument import recorded_configuration
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS

@@ -1,15 +1,31 @@
 """What is said of a run follows from its numbers, not from the sentences stored beside them."""
 
 from dataclasses import replace
+from math import nan
 
+import numpy as np
 import pytest
 
+from acquisition.simulation.ground_settings import GroundTruth
 from processing.estimate import Determinacy, Estimate
-from processing.fit import BaseMotion, Drag, DragFinding, Ground
+from processing.fit import BaseMotion, Budget, Drag, DragFinding, Ground, fit_exact
+from processing.fit.uncertainty import BudgetSource
 from rig.analysis import RunResults
 from rig.analysis.contact_results import Correlation, Fit
-from rig.analysis.result_rows import ResultRow
-from rig.analysis.run_remarks import ground_sentence, remarks
+from rig.analysis.contact_verdicts import base_motion, fit_results
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
+from rig.analysis.run_remarks import (
+    RemarkLevel,
+    drag_headline,
+    ground_sentence,
+    remark_rows,
+    remarks,
+    whole_result,
+)
+from rig.presentation import Verdict
+from rig.settings import PendulumSettings
+from tests.processing.fit.decays import decay, paper_pair
+from tests.processing.fit.driven import driven_decay
 
 _SEEN = Drag(
     drag_s=Estimate(2e-3, 1e-4),
@@ -34,12 +50,6 @@ _SEEN = Drag(
 def test_a_verdict_on_the_drag_is_said_and_shown(finding: DragFinding, begins: str) -> None:
     results = RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=finding))
     assert remarks(results)[0].startswith(begins)
-
-
-def test_a_drag_that_a_fit_for_a_vacuum_takes_for_none_is_in_no_uncertainty() -> None:
-    open_drag = replace(_SEEN, finding=DragFinding.OPEN, upper_95_s=3e-3)
-    line = remarks(RunResults(record="run-1.mcap", drag=open_drag))[0]
-    assert "is in no uncertainty (fit.drag = vacuum)" in line
 
 
 _DRIVEN = Ground(
@@ -100,11 +110,27 @@ def test_of_what_is_not_determined_no_change_in_per_cent_is_told() -> None:
     assert sentence.endswith("s; it changes c by +3.4 %.")
 
 
-def test_where_the_data_do_not_tell_the_air_is_named_with_its_doubt() -> None:
-    text = remarks(RunResults(record="run-1.mcap", drag=replace(_SEEN, finding=DragFinding.OPEN)))[0]
-    assert "expected of the air, (1.5 ± 1.0) × 10⁻³ s, is used; its uncertainty is part of all others" in text
-    unknown = replace(_SEEN, finding=DragFinding.OPEN, known_s=None)
-    assert "fit.drag" in remarks(RunResults(record="run-1.mcap", drag=unknown))[0]
+@pytest.mark.parametrize(
+    ("of_data", "known", "words"),
+    [
+        (Estimate(1e-7, 1e-6), Estimate(1.8e-3, 1.3e-3), "a drag below 2.0 × 10⁻⁶ s (95 %)"),
+        (Estimate(1e-7, 1e-6), None, "is in no uncertainty (fit.drag = vacuum)"),
+        (
+            Estimate(1e-3, 5e-3),
+            Estimate(1.8e-3, 1.3e-3),
+            "the drag expected of the air, (1.8 ± 1.3) × 10⁻³ s, is used; its uncertainty is part of all",
+        ),
+        (Estimate(nan, nan), None, "state what you know of the air (fit.drag)"),
+    ],
+)
+def test_where_the_data_do_not_tell_it_is_said_whose_drag_it_is(
+    of_data: Estimate, known: Estimate | None, words: str
+) -> None:
+    upper_s = of_data.value + 1.9 * of_data.standard_uncertainty
+    drag = Drag(of_data_s=of_data, known_s=known, upper_95_s=upper_s)
+    (line,) = remarks(RunResults(record="run-1.mcap", drag=drag))
+    assert "distinguish a drag" in line
+    assert words in line
 
 
 def test_a_drag_that_is_seen_stands_in_the_headline_and_vacuum_too() -> None:
@@ -129,9 +155,6 @@ def test_what_the_waveform_gave_is_said() -> None:
 _CORRELATED = Correlation(("p", "b"), ((1.0, -0.998), (-0.998, 1.0)))
 
 
-_CORRELATED = Correlation(("p", "b"), ((1.0, -0.998), (-0.998, 1.0)))
-
-
 def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
     known = ResultRow(quantity="b", value=1e-3, lower=9e-4, upper=1.1e-3)
     bound = ResultRow(quantity="c", verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=2e-9)
@@ -148,3 +171,93 @@ def test_what_is_hardly_determined_is_said_and_nothing_of_what_is() -> None:
         "a note",
     ]
     assert remarks(RunResults(record="run-1.mcap", fits={"exact": Fit()})) == []
+
+
+def test_the_table_of_remarks_says_who_has_to_read_what() -> None:
+    run = RunResults(
+        record="run-1.mcap",
+        fits={"exact": Fit(ground=_DRIVEN)},
+        conditions=(Verdict("light", True), Verdict("end", False, "cut", "again", "none", "its own")),
+        warnings=("asymptotic fit: far", "late"),
+        notes=("a note",),
+    )
+    assert [(row.code, row.level, row.line) for row in remark_rows(run)] == [
+        ("ground", RemarkLevel.RESULT, ground_sentence(_DRIVEN)),
+        ("note", RemarkLevel.DETAIL, "a note"),
+        ("end", RemarkLevel.CONDITION, "END: none (limit its own); cut; again"),
+        ("warning", RemarkLevel.OF_OTHER_FIT, "asymptotic fit: far"),
+        ("warning", RemarkLevel.WARNING, "late"),
+    ]
+
+
+def source(name: str, kind: str, share: float) -> BudgetSource:
+    return BudgetSource(name, "A" if kind == "A" else "B", 1.0, 1.0, share**0.5, share)
+
+
+BUDGET = Budget(
+    value=0.0834,
+    standard_uncertainty=0.0013,
+    sources=(
+        source("swings", "A", 0.28),
+        source("flat_youngs_modulus_pa", "B", 0.7),
+        source("mass_kg", "B", 0.02),
+    ),
+)
+ROW = ResultRow(quantity=SURFACE_ENERGY, value=0.0834, u=0.0007, u_total=0.0013)
+
+
+def test_what_is_said_first_is_named_and_has_the_whole_uncertainty() -> None:
+    """Sigma stood there without a name; a drag was 1.93 +- 0.10 where its interval is uneven."""
+    run = RunResults(record="run-1.mcap", table=(ROW,), budget={SURFACE_ENERGY: BUDGET})
+    assert whole_result(run).text == "surface energy σ (Table 2's form) = 83.4 ± 1.3 mJ/m²"
+    drag = ResultRow(quantity="drag_s", verdict=Determinacy.INTERVAL, lower=1.58e-3, upper=2.09e-3)
+    seen = Drag(drag_s=Estimate(1.93e-3, 1e-4), finding=DragFinding.SEEN)
+    said = drag_headline(seen, {"drag_s": drag, "b": replace(drag, quantity="b")}, fitted=True)
+    assert said == "The drag of the air is seen, (1.58 … 2.09) × 10⁻³ (95 %) s."
+
+
+RIG = PendulumSettings(mass_kg=0.406, ball_radius_m=6.05e-3, mass_centre_height_m=-2e-4)
+
+
+def test_the_base_of_a_known_drive() -> None:
+    """A basement half way between the noise models drives a pendulum balanced to 0.2 mm with 8e-9."""
+    truth = GroundTruth(model="peterson", between_noise_models=0.5, mass_centre_height_m=-2e-4)
+    assert truth.mass_centre_height_m == RIG.mass_centre_height_m
+    moved = base_motion(Estimate(8.04e-9, 8e-10), 1e-8, 4.071, RIG)
+    assert moved is not None
+    value, u = moved.acceleration_m_per_s2_rthz
+    assert value == pytest.approx(1.0e-6, rel=0.02)
+    assert u == pytest.approx(0.1 * value, rel=0.01)
+    # half way: 22 dB over the low model, whose level at 4 s is -141 dB
+    assert moved.above_low_noise_model_db == pytest.approx(22.0, abs=1.0)
+    assert (
+        base_motion(Estimate(8e-9, 8e-10), 1e-8, 4.071, RIG.model_copy(update={"mass_centre_height_m": None}))
+        is None
+    )
+
+
+def test_a_driven_run_says_what_drives_it_and_what_that_costs() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = driven_decay(parameters, pendulum, q=1e-8, noise_arcsec=0.005, seed=2, last_arcsec=10)
+    found = fit_results(fit_exact(points, pendulum, averaged=False), RIG).ground
+    assert found is not None
+    assert found.seen
+    assert min(found.widening.values()) > 3
+    text = ground_sentence(found)
+    assert "rad/s²/√Hz" in text
+    assert "nm/s²/√Hz of acceleration for a mass centre −0.200 mm high, NLNM +24 dB" in text
+    assert "Finer balancing, a quieter hour, a larger first amplitude or more runs would help." in text
+
+
+def test_a_run_at_rest_sets_a_bound_and_asks_for_nothing() -> None:
+    parameters, pendulum = paper_pair("glass_k8")
+    points = decay(parameters, pendulum, noise_arcsec=0.005, seed=1, last_arcsec=10)
+    found = fit_results(fit_exact(points, pendulum), RIG).ground
+    assert found is not None
+    assert not found.seen
+    assert np.isfinite(found.upper_95)
+    text = ground_sentence(found)
+    assert text.count("below") == 2
+    assert text.count("(95 %)") == 2
+    assert "dB" not in text
+    assert "help" not in text

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from processing.estimate import Determinacy, Estimate
-from processing.fit import Budget, Drag
+from processing.fit import Budget
 from processing.fit.uncertainty import BudgetSource
 from rig.analysis import (
     Fit,
@@ -19,7 +19,6 @@ from rig.analysis import (
     print_results,
     quality_table,
     read_results,
-    remarks,
 )
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
 from rig.presentation import Verdict
@@ -99,26 +98,6 @@ def test_the_terminal_shows_the_whole_uncertainty_and_that_of_the_swings_alone_w
     assert printed.count("(3.50 ± 0.10)") == 1
     bound = next(line for line in printed.splitlines() if line.startswith("c "))
     assert "< 6.1 × 10⁻⁸ (95 %)" in bound
-
-
-@pytest.mark.parametrize(
-    ("of_data", "known", "words"),
-    [
-        (Estimate(1e-7, 1e-6), Estimate(1.8e-3, 1.3e-3), "a drag below 2.0 × 10⁻⁶ s (95 %)"),
-        (
-            Estimate(1e-3, 5e-3),
-            Estimate(1.8e-3, 1.3e-3),
-            "the drag expected of the air, (1.8 ± 1.3) × 10⁻³ s, is used",
-        ),
-        (Estimate(1e-3, 5e-3), None, "a drag below"),
-    ],
-)
-def test_whose_drag_it_is(of_data: Estimate, known: Estimate | None, words: str) -> None:
-    drag = Drag(
-        of_data_s=of_data, known_s=known, upper_95_s=of_data.value + 1.9 * of_data.standard_uncertainty
-    )
-    (line,) = [line for line in remarks(replace(_RUN, drag=drag)) if "distinguish a drag" in line]
-    assert words in line
 
 
 def test_what_is_not_determined_has_no_value_by_any_method() -> None:

@@ -10,8 +10,8 @@ from processing.fit import PLACE, fit_exact, known_motion, measured_again
 from processing.swing import HarmonicsWatch, turning_points
 from processing.units import ARCSEC_RAD
 from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swings
+from rig.analysis.air import OPEN_DRAG, evidence_of
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.recorded_seismometer import OPEN_DRAG, evidence_of
 from rig.analysis.results_file import read_results, write_results
 from rig.report.drawing import svg
 from rig.report.figures_motion import place_figure

@@ -1,12 +1,15 @@
 """Turning points as they stand once the motion is known: from few and noisy samples, too."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
-from processing.deflections import DeflectionUnit, slow_deflections
+from processing.deflections import Deflections, DeflectionUnit, joined, slow_deflections
 from processing.swing import swings_of_blocks
 from processing.units import ARCSEC_RAD
-from rig.analysis import settled_swings
+from rig.analysis import passing_deflections, settled_swings
+from rig.analysis.passing_deflections import PassingDeflections
 from rig.settings import FitSettings
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
@@ -30,3 +33,27 @@ def test_few_noisy_samples_are_measured_again(seed: int) -> None:
     for name in ("n", "period0_s", "gamma_pa"):
         value, u_value = settled.exact.estimate(name)
         assert abs(value - getattr(parameters, name)) < 3 * u_value, name
+
+
+class _Record:
+    """Three blocks of ten frames, the second one empty, and how often they were asked for."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def __iter__(self) -> Iterator[Deflections]:
+        self.asked += 1
+        for first, count in ((0, 10), (10, 0), (10, 10)):
+            times_ns = np.arange(first, first + count, dtype=np.int64)
+            yield slow_deflections(times_ns, np.zeros(count), 1e-9)
+
+
+@pytest.mark.parametrize(("short", "asked"), [(20, 1), (19, 3)])
+def test_every_pass_has_the_same_frames(short: int, asked: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(passing_deflections, "_SHORT", short)
+    record = _Record()
+    passing = PassingDeflections(record, DeflectionUnit.RAD)
+    for _ in range(3):
+        assert joined(passing, passing.unit).times_ns.tolist() == list(range(20))
+    assert passing.frames == 20
+    assert record.asked == asked

@@ -17,7 +17,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WITNESS
 from processing.errors import ConfigurationError
 from rig.analysis import SeismometerSource, analyse_record, read_results
-from rig.analysis.recorded_seismometer import recorded_witness
+from rig.analysis.seismometer import recorded_witness
 from rig.instrument import recorded_configuration
 from rig.measure import measure_session
 from rig.settings import load_configuration

@@ -12,8 +12,8 @@ from processing.fit import FitOfSwings, FitResult, LinearisedFit, with_misfit
 from processing.swing import HalfCycle, HarmonicsWatch, TurningPointDetector
 from processing.units import ARCSEC_RAD
 from rig.analysis import evidence_of, settled_swings
+from rig.analysis.air import OPEN_DRAG
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.recorded_seismometer import OPEN_DRAG
 from rig.analysis.turning_plane import follow_plane
 from rig.measure.posterior_worker import MeasuredRun
 from rig.settings import FitSettings

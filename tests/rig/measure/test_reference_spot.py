@@ -93,7 +93,9 @@ def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: 
         assert less is not None
         assert less.used
         before = scatter(reader.swings())
-        after = scatter(swings_of_blocks(less(reader.deflections(one)) for one in reader.spot_blocks()))
+        after = scatter(
+            swings_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
+        )
     assert before[0] > 0.02
     assert after[0] < 0.3 * before[0]
     assert after[1] < 2.0
@@ -199,7 +201,9 @@ def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None
             assert one.gain.standard_uncertainty < 0.1
         assert " y used with a gain of 1." in less.text
         assert less.text.endswith("from the run itself")
-        after = scatter(swings_of_blocks(less(reader.deflections(one)) for one in reader.spot_blocks()))
+        after = scatter(
+            swings_of_blocks(less.change(reader.deflections(one)) for one in reader.spot_blocks())
+        )
         before = scatter(reader.swings())
     assert after[0] < 0.3 * before[0]
 
@@ -270,7 +274,7 @@ def test_it_takes_off_the_creep_of_the_camera_which_an_analysis_without_it_shows
         assert less is not None
         blocks = [reader.deflections(one) for one in reader.spot_blocks()]
     off = []
-    for read in (blocks, [less(one) for one in blocks]):
+    for read in (blocks, [less.change(one) for one in blocks]):
         time_s = np.concatenate([one.times_ns for one in read]) * 1e-9 - 1.0
         y = np.concatenate([one.y for one in read])
         error = (y - np.interp(time_s, truth.times_ns * 1e-9, truth.y_rad)) / ARCSEC_RAD

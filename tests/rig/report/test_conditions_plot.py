@@ -7,7 +7,7 @@ import pytest
 
 from processing.ambient import AmbientConditions
 from processing.errors import ConfigurationError, RecordError
-from rig.analysis.recorded_seismometer import doubts_of
+from rig.analysis.air import doubts_of
 from rig.report.comparison import compare
 from tests.rig.report.test_compare import session
 

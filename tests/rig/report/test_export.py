@@ -33,6 +33,13 @@ def truth(measured_series: Path) -> tuple[Any, Any, dict[str, Any]]:
     )
 
 
+@pytest.fixture(scope="module")
+def nexus(measured_series: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The series as one HDF5 file."""
+    (made,) = export_session(measured_series, "hdf5", tmp_path_factory.mktemp("nexus") / "out.h5")
+    return made
+
+
 def test_csv_holds_every_digit_and_the_provenance(
     measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -76,11 +83,11 @@ def _with_nan(row: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_hdf5_is_laid_out_as_nexus(
-    measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], tmp_path: Path
+    measured_series: Path, truth: tuple[Any, Any, dict[str, Any]], nexus: Path
 ) -> None:
     _, swings, results = truth
-    (made,) = export_session(measured_series, "hdf5", tmp_path / "out.h5")
-    with h5py.File(made) as file:
+    series = json.loads((measured_series / "results.json").read_text(encoding="utf-8"))["series"]
+    with h5py.File(nexus) as file:
         assert file.attrs["NX_class"] == "NXroot"
         assert sorted(file) == ["run_1", "run_2", "series"]
         entry = file["run_1"]
@@ -106,6 +113,11 @@ def test_hdf5_is_laid_out_as_nexus(
             datetime.fromisoformat(entry[name][()].decode()) for name in ("start_time", "end_time")
         )
         assert (ended - began).total_seconds() == pytest.approx(70.0, abs=1.0)
+        assert file["series"].attrs["NX_class"] == "NXentry"
+        assert json.loads(file["series/results/json"][()]) == series
+        gamma = file["series/results/values/exact/gamma_pa_errors"]
+        (row,) = [row for row in series["table"] if row["quantity"] == "gamma_pa"]
+        assert (gamma[()], gamma.attrs["units"]) == (row["u_total"], "Pa")
         names: list[str] = []
         file.visit(names.append)
         assert all(re.fullmatch(r"[A-Za-z0-9_]+", part) for name in names for part in name.split("/"))
@@ -154,7 +166,7 @@ def test_texts_are_no_formulas(measured_series: Path, tmp_path: Path) -> None:
 
 
 def test_nothing_is_written_over(measured_series: Path, tmp_path: Path) -> None:
-    export_session(measured_series, "hdf5", tmp_path / "a.h5")
+    (tmp_path / "a.h5").touch()
     with pytest.raises(ConfigurationError, match="exists already and is not overwritten"):
         export_session(measured_series, "hdf5", tmp_path / "a.h5")
     export_session(measured_series, "csv", tmp_path / "a")
@@ -196,12 +208,10 @@ UNITS = {
 
 
 @pytest.mark.slow
-def test_every_unit_in_nexus_is_one_and_that_of_its_number(measured_series: Path, tmp_path: Path) -> None:
+def test_every_unit_in_nexus_is_one_and_that_of_its_number(nexus: Path) -> None:
     """Names alone would say m2 for an energy over an area."""
-    path = tmp_path / "runs.h5"
-    export_session(measured_series, "hdf5", path)
     found: dict[str, str] = {}
-    with h5py.File(path) as file:
+    with h5py.File(nexus) as file:
         values = file["run_1/results/values"]
         values.visititems(lambda name, item: found.update({name: item.attrs.get("units", "")}))
         numbers = {name for name in found if isinstance(values[name], h5py.Dataset)}

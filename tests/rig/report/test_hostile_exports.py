@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.report.run import ExportedRun, read_run
-from rig.report.session_export import export_session, write_csv
+from rig.report.session_export import export_session
 from tests.rig.command_line import rig
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
@@ -51,30 +50,6 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(measured_series: Path, tmp_p
     assert done.returncode in (1, 2), done.stderr[-500:]
     assert re.fullmatch(r"rig: .*out\.h5: cannot be written: File too large\n", done.stderr)
     assert not list(tmp_path.iterdir())
-
-
-def test_what_stands_above_the_columns_is_no_formula_in_any_cell(
-    measured_series: Path, tmp_path: Path
-) -> None:
-    """A spreadsheet splits those lines, too; what JSON says stays the same."""
-    run = read_run(measured_series / "run-1.mcap", None)
-    configuration = json.dumps({"a": f"x,{FORMULA}", "b": [f"{FORMULA}"], "c": "1,-2;+3", "d": [-1, -2.5e-3]})
-    about = {
-        **run.provenance,
-        "session.operator": f"Müller,{FORMULA}",
-        "session.sample": f'K8; {FORMULA}, "{FORMULA}", at 5,-3 or a|@b',
-        "configuration": configuration,
-    }
-    hostile = ExportedRun("run-1", (), {}, about, spots=run.spots[:2], swings=run.swings[:2])
-    made = write_csv(tmp_path, hostile)
-    for path in made:
-        head = [line for line in path.read_text().splitlines() if line.startswith("# ")]
-        for separator in ",;\t|":
-            cells = [cell for row in csv.reader(head, delimiter=separator) for cell in row]
-            assert not [cell for cell in cells if re.match(r"[=+@-]|\s+[=@]", cell)], separator
-        (line,) = (line for line in head if line.startswith("# configuration: "))
-        assert json.loads(line.removeprefix("# configuration: ")) == json.loads(configuration)
-        assert f"# session.operator: Müller,'{FORMULA}" in head
 
 
 def test_the_same_table_of_two_runs_has_two_labels(measured_series: Path, tmp_path: Path) -> None:

@@ -56,21 +56,6 @@ def test_tables_hold_every_number_of_the_series(
         assert run.sha256 in about
 
 
-def test_hdf5_has_an_entry_for_the_series(
-    measured_series: Path, series: dict[str, Any], tmp_path: Path
-) -> None:
-    h5py = pytest.importorskip("h5py")
-    export_session(measured_series, "hdf5", tmp_path / "out.h5")
-    with h5py.File(tmp_path / "out.h5") as file:
-        entry = file["series"]
-        assert entry.attrs["NX_class"] == "NXentry"
-        assert json.loads(entry["results/json"][()]) == series
-        rows = {row["quantity"]: row for row in series["table"]}
-        gamma = entry["results/values/exact/gamma_pa_errors"]
-        assert gamma[()] == rows["gamma_pa"]["u_total"]
-        assert gamma.attrs["units"] == "Pa"
-
-
 def test_a_run_without_fit_shifts_no_number(measured_series: Path, tmp_path: Path) -> None:
     """The report blamed run 2 where run 3 stood apart, as runs that could not be fitted were not counted."""
     first = analyse_record(measured_series / "run-1.mcap")

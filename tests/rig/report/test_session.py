@@ -119,42 +119,29 @@ def test_curves_are_those_of_the_fits(measured_series: Path) -> None:
         )
 
 
-def test_the_page_says_what_was_measured_with_what(measured_series: Path) -> None:
-    text = parsed(measured_series / "report.html").text
-    tree = results_of(measured_series)
-    for word in (
-        "demonstration",
-        "steel ball on K8 glass",
-        tree["runs"][0]["sha256"],
-        "numpy",
-        "lever.u_arm_m",
-    ):
+def test_the_page_says_what_was_measured_when_by_whom_and_with_what(measured_series: Path) -> None:
+    text, tree = parsed(measured_series / "report.html").text, results_of(measured_series)
+    first = tree["runs"][0]
+    words = ("operatordemonstration", "steel ball on K8 glass", first["sha256"], "numpy", "lever.u_arm_m")
+    for word in words:
         assert word in text
-    assert tree["runs"][0]["half_cycles"] == 33
+    assert first["half_cycles"] == 33
     assert "33 half-cycles" in text
+    assert re.search(r"Run 1began 20\d\d-\d\d-\d\d \d\d:\d\d:\d\d UTC", text)
+    assert text.count("ambient conditions") == 1, "what surrounds both runs alike is said once"
+    assert [run["simulated"] for run in tree["runs"]] == [True, True]
+    assert "<title>SIMULATED: " in (measured_series / "report.html").read_text(encoding="utf-8")
+    assert "SIMULATED: every number comes from the simulated rig" in text
 
 
-def test_what_the_data_leave_open_is_no_number(measured_series: Path) -> None:
-    """70 s end at 102 arcsec: c, which rules the end of a decay, cannot be known."""
-    tree = results_of(measured_series)
-    verdicts = {item["quantity"]: item for item in tree["runs"][0]["table"] if item["fit"] == "exact"}
-    assert verdicts["c"]["verdict"] != "determined"
-    assert verdicts["period0_s"]["verdict"] == "determined"
-    text = parsed(measured_series / "report.html").text
-    assert "(95 %)" in text
-
-
-def test_the_budget_is_sorted_and_adds_up(measured_series: Path) -> None:
-    for entry in results_of(measured_series)["runs"][0]["budget"].values():
+def test_the_budget_is_sorted_adds_up_and_has_what_is_stated(measured_series: Path) -> None:
+    """a ~ (m R)^(1/3): relative uncertainties of 4.9e-4 and 3.3e-4 give a third of their root sum."""
+    run = results_of(measured_series)["runs"][0]
+    for entry in run["budget"].values():
         parts = [source["share"] for source in entry["sources"]]
         assert parts == sorted(parts, reverse=True)
-        assert sum(source["share"] for source in entry["sources"]) == pytest.approx(1.0)
-
-
-def test_stated_uncertainties_reach_the_contact(measured_series: Path) -> None:
-    """a ~ (m R)^(1/3): relative uncertainties of 4.9e-4 and 3.3e-4 give a third of their root sum."""
-    table = results_of(measured_series)["runs"][0]["table"]
-    (radius,) = [row for row in table if row["quantity"] == "contact_radius_m"]
+        assert sum(parts) == pytest.approx(1.0)
+    (radius,) = [row for row in run["table"] if row["quantity"] == "contact_radius_m"]
     expected = ((0.0002 / 0.406) ** 2 + (2e-6 / 6.05e-3) ** 2) ** 0.5 / 3
     assert radius["u_total"] / radius["value"] == pytest.approx(expected, rel=1e-6)
 
@@ -177,37 +164,19 @@ def test_a_changed_record_is_said(measured_series: Path, tmp_path: Path) -> None
     assert "its hash differs" in parsed(page).text
 
 
-def test_a_folder_without_results_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r"holds no results\.json; rig run makes one"):
+@pytest.mark.parametrize(
+    ("results", "said"),
+    [
+        (None, r"holds no results\.json; rig run makes one"),
+        ("{", "is not JSON"),
+        ('{"schema": 1, "runs": [{"record": "run-1.mcap"}]}', r"run-1\.mcap: no such record"),
+    ],
+)
+def test_what_makes_no_report_is_one_line(tmp_path: Path, results: str | None, said: str) -> None:
+    if results is not None:
+        (tmp_path / "results.json").write_text(results)
+    with pytest.raises(RecordError, match=said):
         make_report(tmp_path)
-
-
-def test_results_without_their_record_are_one_line(measured_series: Path, tmp_path: Path) -> None:
-    shutil.copy(measured_series / "results.json", tmp_path)
-    with pytest.raises(RecordError, match=r"run-1\.mcap: no such record"):
-        make_report(tmp_path)
-
-
-def test_results_that_are_no_json_are_one_line(tmp_path: Path) -> None:
-    (tmp_path / "results.json").write_text("{")
-    with pytest.raises(RecordError, match="is not JSON"):
-        make_report(tmp_path)
-
-
-def test_what_was_simulated_is_called_so(measured_series: Path) -> None:
-    assert [run["simulated"] for run in results_of(measured_series)["runs"]] == [True, True]
-    page = (measured_series / "report.html").read_text(encoding="utf-8")
-    assert "<title>SIMULATED: " in page
-    assert (
-        "SIMULATED: every number comes from the simulated rig" in parsed(measured_series / "report.html").text
-    )
-
-
-def test_the_report_says_when_and_by_whom(measured_series: Path) -> None:
-    text = parsed(measured_series / "report.html").text
-    assert re.search(r"Run 1began 20\d\d-\d\d-\d\d \d\d:\d\d:\d\d UTC", text)
-    assert "operatordemonstration" in text
-    assert text.count("ambient conditions") == 1, "what surrounds both runs alike is said once"
 
 
 def test_nothing_is_stated_of_amplitudes_that_were_not_measured(measured_series: Path) -> None:

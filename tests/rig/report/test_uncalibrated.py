@@ -1,4 +1,4 @@
-"""Reports of a record without calibration, and of one without swings."""
+"""Reports of a record without calibration, of one without swings, and what is said of a configuration."""
 
 import json
 import math
@@ -16,8 +16,9 @@ from rig.analysis import analyse_record, session_results
 from rig.analysis.results_file import write_results
 from rig.instrument.provenance import CONFIGURATION_NAME
 from rig.report.session_report import make_report
-from rig.settings import Configuration
-from tests.rig.command_line import rig
+from rig.report.source import shown_configuration
+from rig.settings import Configuration, load_configuration
+from tests.rig.command_line import CONFIGS, rig
 
 EPOCH_NS = 1_700_000_000_000_000_000
 PERIOD_S = 4.0
@@ -92,3 +93,11 @@ def test_a_run_without_a_spot_is_reported_as_that(tmp_path: Path) -> None:
     page = make_report(session_in_pixels(tmp_path / "lost", lost=True)).read_text(encoding="utf-8")
     assert "0 half-cycles" in page
     assert not (tmp_path / "lost" / "report" / "run-1" / "fig12-decay.svg").exists()
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_real_run_shows_nothing_of_the_simulated_rig(simulated: bool) -> None:
+    tree = json.loads(load_configuration(CONFIGS / "demo.toml").model_dump_json())
+    shown = shown_configuration(tree, simulated=simulated)
+    assert any(key.startswith("simulation.") for key in shown) is simulated
+    assert shown["camera.driver"] == "simulated"

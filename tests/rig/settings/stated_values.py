@@ -14,10 +14,10 @@ from processing.instruments import DEGREE_RAD, SharedError
 from processing.spot import Spot
 from processing.swing import HalfCycle
 from rig.analysis import clock_rate_of, known_drag
+from rig.analysis.air import believed_drifts
 from rig.analysis.contact_verdicts import base_motion, rig_quantities
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.recorded_seismometer import believed_drifts
 from rig.analysis.series import reduce_series
 from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import (

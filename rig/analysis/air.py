@@ -1,9 +1,8 @@
-"""The witness of the ground that a record holds itself, beside its frames."""
+"""The air about a run and the history of its contact, and what they make expect: drag and drifts."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from datetime import datetime
-from itertools import pairwise
 from math import isfinite, nan
 from typing import NamedTuple
 
@@ -11,157 +10,15 @@ import numpy as np
 
 from acquisition.record.digest import utc
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import ENVIRONMENT, SPOT, WITNESS
+from acquisition.record.topics import ENVIRONMENT, SPOT
 from processing.ambient import AmbientConditions, doubtful_humidity, humid_air
-from processing.arrays import Floats, Ints
+from processing.arrays import Floats
 from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_drag_s
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
 from processing.swing import SwingHarmonics
-from rig.analysis.seismometer_file import SeismometerRecord
 from rig.presentation import percent, quantity
 from rig.settings import Configuration
-
-_VALUES = ("first", "second", "third")
-_FEWEST = 3
-_PAUSE_S, _PAUSE_STEPS = 0.5, 4.0
-"""A pause between arrivals that is longer than both, the second in steps, is a gap."""
-_LINE = 20
-"""Fewest samples of a stretch whose arrivals make a line."""
-_STEP_S = 0.3
-"""Lateness that rises or falls by more at once, and stays so, is a clock that was set."""
-_FAR, _MOST_LOOKS = 2000, 100
-_RUN, _FALLS = 200, 0.2
-"""Samples after a step that are looked at; lateness falls by so much of the time while a backlog is read."""
-_WAITED, _MOST_TURNS = 5.0, 30
-"""What is later by so many times the distance between the earliest and the usual arrivals had waited."""
-CLOCK_SET = "clock set while it was recorded,"
-
-
-def recorded_witness(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
-    """Its samples on the frames' clock; None without any, or with witness.kind = 'none'."""
-    if config.witness.kind == "none":
-        return None
-    table = reader.table(WITNESS.topic)
-    if len(table) < _FEWEST:
-        return None
-    names = config.witness.components
-    times_ns, steps_s = taken(table["time_ns"], table["own_time_s"])
-    order = np.concatenate([[True], np.diff(times_ns) > 0])
-    stray = int(np.count_nonzero(~order))
-    value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
-    return SeismometerRecord(
-        f"{reader.path.name}: {WITNESS.topic}",
-        times_ns[order] - times_ns[0],
-        value[order],
-        names,
-        int(times_ns[0]),
-        absolute=False,
-        # which of two clocks was right, or neither, nobody knows
-        offset_stated=not steps_s,
-        understood=(
-            f"columns: {', '.join(names)}",
-            *(f"{CLOCK_SET} by {step:+.4g} s; times before it follow those after it" for step in steps_s),
-            *([f"left out: {stray} samples not later than the previous one"] if stray else []),
-        ),
-    )
-
-
-class SampleTimes(NamedTuple):
-    """When samples were taken, on the frames' clock, and by what one of the clocks was set meanwhile."""
-
-    times_ns: Ints
-    steps_s: tuple[float, ...]
-
-
-def taken(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
-    """When samples were taken: lines arrive in bursts, late by parts of a second.
-
-    By a line through the arrivals over the instrument's own time; without one, over the count of samples, for
-    each stretch without a pause of its own. What is constant of the lateness the fit finds as a delay.
-    """
-    since_s = (arrived_ns - arrived_ns[0]) * 1e-9
-    steps_s: dict[int, float] = {}
-    if np.all(np.isfinite(own_s)) and np.all(np.diff(own_s) > 0):
-        over, begins = own_s - own_s[0], [0, len(since_s)]
-        steps_s = _steps_of(since_s - over, over)
-        for place, step_s in steps_s.items():
-            # a clock that was set is right from then on
-            since_s[:place] += step_s
-    else:
-        over = np.arange(len(since_s), dtype=np.float64)
-        steps = np.diff(since_s)
-        paused = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * float(np.median(steps)))) + 1
-        begins = [0, *paused.tolist(), len(since_s)]
-    taken_s = since_s.copy()
-    for begin, end in pairwise(begins):
-        if end - begin >= _LINE:
-            part = slice(begin, end)
-            taken_s[part] = _line_of(over[part], since_s[part])
-    times_ns = np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
-    return SampleTimes(times_ns, tuple(steps_s.values()))
-
-
-def _line_of(over: Floats, since_s: Floats) -> Floats:
-    """The line through arrivals without those that waited, maybe for minutes: nothing arrives early.
-
-    All of them make it where none was later than their usual scatter.
-    """
-    line = np.polyval(np.polyfit(over, since_s, 1), over)
-    kept = np.ones(len(over), dtype=np.bool_)
-    for _ in range(_MOST_TURNS):
-        late_s = since_s - line
-        low, usual = np.quantile(late_s, (0.05, 0.25))
-        now = late_s <= usual + max(_STEP_S, _WAITED * (usual - low))
-        if np.count_nonzero(now) < _LINE or np.array_equal(now, kept):
-            break
-        kept = now
-        line = np.polyval(np.polyfit(over[kept], since_s[kept], 1), over)
-    return np.asarray(line)
-
-
-def _steps_of(late_s: Floats, own_s: Floats) -> dict[int, float]:
-    """Steps (s) of lateness (n,) by the sample that they come with.
-
-    A step stays: lateness that falls back, as of lines that waited for a thread, is none, however long it
-    takes: what waited comes faster than it was taken.
-    """
-    late_s, found = late_s.copy(), dict[int, float]()
-    if len(late_s) < 2 * _LINE:
-        return found
-    medians = np.median(np.lib.stride_tricks.sliding_window_view(late_s, _LINE), axis=1)
-    rise = np.abs(medians[_LINE:] - medians[:-_LINE])
-    for _ in range(_MOST_LOOKS):
-        peak = int(np.argmax(rise))
-        if not rise[peak] > _STEP_S:
-            break
-        # the windows meet at the sample after the first one's end
-        low, high = max(1, peak + 1), min(len(late_s), peak + 2 * _LINE)
-        place = low + int(np.argmax(np.abs(np.diff(late_s[low - 1 : high]))))
-        rise[max(0, place - 2 * _LINE) : place + 1] = 0.0
-        if not _LINE <= place <= len(late_s) - _LINE:
-            continue
-        near, far = (
-            float(np.median(late_s[place : place + reach]) - np.median(late_s[max(0, place - reach) : place]))
-            for reach in (_LINE, _FAR)
-        )
-        if (
-            abs(near) > _STEP_S
-            and abs(far - near) < 0.5 * abs(near)
-            and not (near > 0 and _falls(late_s[place:], own_s[place:]))
-        ):
-            late_s[:place] += near
-            found[place] = near
-    return dict(sorted(found.items()))
-
-
-def _falls(late_s: Floats, own_s: Floats) -> bool:
-    """Whether lateness falls by more than a fifth of the time that passes, from a sample on."""
-    reach = min(_RUN, len(late_s) // 2)
-    first, later = slice(0, reach), slice(reach, 2 * reach)
-    fell = float(np.median(late_s[first]) - np.median(late_s[later]))
-    return fell > _FALLS * float(np.median(own_s[later]) - np.median(own_s[first]))
-
 
 _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
