@@ -31,7 +31,7 @@ from rig.analysis.decay_values import amplitude_rows, values_of_points
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import PositionErrors, RunResults, StoredTurningPoints
-from rig.analysis.seismometer import FitStart, SeismometerRecord
+from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.instrument import (

@@ -26,7 +26,8 @@ from rig.analysis.passing_deflections import (
     without_fixed_light,
 )
 from rig.analysis.run_conditions import Beam, run_clock, run_conditions
-from rig.analysis.seismometer import FitStart, SeismometerRecord, recorded_witness
+from rig.analysis.seismometer import recorded_witness
+from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
 from rig.instrument import (
     inputs_sha256,

@@ -19,7 +19,7 @@ from rig.analysis.fit_tables import combined_table, law_table, parameter_table, 
 from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults, TableDecay
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
 from rig.analysis.run_remarks import RemarkLevel, damping_lines, decay_lines, remark_rows
-from rig.analysis.seismometer import SeismometerSource
+from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.table_fit import (
     AnalysedTable,
     FoundDecay,

@@ -1,221 +1,18 @@
-"""A seismometer or tiltmeter beside the run: from a table, miniSEED, SAC, or the record itself."""
+"""A seismometer beside the run: what a record holds of it itself, and what is said of one."""
 
-import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from itertools import pairwise
 from math import isfinite, pi
-from pathlib import Path
-from typing import Any, Final
+from typing import NamedTuple
 
 import numpy as np
 
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WITNESS
 from processing.arrays import Floats, Ints
-from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
-from processing.fit import Response, SeismometerUse, Witness
-from processing.units import NS_PER_S, nanoseconds, seconds
-from rig.intake import read_columns
+from processing.fit import Response, SeismometerUse
+from rig.analysis.seismometer_file import SeismometerRecord
 from rig.presentation import percent, plain, quantity, with_uncertainty
 from rig.settings import Configuration
-
-_SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")
-FIRST_UTC_S = 1e9
-"""Times of a table from which on they count from 1970: this was in 2001, and no run lasts so long."""
-_SAME_TICK_NS = 1000
-"""Channels that begin within this begin together."""
-_REMEDIES: Final = {
-    ", or the rows in a second: --rate HZ --position COLUMN": "",
-    "name the time column with --time": "call the time column time_s",
-    "--time-unit": "--witness-time-unit",
-    "--position": "--witness-column",
-}
-"""Options of a table that is fitted, and what a witness has in their place."""
-
-
-@dataclass(frozen=True)
-class SeismometerSource:
-    """Which file holds a witness, which of its columns or channels, and what is added to its times.
-
-    `offset_s` None: the times stand as they are, and are sought where they explain nothing. `time_unit` is
-    that of a table's times, where its header does not say it.
-    """
-
-    path: Path
-    columns: tuple[str, ...] = ()
-    offset_s: float | None = None
-    time_unit: str = ""
-
-    def read(self) -> "SeismometerRecord":
-        """The file. Raises DataError or ConfigurationError in one line."""
-        if self.path.suffix.lower() not in _SEISMIC:
-            found = _read_table(self.path, self.columns, self.time_unit)
-        elif self.time_unit:
-            raise ConfigurationError(
-                f"--witness-time-unit {self.time_unit}: {self.path} has times of its own; leave the "
-                "option out"
-            )
-        else:
-            found = _read_seismic(self.path, self.columns)
-        if self.offset_s is None:
-            return found
-        return replace(found, first_ns=found.first_ns + nanoseconds(self.offset_s), offset_stated=True)
-
-
-@dataclass(frozen=True, eq=False)
-class SeismometerRecord:
-    """Samples of a witness: times (n,) in ns from the first, values (n, components), NaN where missing.
-
-    `understood` says in lines what its file was taken for, and which rows were left out.
-    `first_ns` is the first sample's time: since 1970 where `absolute`, else on the clock of the run's file.
-    """
-
-    name: str
-    times_ns: Ints
-    value: Floats
-    names: tuple[str, ...]
-    first_ns: int
-    absolute: bool
-    offset_stated: bool = False
-    understood: tuple[str, ...] = ()
-
-    def beside(self, begin: "FitStart") -> tuple[Witness, bool]:
-        """On the clock of turning points, and whether that is known up to a fraction of a period."""
-        known = self.offset_stated
-        if not self.absolute or (self.offset_stated and begin.utc_ns is None):
-            zero_ns = begin.in_file_ns
-        elif begin.utc_ns is not None:
-            zero_ns, known = begin.utc_ns, True
-        else:
-            # neither's clock says anything of the other's
-            zero_ns, known = self.first_ns, False
-        return Witness(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names), known
-
-
-@dataclass(frozen=True, slots=True)
-class FitStart:
-    """The first turning point that is fitted: on the clock of its file, and in ns since 1970 where known."""
-
-    in_file_ns: int
-    utc_ns: int | None = None
-
-
-def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> SeismometerRecord:
-    try:
-        table = read_columns(path, columns, time_unit)
-    except RigError as error:
-        said = str(error)
-        for option, of_witness in _REMEDIES.items():
-            said = said.replace(option, of_witness)
-        raise type(error)(said) from None
-    return SeismometerRecord(
-        path.name,
-        table.times_ns,
-        np.column_stack(table.positions),
-        table.names,
-        table.first_ns,
-        seconds(table.first_ns) > FIRST_UTC_S,
-        understood=table.understood,
-    )
-
-
-def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
-    try:
-        import obspy
-        from obspy.io.mseed import InternalMSEEDWarning
-    except ImportError:
-        raise MissingPackage(
-            f"{path}: --witness with miniSEED or SAC (a CSV needs nothing)", "obspy"
-        ) from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            # what ObsPy finds damaged it delivers all the same
-            warnings.simplefilter("error", InternalMSEEDWarning)
-            traces = obspy.read(str(path))
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except InternalMSEEDWarning as error:
-        raise DataError(f"{path}: is damaged ({error}); leave its damaged records out") from None
-    except Exception as error:  # ObsPy's readers raise whatever their libraries do
-        raise DataError(f"{path}: is read by ObsPy as neither miniSEED nor SAC: {error}") from None
-    for trace in traces:
-        trace.data = np.ma.filled(np.ma.asarray(trace.data, dtype=np.float64), np.nan)
-    chosen, others = _chosen(path, sorted({_name_of(trace) for trace in traces}), wanted)
-    used = obspy.Stream([trace for trace in traces if _name_of(trace) in chosen and len(trace)])
-    if empty := [name for name in chosen if name not in map(_name_of, used)]:
-        raise DataError(f"{path}: {empty[0]} holds no samples that can be read; name another file or channel")
-    try:
-        used.merge(method=1, fill_value=np.nan)
-    except Exception as error:  # channels of several rates
-        raise DataError(f"{path}: its records cannot be joined: {error}") from None
-    used.trim(
-        min(trace.stats.starttime for trace in used), max(trace.stats.endtime for trace in used),
-        pad=True, fill_value=np.nan,
-    )  # fmt: skip
-    of_name = {_name_of(trace): trace for trace in used}
-    stats = of_name[chosen[0]].stats
-    times_ns = np.rint(np.arange(stats.npts) * (NS_PER_S / stats.sampling_rate)).astype(np.int64)
-    value = np.column_stack([_at(times_ns, stats.starttime.ns, of_name[name]) for name in chosen])
-    lost = int(np.count_nonzero(np.isnan(value).any(axis=1)))
-    understood = (
-        f"channels: {', '.join(chosen)}, {stats.sampling_rate:.6g} samples a second",
-        *([f"not used: {', '.join(others)}"] if others else []),
-        *([f"missing: {lost} of {len(times_ns)} samples"] if lost else []),
-    )
-    sensors = {_sensor(name) for name in chosen}
-    names = tuple(name.rpartition(".")[2] or name if len(sensors) == 1 else name for name in chosen)
-    return SeismometerRecord(
-        path.name, times_ns, value, names, stats.starttime.ns, absolute=True, understood=understood
-    )
-
-
-def _name_of(trace: Any) -> str:
-    """NET.STA.LOC.CHA of a trace."""
-    return str(trace.id) if trace.id.strip(".") else "trace"
-
-
-def _at(times_ns: Ints, first_ns: int, trace: Any) -> Floats:
-    """A trace's samples (n,) at times from `first_ns` on; NaN where it has none."""
-    step_ns, late_ns = NS_PER_S / trace.stats.sampling_rate, trace.stats.starttime.ns - first_ns
-    value = np.asarray(trace.data, dtype=np.float64)
-    if len(value) == len(times_ns) and abs(late_ns) < _SAME_TICK_NS:
-        return value
-    own_ns = late_ns + np.arange(len(value)) * step_ns
-    return np.interp(times_ns, own_ns, value, left=np.nan, right=np.nan)
-
-
-def _sensor(name: str) -> str:
-    """A channel's name without the letter of its direction."""
-    return f"{name[:-1]}?" if "." in name else name
-
-
-def _chosen(path: Path, known: Sequence[str], wanted: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Channels that are used, by their names in full or in part, and the others: those of one sensor.
-
-    Raises ConfigurationError where several sensors are there and it is not said which of them is meant.
-    """
-    chosen: list[str] = []
-    for one in wanted or ["*"]:
-        matching = [name for name in known if fnmatchcase(f".{name}.", f"*.{one}.*")]
-        if not matching:
-            listed = (
-                known
-                if len({name.rpartition(".")[0] for name in known}) > 1
-                else [name.rpartition(".")[2] for name in known]
-            )
-            raise ConfigurationError(f"{path}: has no channel {one!r}; channels: {', '.join(listed)}")
-        sensors = sorted({_sensor(name) for name in matching})
-        if len(sensors) > 1:
-            raise ConfigurationError(
-                f"{path}: holds {len(sensors)} sensors{f' named {one}' if wanted else ''}: "
-                f"{', '.join(sensors)}; state one: --witness-column '{sensors[0]}'"
-            )
-        chosen += [name for name in matching if name not in chosen]
-    return chosen, [name for name in known if name not in chosen]
-
 
 _VALUES = ("first", "second", "third")
 _FEWEST = 3
@@ -223,10 +20,14 @@ _PAUSE_S, _PAUSE_STEPS = 0.5, 4.0
 """A pause between arrivals that is longer than both, the second in steps, is a gap."""
 _LINE = 20
 """Fewest samples of a stretch whose arrivals make a line."""
-_LATE_S = 0.3
-"""What arrives later than the usual by less did not wait."""
+_STEP_S = 0.3
+"""Lateness that rises or falls by more at once, and stays so, is a clock that was set."""
+_FAR, _MOST_LOOKS = 2000, 100
+_RUN, _FALLS = 200, 0.2
+"""Samples after a step that are looked at; lateness falls by so much of the time while a backlog is read."""
 _WAITED, _MOST_TURNS = 5.0, 30
 """What is later by so many times the distance between the earliest and the usual arrivals had waited."""
+CLOCK_SET = "clock set while it was recorded,"
 
 
 def recorded_witness(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
@@ -237,7 +38,7 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> Seismometer
     if len(table) < _FEWEST:
         return None
     names = config.witness.components
-    times_ns = taken(table["time_ns"], table["own_time_s"])
+    times_ns, steps_s = taken(table["time_ns"], table["own_time_s"])
     order = np.concatenate([[True], np.diff(times_ns) > 0])
     stray = int(np.count_nonzero(~order))
     value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
@@ -248,23 +49,37 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> Seismometer
         names,
         int(times_ns[0]),
         absolute=False,
-        offset_stated=True,
+        # which of two clocks was right, or neither, nobody knows
+        offset_stated=not steps_s,
         understood=(
             f"columns: {', '.join(names)}",
+            *(f"{CLOCK_SET} by {step:+.4g} s; times before it follow those after it" for step in steps_s),
             *([f"left out: {stray} samples not later than the previous one"] if stray else []),
         ),
     )
 
 
-def taken(arrived_ns: Ints, own_s: Floats) -> Ints:
-    """When samples were taken, on the frames' clock: lines arrive in bursts, late by parts of a second.
+class SampleTimes(NamedTuple):
+    """When samples were taken, on the frames' clock, and by what one of the clocks was set meanwhile."""
+
+    times_ns: Ints
+    steps_s: tuple[float, ...]
+
+
+def taken(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
+    """When samples were taken: lines arrive in bursts, late by parts of a second.
 
     By a line through the arrivals over the instrument's own time; without one, over the count of samples, for
     each stretch without a pause of its own. What is constant of the lateness the fit finds as a delay.
     """
     since_s = (arrived_ns - arrived_ns[0]) * 1e-9
+    steps_s: dict[int, float] = {}
     if np.all(np.isfinite(own_s)) and np.all(np.diff(own_s) > 0):
         over, begins = own_s - own_s[0], [0, len(since_s)]
+        steps_s = _steps_of(since_s - over, over)
+        for place, step_s in steps_s.items():
+            # a clock that was set is right from then on
+            since_s[:place] += step_s
     else:
         over = np.arange(len(since_s), dtype=np.float64)
         steps = np.diff(since_s)
@@ -275,7 +90,8 @@ def taken(arrived_ns: Ints, own_s: Floats) -> Ints:
         if end - begin >= _LINE:
             part = slice(begin, end)
             taken_s[part] = _line_of(over[part], since_s[part])
-    return np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
+    times_ns = np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
+    return SampleTimes(times_ns, tuple(steps_s.values()))
 
 
 def _line_of(over: Floats, since_s: Floats) -> Floats:
@@ -288,12 +104,55 @@ def _line_of(over: Floats, since_s: Floats) -> Floats:
     for _ in range(_MOST_TURNS):
         late_s = since_s - line
         low, usual = np.quantile(late_s, (0.05, 0.25))
-        now = late_s <= usual + max(_LATE_S, _WAITED * (usual - low))
+        now = late_s <= usual + max(_STEP_S, _WAITED * (usual - low))
         if np.count_nonzero(now) < _LINE or np.array_equal(now, kept):
             break
         kept = now
         line = np.polyval(np.polyfit(over[kept], since_s[kept], 1), over)
     return np.asarray(line)
+
+
+def _steps_of(late_s: Floats, own_s: Floats) -> dict[int, float]:
+    """Steps (s) of lateness (n,) by the sample that they come with.
+
+    A step stays: lateness that falls back, as of lines that waited for a thread, is none, however long it
+    takes: what waited comes faster than it was taken.
+    """
+    late_s, found = late_s.copy(), dict[int, float]()
+    if len(late_s) < 2 * _LINE:
+        return found
+    medians = np.median(np.lib.stride_tricks.sliding_window_view(late_s, _LINE), axis=1)
+    rise = np.abs(medians[_LINE:] - medians[:-_LINE])
+    for _ in range(_MOST_LOOKS):
+        peak = int(np.argmax(rise))
+        if not rise[peak] > _STEP_S:
+            break
+        # the windows meet at the sample after the first one's end
+        low, high = max(1, peak + 1), min(len(late_s), peak + 2 * _LINE)
+        place = low + int(np.argmax(np.abs(np.diff(late_s[low - 1 : high]))))
+        rise[max(0, place - 2 * _LINE) : place + 1] = 0.0
+        if not _LINE <= place <= len(late_s) - _LINE:
+            continue
+        near, far = (
+            float(np.median(late_s[place : place + reach]) - np.median(late_s[max(0, place - reach) : place]))
+            for reach in (_LINE, _FAR)
+        )
+        if (
+            abs(near) > _STEP_S
+            and abs(far - near) < 0.5 * abs(near)
+            and not (near > 0 and _falls(late_s[place:], own_s[place:]))
+        ):
+            late_s[:place] += near
+            found[place] = near
+    return dict(sorted(found.items()))
+
+
+def _falls(late_s: Floats, own_s: Floats) -> bool:
+    """Whether lateness falls by more than a fifth of the time that passes, from a sample on."""
+    reach = min(_RUN, len(late_s) // 2)
+    first, later = slice(0, reach), slice(reach, 2 * reach)
+    fell = float(np.median(late_s[first]) - np.median(late_s[later]))
+    return fell > _FALLS * float(np.median(own_s[later]) - np.median(own_s[first]))
 
 
 _WELL = 1.05
@@ -302,7 +161,7 @@ _WELL = 1.05
 
 def witness_sentences(use: SeismometerUse) -> list[str]:
     """What a witness told, or why it was refused; and what was left out where it was read."""
-    lost = [line for line in use.understood if line.startswith(("left out", "missing"))]
+    lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
     return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
 
 

@@ -43,7 +43,7 @@ from rig.analysis.results import (
     TableUnit,
 )
 from rig.analysis.results_file import relative_record
-from rig.analysis.seismometer import FIRST_UTC_S, FitStart, SeismometerRecord
+from rig.analysis.seismometer_file import FIRST_UTC_S, FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun, instrument_series
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.intake import (

@@ -98,8 +98,10 @@ def counts_rows(column: Sequence[str]) -> bool:
 def writing_of(cells: Iterable[str], stated: str, where: str) -> Writing:
     """The one way in which all these numbers can be written; `stated` is the decimal mark, or empty.
 
-    Raises ConfigurationError: points and commas that both are decimal marks, or commas that may be one or
-    the other.
+    Raises
+    ------
+    ConfigurationError
+        Points and commas that both are decimal marks, or commas that may be one or the other.
     """
     point, comma, either, pointed = "", "", "", False
     mixed = {".": "", ",": ""}

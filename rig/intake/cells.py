@@ -48,8 +48,12 @@ class Cells:
 def read_cells(path: Path, decimal: str = "") -> Cells:
     """Read a file; `decimal` is the decimal mark where it has to be stated.
 
-    Raises DataError: a file that holds no rows of numbers, or cannot be read; ConfigurationError: numbers
-    that can be read in two ways.
+    Raises
+    ------
+    DataError
+        A file that holds no rows of numbers, or cannot be read.
+    ConfigurationError
+        Numbers that can be read in two ways.
     """
     raw = bytes_of(path)
     given = rows_of(path, raw)

@@ -14,7 +14,7 @@ from processing.envelope import unsigned_period_s
 from processing.errors import ConfigurationError, DataError
 from processing.swing import HalfCycle, turning_points
 from processing.units import conversion, seconds
-from rig.intake.cell_text import is_missing
+from rig.intake.cell_text import MOMENT, is_missing
 from rig.intake.times import likely_units, number
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.intake.units import NOT_STATED_TIME, TIME_UNITS
@@ -32,6 +32,7 @@ _DAYS: Final = (30_000.0, 60_000.0)
 _DAY_NS: Final = 86_400_000_000_000
 SPREADSHEET_ZERO_NS: Final = 25_569 * _DAY_NS
 """1970 on the clock of a spreadsheet."""
+_HOUR_S: Final = 3600.0
 _JUMP: Final = 0.7
 """Of the range of a position, that no swing goes from one sample to the next while others are far smaller."""
 _FEWEST_JUMPS: Final = 4
@@ -128,6 +129,47 @@ def judge_begin(
         raise ConfigurationError(
             f"{path}: {title!r} begins at {first:.16g} {unit}, in the year {1970 + first_s / _YEAR_S:.0f}: "
             f"{remedy} {likely_units(first)}"
+        )
+
+
+def judge_clock_digits(path: Path, title: str, times: NDArray[np.float64]) -> None:
+    """Refuse the digits of a clock that are read as one number: 235959.95 (HHMMSS), 59.5995 (MM.SS).
+
+    `times` are as the column holds them, shape (n,). At the end of each minute such a number jumps by 40.
+    """
+    for minute, form in ((100.0, "HHMMSS"), (1.0, "MM.SS")):
+        whole, part = np.divmod(times / minute, 1.0)
+        step = float(np.median(np.diff(times))) / minute
+        border = np.flatnonzero(np.diff(whole))
+        if not len(border) or step > 0.01 or part.max() >= 0.6 + 1e-9:
+            continue
+        if np.all(part[border] > 0.58) and np.all(part[border + 1] < 0.02):
+            before, after = times[border[0] : border[0] + 2]
+            raise ConfigurationError(
+                f"{path}: {title!r} goes from {before:.10g} to {after:.10g} as the digits of a clock do "
+                f"({form}), and is no time in s; write it with colons, or state the rate of the rows "
+                "instead: --rate HZ --position COLUMN"
+            )
+
+
+def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -> None:
+    """Refuse moments of which some have a zone, and a local clock that is put forward an hour."""
+    found = [match for cell in cells if (match := MOMENT.fullmatch(cell.strip())) and match["date"]]
+    with_zone = [match[0] for match in found if match["zone"]]
+    without = [match[0] for match in found if not match["zone"]]
+    if with_zone and without:
+        raise DataError(
+            f"{path}: {with_zone[0]!r} has a zone and {without[0]!r} has none; write all times with theirs, "
+            "or in UTC"
+        )
+    steps_s = seconds(np.diff(times_ns))
+    step_s = float(np.median(steps_s))
+    forward = np.flatnonzero(np.abs(steps_s - step_s - _HOUR_S) < step_s)
+    if without and len(forward) == 1 and step_s < 1.0:
+        row = int(forward[0])
+        raise DataError(
+            f"{path}: {cells[row + 1]!r} follows {cells[row]!r}, an hour and one step later: was the clock "
+            "set to summer time? Write the times with their zone (+01:00, then +02:00), or in UTC (...Z)"
         )
 
 

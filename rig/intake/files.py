@@ -219,6 +219,12 @@ def _texts(column: Any) -> list[str]:
 
 
 _FIRST_DAY: Final = datetime(1899, 12, 30)
+_FIRST_DAY_1904: Final = datetime(1904, 1, 1)
+"""Day 0 of workbooks that began on a Mac."""
+_BETWEEN: Final = datetime(1902, 1, 1)
+_HIDDEN: Final = re.compile(rb'<(?:row|col)\b[^>]*\bhidden="(?:1|true)"')
+_FAR: Final = re.compile(rb'<c\b[^>]*\br="([A-Z]{3,}\d+)"[^>]*(?<!/)>')
+"""A cell with a value in column AAA, the 703rd, or beyond: there is room for all cells before it."""
 _SHARE: Final = 0.25
 """Of the rows of the longest table, that another sheet must have to be one too."""
 
@@ -235,7 +241,7 @@ def rows_of_workbook(raw: bytes) -> Sheet:
             "that needs calamine: pip install 'optical-pendulum-rig[data]', or save it as text (CSV)"
         ) from None
     try:
-        plain = _without_styles(raw)
+        plain, hides = _without_styles(raw)
         book, unstyled = load_workbook(io.BytesIO(raw)), load_workbook(plain)
         seen = {
             about.name: about.visible == SheetVisibleEnum.Visible
@@ -266,18 +272,28 @@ def rows_of_workbook(raw: bytes) -> Sheet:
         said.append(f"sheet {title!r}, the first that holds a table; {others} not read: save it as a file")
     elif len(read) > 1:
         said.append(f"sheet {title!r}" + ("" if seen[title] else ", which is hidden"))
+    if hides:
+        said.append("rows or columns that the workbook hides are read, too")
     return Sheet(read[title], tuple(said))
 
 
-def _without_styles(raw: bytes) -> io.BytesIO:
-    """The workbook with dates as the days that it stores: what is shown as a date calamine rounds to 1 ms."""
-    plain = io.BytesIO()
+def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:
+    """The workbook with dates as the days that it stores, and whether it hides rows or columns.
+
+    What is shown as a date calamine rounds to 1 ms; what it cannot hold in memory ends the whole program.
+    """
+    plain, hides = io.BytesIO(), False
     with zipfile.ZipFile(io.BytesIO(raw)) as before, zipfile.ZipFile(plain, "w") as after:
         for entry in before.infolist():
+            part = before.read(entry)
+            if entry.filename.startswith("xl/worksheets/"):
+                hides = hides or _HIDDEN.search(part) is not None
+                if far := _FAR.search(part):
+                    raise ValueError(f"cell {far[1].decode()} is too far from a table; clear it")
             if entry.filename != "xl/styles.xml":
-                after.writestr(entry, before.read(entry))
+                after.writestr(entry, part)
     plain.seek(0)
-    return plain
+    return plain, hides
 
 
 def _numeric_rows(rows: list[list[str]]) -> int:
@@ -292,17 +308,25 @@ def _is_value(cell: str) -> bool:
 
 def _rows(shown: list[list[Any]], stored: list[list[Any]]) -> list[list[str]]:
     """Cells as text, from what they show and from what is stored: days where a date or a time is shown."""
-    return [[_text(*both) for both in zip(*rows, strict=True)] for rows in zip(shown, stored, strict=True)]
+    cells = [list(zip(*rows, strict=True)) for rows in zip(shown, stored, strict=True)]
+    since_1904 = any(
+        isinstance(moment, datetime) and _is_number(days) and moment - timedelta(days=days) > _BETWEEN
+        for row in cells
+        for moment, days in row
+    )
+    first_day = _FIRST_DAY_1904 if since_1904 else _FIRST_DAY
+    return [[_text(moment, value, first_day) for moment, value in row] for row in cells]
 
 
-def _text(shown: Any, stored: Any) -> str:
-    if isinstance(shown, date | time | timedelta) and isinstance(stored, int | float):
+def _text(shown: Any, stored: Any, first_day: datetime) -> str:
+    if isinstance(shown, date | time | timedelta) and _is_number(stored):
         # a double of days keeps microseconds, not more
-        days, first_day = timedelta(microseconds=round(stored * 86_400_000_000)), _FIRST_DAY
-        if isinstance(shown, datetime):
-            # a Mac's workbook counts from another day
-            first_day += timedelta(days=round((shown - days - first_day) / timedelta(days=1)))
-        return (first_day + days).isoformat(sep=" ")
+        moment = first_day + timedelta(microseconds=round(stored * 86_400_000_000))
+        return moment.isoformat(sep=" ")
     if isinstance(stored, bool) or (isinstance(stored, float) and stored.is_integer()):
         return str(int(stored))
     return str(stored)
+
+
+def _is_number(cell: Any) -> bool:
+    return isinstance(cell, int | float)

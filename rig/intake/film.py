@@ -87,8 +87,14 @@ def film_trajectory(
 ) -> Trajectory:
     """Follow the spot through a film; `progress` is told how many frames of how many are done.
 
-    Raises DeviceError: no film, or one that cannot be read right; DataError: nothing to follow in most of
-    its frames; ConfigurationError: A size of a pixel that is none.
+    Raises
+    ------
+    DeviceError
+        No film, or one that cannot be read right.
+    DataError
+        Nothing to follow in most of its frames.
+    ConfigurationError
+        A size of a pixel that is none.
     """
     factor, unit = _pixel(asked.size)
     settings = FilesSettings.model_validate(

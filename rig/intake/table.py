@@ -17,9 +17,11 @@ from rig.intake.doubts import (
     SPREADSHEET_ZERO_NS,
     is_spreadsheet_time,
     judge_begin,
+    judge_clock_digits,
     judge_size,
     judge_time_unit,
     judge_words,
+    judge_zones,
     unwrapped,
 )
 from rig.intake.times import M_SS, SORT, clock_form, number, placed, read_times, rising
@@ -55,9 +57,13 @@ class TableColumns:
     def read(self, path: Path) -> Trajectory:
         """The table, or the one run that is asked for.
 
-        Raises DataError: no such file, no numbers, times that do not increase; ConfigurationError: a column
-        that there is not, a unit that is not known, or two that contradict one another; several runs of
-        which none is chosen.
+        Raises
+        ------
+        DataError
+            No such file, no numbers, times that do not increase.
+        ConfigurationError
+            A column that there is not, a unit that is not known, or two that contradict one another; several
+            runs of which none is chosen.
         """
         cells, chosen, every = self._runs(path)
         if len(chosen) > 1:
@@ -195,6 +201,7 @@ class _Reading:
             times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)
             read = [cell for cell, yes in zip(cells, good, strict=True) if yes]
             rising(self._path, times_ns, read, SORT)
+            judge_zones(self._path, read, times_ns)
             self._said.append(
                 f"time: {self._names[column]}, " + (f"as {form} ({source})" if form else "moments")
             )
@@ -205,6 +212,8 @@ class _Reading:
         times_ns, good, first_ns = read_times(self._path, cells, unit, remedy)
         self._time_is_assumed = source == NOT_STATED_TIME
         judge_begin(self._path, self._names[column], unit, source, first_ns, times_ns)
+        if unit == "s":
+            judge_clock_digits(self._path, self._names[column], seconds(times_ns + first_ns))
         self._said.append(f"time: {self._names[column]}, in {unit} ({source})")
         if unit == "d" and is_spreadsheet_time(first_ns):
             first_ns -= SPREADSHEET_ZERO_NS

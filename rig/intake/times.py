@@ -5,6 +5,7 @@ import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from decimal import Decimal
+from itertools import pairwise
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from processing.errors import ConfigurationError, DataError
 from processing.units import conversion, seconds
-from rig.intake.cell_text import MOMENT
+from rig.intake.cell_text import MOMENT, moments_ns
 from rig.intake.units import ColumnName, known_unit
 
 SORT: Final = (
@@ -26,6 +27,8 @@ _OUR_DAYS_S: Final = (7.9e8, 4.1e9)
 """1995 to 2100, since 1970."""
 _EXACT: Final = 2**53
 """Largest whole number of ns that a floating-point number holds."""
+_HOUR_NS: Final = 3_600_000_000_000
+_HOUR_SHARE: Final = 0.01
 _TWICE: Final = (
     "a row that stands there twice must be removed; of a clock whose digits do not tell the rows apart, give "
     "the rate of the rows instead (--rate HZ), or name another time column with --time"
@@ -55,6 +58,12 @@ def rising(path: Path, times_ns: NDArray[np.int64], cells: Sequence[str], remedy
     backwards = np.nonzero(steps_ns <= 0)[0]
     if len(backwards):
         row = int(backwards[0])
+        step_ns = float(np.median(steps_ns))
+        if abs(int(steps_ns[row]) + _HOUR_NS) < _HOUR_SHARE * _HOUR_NS + 2.0 * abs(step_ns):
+            remedy = (
+                "where a clock is set back from summer time, write the times with their zone (+02:00, then "
+                "+01:00) or in UTC"
+            )
         raise DataError(
             f"{path}: time does not increase after {cells[row]} (row {row + 1}): {cells[row + 1]} follows; "
             f"{remedy if steps_ns[row] else _TWICE}"
@@ -131,6 +140,7 @@ _FORM: Final = re.compile(
     re.IGNORECASE,
 )
 _LEADING: Final = {"min": M_SS, "h": H_MM}
+_HOURS_OF_DAY: Final = 24
 
 
 def clock_form(
@@ -138,9 +148,13 @@ def clock_form(
 ) -> tuple[str, str]:
     """What the times of two fields in a column are, M_SS or H_MM, and who says so; empty: there are none.
 
-    The option or the header states it; otherwise a fraction (``0:05.2``) decides.
+    The option or the header states it. Otherwise a fraction (``0:05.2``), a first field that is no hour of
+    a day (``75:30``), or other cells with all three fields decide, if they do.
 
-    Raises ConfigurationError: neither of them decides, or two of them disagree.
+    Raises
+    ------
+    ConfigurationError
+        Neither of them decides, or two of them disagree.
     """
     two = [cell.strip() for cell in cells if _has_two_fields(cell)]
     by_option, by_header = _stated(asked), _stated(title) or _stated(named.strange) or _stated(named.unit)
@@ -167,6 +181,12 @@ def clock_form(
         return stated, "--time-unit" if by_option else "its header"
     if fraction:
         return M_SS, f"{fraction} has a fraction of a second"
+    late = next((cell for cell in two if int(cell.split(":")[0]) >= _HOURS_OF_DAY), "")
+    if late:
+        return M_SS, f"{late} is not a time of day"
+    rising = [form for form in (M_SS, H_MM) if _rise(cells, form)]
+    if len(two) < len(cells) and len(rising) == 1:
+        return rising[0], "the others have hours, minutes and seconds"
     raise ConfigurationError(
         f"{path}: {two[0]!r} in {title!r} may be minutes and seconds or hours and minutes; state --time-unit "
         f"{M_SS} or --time-unit {H_MM}, or write it in the header: t [{M_SS}]"
@@ -184,6 +204,11 @@ def _stated(text: str) -> str:
     if found is None:
         return _LEADING.get(known_unit(text), "") if text else ""
     return M_SS if found["minutes"] else H_MM
+
+
+def _rise(cells: Sequence[str], form: str) -> bool:
+    times = [time for time in moments_ns(cells, minutes_first=form == M_SS) if time is not None]
+    return all(a < b for a, b in pairwise(times))
 
 
 _FEWEST: Final = 64

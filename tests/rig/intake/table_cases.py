@@ -436,7 +436,19 @@ def clocks() -> list[TableCase]:
             _case(f"days: {day}", since(day, 1 / 86_400), refused="days, or seconds")
             for day in (738_000.5, 60_700.5, 2_460_000.5)
         ),
+        *(
+            _case(f"digits of a clock, {form}", _clock_digits(form), refused="as the digits of a clock do")
+            for form in ("%H%M%S.%f", "%d%H%M%S.%f", "%M%S.%f", "%M.%S%f")
+        ),
     ]
+
+
+def _clock_digits(form: str) -> str:
+    """Moments of day before and behind a full minute, without marks between hours, minutes and seconds."""
+    start = datetime(2024, 5, 1, 10, 20, 53)
+    moments = (start + timedelta(milliseconds=ms) for ms in true_ms())
+    rows = zip(moments, true_values(), strict=True)
+    return "UTC,x\n" + "".join(f"{moment.strftime(form)[:-3]},{x}\n" for moment, x in rows)
 
 
 def _moments(form: Callable[[datetime], str], start: datetime) -> Cell:
@@ -501,6 +513,8 @@ class Sheet:
 
     rows: Sequence[Sequence[object]]
     state: str = "visible"
+    hidden_rows: range = range(0)
+    hidden_column: int = 0
     numbers: Sequence[int] = field(default_factory=tuple)
 
 
@@ -552,8 +566,11 @@ def _xml(sheet: Sheet, dates: bool) -> str:
             else:
                 style = ' s="1"' if dates and letter == "A" else ""
                 cells += f"<c {at}{style}><v>{value!r}</v></c>"
-        lines.append(f'<row r="{number}">{cells}</row>')
-    return f'<worksheet xmlns="{MAIN}"><sheetData>{"".join(lines)}</sheetData></worksheet>'
+        hidden = ' hidden="1"' if number in sheet.hidden_rows else ""
+        lines.append(f'<row r="{number}"{hidden}>{cells}</row>')
+    k = sheet.hidden_column
+    columns = f'<cols><col min="{k}" max="{k}" hidden="1"/></cols>' if k else ""
+    return f'<worksheet xmlns="{MAIN}">{columns}<sheetData>{"".join(lines)}</sheetData></worksheet>'
 
 
 def listed(*columns: NDArray[np.float64]) -> list[tuple[float, ...]]:

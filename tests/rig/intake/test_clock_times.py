@@ -19,6 +19,14 @@ def _whole(seconds: int) -> str:
     return f"{seconds // 60}:{seconds % 60:02d}"
 
 
+def _with_hours(seconds: int) -> str:
+    return (
+        _whole(seconds)
+        if seconds < 3600
+        else f"{seconds // 3600}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
+    )
+
+
 def _table(path: Path, header: str, times: Sequence[str]) -> Path:
     rows = "".join(f"{time};{k % 7}\n" for k, time in enumerate(times))
     path.write_text(f"{header};x\n{rows}")
@@ -31,6 +39,9 @@ def _table(path: Path, header: str, times: Sequence[str]) -> Path:
         ("t", _m_ss, range(0, 1300, 2), 0.2, ""),
         ("t", lambda k: _m_ss(k).replace(".", ","), range(0, 1300, 2), 0.2, ""),
         ("t", _m_ss, range(0, 1300, 10), 1.0, "mm:ss"),
+        ("t", _whole, range(1600), 1.0, ""),  # up to 26:39, which is no time of day
+        ("t", _whole, range(6000, 6100), 1.0, ""),  # 100:00 and more
+        ("t", _with_hours, range(3500, 3700), 1.0, ""),  # 59:59 is followed by 1:00:00
         ("t [m:ss]", _whole, range(300), 1.0, ""),
         ("Zeit (mm:ss)", _whole, range(300), 1.0, ""),
         ("t [min]", _whole, range(300), 1.0, ""),

@@ -23,14 +23,26 @@ def _table(path: Path, time: Callable[[int], str], header: str = "time,x_mm") ->
     return path
 
 
+def _local(began: datetime, *, zone: bool) -> Callable[[int], str]:
+    def time(k: int) -> str:
+        moment = (began + k * STEP).astimezone(ZoneInfo("Europe/Berlin"))
+        return (moment if zone else moment.replace(tzinfo=None)).isoformat(timespec="milliseconds")
+
+    return time
+
+
 @pytest.mark.parametrize("began", [AUTUMN, SPRING])
 def test_with_their_zone_times_go_on_through_the_change_of_the_clock(tmp_path: Path, began: datetime) -> None:
-    def time(k: int) -> str:
-        return (began + k * STEP).astimezone(ZoneInfo("Europe/Berlin")).isoformat(timespec="milliseconds")
-
-    found = TableColumns().read(_table(tmp_path / "decay.csv", time))
+    found = TableColumns().read(_table(tmp_path / "decay.csv", _local(began, zone=True)))
     assert set(np.diff(found.times_ns).tolist()) == {50_000_000}
     assert found.first_ns == int(began.timestamp()) * 10**9
+
+
+def test_without_a_zone_the_change_of_the_clock_is_refused_and_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"02:00:00.000 follows; where a clock is set back from summer time"):
+        TableColumns().read(_table(tmp_path / "autumn.csv", _local(AUTUMN, zone=False)))
+    with pytest.raises(DataError, match=r"03:00:00.000' follows .*an hour and one step later.*summer time\?"):
+        TableColumns().read(_table(tmp_path / "spring.csv", _local(SPRING, zone=False)))
 
 
 def test_an_hour_without_rows_is_a_gap_and_its_length_is_said(tmp_path: Path) -> None:
@@ -41,6 +53,16 @@ def test_an_hour_without_rows_is_a_gap_and_its_length_is_said(tmp_path: Path) ->
 
     found = TableColumns().read(_table(tmp_path / "gap.csv", time))
     assert any("unevenly, up to 3607.05 s apart" in line for line in found.understood)
+
+
+def test_zones_of_some_rows_only_are_refused(tmp_path: Path) -> None:
+    """Rows without one would be hours from where they belong."""
+
+    def time(k: int) -> str:
+        return (AUTUMN + k * STEP).strftime("%Y-%m-%dT%H:%M:%S.%f") + ("+00:00" if k < 200 else "")
+
+    with pytest.raises(DataError, match=r"has a zone and .* has none; write all times with theirs"):
+        TableColumns().read(_table(tmp_path / "decay.csv", time))
 
 
 @pytest.mark.parametrize("day", ["2024-02-30", "31.04.2024", "2024/13/01"])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError
+from rig.intake.files import rows_of_workbook
 from rig.intake.table import TableColumns
 from tests.rig.intake.table_cases import Sheet, workbook
 
@@ -33,6 +34,13 @@ def test_the_first_sheet_that_is_seen_and_holds_a_table_is_read_and_the_others_a
     assert "sheet 'A', the first that holds a table; 'B' not read: save it as a file" in found.understood
     found = TableColumns().read(save(tmp_path / "hidden.xlsx", {"constants": constants, "old": hidden}))
     assert "sheet 'old', which is hidden" in found.understood
+
+
+def test_hidden_rows_and_columns_are_read_and_said(tmp_path: Path) -> None:
+    sheet = Sheet(ROWS, hidden_rows=range(40, 60), hidden_column=2)
+    found = TableColumns().read(save(tmp_path / "decay.xlsx", {"A": sheet}))
+    np.testing.assert_array_equal(found.positions[0], X)
+    assert "rows or columns that the workbook hides are read, too" in found.understood
 
 
 def test_for_a_formula_without_a_value_nothing_is_taken(tmp_path: Path) -> None:
@@ -81,10 +89,19 @@ def test_elapsed_time_is_stored_in_days_whatever_its_format_shows(tmp_path: Path
     np.testing.assert_allclose(1e-9 * found.times_ns, TIME_S, rtol=0.0, atol=1e-6)
 
 
-def test_a_damaged_workbook_is_refused_in_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("before", "after", "reason"),
+    [
+        ('<c r="B9">', '<c r="B9" t="s">', "string index not found"),
+        ('<c r="B9">', '<c r="ZZZZZZ9">', "cell ZZZZZZ9 is too far from a table; clear it"),
+    ],
+)
+def test_a_damaged_workbook_is_refused_in_one_line(
+    tmp_path: Path, before: str, after: str, reason: str
+) -> None:
     path = save(tmp_path / "decay.xlsx", {"A": Sheet([*ROWS[:8], (TIME_S[7].item(), 9), *ROWS[9:]])})
-    changed(path, "xl/worksheets/sheet1.xml", '<c r="B9">', '<c r="B9" t="s">')
-    with pytest.raises(DataError, match=r"as a workbook: .*string index not found") as raised:
+    changed(path, "xl/worksheets/sheet1.xml", before, after)
+    with pytest.raises(DataError, match=f"cannot be read as a workbook: .*{reason}") as raised:
         TableColumns().read(path)
     assert "\n" not in str(raised.value)
 
@@ -109,6 +126,15 @@ def test_a_number_that_is_shown_as_a_date_that_there_is_not_stays_a_number(tmp_p
     rows = [("x/px", "t/s"), *((x + 4e6, t) for t, x in ROWS[1:])]
     found = TableColumns().read(save(tmp_path / "decay.xlsx", {"A": Sheet(rows)}, dates=True))
     np.testing.assert_array_equal(found.positions[0], X + 4e6)
+
+
+def test_a_cell_that_has_a_style_and_no_value_makes_no_columns(tmp_path: Path) -> None:
+    numbers = [*range(1, 9), *range(10, 102)]
+    sheet = '<row r="9"><c r="A9"/><c r="XFD9" s="1"/></row>'
+    path = save(tmp_path / "decay.xlsx", {"A": Sheet([*ROWS[:8], *ROWS[9:]], numbers=numbers)})
+    changed(path, "xl/worksheets/sheet1.xml", '<row r="10">', f'{sheet}<row r="10">')
+    given = rows_of_workbook(path.read_bytes())
+    assert {len(row) for row in given.rows} == {2}
 
 
 def test_rows_and_cells_without_references_follow_one_another(tmp_path: Path) -> None:

@@ -1,0 +1,357 @@
+"""A witness of the ground from a file: a table, or miniSEED and SAC through ObsPy."""
+
+import math
+import warnings
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from io import BytesIO
+from pathlib import Path
+from re import compile as pattern
+from typing import Any, Final
+
+import numpy as np
+
+from processing.arrays import Floats, Ints
+from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
+from processing.fit import Witness
+from processing.units import NS_PER_S, nanoseconds, seconds
+from rig.intake import read_columns
+
+_SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")
+FIRST_UTC_S = 1e9
+"""Times of a table from which on they count from 1970: this was in 2001, and no run lasts so long."""
+_SAME_TICK = 0.5
+"""Steps by which a record may be early or late without a gap, or an overlap, before it."""
+_DRIFT = 0.05
+"""Largest part by which a rate that is told by the beginnings of records may differ from the stated one."""
+_FEWEST_RECORDS = 3
+_SEED, _DATA_RECORD = pattern(rb"[0-9 \0]{6}[ A-Z]"), pattern(rb"[0-9 \0]{6}[DRQM]")
+_HEAD, _LEAST_RECORD, _USUAL_RECORD, _LONGEST_RECORD = 64, 128, 4096, 1 << 16
+_EMPTY, _DAMAGED = "records without samples", "records that cannot be decoded"
+_TWICE = "samples of records that overlap others"
+_REMEDIES: Final = {
+    ", or the rows in a second: --rate HZ --position COLUMN": "",
+    "name the time column with --time": "call the time column time_s",
+    "--time-unit": "--witness-time-unit",
+    "--position": "--witness-column",
+}
+"""Options of a table that is fitted, and what a witness has in their place."""
+
+
+@dataclass(frozen=True)
+class SeismometerSource:
+    """Which file holds a witness, which of its columns or channels, and what is added to its times.
+
+    `offset_s` None: the times stand as they are, and are sought where they explain nothing. `time_unit` is
+    that of a table's times, where its header does not say it.
+    """
+
+    path: Path
+    columns: tuple[str, ...] = ()
+    offset_s: float | None = None
+    time_unit: str = ""
+
+    def read(self) -> "SeismometerRecord":
+        """The file. Raises DataError or ConfigurationError in one line."""
+        if self.path.suffix.lower() not in _SEISMIC:
+            found = _read_table(self.path, self.columns, self.time_unit)
+        elif self.time_unit:
+            raise ConfigurationError(
+                f"--witness-time-unit {self.time_unit}: {self.path} has times of its own; leave the "
+                "option out"
+            )
+        else:
+            found = _read_seismic(self.path, self.columns)
+        if self.offset_s is None:
+            return found
+        return replace(found, first_ns=found.first_ns + nanoseconds(self.offset_s), offset_stated=True)
+
+
+@dataclass(frozen=True, eq=False)
+class SeismometerRecord:
+    """Samples of a witness: times (n,) in ns from the first, values (n, components), NaN where missing.
+
+    `understood` says in lines what its file was taken for, and which rows were left out.
+    `first_ns` is the first sample's time: since 1970 where `absolute`, else on the clock of the run's file.
+    """
+
+    name: str
+    times_ns: Ints
+    value: Floats
+    names: tuple[str, ...]
+    first_ns: int
+    absolute: bool
+    offset_stated: bool = False
+    understood: tuple[str, ...] = ()
+
+    def beside(self, begin: "FitStart") -> tuple[Witness, bool]:
+        """On the clock of turning points, and whether that is known up to a fraction of a period."""
+        known = self.offset_stated
+        if not self.absolute or (self.offset_stated and begin.utc_ns is None):
+            zero_ns = begin.in_file_ns
+        elif begin.utc_ns is not None:
+            zero_ns, known = begin.utc_ns, True
+        else:
+            # neither's clock says anything of the other's
+            zero_ns, known = self.first_ns, False
+        return Witness(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names), known
+
+
+@dataclass(frozen=True, slots=True)
+class FitStart:
+    """The first turning point that is fitted: on the clock of its file, and in ns since 1970 where known."""
+
+    in_file_ns: int
+    utc_ns: int | None = None
+
+
+def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> SeismometerRecord:
+    try:
+        table = read_columns(path, columns, time_unit)
+    except RigError as error:
+        said = str(error)
+        for option, of_witness in _REMEDIES.items():
+            said = said.replace(option, of_witness)
+        raise type(error)(said) from None
+    return SeismometerRecord(
+        path.name,
+        table.times_ns,
+        np.column_stack(table.positions),
+        table.names,
+        table.first_ns,
+        seconds(table.first_ns) > FIRST_UTC_S,
+        understood=table.understood,
+    )
+
+
+def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
+    try:
+        import obspy
+    except ImportError:
+        raise MissingPackage(
+            f"{path}: --witness with miniSEED or SAC (a CSV needs nothing)", "obspy"
+        ) from None
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path}: {'no such file' if not path.exists() else error.strerror}") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            pieces = _records(data) or [_trace_piece(one) for one in obspy.read(str(path))]
+    except Exception as error:  # ObsPy's readers raise whatever their libraries do
+        raise DataError(f"{path}: is read by ObsPy as neither miniSEED nor SAC: {error}") from None
+    chosen, others = _chosen(path, sorted({one.name for one in pieces}), wanted)
+    left_out = Counter[str]()
+    runs = {name: _runs([one for one in pieces if one.name == name], left_out) for name in chosen}
+    if empty := [name for name, found in runs.items() if not found]:
+        raise DataError(f"{path}: {empty[0]} holds no samples that can be read; name another file or channel")
+    times_ns = _grid(runs)
+    value = np.column_stack([_on(times_ns, found) for found in runs.values()])
+    lost = int(np.count_nonzero(np.isnan(value).any(axis=1)))
+    rate = NS_PER_S / float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else math.nan
+    understood = (
+        f"channels: {', '.join(chosen)}, {rate:.6g} samples a second",
+        *([f"not used: {', '.join(others)}"] if others else []),
+        *([f"missing: {lost} of {len(times_ns)} samples"] if lost else []),
+        *(f"left out: {count} {what}" for what, count in left_out.items() if count),
+    )
+    sensors = {_sensor(name) for name in chosen}
+    names = tuple(name.rpartition(".")[2] or name if len(sensors) == 1 else name for name in chosen)
+    first_ns = int(times_ns[0])
+    return SeismometerRecord(
+        path.name, times_ns - first_ns, value, names, first_ns, absolute=True, understood=understood
+    )
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A miniSEED record, or a trace of another format: `name` is NET.STA.LOC.CHA."""
+
+    name: str
+    start_ns: int
+    step_ns: float
+    count: int
+    data: bytes | Floats
+    skipped: int = 0
+    """Samples at its beginning that an earlier one has, too."""
+
+
+def _records(data: bytes) -> list[_Piece]:
+    """The records of a miniSEED file with the times of their own; none of another format.
+
+    ObsPy makes one trace of records whose starts are within half a sample of what those before them foretell,
+    and forgets what their times say: a clock that drifts, by seconds in some minutes.
+    """
+    from obspy.io.mseed.util import get_record_information
+
+    found, place = list[_Piece](), 0
+    if not _SEED.match(data):
+        return found
+    while place + _HEAD <= len(data):
+        if not _DATA_RECORD.match(data, place):
+            place += _LEAST_RECORD
+            continue
+        record = data[place : place + _LONGEST_RECORD]
+        # of a length that is none of its own the reader goes back to the beginning
+        head = get_record_information(BytesIO(record.ljust(-len(record) // 128 * -128, b"\0")))
+        length = head.get("record_length", _USUAL_RECORD)
+        place += length
+        if head["samp_rate"] > 0:
+            name = ".".join(head[part] for part in ("network", "station", "location", "channel"))
+            step_ns = NS_PER_S / head["samp_rate"]
+            found.append(_Piece(name, head["starttime"].ns, step_ns, head["npts"], record[:length]))
+    return found
+
+
+def _trace_piece(trace: Any) -> _Piece:
+    step_ns = NS_PER_S / trace.stats.sampling_rate
+    values = np.ma.filled(np.ma.asarray(trace.data, dtype=np.float64), np.nan)
+    name = trace.id if trace.id.strip(".") else "trace"
+    return _Piece(name, trace.stats.starttime.ns, step_ns, len(values), values)
+
+
+def _sensor(name: str) -> str:
+    """A channel's name without the letter of its direction."""
+    return f"{name[:-1]}?" if "." in name else name
+
+
+def _chosen(path: Path, known: Sequence[str], wanted: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Channels that are used, by their names in full or in part, and the others: those of one sensor.
+
+    Raises ConfigurationError where several sensors are there and it is not said which of them is meant.
+    """
+    chosen: list[str] = []
+    for one in wanted or ["*"]:
+        matching = [name for name in known if fnmatchcase(f".{name}.", f"*.{one}.*")]
+        if not matching:
+            listed = (
+                known
+                if len({name.rpartition(".")[0] for name in known}) > 1
+                else [name.rpartition(".")[2] for name in known]
+            )
+            raise ConfigurationError(f"{path}: has no channel {one!r}; channels: {', '.join(listed)}")
+        sensors = sorted({_sensor(name) for name in matching})
+        if len(sensors) > 1:
+            raise ConfigurationError(
+                f"{path}: holds {len(sensors)} sensors{f' named {one}' if wanted else ''}: "
+                f"{', '.join(sensors)}; state one: --witness-column '{sensors[0]}'"
+            )
+        chosen += [name for name in matching if name not in chosen]
+    return chosen, [name for name in known if name not in chosen]
+
+
+@dataclass(frozen=True, eq=False)
+class _GaplessSamples:
+    """Samples without a gap, and when each was taken, in ns since 1970."""
+
+    times_ns: Ints
+    value: Floats
+    step_ns: float
+
+
+def _runs(pieces: Sequence[_Piece], left_out: Counter[str]) -> list[_GaplessSamples]:
+    """A channel's samples, from one gap to the next; counts what is left out by its reason."""
+    left_out[_EMPTY] += sum(not one.count for one in pieces)
+    kept = sorted({(one.start_ns, one.count): one for one in pieces if one.count}.items())
+    left_out[_TWICE] += sum(one.count for one in pieces) - sum(count for (_, count), _ in kept)
+    pieces = _at_measured_rate([one for _, one in kept])
+    groups = list[list[_Piece]]()
+    end_ns = -math.inf
+    for piece in pieces:
+        late = (piece.start_ns - end_ns) / piece.step_ns
+        skipped = math.ceil(-late - _SAME_TICK) if late < -_SAME_TICK else 0
+        left_out[_TWICE] += min(skipped, piece.count)
+        if skipped >= piece.count:
+            continue
+        if abs(late) > _SAME_TICK or groups[-1][-1].step_ns != piece.step_ns:
+            groups.append([])
+        groups[-1].append(replace(piece, skipped=skipped))
+        end_ns = piece.start_ns + piece.count * piece.step_ns
+    return [_run_of(group, left_out) for group in groups]
+
+
+def _at_measured_rate(pieces: list[_Piece]) -> list[_Piece]:
+    """With the step that the beginnings of most records tell, where it is near the stated one."""
+    if len(pieces) < _FEWEST_RECORDS:
+        return pieces
+    starts_ns = np.array([one.start_ns for one in pieces], dtype=np.int64)
+    own = np.diff(starts_ns) / [one.count * one.step_ns for one in pieces[:-1]]
+    low, middle, high = np.quantile(own, (0.25, 0.5, 0.75)).tolist()
+    # of beginnings that scatter most tell another rate each
+    if not high - low < abs(middle - 1) < _DRIFT:
+        return pieces
+    return [replace(one, step_ns=middle * one.step_ns) for one in pieces]
+
+
+def _run_of(group: Sequence[_Piece], left_out: Counter[str]) -> _GaplessSamples:
+    """Each record begins when it says so; between the beginnings of two its samples are even."""
+    counts = np.cumsum([0, *(one.count for one in group)])
+    starts_ns = np.array([one.start_ns for one in group], dtype=np.int64)
+    since_ns = np.append(
+        starts_ns - starts_ns[0], starts_ns[-1] - starts_ns[0] + group[-1].count * group[-1].step_ns
+    )
+    times_ns = starts_ns[0] + np.rint(np.interp(np.arange(counts[-1]), counts, since_ns)).astype(np.int64)
+    value = _decoded(group)
+    if value is None:
+        parts = [_decoded([one]) for one in group]
+        left_out[_DAMAGED] += sum(part is None for part in parts)
+        value = np.concatenate(
+            [
+                np.full(one.count, np.nan) if part is None else part
+                for one, part in zip(group, parts, strict=True)
+            ]
+        )
+    return _GaplessSamples(times_ns[group[0].skipped :], value[group[0].skipped :], group[0].step_ns)
+
+
+def _decoded(group: Sequence[_Piece]) -> Floats | None:
+    """The samples of records that follow each other; None where not all of them can be read."""
+    if isinstance(group[0].data, np.ndarray):
+        return np.concatenate([one.data for one in group if isinstance(one.data, np.ndarray)])
+    from obspy import read
+    from obspy.io.mseed import InternalMSEEDWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # what ObsPy's own check finds damaged it delivers all the same
+        warnings.simplefilter("error", InternalMSEEDWarning)
+        try:
+            stream = read(BytesIO(b"".join(bytes(one.data) for one in group)), format="MSEED")
+        except Exception:  # whatever the library raises
+            return None
+    whole = len(stream) == 1 and len(stream[0]) == sum(one.count for one in group)
+    return np.asarray(stream[0].data, dtype=np.float64) if whole else None
+
+
+def _grid(runs: Mapping[str, Sequence[_GaplessSamples]]) -> Ints:
+    """Times of all samples: the first channel's own, and its rate where only others, or none, have any."""
+    own = next(iter(runs.values()))
+    step_ns = own[0].step_ns
+    first_ns = min(int(found[0].times_ns[0]) for found in runs.values())
+    last_ns = max(int(found[-1].times_ns[-1]) for found in runs.values())
+    before = [first_ns - round(step_ns), *(int(run.times_ns[-1]) for run in own)]
+    after = [*(int(run.times_ns[0]) for run in own), last_ns + round(step_ns)]
+    parts = []
+    for k, (left_ns, right_ns) in enumerate(zip(before, after, strict=True)):
+        between = max(round((right_ns - left_ns) / step_ns) - 1, 0)
+        parts.append(
+            left_ns
+            + np.rint((right_ns - left_ns) / (between + 1) * np.arange(1, between + 1)).astype(np.int64)
+        )
+        if k < len(own):
+            parts.append(own[k].times_ns)
+    return np.concatenate(parts)
+
+
+def _on(times_ns: Ints, runs: Sequence[_GaplessSamples]) -> Floats:
+    """A channel's samples at the times of all; NaN where it has none."""
+    out = np.full(len(times_ns), np.nan)
+    for run in runs:
+        near_ns = _SAME_TICK * run.step_ns
+        inside = (times_ns >= run.times_ns[0] - near_ns) & (times_ns <= run.times_ns[-1] + near_ns)
+        origin_ns = run.times_ns[0]
+        out[inside] = np.interp(times_ns[inside] - origin_ns, run.times_ns - origin_ns, run.value)
+    return out
