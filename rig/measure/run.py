@@ -13,13 +13,11 @@ from acquisition.camera import Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedPhase
 from processing.errors import DataError, DeviceError
-from rig.instrument import ObserverGuard, Phase, RecordContents, RunNow
-from rig.measure.end_of_run import StopRequest
+from rig.instrument import Phase, RecordContents, RunNow
 from rig.measure.readings import LossLog
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
 from rig.measure.run_parts import RunOutcome, RunParts, set_aside
-from rig.measure.run_status import RunStatus
 from rig.measure.session_orders import StartJudge
 from rig.terminal import reason_of
 
@@ -64,11 +62,8 @@ class MeasurementRun:
     """
 
     def __init__(self, parts: RunParts) -> None:
-        self._parts = parts
-        self._stream = parts.stream
-        self._wall = ObserverGuard()
-        self._status = RunStatus(parts.watchers, parts.devices, parts.optics.unit, self._wall)
-        self._stop = StopRequest(parts.stream)
+        self._parts, self._stream = parts, parts.stream
+        self._wall, self._status, self._stop = parts.wall, parts.status, parts.stop
         self._done = threading.Event()
         self._losses = LossLog(parts.stream, from_start=True)
 
@@ -188,7 +183,7 @@ class MeasurementRun:
 
     def _attempt(self, number: int, at_first_ns: int) -> bool:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
-        parts, limits = self._parts, self._parts.start_limits
+        parts, config = self._parts, self._parts.plan.config
         frames, events = self._first_frames()
         # rest and warm-up may take an hour, in which the clock of the day is set; frames made on demand are
         # timed by their first one
@@ -201,24 +196,22 @@ class MeasurementRun:
             MOST_WAITING_BYTES // 16 if self._stream.policy == "wait" else MOST_WAITING_BYTES,
             permit=self._stream.permit,
         )
+        # of one that is recorded at once any start is accepted
+        judge = None if config.start.way == "at once" else StartJudge(config, parts.optics.unit)
         rejected = ""
         try:
-            judge = None if limits is None else StartJudge(limits)
-            recording = Recording(
-                parts, self._stop, self._status, self._losses, recorder, judge, self._wall, frames[0]
-            )
-            rejected = recording.make(frames, events)
+            rejected = Recording(parts, self._losses, recorder, judge, frames[0]).make(frames, events)
         finally:
             recorder.close()
             if recorder.error is not None:
                 self._stop.failed(recorder.error)
-        if not rejected or limits is None or judge is None or recorder.error is not None:
+        if not rejected or judge is None or recorder.error is not None:
             return True
         aside = set_aside(parts.plan.record, number)
         if parts.phases is not None:
             parts.phases.correct_starter(judge.first_amplitude)
         parts.plan.start_rejected(aside, rejected)
-        if number >= limits.attempts:
+        if number >= config.start.attempts:
             raise DataError(f"no start of {number} was accepted; the last: {rejected}")
         return False
 
