@@ -21,9 +21,8 @@ from rig.instrument import check_materials, complete
 from rig.measure.notices import Notices, Waiting, announced, check_waiting
 from rig.measure.phases import NoGo
 from rig.measure.posterior import check_stop_when
-from rig.measure.run import ready_for_frames
+from rig.measure.run import measure_run, ready_for_frames
 from rig.measure.run_parts import RunPlan
-from rig.measure.run_setup import measure_run
 from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
 from rig.measure.session_orders import Notes, await_leave, orders
 from rig.presentation import answer, failures, print_json_line, say

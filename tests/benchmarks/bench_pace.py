@@ -166,7 +166,7 @@ def real_time(
                 watchers=watchers,
             )
         )
-        Entry.write = timed  # type: ignore[method-assign]
+        Entry.write = timed  # type: ignore[assignment, method-assign]
         before = resource.getrusage(resource.RUSAGE_SELF)
         began_s = time.monotonic()
         try:
