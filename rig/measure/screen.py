@@ -125,8 +125,8 @@ class RunDisplay:
     def show(self, now: RunNow) -> None:
         """Update the display; fast enough to be called ten times a second.
 
-        What the run's thread has to print is printed here: a terminal that nobody reads holds no frame up. One
-        that was closed is left alone.
+        What the run's thread has to print is printed here: a terminal that nobody reads holds no frame up.
+        One that was closed is left alone.
         """
         if math.isnan(self._initial) and not math.isnan(now.amplitude):
             self._initial = now.amplitude
