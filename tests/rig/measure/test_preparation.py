@@ -13,10 +13,10 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 
 BY_HAND = {
-    **SMALL,
+    **QUICK,
     "start.way": '"by hand"',
     "simulation.release.at_s": "7.0",
     "simulation.release.way": '"push"',
