@@ -12,11 +12,10 @@ from rig.measure.plain_record import (
 from rig.measure.posterior import (
     FIRST_HALF_CYCLES,
     LivePosterior,
-    Posterior,
     check_stop_when,
     live_posterior,
 )
-from rig.measure.posterior_worker import FittedModel
+from rig.measure.posterior_worker import FittedModel, Posterior
 from rig.measure.resuming import measure_sessions, resume_session
 from rig.measure.run import LEAST_FREE_BYTES
 from rig.measure.run_status import estimate_texts

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from processing.errors import DataError
 from processing.spot import Spot
 from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.devices import FrameStream
-from rig.instrument import Deflector, Optics, Phase
+from rig.instrument import Block, Deflector, Optics, Phase
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames
 
@@ -22,12 +21,6 @@ _BLOCK_FRAMES = 16
 _RING_BYTES = 256 * 1024 * 1024
 Watch = Callable[[Sequence[Frame], Sequence[Spot], Deflections, Sequence[Spot]], None]
 """Shown a block of frames: with its spots and deflections, and the reference's spots where there are some."""
-
-
-class _RecentSpots(NamedTuple):
-    spots: list[Spot]
-    references: list[Spot]
-    deflections: Deflections
 
 
 class RecentFrames:
@@ -52,7 +45,7 @@ class RecentFrames:
         self._both = optics.both_spots()
         self._deflector: Deflector | None = None
         self._frames: deque[Frame] = deque()
-        self._blocks: deque[_RecentSpots] = deque()
+        self._blocks: deque[Block] = deque()
         self._frames_ns = nanoseconds(frames_s)
         self._window_ns = nanoseconds(window_s)
         self._found_ns = 0
@@ -68,7 +61,7 @@ class RecentFrames:
         spots, references = self._both.in_frames(block)
         times_ns = np.array([frame.time_ns for frame in block], dtype=np.int64)
         deflections = self._deflector(times_ns, spots)
-        self._blocks.append(_RecentSpots(spots, references, deflections))
+        self._blocks.append(Block(spots, deflections, [], [], references))
         found_ns = times_ns[deflections.found]
         self._found_ns = int(found_ns[-1]) if len(found_ns) else self._found_ns or int(times_ns[0])
         self._frames.extend(block)

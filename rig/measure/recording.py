@@ -17,7 +17,7 @@ from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
 from rig.instrument import BeamCorrection, Block, Phase, Pipeline, RecordContents
 from rig.measure.end_of_run import EndOfRun
-from rig.measure.posterior import Posterior
+from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import LossLog, SideReadings
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run_parts import RunParts
