@@ -125,11 +125,6 @@ class LivePosterior:
         self._thread = threading.Thread(target=self._fit_all, name="posterior", daemon=True)
 
     @property
-    def parameters(self) -> tuple[str, ...]:
-        """Keys of what is estimated."""
-        return self._model.parameters
-
-    @property
     def latest(self) -> Posterior:
         """What is known now."""
         return self._latest

@@ -17,7 +17,7 @@ import numpy as np
 from acquisition.record.topics import RecordedFittedPoint
 from calibration import Axes
 from processing.balance import Balance
-from processing.contact import AMPLITUDE, DEFAULT_LAW, TIME, PendulumOnBall, turning_points_of
+from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
 from processing.decay_summary import full_periods, mean_period
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
@@ -47,11 +47,6 @@ class FittedModel(NamedTuple):
     loss: Loss = "linear"
     clock_rate: float = 1.0
     axes: Axes | None = None
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Keys of what is estimated, without the run's first amplitude and time."""
-        return DEFAULT_LAW.fit_names(calibrated=True, drag=self.drag)[:-2]
 
 
 class PosteriorInput(NamedTuple):
