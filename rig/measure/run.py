@@ -201,7 +201,7 @@ class MeasurementRun:
         if parts.phases is not None:
             parts.phases.correct_starter(judge.first_amplitude)
         parts.plan.start_rejected(aside, rejected)
-        if number >= config.start.attempts:
+        if number >= judge.attempts:
             raise DataError(f"no start of {number} was accepted; the last: {rejected}")
         return False
 

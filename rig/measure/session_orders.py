@@ -153,11 +153,12 @@ class StartJudge:
 
     After that the rotation is judged once, by the first balance that knows it, about five periods after the
     release. `first_amplitude` is the larger amplitude of these half-cycles, in `unit`, 0 before the first; in
-    px it has no limits, because they are configured in arcsec.
+    px it has no limits, because they are configured in arcsec. After `attempts` rejected starts a run fails.
     """
 
     def __init__(self, config: Configuration, unit: DeflectionUnit) -> None:
         self._start, self._unit = config.start, unit
+        self.attempts = config.start.attempts
         self._highest_spin_deg_per_min = config.balance.spin_deg_per_min
         wanted_rad = config.session.initial_amplitude_arcsec * ARCSEC_RAD
         self._lowest = config.start.lowest_amplitude * wanted_rad if unit is DeflectionUnit.RAD else 0.0
