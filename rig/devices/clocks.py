@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,6 +242,14 @@ class ClockRate:
             # one without a clock has none to be read
             if frame.device_time_ns >= 0:
                 self.pair(frame.sequence, frame.device_time_ns, frame.host_time_ns)
+        return self.now
+
+    def take_rows(self, rows: NDArray[Any]) -> CameraClock:
+        """The same of rows of a record."""
+        rows = rows[:: max(1, len(rows) // _LOOKED_AT)]
+        for device_ns, host_ns, sequence in rows[["device_time_ns", "host_time_ns", "sequence"]].tolist():
+            if device_ns >= 0:
+                self.pair(sequence, device_ns, host_ns)
         return self.now
 
     def pair(self, sequence: int, device_ns: int, host_ns: int) -> None:

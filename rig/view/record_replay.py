@@ -3,17 +3,15 @@
 import math
 import sys
 import time
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import IO, Self
 
 from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
-from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
-from processing.units import nanoseconds
 from rig.analysis import (
     RESULTS_NAME,
     AnalysedRun,
@@ -24,8 +22,9 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.instrument import RecordContents, RunNow, configuration_attachments, recorded_configuration
+from rig.instrument import RunNow, configuration_attachments, recorded_configuration
 from rig.presentation import (
+    Keys,
     QuantityDisplay,
     Table,
     answer,
@@ -39,64 +38,89 @@ from rig.presentation import (
 )
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import Terminated
-from rig.view.replay import Replay, Replayed, ReplayStep
+from rig.view.replay import Replay, Replayed
 from rig.view.replay_comparison import ParameterDifference, ReplayDifferences, parameter_changes
+from rig.view.replay_player import HELP, MOST_FRAMES, Player
 from rig.view.scratch import ScratchHead, ScratchView
 from rig.view.values import Mode
 
-_PLAIN_INTERVAL_S, _LINE_INTERVAL_S, _LOOK_S = 5.0, 0.1, 0.2
+_PLAIN_INTERVAL_S = 5.0
+_LINE_INTERVAL_S = 0.1
 _ERASE = "\r\x1b[K"
 _OF_ROUNDING_U = 0.01
 """Largest change, in standard uncertainties, that is put down to rounding."""
 _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
 
 
-_MOST_FRAMES = {False: 10_000, True: 64}
-"""Frames processed at a time: with recorded spots, and tracked again or shown piece by piece."""
+class ReplayLine:
+    """A progress line that is updated on a terminal; elsewhere a new line every few seconds.
 
+    On a terminal `help_text` is printed first.
+    """
 
-class _Progress:
-    """How far a replay is: a line that is written over on a terminal, elsewhere one every few seconds."""
+    def __init__(
+        self,
+        unit: str,
+        help_text: str = "",
+        *,
+        stream: IO[str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._stream = sys.stderr if stream is None else stream
+        self._terminal = self._stream.isatty()
+        self._unit = unit
+        self._help = help_text
+        self._clock = clock
+        self._shown_s = clock() if not self._terminal else -math.inf
+        self._shown = ""
 
-    def __init__(self, replay: Replay, unit: DeflectionUnit) -> None:
-        self._replay, self._unit = replay, unit
-        self._begun_s, self._from_s = time.monotonic(), replay.position_s
-        self._is_terminal = sys.stderr.isatty()
-        self._due_s = self._begun_s if self._is_terminal else self._begun_s + _PLAIN_INTERVAL_S
-        self._frames = 0
-        self._now = RunNow()
+    def __enter__(self) -> Self:
+        if self._terminal and self._help:
+            self._stream.write(f"keys: {self._help}\n")
+            self._stream.flush()
+        return self
 
-    def take(self, step: ReplayStep) -> None:
-        """Count what was replayed, and say it where that is due."""
-        self._frames += len(step.sequences)
-        self._now = self._now.after(RecordContents(swings=step.block.swings), self._unit)
-        now_s, replay = time.monotonic(), self._replay
-        if now_s < self._due_s:
+    def __exit__(self, *_error: object) -> None:
+        if self._terminal and self._shown:
+            self._stream.write("\n")
+            self._stream.flush()
+
+    def show(
+        self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
+    ) -> None:
+        """Update the line."""
+        now_s = self._clock()
+        interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
+        # the effect of a key is shown immediately
+        moving = not paused and prompt is None and now.elapsed_s < length_s
+        if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
             return
-        self._due_s = now_s + (_LINE_INTERVAL_S if self._is_terminal else _PLAIN_INTERVAL_S)
-        position_s, length_s = replay.position_s, replay.length_s
-        part = 100 * position_s / length_s if length_s > 0 else 100.0
-        text = f"replaying  {position_s:.2f} of {length_s:.1f} s  {part:.0f} %  {self._frames} frames"
-        text += f"  {self._now.half_cycles} half-cycles"
-        if math.isfinite(self._now.amplitude):
-            text += f"  {self._now.amplitude:.2f} {self._unit.shown}"
-        if (gone_s := position_s - self._from_s) > 0:
-            left_s = (length_s - position_s) * (now_s - self._begun_s) / gone_s
-            text += f"  about {round(left_s) // 60}:{round(left_s) % 60:02d} left"
-        # a line that is wrapped could not be written over
-        shown = _ERASE + text[: (columns_of(sys.stderr) or len(text) + 1) - 1]
-        print(shown if self._is_terminal else text, end="" if self._is_terminal else "\n", file=sys.stderr)
-        sys.stderr.flush()
+        doing = "paused" if paused else "replaying"
+        text = prompt if prompt is None else f"go to (seconds from the start, Enter): {prompt}"
+        text = text or self._text(now, doing, length_s, remaining_s)
+        if not self._terminal:
+            self._shown_s = now_s
+            self._stream.write(f"{text}\n")
+            self._stream.flush()
+        elif text != self._shown:
+            self._shown_s, self._shown = now_s, text
+            self._stream.write(_ERASE + text)
+            self._stream.flush()
 
-    @property
-    def half_cycles(self) -> int:
-        """How many were found so far."""
-        return self._now.half_cycles
-
-    def close(self) -> None:
-        """Leave the terminal as it was."""
-        if self._is_terminal:
-            print(_ERASE, end="", file=sys.stderr, flush=True)
+    def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
+        columns = columns_of(self._stream)
+        part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
+        amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
+        clock = f"  clock {state.clock.text}" if state.clock.text else ""
+        left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
+        begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
+        half_cycles = f"  {state.half_cycles} half-cycles"
+        texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
+        # a line that is wrapped could not be written over; the first of these is missed least
+        for place, _ in enumerate(texts):
+            if columns and len(begin) + sum(map(len, texts)) >= columns:
+                texts[place] = ""
+        return begin + "".join((texts[0], *texts[2:4], texts[1], texts[4]))
 
 
 def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
@@ -176,9 +200,29 @@ def _largest(change_u: float, where: str, once: int, changed: int) -> str:
     return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
 
 
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(max(seconds, 0.0)), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+_LOOK_S = 0.2
+
+
 def _events(reader: RecordReader) -> list[Event]:
     """Events and notes in order of time."""
     return sorted([*reader.events(), *(note.event for note in reader.notes())], key=lambda one: one.time_ns)
+
+
+def speed_of(text: str) -> float:
+    """Speed from a positive number or ``max`` (infinite); raises ConfigurationError for anything else."""
+    try:
+        speed = math.inf if text == "max" else float(text)
+    except ValueError:
+        speed = math.nan
+    if not speed > 0:
+        raise ConfigurationError(f"--speed {text}: must be a number above 0, or max")
+    return speed
 
 
 def replay_record(
@@ -187,6 +231,7 @@ def replay_record(
     *,
     retrack: bool,
     overrides: Sequence[str],
+    speed: str = "max",
     from_s: float = 0.0,
     to_s: float = math.inf,
     mode: Mode = "none",
@@ -194,9 +239,10 @@ def replay_record(
 ) -> int:
     """Replay, compare and fit; writes results.json into `output` if given. Returns the exit status.
 
-    Raises ConfigurationError for invalid times, and RecordError for a file that cannot be replayed, before
-    anything is written; RecordError at the end where the Rerun file is not whole.
+    Raises ConfigurationError for an invalid speed or invalid times, and RecordError for a file that
+    cannot be replayed, before anything is written; RecordError at the end where the Rerun file is not whole.
     """
+    pace = speed_of(speed)
     if not 0 <= from_s < to_s:
         raise ConfigurationError(
             f"--from {from_s:g} --to {to_s:g}: the part must begin before it ends, from 0 on"
@@ -217,14 +263,26 @@ def replay_record(
                 attachments = {**reader.attachments, **configuration_attachments(config, Path())}
                 metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
                 view.begin(replay.start_ns, ScratchHead(metadata, attachments, config.deflection_unit))
-            result = _played(replay, config.deflection_unit, view, _events(reader), retrack=retrack)
-            if mode == "web":
-                say("the page has all of it and stays until Ctrl-C; the results follow then")
-                _stay()
-        partial = replay.partial
+            keys = stack.enter_context(Keys())
+            line = stack.enter_context(ReplayLine(config.deflection_unit.shown, HELP if keys.there else ""))
+            player = Player(
+                replay,
+                pace,
+                keys,
+                line,
+                retrack=retrack,
+                view=view,
+                events=_events(reader) if wants_view else [],
+            )
+            player.play()
+            result = player.finish()
+            if mode == "web" and not player.ended_by_user:
+                say("the page has all of it and stays until q or Ctrl-C; the results follow then")
+                _stay(keys)
+        partial = replay.partial or replay.sought or player.ended_by_user
         run = replace(_analysed(reader, config, result), watched=watched)
         if partial:
-            part = f"replayed from {from_s:.2f} s to {replay.position_s:.2f} s of the record"
+            part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
             # the record's end is not that of the part
             found = replace(run.results, ended=None, warnings=(part, *run.results.warnings))
             run = replace(run, results=found)
@@ -242,35 +300,11 @@ def replay_record(
     return 1 if run.results.problem and config.lever is not None and not partial else 0
 
 
-def _played(
-    replay: Replay, unit: DeflectionUnit, view: ScratchView | None, events: Sequence[Event], *, retrack: bool
-) -> Replayed:
-    """Process all frames, draw them into the view, and say meanwhile how far it is."""
-    progress, coming = _Progress(replay, unit), deque(events)
+def _stay(keys: Keys) -> None:
+    """Wait for the key q, or Ctrl-C, which end no more than the page."""
     try:
-        for step in replay.steps(_MOST_FRAMES[retrack or view is not None]):
-            progress.take(step)
-            if view is not None:
-                view.block(step.block, step.pictures, sequences=step.sequences.tolist())
-                position_ns = replay.start_ns + nanoseconds(replay.position_s)
-                while coming and coming[0].time_ns <= position_ns:
-                    view.event(coming.popleft())
-    finally:
-        progress.close()
-    result = replay.finish()
-    if view is not None:
-        for event in () if replay.partial else coming:
-            view.event(event)
-        view.half_cycles(result.swings[progress.half_cycles :])
-        view.flush()
-    return result
-
-
-def _stay() -> None:
-    """Wait for Ctrl-C, which ends no more than the page."""
-    try:
-        while True:
-            time.sleep(_LOOK_S)
+        while "q" not in keys.pressed(_LOOK_S):
+            pass
     except Terminated:
         raise
     except KeyboardInterrupt:
@@ -285,7 +319,7 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
     with RecordReader(record) as reader:
         config = recorded_configuration(reader, overrides)
         replay = Replay(reader, config, retrack=retrack)
-        for _ in replay.steps(_MOST_FRAMES[retrack]):
+        while replay.advance(math.inf, MOST_FRAMES[retrack]) is not None:
             pass
         return _analysed(reader, config, replay.finish())
 
@@ -306,6 +340,12 @@ def _say_differences(
     record: Path, replay: Replay, result: Replayed, run: AnalysedRun, *, partial: bool, retracked: bool
 ) -> None:
     """Print differences from the recorded spots, half-cycles and fitted parameters."""
+    if replay.sought:
+        print_line(
+            f"restarted at {replay.begun_s:.2f} s by going back: "
+            "the results are not compared with the recorded ones"
+        )
+        return
     answer(comparison=result.comparison)
     print_comparison(result.comparison, partial=partial, retracked=retracked)
     if partial:

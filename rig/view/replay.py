@@ -1,7 +1,8 @@
-"""Processes a record again in the same pipeline, whole or a part of it."""
+"""Processes a record again in the same pipeline, at any speed and from any position."""
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,13 +11,14 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import WINDOW, RecordedWindow
+from acquisition.record.topics import CAMERA_STEP, WINDOW, RecordedClockStep, RecordedWindow
 from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
-from rig.instrument import Block, frame_shape, optics_of, recorded_configuration, shutter_of
+from rig.devices import ClockRate
+from rig.instrument import Block, CameraClock, frame_shape, optics_of, recorded_configuration, shutter_of
 from rig.settings import Configuration
 from rig.view.replay_comparison import ReplayComparison, ReplayDifferences
 
@@ -54,7 +56,9 @@ class Replay:
     unless lever or axes have been changed; with it the spots are tracked again in the recorded
     windows. A frame whose spot was lost has no window and stays lost.
 
-    The state of the pipeline depends on all frames before: a part gives other half-cycles than the whole.
+    The state of the pipeline depends on all frames before. Going forwards therefore processes every
+    frame; going backwards starts a new pipeline (`restart`), whose results are not compared with the
+    record.
 
     Parameters
     ----------
@@ -108,69 +112,120 @@ class Replay:
             raise RecordError(f"{reader.path}: contains no spots; there is nothing to replay")
         self.start_ns = int(head["time_ns"][0])
         self._last_ns = max(reader.contents.end_ns - reader.epoch_offset_ns, self.start_ns)
+        self._steps = [
+            (one.time_ns, one.step_ns) for one in reader.values(CAMERA_STEP.topic, RecordedClockStep)
+        ]
         if from_s > seconds(self._last_ns - self.start_ns):
             length_s = seconds(self._last_ns - self.start_ns)
             raise RecordError(f"{reader.path}: is {length_s:.1f} s long and cannot start at {from_s:g} s")
         self._from_ns = self.start_ns + nanoseconds(from_s)
         self._to_ns = self._last_ns if math.isinf(to_s) else self.start_ns + nanoseconds(to_s)
         self.partial = from_s > 0 or self._to_ns < self._last_ns
-        self.position_s = from_s
-        self._pipeline = optics_of(self._config, reader.full_scale_dn).pipeline(self._shape)
-        first_ns = self._from_ns if self._from_ns > self.start_ns else None
-        self._tables = reader.spot_blocks(first_ns)
-        self._windows: Iterator[RecordedWindow] = reader.windows(first_ns)
-        self._window: RecordedWindow | None = None
-        self._images = reader.images(first_ns)
-        self._image: Frame | None = None
-        self._swings: list[HalfCycle] = []
-        self._deflections: list[Deflections] = []
-        self._beam = BeamUse()
-        self._first_sequence, self._last_sequence = -1, -1
+        self.sought = False
+        self._table: NDArray[Any] = head[:0]
+        self._row = 0
         self._comparison = ReplayComparison(self.start_ns)
+        self._begin(self._from_ns)
 
     @property
     def length_s(self) -> float:
-        """Time at which the replay ends, in seconds from the record's first frame, as `position_s` is."""
+        """Time at which the replay ends, in seconds from the record's first frame."""
         return seconds(min(self._to_ns, self._last_ns) - self.start_ns)
 
-    def steps(self, most: int) -> Iterator[ReplayStep]:
-        """Process all frames, at most `most` of them at a time; then `finish`."""
-        for table in self._tables:
-            wanted = table[: int(np.searchsorted(table["time_ns"], self._to_ns, side="right"))]
-            for first in range(0, len(wanted), most):
-                yield self._step(wanted[first : first + most])
-            if len(wanted) < len(table):
-                return
+    @property
+    def position_s(self) -> float:
+        """Time of the last processed frame, in seconds from the record's first frame."""
+        return seconds(self._position_ns - self.start_ns)
 
-    def _step(self, rows: NDArray[Any]) -> ReplayStep:
-        self.position_s = seconds(int(rows["time_ns"][-1]) - self.start_ns)
+    @property
+    def begun_s(self) -> float:
+        """Time at which the pipeline was started, in seconds from the record's first frame."""
+        return seconds(self._begun_ns - self.start_ns)
+
+    @property
+    def next_s(self) -> float:
+        """Time of the next frame; infinite at the end."""
+        if self._row >= len(self._table):
+            table = next(self._tables, None)
+            if table is None:
+                return math.inf
+            self._table, self._row = table, 0
+        next_ns = int(self._table["time_ns"][self._row])
+        return math.inf if next_ns > self._to_ns else seconds(next_ns - self.start_ns)
+
+    @property
+    def next_sequence(self) -> int:
+        """Number of the next frame; 0 at the end."""
+        return 0 if math.isinf(self.next_s) else int(self._table["sequence"][self._row])
+
+    @property
+    def clock(self) -> CameraClock:
+        """The camera's clock as the frames so far show it; not of frames made on demand."""
+        known = [step for time_ns, step in self._steps if time_ns <= self._position_ns]
+        largest_s = max((seconds(step_ns) for step_ns in known), key=abs, default=0.0)
+        return replace(self._clock, steps=len(known), largest_step_s=largest_s)
+
+    def restart(self, time_s: float) -> None:
+        """Start again at a time; the results so far are discarded."""
+        self.sought = True
+        self._begin(self.start_ns + nanoseconds(max(time_s, 0.0)))
+
+    def advance(self, until_s: float, most: int) -> ReplayStep | None:
+        """Process the next frames up to and including a time, at most `most` of them.
+
+        Returns None if no frame is due or none is left (`next_s` distinguishes the two).
+        """
+        next_s = self.next_s
+        if next_s > until_s or math.isinf(next_s):
+            return None
+        limit_ns = self._to_ns
+        if until_s < self.length_s:
+            limit_ns = min(limit_ns, self.start_ns + nanoseconds(until_s))
+        rows = self._table[self._row : self._row + most]
+        rows = rows[: max(1, int(np.searchsorted(rows["time_ns"], limit_ns, side="right")))]
+        self._row += len(rows)
+        self._position_ns = int(rows["time_ns"][-1])
         spots = self._tracked_again(rows) if self._retrack else _spots(rows)
         block = self._block(rows, spots)
-        self._swings += block.swings
-        self._deflections.append(block.deflections)
-        self._beam.take(rows["sequence"], [spot.flags for spot in block.spots])
-        if self._first_sequence < 0:
-            self._first_sequence = int(rows["sequence"][0])
-        self._last_sequence = int(rows["sequence"][-1])
+        self._keep(rows, block)
         self._comparison.spots(rows, spots)
         return ReplayStep(rows["sequence"].astype(np.int64), block, self._pictures_of(rows))
 
     def finish(self) -> Replayed:
-        """Complete the last half-cycles; returns all results."""
+        """Complete the last half-cycles; returns all results since the start."""
         swings = self._pipeline.finish()
-        whole_end = self._to_ns >= self._last_ns
+        whole_end = math.isinf(self.next_s) and self._to_ns >= self._last_ns
         self._swings += swings
-        first = self._first_sequence if self.partial else 0
+        first = self._first_sequence if self.partial or self.sought else 0
         dropped = self._last_sequence + 1 - first - sum(map(len, self._deflections))
         # at the end of a part the last half-cycle lacks samples that it had when it was recorded
         compared = self._swings if whole_end else self._swings[: len(self._swings) - len(swings)]
         comparison = self._comparison.finish(
             self._reader.swings(),
             compared,
-            from_start=self._from_ns == self.start_ns,
+            from_start=self._begun_ns == self.start_ns,
             to_end=whole_end,
         )
         return Replayed(self._swings, self._deflections, dropped, comparison, self._beam)
+
+    def _begin(self, time_ns: int) -> None:
+        shape = self._shape
+        self._pipeline = optics_of(self._config, self._reader.full_scale_dn).pipeline(shape)
+        from_ns = None if time_ns <= self.start_ns else time_ns
+        self._tables = self._reader.spot_blocks(from_ns)
+        self._table, self._row = self._table[:0], 0
+        self._windows: Iterator[RecordedWindow] = self._reader.windows(from_ns)
+        self._window: RecordedWindow | None = None
+        self._images = self._reader.images(from_ns)
+        self._image: Frame | None = None
+        self._begun_ns = self._position_ns = max(time_ns, self.start_ns)
+        self._swings: list[HalfCycle] = []
+        self._deflections: list[Deflections] = []
+        self._beam = BeamUse()
+        self._rate = None if self._config.on_demand else ClockRate(beside=False)
+        self._clock = CameraClock()
+        self._first_sequence, self._last_sequence = -1, -1
+        self._comparison = ReplayComparison(self.start_ns)
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:
         if self._retrack or not self._same_deflections:
@@ -179,6 +234,16 @@ class Replay:
             frame_times_ns = np.where(has_clock, rows["device_time_ns"], rows["host_time_ns"])
             return self._pipeline.measure(frame_times_ns.astype(np.int64), spots)
         return self._pipeline.detect(spots, self._reader.deflections(rows))
+
+    def _keep(self, rows: NDArray[Any], block: Block) -> None:
+        self._swings += block.swings
+        self._deflections.append(block.deflections)
+        self._beam.take(rows["sequence"], [spot.flags for spot in block.spots])
+        if self._rate is not None:
+            self._clock = self._rate.take_rows(rows)
+        if self._first_sequence < 0:
+            self._first_sequence = int(rows["sequence"][0])
+        self._last_sequence = int(rows["sequence"][-1])
 
     def _tracked_again(self, rows: NDArray[Any]) -> list[Spot]:
         """Track the spots again; windows and rows are both in the order of the frames."""

@@ -263,6 +263,11 @@ class ScratchView:
         self.block(self._alone(time_ns, _LOST))
         self.event(Event(time_ns, EventKind.START, text))
 
+    def restart(self, time_ns: int) -> None:
+        """Begin another record, which the view shows from now on."""
+        self._last_ns = time_ns
+        self._written(self._go_on_anew)
+
     def flush(self) -> None:
         """Have all shown that was written."""
         self._written(lambda writer: writer.flush())

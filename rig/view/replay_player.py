@@ -1,0 +1,230 @@
+"""Replays a record at a given speed, with pause, step and seek by keys of the terminal."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final, Protocol
+
+from acquisition.record.events import Event
+from processing.spot import SpotFlag
+from processing.units import nanoseconds
+from rig.instrument import RecordContents, RunNow
+from rig.presentation import Keys
+from rig.view.replay import Replay, Replayed, ReplayStep
+from rig.view.scratch import ScratchView
+
+HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
+SEEK_S: Final = 10.0
+_TICK_S = 0.05
+_LATEST_S = 0.5
+_SEEN_S = 2.0
+"""After so long it is known how fast a replay goes."""
+MOST_FRAMES = {False: 10_000, True: 64}
+"""Frames processed between two checks of the keys: with recorded spots, and tracked again or shown."""
+
+
+class Display(Protocol):
+    """Shows the progress of a replay."""
+
+    def show(
+        self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
+    ) -> None:
+        """Show the state since the replay was begun, length of the record, remaining time (NaN: unknown) and
+        the text being typed.
+        """
+
+
+class Player:
+    """One replay, controlled by keys.
+
+    Parameters
+    ----------
+    speed
+        Speed relative to real time; infinite: as fast as possible. If processing is slower than that,
+        the replay is slower, and no frame is skipped.
+    events
+        Events of the record, for the log of the view.
+    clock
+        Returns the time of the host in s.
+    """
+
+    def __init__(
+        self,
+        replay: Replay,
+        speed: float,
+        keys: Keys,
+        display: Display,
+        *,
+        retrack: bool = False,
+        view: ScratchView | None = None,
+        events: list[Event] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._replay = replay
+        self._speed = speed
+        self._keys = keys
+        self._display = display
+        # a view is drawn as the run was, piece by piece
+        self._most = MOST_FRAMES[retrack or view is not None]
+        self._view = view
+        self._events = sorted(events or [], key=lambda event: event.time_ns)
+        self._clock = clock
+        self._typed: str | None = None
+        self._wanted_s = -math.inf
+        self._step: str = ""
+        self._last_sequence = -1
+        self.paused = False
+        self.ended_by_user = False
+        self._begun = False
+        self._now = RunNow()
+        self._forget()
+
+    def play(self) -> None:
+        """Replay until the end, or until the user ends it."""
+        wait_s = 0.0
+        while not self.ended_by_user:
+            for key in self._keys.pressed(wait_s):
+                self._take(key)
+            if self.ended_by_user or math.isinf(self._replay.next_s):
+                break
+            self._show()
+            wait_s = self._go_on()
+        self._show()
+
+    def finish(self) -> Replayed:
+        """Complete the last half-cycles, which are shown too."""
+        result = self._replay.finish()
+        if self._view is not None:
+            self._view.half_cycles(result.swings[self._now.half_cycles :])
+            self._view.flush()
+        return result
+
+    def _go_on(self) -> float:
+        """Process the frames that are due; returns the time in s until the next one."""
+        if self._replay.next_s <= self._wanted_s:
+            self._through(self._wanted_s, self._most)
+            if self._replay.next_s > self._wanted_s:
+                self._resume()
+            return 0.0
+        if self._step:
+            self._one_step()
+            return 0.0
+        if self.paused:
+            return _LATEST_S
+        if math.isinf(self._speed):
+            self._through(math.inf, self._most)
+            return 0.0
+        due_s = self._base_s + (self._clock() - self._base_clock_s) * self._speed
+        self._through(due_s, self._most)
+        behind = self._replay.next_s <= due_s
+        return 0.0 if behind else min(_LATEST_S, max(_TICK_S, (self._replay.next_s - due_s) / self._speed))
+
+    def _one_step(self) -> None:
+        """Process one frame, or as many as it takes to complete a half-cycle."""
+        for _ in range(1 if self._step == "frame" else self._most):
+            step = self._through(math.inf, 1)
+            if step is None or self._step == "frame" or step.block.swings:
+                self._step = ""
+                self._resume()
+                return
+
+    def _through(self, until_s: float, most: int) -> ReplayStep | None:
+        step = self._replay.advance(until_s, most)
+        if step is None:
+            return None
+        block, now = (
+            step.block,
+            self._now.after(RecordContents(swings=step.block.swings), step.block.deflections.unit),
+        )
+        missing = int(step.sequences[-1]) - self._last_sequence - len(step.sequences)
+        self._last_sequence = int(step.sequences[-1])
+        self._now = replace(
+            now,
+            frames=now.frames + len(step.sequences),
+            dropped_frames=now.dropped_frames + missing,
+            lost_spots=now.lost_spots + sum(bool(spot.flags & SpotFlag.LOST) for spot in block.spots),
+        )
+        self._draw(step)
+        if not self._begun:
+            # the first frames wait for what is loaded and compiled, and say nothing of the others
+            self._begun = True
+            self._resume()
+        return step
+
+    def _draw(self, step: ReplayStep) -> None:
+        if self._view is None:
+            return
+        start_ns = self._replay.start_ns
+        self._view.block(step.block, step.pictures, sequences=step.sequences.tolist())
+        position_ns = start_ns + nanoseconds(self._replay.position_s)
+        while self._next_event < len(self._events) and (
+            self._events[self._next_event].time_ns <= position_ns or math.isinf(self._replay.next_s)
+        ):
+            self._view.event(self._events[self._next_event])
+            self._next_event += 1
+
+    def _take(self, key: str) -> None:
+        """Carry out the command of a key."""
+        if self._typed is not None:
+            self._type(key)
+        elif key == "space":
+            self.paused = not self.paused
+            self._resume()
+        elif key in ("right", "n", "h"):
+            self.paused, self._step = True, "half-cycle" if key == "h" else "frame"
+        elif key in ("+", "=", "-"):
+            self._seek(self._replay.position_s + (-SEEK_S if key == "-" else SEEK_S))
+        elif key == "g":
+            self._typed = ""
+        elif key == "q":
+            self.ended_by_user = True
+
+    def _type(self, key: str) -> None:
+        """The time to go to, digit by digit."""
+        typed = self._typed or ""
+        if key in "0123456789." and len(key) == 1:
+            self._typed = typed + key
+        elif key == "backspace":
+            self._typed = typed[:-1]
+        elif key == "enter":
+            self._typed = None
+            if typed.strip(".") and typed.count(".") <= 1:
+                self._seek(float(typed))
+        elif key in ("escape", "q", "g"):
+            self._typed = None
+
+    def _seek(self, time_s: float) -> None:
+        """Go to a time: forwards all frames are processed, backwards the pipeline is restarted."""
+        replay = self._replay
+        time_s = min(max(time_s, 0.0), replay.length_s)
+        if time_s > replay.position_s:
+            self._wanted_s = time_s
+            return
+        self._wanted_s = -math.inf
+        replay.restart(time_s)
+        if self._view is not None:
+            self._view.restart(replay.start_ns + nanoseconds(time_s))
+        self._forget()
+
+    def _forget(self) -> None:
+        """Reset the counts when the pipeline is restarted."""
+        start_ns, begun_s = self._replay.start_ns, self._replay.begun_s
+        begun_ns = start_ns + nanoseconds(begun_s)
+        self._now = RunNow()
+        self._last_sequence = self._replay.next_sequence - 1
+        self._next_event = sum(event.time_ns < begun_ns for event in self._events) if begun_s > 0 else 0
+        self._resume()
+
+    def _resume(self) -> None:
+        """Restart the timing of the replay speed at the present position."""
+        self._base_clock_s, self._base_s = self._clock(), self._replay.position_s
+
+    def _show(self) -> None:
+        replay = self._replay
+        position_s = replay.position_s
+        gone_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
+        known = gone_s > 0 and host_s > _SEEN_S and not self.paused
+        remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
+        now = replace(self._now, elapsed_s=position_s, clock=replay.clock)
+        self._display.show(now, replay.length_s, remaining_s, self._typed, paused=self.paused)
