@@ -24,6 +24,14 @@ _OFF_MIDDLE = "at rest it belongs to the crosshair; a swing passes there"
 _SHARP = 0.95
 """Of the best sharpness so far: so near a focus is right."""
 
+_LINES = (
+    ("peak", "saturated", "sharpness"),
+    ("spot", "off the crosshair", "nearest edge"),
+    ("sigma", "fit", "reference"),
+    ("region", "exposure"),
+)
+"""Figures that stand in one line of a terminal."""
+
 
 class SeenReference(NamedTuple):
     """The spot in the part of a frame that the reference has for itself, and that part's saturated pixels.
@@ -201,28 +209,9 @@ class AlignmentFrame(NamedTuple):
         ]
 
     def lines(self) -> list[str]:
-        """The figures in words, one line for each kind."""
-        seen, spot = self.figures, self.spot
-        saturated = f"{seen.saturated_px} px SATURATED" if seen.saturated_px else "none saturated"
-        light = f"peak {100 * seen.peak:6.1f} %  background {100 * seen.background:.1f} %  {saturated}"
-        light += f"  sharpness {seen.sharpness_per_px:.4f} /px"
-        height_px, width_px = self.image.shape
-        region = f"region {width_px} x {height_px} px"
-        if self.applied.offset_x_px is not None and self.applied.offset_y_px is not None:
-            region += f" from ({self.applied.offset_x_px}, {self.applied.offset_y_px}) of the sensor"
-        exposure, gain = self.applied.exposure_us, self.applied.gain_db
-        region += f"  exposure {'unknown' if exposure is None else f'{exposure:.6g} µs'}"
-        region += f"  gain {'unknown' if gain is None else f'{gain:.3g} dB'}"
-        if self.reference is not None:
-            region += f"  {self.reference.lamp.line}"
-        if not self.found:
-            return [light, "no spot", "", region]
-        place = f"spot {spot.x_px:.2f}, {spot.y_px:.2f} px  "
-        place += f"from the crosshair {_offset(self._off_px, 1)} px"
-        place += f"  to the nearest edge {self._edge_px:.0f} px"
-        shape = f"sigma {spot.sigma_x_px:.2f} x {spot.sigma_y_px:.2f} px  ellipticity {self._ellipticity:.2f}"
-        shape += f"  χ²/dof {spot.chi2_per_dof:.2f}"
-        return [light, place, f"{shape}  {', '.join(self._doubts) or 'a clean spot'}", region]
+        """The same in a few lines, without the verdict on the beam."""
+        texts = dict(self.rows())
+        return ["  ".join(f"{name} {texts[name]}" for name in line if name in texts) for line in _LINES]
 
 
 def _offset(off_px: tuple[float, float], places: int) -> str:

@@ -187,11 +187,6 @@ class SessionNews:
         """Whether somebody has asked within the last minute."""
         return time.monotonic() - self._asked_s < _WATCHED_S
 
-    @property
-    def pictures(self) -> int:
-        """How many frames were kept for those who asked."""
-        return self._picture_number
-
     def picture(self, after: int = 0) -> SessionPicture | None:
         """A frame with a number above `after`, and ask for the next; None if there is none yet."""
         self._picture_wanted = True

@@ -12,13 +12,12 @@ from rig.measure.plain_record import (
 from rig.measure.posterior import (
     FIRST_HALF_CYCLES,
     LivePosterior,
-    Posterior,
     check_stop_when,
     live_posterior,
 )
-from rig.measure.posterior_worker import FittedModel
+from rig.measure.posterior_worker import FittedModel, Posterior
 from rig.measure.resuming import measure_sessions, resume_session
-from rig.measure.run_setup import LEAST_FREE_BYTES
+from rig.measure.run import LEAST_FREE_BYTES
 from rig.measure.run_status import estimate_texts
 from rig.measure.session import measure_session, session_folder, simulate_record
 from rig.measure.session_file import STATE_NAME, RunState, SessionState, read_session

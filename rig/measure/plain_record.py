@@ -34,8 +34,8 @@ from rig.instrument import (
 )
 from rig.measure.end_of_run import StopRequest
 from rig.measure.phases import PhasesBeforeRecord
+from rig.measure.run import measure_run
 from rig.measure.run_parts import RunPlan
-from rig.measure.run_setup import measure_run
 from rig.presentation import (
     Verdict,
     answer,

@@ -4,20 +4,17 @@ import pickle
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 
-from acquisition.record.topics import RecordedFittedPoint
 from processing.decay_summary import mean_period
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import ConfigurationError
-from processing.estimate import Estimate
 from processing.fit import Evidence, points_in_true_time
 from processing.swing import HalfCycle, HarmonicsWatch, SwingHarmonics
 from rig.analysis import clock_rate_of, evidence_of, known_drag, loss_of, stated_surroundings
 from rig.instrument import pendulum_on_ball
-from rig.measure.posterior_worker import FittedModel, FittedParameters, PosteriorInput
+from rig.measure.posterior_worker import Answer, FittedModel, Posterior, PosteriorInput
 from rig.settings import Configuration
 from rig.terminal import start_python
 
@@ -41,13 +38,13 @@ class FittingProcess:
     def pid(self) -> int:
         return self._process.pid
 
-    def fit(self, asked: PosteriorInput) -> FittedParameters | None:
+    def fit(self, asked: PosteriorInput) -> Answer | None:
         """Fit, and wait for the answer; None if the process has died."""
         self._send(asked)
         if self._process.stdout is None:
             return None
         try:
-            found: FittedParameters = pickle.load(self._process.stdout)
+            found: Answer = pickle.load(self._process.stdout)
         except (EOFError, OSError, ValueError, pickle.UnpicklingError):
             return None
         return found
@@ -81,21 +78,6 @@ _SHARE = 0.02
 """Largest part of a core that fits may have."""
 _EARLY_NS = 120_000_000_000
 """Deflections that are kept until the first half-cycles are found in them."""
-
-
-@dataclass(frozen=True, slots=True)
-class Posterior:
-    """Parameters by key, from the first `half_cycles` unflagged ones of a run; none before the first fit.
-
-    `points` are these beside the fit.
-    """
-
-    half_cycles: int = 0
-    estimates: Mapping[str, Estimate] = field(default_factory=dict)
-    points: Sequence[RecordedFittedPoint] = ()
-
-
-NOTHING = Posterior()
 
 
 def following(half_cycles: int) -> int:
@@ -136,16 +118,11 @@ class LivePosterior:
         self._run = 0
         self._due_half_cycles = FIRST_HALF_CYCLES
         self._due_s = 0.0
-        self._latest = NOTHING
+        self._latest = Posterior()
         self._remark = ""
         self._over = False
         self._process: FittingProcess | None = None
         self._thread = threading.Thread(target=self._fit_all, name="posterior", daemon=True)
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Keys of what is estimated."""
-        return self._model.parameters
 
     @property
     def latest(self) -> Posterior:
@@ -166,7 +143,7 @@ class LivePosterior:
             self._unsent = []
             self._waveform = HarmonicsWatch()
             self._due_half_cycles = FIRST_HALF_CYCLES
-            self._latest = NOTHING
+            self._latest = Posterior()
 
     def take(self, swings: Sequence[HalfCycle], deflections: Deflections) -> None:
         """Deflections that follow, and the half-cycles that end with them."""
@@ -222,28 +199,22 @@ class LivePosterior:
             return
         with self._changed:
             self._process = process
-        try:
-            self._fit_with(process)
-        finally:
-            process.close()
+        with closing(process):
+            while (asked := self._next()) is not None:
+                answer = process.fit(asked)
+                if answer is None:
+                    self._end("the process that fits while the run is measured has died")
+                    return
+                with self._changed:
+                    self._due_s = time.monotonic() + answer.cpu_s / _SHARE
+                    if asked.run == self._run:
+                        self._due_half_cycles = following(asked.half_cycles)
+                        if answer.fit.estimates:
+                            self._latest = answer.fit
+                    self._changed.notify_all()
 
-    def _fit_with(self, process: FittingProcess) -> None:
-        while (asked := self._next()) is not None:
-            count, message = asked
-            found = process.fit(message)
-            if found is None:
-                self._end("the process that fits while the run is measured has died")
-                return
-            with self._changed:
-                self._due_s = time.monotonic() + found.cpu_s / _SHARE
-                if message.run == self._run:
-                    self._due_half_cycles = following(count)
-                    if found.estimates:
-                        self._latest = Posterior(count, found.estimates, found.points)
-                self._changed.notify_all()
-
-    def _next(self) -> tuple[int, PosteriorInput] | None:
-        """Number of half-cycles and message of the next fit once it is due; None at the end."""
+    def _next(self) -> PosteriorInput | None:
+        """What is to be fitted once it is due; None at the end."""
         with self._changed:
             while not self._over:
                 left_s = 0.0 if self._in_step else self._due_s - time.monotonic()
@@ -259,7 +230,7 @@ class LivePosterior:
             new, self._sent = swings[self._sent :], len(swings)
             unsent, self._unsent = self._unsent, []
         samples = joined(unsent, DeflectionUnit.RAD)
-        return len(swings), PosteriorInput(run, new, samples, self._evidence_of(swings, harmonics))
+        return PosteriorInput(run, len(swings), new, samples, self._evidence_of(swings, harmonics))
 
     def _end(self, why: str) -> None:
         with self._changed:

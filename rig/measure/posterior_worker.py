@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from acquisition.record.topics import RecordedFittedPoint
 from calibration import Axes
 from processing.balance import Balance
-from processing.contact import AMPLITUDE, DEFAULT_LAW, TIME, PendulumOnBall, turning_points_of
+from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
 from processing.decay_summary import full_periods, mean_period
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
@@ -48,34 +48,37 @@ class FittedModel(NamedTuple):
     clock_rate: float = 1.0
     axes: Axes | None = None
 
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Keys of what is estimated, without the run's first amplitude and time."""
-        return DEFAULT_LAW.fit_names(calibrated=True, drag=self.drag)[:-2]
-
 
 class PosteriorInput(NamedTuple):
     """What has come since the last message: half-cycles without a flag, and the deflections, in rad.
 
-    All of the same `run` are fitted, restrained by the `evidence`.
+    All of the same `run`, which are `half_cycles`, are fitted, restrained by the `evidence`.
     """
 
     run: int
+    half_cycles: int
     swings: Sequence[HalfCycle]
     deflections: Deflections
     evidence: Evidence = NO_EVIDENCE
 
 
-class FittedParameters(NamedTuple):
-    """Parameters by key, or why there are none; `cpu_s` is the processor time of the fit.
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Parameters by key, from the first `half_cycles` unflagged ones of a run; none before the first fit.
 
-    `points` are the half-cycles beside the fit.
+    `points` are these beside the fit.
     """
 
-    estimates: Mapping[str, Estimate]
-    problem: str
-    cpu_s: float
+    half_cycles: int = 0
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
     points: Sequence[RecordedFittedPoint] = ()
+
+
+class Answer(NamedTuple):
+    """A fit, without estimates where there is none, and the processor time that it took."""
+
+    fit: Posterior
+    cpu_s: float
 
 
 _MOST = 300
@@ -207,13 +210,11 @@ def main() -> None:
             outgoing.flush()
 
 
-def _fitted(run: MeasuredRun, asked: PosteriorInput, model: FittedModel) -> FittedParameters:
-    began_s = time.process_time()
+def _fitted(run: MeasuredRun, asked: PosteriorInput, model: FittedModel) -> Answer:
+    began_s, found = time.process_time(), Posterior()
     how = FitOfSwings(model.pendulum, model.clock_rate, model.drag, asked.evidence, model.loss)
-    try:
+    with suppress(DataError):
         swings, fit = run.fitted(how)
         points = fitted_points(swings, how.points(swings), fit, model.pendulum)
-    except DataError as error:
-        return FittedParameters({}, str(error), time.process_time() - began_s)
-    found = {name: fit.estimate(name) for name in fit.contact_names}
-    return FittedParameters(found, "", time.process_time() - began_s, points)
+        found = Posterior(asked.half_cycles, {name: fit.estimate(name) for name in fit.contact_names}, points)
+    return Answer(found, time.process_time() - began_s)

@@ -26,7 +26,7 @@ from acquisition.record.topics import (
 from processing.errors import DeviceError
 from processing.units import nanoseconds
 from rig.devices import ClockAnchors, ClockRate, FrameStream
-from rig.instrument import CameraClock, ObserverGuard
+from rig.instrument import CameraClock
 from rig.measure.run_parts import RunParts, features_json
 
 _LOSSES_NS = 1_000_000_000
@@ -113,8 +113,8 @@ class SideReadings:
     no other one says anything.
     """
 
-    def __init__(self, parts: RunParts, losses: LossLog, wall: ObserverGuard, start_ns: int) -> None:
-        self._parts, self._losses, self._wall, self._start_ns = parts, losses, wall, start_ns
+    def __init__(self, parts: RunParts, losses: LossLog, start_ns: int) -> None:
+        self._parts, self._losses, self._wall, self._start_ns = parts, losses, parts.wall, start_ns
         on_demand = parts.stream.policy == "wait"
         self._anchors = None if on_demand else ClockAnchors()
         self._rate = None if on_demand else ClockRate()

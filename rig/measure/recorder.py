@@ -9,13 +9,11 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from acquisition.camera import Frame, Image
 from acquisition.record.events import Event
 from acquisition.record.topics import REFERENCE, Recorded, RecordedNote, RecordedReference
 from acquisition.record.writer import RecordWriter
-from processing.spot import Spot
 from rig.control import LightPermit, Stage
 from rig.instrument import Block
 
@@ -30,23 +28,19 @@ SLOW_S = 2.0
 """A write that takes longer is an event; usual disks pause for less."""
 
 
-class SpotWindow(NamedTuple):
-    """Raw pixels around the spot; (x0, y0) are the sensor coordinates of the first pixel."""
-
-    image: Image
-    x0_px: int
-    y0_px: int
-
-
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Data to be recorded for some consecutive frames; `messages` are values, each with its kind."""
+    """Data to be recorded for some consecutive frames; `messages` are values, each with its kind.
+
+    `windows` are copies of the pixels around the spots, each with (x0, y0), where on the sensor its
+    first pixel is, in px; None without a spot.
+    """
 
     sequences: Sequence[int] = ()
     device_times_ns: Sequence[int] = ()
     host_times_ns: Sequence[int] = ()
     block: Block | None = None
-    windows: Sequence[SpotWindow | None] = ()
+    windows: Sequence[tuple[Image, int, int] | None] = ()
     images: Sequence[Frame] = ()
     preview: Frame | None = None
     events: Sequence[Event] = field(default=())
@@ -57,14 +51,51 @@ class Entry:
     @property
     def memory_bytes(self) -> int:
         """About what the entry takes while it waits; never 0."""
-        windows = sum(window.image.nbytes for window in self.windows if window is not None)
+        windows = sum(window[0].nbytes for window in self.windows if window is not None)
         frames = self.images if self.preview is None else [*self.images, self.preview]
         images = sum(frame.image.nbytes for frame in frames)
         return _FRAME_BYTES * (1 + len(self.sequences)) + windows + images
 
+    def write(self, writer: RecordWriter) -> None:
+        """Write all of it."""
+        block = self.block
+        if block is not None:
+            writer.write_spots(
+                self.sequences,
+                self.device_times_ns,
+                self.host_times_ns,
+                block.spots,
+                block.deflections,
+            )
+            times_ns = block.deflections.times_ns
+            frames = zip(self.sequences, times_ns.tolist(), self.windows, block.spots, strict=True)
+            for sequence, time_ns, window, spot in frames:
+                if window is not None:
+                    writer.write_window(sequence, time_ns, *window, spot)
+            for sequence, time_ns, spot in zip(
+                self.sequences, times_ns.tolist(), block.references, strict=bool(block.references)
+            ):
+                writer.write(REFERENCE, RecordedReference.of(sequence, time_ns, spot), time_ns)
+            for swing in block.swings:
+                writer.write_swing(swing)
+            for balance in block.balances:
+                writer.write_balance(balance)
+        for frame in self.images:
+            writer.write_image(frame)
+        if self.preview is not None:
+            writer.write_preview(self.preview)
+        for kind, value in self.messages:
+            writer.write(kind, value, value.time_ns)
+        for note in self.notes:
+            writer.write_note(note)
+        for name, data in self.attachments.items():
+            writer.attach(name, data)
+        for event in self.events:
+            writer.write_event(event.time_ns, event.kind, event.text)
+
 
 class _EntryQueue(queue.Queue[Entry | None]):
-    """A queue whose size and limit are bytes of memory."""
+    """A queue whose size and limit are bytes of memory; None is the end."""
 
     def _init(self, maxsize: int) -> None:
         super()._init(maxsize)
@@ -155,34 +186,30 @@ class Recorder:
 
     def _work(self) -> None:
         try:
-            self._write_all()
+            ended = False
+            while not ended:
+                self._permit.moved(Stage.RECORDER)
+                try:
+                    entry = self._entries.get(timeout=_IDLE_S)
+                except queue.Empty:
+                    entry = Entry()
+                ended = entry is None
+                try:
+                    if entry is None:
+                        self._writer.close()
+                    elif self.error is None:
+                        self._write(entry)
+                except Exception as error:
+                    if self.error is None:
+                        self.error = error
+                        _log.error("the record cannot be written: %s", error)
         finally:
             self._permit.ended(Stage.RECORDER)
 
-    def _write_all(self) -> None:
-        while True:
-            self._permit.moved(Stage.RECORDER)
-            try:
-                entry = self._entries.get(timeout=_IDLE_S)
-            except queue.Empty:
-                entry = Entry()
-            try:
-                if entry is None:
-                    self._writer.close()
-                    return
-                if self.error is None:
-                    self._write_timed(entry)
-            except Exception as error:
-                if self.error is None:
-                    self.error = error
-                    _log.error("the record cannot be written: %s", error)
-                if entry is None:
-                    return
-
-    def _write_timed(self, entry: Entry) -> None:
+    def _write(self, entry: Entry) -> None:
         began_s = self._writing_since_s = time.monotonic()
         try:
-            self._write(entry)
+            entry.write(self._writer)
             self._writer.flush_if_due()
             # asked here, because a disk that hangs does not answer this either
             if began_s - self._looked_s > _FREE_SPACE_INTERVAL_S:
@@ -194,48 +221,3 @@ class Recorder:
             took_s = time.monotonic() - began_s
             if took_s > SLOW_S:
                 self._pauses_s.put(took_s)
-
-    def _write(self, entry: Entry) -> None:
-        writer = self._writer
-        block = entry.block
-        if block is not None:
-            writer.write_spots(
-                entry.sequences,
-                entry.device_times_ns,
-                entry.host_times_ns,
-                block.spots,
-                block.deflections,
-            )
-            times_ns = block.deflections.times_ns
-            frames = zip(entry.sequences, times_ns.tolist(), entry.windows, block.spots, strict=True)
-            for sequence, time_ns, window, spot in frames:
-                if window is not None:
-                    writer.write_window(sequence, time_ns, *window, spot)
-            for sequence, time_ns, spot in zip(
-                entry.sequences, times_ns.tolist(), block.references, strict=bool(block.references)
-            ):
-                writer.write(REFERENCE, RecordedReference.of(sequence, time_ns, spot), time_ns)
-            for swing in block.swings:
-                writer.write_swing(swing)
-            for balance in block.balances:
-                writer.write_balance(balance)
-        for frame in entry.images:
-            writer.write_image(frame)
-        if entry.preview is not None:
-            writer.write_preview(entry.preview)
-        for kind, value in entry.messages:
-            writer.write(kind, value, value.time_ns)
-        for note in entry.notes:
-            writer.write_note(note)
-        for name, data in entry.attachments.items():
-            writer.attach(name, data)
-        for event in entry.events:
-            writer.write_event(event.time_ns, event.kind, event.text)
-
-
-def cut_window(frame: Frame, spot: Spot, bounds_px: tuple[int, int, int, int] | None) -> SpotWindow | None:
-    """Copy of the pixels from which tracking can be repeated; None without a spot."""
-    if bounds_px is None:
-        return None
-    x0, y0, x1, y1 = bounds_px
-    return SpotWindow(frame.image[y0:y1, x0:x1].copy(), x0, y0)

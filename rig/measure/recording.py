@@ -7,22 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.camera import Frame
+from acquisition.camera import Frame, Image
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import LOSSES, Recorded, RecordedHealth, RecordedNote, RecordedPhase
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
 from processing.slope_uncertainty import KickWatch, StepWatch
-from processing.spot import SpotFlag
+from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
-from rig.instrument import BeamCorrection, Block, ObserverGuard, Phase, RecordContents
-from rig.measure.end_of_run import EndOfRun, StopRequest
-from rig.measure.posterior import Posterior
+from rig.instrument import BeamCorrection, Block, Phase, Pipeline, RecordContents
+from rig.measure.end_of_run import EndOfRun
+from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import LossLog, SideReadings
-from rig.measure.recent_frames import FrameCounts
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run_parts import RunParts
-from rig.measure.run_status import RunStatus
 from rig.measure.session_orders import StartJudge
 
 _LIVE_FIT = "the live fit"
@@ -76,6 +74,102 @@ class StepEvents:
         return found
 
 
+_LOST_IMAGE_NS, _PREVIEW_NS = 1_000_000_000, 300_000_000
+_LOST_FOR_S = 5.0
+"""After so long a person is told."""
+
+
+class FrameCounts:
+    """Counts of one run, whose record counts the frames' numbers from its first one."""
+
+    def __init__(self, first: Frame, full_frame_interval_ns: int, *, keep_windows: bool) -> None:
+        self.start_ns = self.last_ns = self._seen_ns = first.time_ns
+        self.frames = self.missing = self.lost_spots = 0
+        self.beam = BeamUse()
+        self._model: SpotModel | None = None
+        self._first_number = first.sequence
+        self._interval_ns = full_frame_interval_ns
+        self._keep_windows = keep_windows
+        self._next_image_ns = self._next_lost_image_ns = self._next_preview_ns = first.time_ns
+        self._next = self._first_number
+        self._lost = False
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time from the first frame to the last one counted."""
+        return seconds(self.last_ns - self.start_ns)
+
+    @property
+    def lost_text(self) -> str:
+        """Since when the spot has been in no frame, once that is no blink; else empty."""
+        if seconds(self.last_ns - self._seen_ns) < _LOST_FOR_S:
+            return ""
+        minutes, rest_s = divmod(seconds(self._seen_ns - self.start_ns), 60)
+        return f"spot lost since {minutes:.0f}:{rest_s:04.1f}: laser on? beam on the sensor?"
+
+    @property
+    def beam_text(self) -> str:
+        """The model of the beam, and whether it is chosen yet."""
+        return self.beam.text if self._model is not None else f"{self.beam.text}, being judged"
+
+    def entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> Entry:
+        """The entry that the record gets for these frames."""
+        numbers = [frame.sequence - self._first_number for frame in frames]
+        events: list[Event] = []
+        images: list[Frame] = []
+        windows: list[tuple[Image, int, int] | None] = []
+        for number, frame, spot in zip(numbers, frames, block.spots, strict=True):
+            time_ns = frame.time_ns
+            gap = frame.sequence - self._next
+            if gap > 0:
+                self.missing += gap
+                events.append(Event(time_ns, EventKind.GAP, f"frames missing before frame {number}: {gap}"))
+            self._next = frame.sequence + 1
+            lost = bool(spot.flags & SpotFlag.LOST)
+            if lost != self._lost:
+                kind = EventKind.SPOT_LOST if lost else EventKind.SPOT_FOUND
+                events.append(Event(time_ns, kind, f"at frame {number}"))
+            self._lost = lost
+            self._seen_ns = self._seen_ns if lost else time_ns
+            self.lost_spots += lost
+            is_due = time_ns >= self._next_image_ns
+            if is_due:
+                self._next_image_ns = time_ns + self._interval_ns
+            elif lost and time_ns >= self._next_lost_image_ns:
+                is_due = True
+                self._next_lost_image_ns = time_ns + _LOST_IMAGE_NS
+            if is_due:
+                images.append(frame._replace(sequence=number))
+            windows.append(None)
+            if not lost and self._keep_windows:
+                x0, y0, x1, y1 = pipeline.tracker.record_window(spot, frame.image.shape)
+                # a copy, so that the frame need not be kept
+                windows[-1] = (frame.image[y0:y1, x0:x1].copy(), x0, y0)
+        preview = None
+        if frames[-1].time_ns >= self._next_preview_ns:
+            preview = frames[-1]._replace(sequence=numbers[-1])
+            self._next_preview_ns = preview.time_ns + _PREVIEW_NS
+        # when the tracker has chosen its model of the beam, or has begun to choose again
+        self.beam.take(numbers, [spot.flags for spot in block.spots])
+        before, self._model = self._model, pipeline.tracker.model
+        if self._model is not before:
+            changed = "it has changed; its model is chosen again"
+            text = changed if self._model is None else self.beam.text
+            events.append(Event(frames[-1].time_ns, EventKind.BEAM, text))
+        self.frames += len(frames)
+        self.last_ns = frames[-1].time_ns
+        return Entry(
+            sequences=numbers,
+            device_times_ns=[frame.device_time_ns for frame in frames],
+            host_times_ns=[frame.host_time_ns for frame in frames],
+            block=block,
+            windows=windows,
+            images=images,
+            preview=preview,
+            events=events,
+        )
+
+
 class Recording:
     """Makes one record, in the processing thread, from its `first` frame on.
 
@@ -85,37 +179,28 @@ class Recording:
     def __init__(
         self,
         parts: RunParts,
-        stop: StopRequest,
-        status: RunStatus,
         losses: LossLog,
         recorder: Recorder,
         judge: StartJudge | None,
-        wall: ObserverGuard,
         first: Frame,
     ) -> None:
-        self._parts = parts
-        self._stream = parts.stream
-        self._stop = stop
-        self._status = status
-        self._losses = losses
-        self._recorder = recorder
-        self._judge = judge
-        self._wall = wall
+        self._parts, self._stream = parts, parts.stream
+        self._stop, self._status, self._wall = parts.stop, parts.status, parts.wall
+        self._losses, self._recorder, self._judge = losses, recorder, judge
         self._first = self._last = first
         # frames made on demand wait for what is done beside them: a run of the simulated rig repeats exactly
         self._on_demand = parts.stream.policy == "wait"
         kept = parts.plan.config.record
         self._counts = FrameCounts(first, nanoseconds(kept.full_frame_interval_s), keep_windows=kept.windows)
         shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
-        self._pipeline = parts.optics.pipeline(shape, beside=not self._on_demand, wall=wall)
-        self._less = (
-            None
-            if gain is None
-            else BeamCorrection(parts.optics.deflector(shape), gain, beside=not self._on_demand)
-        )
+        beside = not self._on_demand
+        self._pipeline = parts.optics.pipeline(shape, beside=beside, wall=parts.wall)
+        self._less: BeamCorrection | None = None
+        if gain is not None:
+            self._less = BeamCorrection(parts.optics.deflector(shape), gain, beside=beside)
         self._end = EndOfRun(parts.end_limits)
         self._steps = StepEvents(parts.optics.unit)
-        self._readings = SideReadings(parts, losses, wall, first.time_ns)
+        self._readings = SideReadings(parts, losses, first.time_ns)
         self._published_ns = self._half_cycles = 0
 
     def make(self, begun: list[Frame], events: list[Event]) -> str:
@@ -245,14 +330,9 @@ class Recording:
         self._half_cycles += len(swings)
         last = [*self._device_events(), *early, end]
         messages = [(LOSSES, self._losses.last(counts.last_ns)), *self._state(Phase.CLOSING, math.nan)]
+        notes = self._notes()
         self._recorder.put(
-            Entry(
-                block=empty,
-                events=last,
-                messages=messages,
-                attachments=attachments,
-                notes=self._notes(),
-            )
+            Entry(block=empty, events=last, messages=messages, attachments=attachments, notes=notes)
         )
         self._tell(last, messages, empty._replace(swings=swings))
 
@@ -308,12 +388,8 @@ class Recording:
 
     def _state(self, phase: Phase, age_s: float) -> list[Recorded]:
         """What the record is told of the session now, as far as it has changed."""
-        counts, recorder, clock, now_ns = (
-            self._counts,
-            self._recorder,
-            self._readings.clock,
-            self._counts.last_ns,
-        )
+        counts, recorder, clock = self._counts, self._recorder, self._readings.clock
+        now_ns = counts.last_ns
         lost = counts.lost_text if phase is Phase.MEASURING else ""
         if lost:
             lost += f" rig camera align {self._parts.plan.config.named}"

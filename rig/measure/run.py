@@ -1,29 +1,31 @@
-"""Executes one run in several threads, from the first attempt at a start to the closed record."""
+"""Sets up one run and executes it in several threads, to the closed record."""
 
 import gc
-import logging
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from acquisition.camera import Frame
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedPhase
-from processing.errors import DataError, DeviceError
-from rig.instrument import ObserverGuard, Phase, RecordContents, RunNow
-from rig.measure.end_of_run import StopRequest
+from processing import decay_summary
+from processing.errors import ConfigurationError, DataError, DeviceError, RecordError
+from rig.devices import Devices, OpenCamera, TypedAcknowledgement
+from rig.instrument import Phase, RecordContents, RunNow, optics_of, prepare_kernels
+from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
+from rig.measure.posterior import LivePosterior, live_posterior
 from rig.measure.readings import LossLog
 from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
 from rig.measure.recording import Recording
-from rig.measure.run_parts import RunOutcome, RunParts, set_aside
-from rig.measure.run_status import RunStatus
+from rig.measure.run_parts import RunOutcome, RunParts, RunPlan, set_aside
+from rig.measure.screen import RunDisplay
 from rig.measure.session_orders import StartJudge
+from rig.presentation import Verdict, say
 from rig.terminal import reason_of
-
-_log = logging.getLogger(__name__)
+from rig.view import RunningView
 
 _PATIENCE_S = 60.0
 """For so long nothing may move before what hangs is abandoned; a slow disk gets its time."""
@@ -64,11 +66,8 @@ class MeasurementRun:
     """
 
     def __init__(self, parts: RunParts) -> None:
-        self._parts = parts
-        self._stream = parts.stream
-        self._wall = ObserverGuard()
-        self._status = RunStatus(parts.watchers, parts.devices, parts.optics.unit, self._wall)
-        self._stop = StopRequest(parts.stream)
+        self._parts, self._stream = parts, parts.stream
+        self._wall, self._status, self._stop = parts.wall, parts.status, parts.stop
         self._done = threading.Event()
         self._losses = LossLog(parts.stream, from_start=True)
 
@@ -86,24 +85,21 @@ class MeasurementRun:
 
         Ctrl-C and `Terminated` switch the laser off and end the run like `request_stop`, immediately if
         frames come on demand. What hangs while the run is ended is abandoned after a time, and sooner after
-        a second interrupt. If the terminal was closed (`show` raises OSError), the run continues without it.
+        a second interrupt.
         """
-        show = self._showing(show)
         self._stream.start_camera()
         threading.Thread(target=self._process, name="processing", daemon=True).start()
         interrupt: KeyboardInterrupt | None = None
         stopped, hangs = False, ""
         try:
-            while not (self._done.is_set() or interrupt or self._stands_still()):
-                try:
-                    show = self._watch(show, interval_s)
-                except KeyboardInterrupt as error:
-                    interrupt = error
-                    self._stop.skip_waiting = True
-                    self._darken(reason_of(error))
-                    stopped = self.request_stop(reason_of(error))
+            self._watch(show, interval_s)
+        except KeyboardInterrupt as error:
+            interrupt = error
+            self._stop.skip_waiting = True
+            self._darken(reason_of(error))
+            stopped = self.request_stop(reason_of(error))
         finally:
-            # also after an interrupt or an error in the loop, so that the record is complete
+            # also after an interrupt or an error, so that the record is complete
             self.request_stop("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
         return RunOutcome(self.now, self._stop.failure, interrupt, stopped, hangs)
@@ -128,37 +124,26 @@ class MeasurementRun:
                 if paused_s > patience_s and not self._done.is_set():
                     return f"nothing was processed or recorded for {paused_s:.0f} s"
                 done = self._done.wait(0.1)
-                with suppress(OSError):
-                    show(self._now_with_stall())
+                self._show(show, self._now_with_stall())
             except KeyboardInterrupt:
                 patience_s = _LITTLE_PATIENCE_S
         return ""
 
-    def _watch(self, show: Callable[[RunNow], None], interval_s: float) -> Callable[[RunNow], None]:
-        """Show the run until it ends; returns the function to be used for further output."""
+    def _watch(self, show: Callable[[RunNow], None], interval_s: float) -> None:
+        """Show the run until it ends, or stands still."""
         done = False
         while not done:
             done = self._done.wait(interval_s) or self._stands_still()
-            try:
-                for instructing in self._status.take_instructions():
-                    show(instructing)
-                show(self._now_with_stall())
-                if self._parts.waits_in_darkness and self._parts.typed_leave is not None:
+            for instructing in self._status.take_instructions():
+                self._show(show, instructing)
+            self._show(show, self._now_with_stall())
+            if self._parts.waits_in_darkness and self._parts.typed_leave is not None:
+                # a terminal that was closed asks nobody
+                with suppress(OSError):
                     self._parts.typed_leave.look(self._status.light.alarm)
-            except OSError as error:
-                _log.warning("the display of the run failed, the run continues: %s", error)
-                return _show_nothing
-        return show
 
-    def _showing(self, show: Callable[[RunNow], None]) -> Callable[[RunNow], None]:
-        """The same behind the wall; only a terminal that was closed is told of by OSError."""
-
-        def past(now: RunNow) -> None:
-            closed = self._wall.past("the display", None, _told_of_os_error, show, now)
-            if closed is not None:
-                raise closed
-
-        return past
+    def _show(self, show: Callable[[RunNow], None], now: RunNow) -> None:
+        self._wall.past("the display", None, show, now)
 
     def _now_with_stall(self) -> RunNow:
         """The state of the run; a stalled thread cannot say by itself that it has stalled."""
@@ -188,7 +173,7 @@ class MeasurementRun:
 
     def _attempt(self, number: int, at_first_ns: int) -> bool:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
-        parts, limits = self._parts, self._parts.start_limits
+        parts, config = self._parts, self._parts.plan.config
         frames, events = self._first_frames()
         # rest and warm-up may take an hour, in which the clock of the day is set; frames made on demand are
         # timed by their first one
@@ -201,24 +186,22 @@ class MeasurementRun:
             MOST_WAITING_BYTES // 16 if self._stream.policy == "wait" else MOST_WAITING_BYTES,
             permit=self._stream.permit,
         )
+        # of one that is recorded at once any start is accepted
+        judge = None if config.start.way == "at once" else StartJudge(config, parts.optics.unit)
         rejected = ""
         try:
-            judge = None if limits is None else StartJudge(limits)
-            recording = Recording(
-                parts, self._stop, self._status, self._losses, recorder, judge, self._wall, frames[0]
-            )
-            rejected = recording.make(frames, events)
+            rejected = Recording(parts, self._losses, recorder, judge, frames[0]).make(frames, events)
         finally:
             recorder.close()
             if recorder.error is not None:
                 self._stop.failed(recorder.error)
-        if not rejected or limits is None or judge is None or recorder.error is not None:
+        if not rejected or judge is None or recorder.error is not None:
             return True
         aside = set_aside(parts.plan.record, number)
         if parts.phases is not None:
             parts.phases.correct_starter(judge.first_amplitude)
         parts.plan.start_rejected(aside, rejected)
-        if number >= limits.attempts:
+        if number >= judge.attempts:
             raise DataError(f"no start of {number} was accepted; the last: {rejected}")
         return False
 
@@ -260,13 +243,109 @@ def utc_offset_ns(frame: Frame) -> int:
     return now_ns - frame.time_ns - (time.monotonic_ns() - frame.host_time_ns)
 
 
-def _told_of_os_error(show: Callable[[RunNow], None], now: RunNow) -> OSError | None:
-    try:
-        show(now)
-    except OSError as error:
-        return error
-    return None
+LEAST_FREE_BYTES = 50 * 1024 * 1024
+"""Of disk; with less no run begins."""
 
 
-def _show_nothing(_: RunNow) -> None:
-    """Used in place of a terminal that was closed."""
+def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
+    """Measure one run into one record; camera and view are closed in any case."""
+    record = plan.record
+    if record.exists():
+        raise ConfigurationError(f"{record}: exists already and is never overwritten; choose another output")
+    free = free_bytes(record.parent)
+    if free < LEAST_FREE_BYTES:
+        raise RecordError(
+            f"{record.parent}: {free // 2**20} MiB of disk are free, {LEAST_FREE_BYTES // 2**20} MiB "
+            "are needed to begin; nothing was started: free some, or name another folder"
+        )
+    if plan.config.simulated:
+        _say_if_heard(f"{plan.title}: SIMULATED (no camera is read; every number is the simulated rig's)")
+    with devices.camera(plan.config) as camera:
+        for line in camera.notes:
+            _say_if_heard(line)
+        posterior = live_posterior(plan.config) if plan.fitted else None
+        settings = plan.config.view
+        rrd = record.with_suffix(".rrd") if settings.file else None
+        view = RunningView(record, settings.mode, rrd, settings.layout)
+        try:
+            outcome = _execute(plan, devices, camera, posterior)
+            ends = plan.is_last or outcome.failure is not None or outcome.stopped
+            # what hangs is not asked for frames once more
+            devices.lights_again = not ends
+            if ends and not outcome.hangs:
+                devices.darken(outcome.last.reason or "the run has ended")
+            return outcome
+        finally:
+            if posterior is not None:
+                posterior.close()
+            if problem := view.close():
+                _say_if_heard(problem)
+
+
+def _execute(
+    plan: RunPlan, devices: Devices, camera: OpenCamera, posterior: LivePosterior | None
+) -> RunOutcome:
+    config, session_news = plan.config, plan.session_news
+    optics = optics_of(config, camera.info.full_scale_dn)
+    display = RunDisplay(
+        plan.title,
+        config.session.final_amplitude_arcsec,
+        optics.unit,
+        longest_s=config.session.max_duration_s,
+        stop_when=config.stop_conditions if posterior is not None else (),
+        json_lines=plan.json_lines,
+        simulated=config.simulated,
+        phases=phases_wanted(config),
+    )
+    if session_news is not None:
+        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, plan.record)
+
+    def show_table(verdicts: Sequence[Verdict]) -> None:
+        display.show_preflight(verdicts)
+        if session_news is not None:
+            session_news.preflight(verdicts)
+
+    def show(now: RunNow) -> None:
+        try:
+            display.show(now)
+        finally:
+            # also where the display fails
+            if session_news is not None:
+                session_news.state(display.values(now), display.facts(now))
+
+    phases: PhasesBeforeRecord | None = None
+    if phases_wanted(config):
+        phases = PhasesBeforeRecord(
+            config,
+            devices,
+            camera,
+            optics,
+            plan.record.parent,
+            force=plan.force,
+            show_table=show_table,
+            watch=None if session_news is None else session_news.before_record,
+        )
+    parts = RunParts(
+        plan=plan,
+        camera=camera,
+        optics=optics,
+        stream=devices.stream(config, camera),
+        devices=devices,
+        phases=phases,
+        watchers=(display, *plan.watchers),
+        posterior=posterior,
+        typed_leave=TypedAcknowledgement(devices),
+    )
+    prepare_kernels(optics.sensor, say)
+    decay_summary.prepare()
+    # only now: compiling and importing take time, and a laser may be lit only while frames are processed
+    if lit := devices.light():
+        say(lit)
+    with display:
+        return MeasurementRun(parts).execute(show)
+
+
+def _say_if_heard(text: str) -> None:
+    """A session whose terminal was closed goes on without it."""
+    with suppress(OSError):
+        say(text)

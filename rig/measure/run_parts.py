@@ -3,7 +3,7 @@
 import json
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from acquisition.camera import Camera, Frame, HasFeatures
@@ -13,12 +13,12 @@ from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError
 from processing.units import ARCSEC_RAD
 from rig.devices import Devices, FrameStream, OpenCamera, SessionNews, TypedAcknowledgement
-from rig.instrument import Optics, RunNow, configuration_attachments, session_metadata
-from rig.measure.end_of_run import EndLimits
+from rig.instrument import ObserverGuard, Optics, RunNow, configuration_attachments, session_metadata
+from rig.measure.end_of_run import EndLimits, StopRequest
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.posterior import LivePosterior
-from rig.measure.run_status import Watcher
-from rig.measure.session_orders import Notes, StartLimits, start_limits
+from rig.measure.run_status import RunStatus, Watcher
+from rig.measure.session_orders import Notes
 from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
 
@@ -51,9 +51,9 @@ class RunPlan:
     waited: Sequence[str] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class RunParts:
-    """The parts of a run.
+    """The parts of a run, and what they share: its state, its end, and the guard around its observers.
 
     Attributes
     ----------
@@ -75,6 +75,12 @@ class RunParts:
         Fits what is measured so far; None: nothing does.
     typed_leave
         What somebody at the terminal types meanwhile.
+    wall
+        Behind which observers stand.
+    status
+        What the run says of itself.
+    stop
+        Whether it is to end.
     """
 
     plan: RunPlan
@@ -86,6 +92,13 @@ class RunParts:
     watchers: Sequence[Watcher] = ()
     posterior: LivePosterior | None = None
     typed_leave: TypedAcknowledgement | None = None
+    wall: ObserverGuard = field(init=False, default_factory=ObserverGuard)
+    status: RunStatus = field(init=False)
+    stop: StopRequest = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.status = RunStatus(self.watchers, self.devices, self.optics.unit, self.wall)
+        self.stop = StopRequest(self.stream)
 
     @property
     def end_limits(self) -> EndLimits:
@@ -98,12 +111,6 @@ class RunParts:
             session.max_duration_s,
             self.plan.config.stop_conditions if self.posterior is not None else (),
         )
-
-    @property
-    def start_limits(self) -> StartLimits | None:
-        """Limits for accepting a start; None: any start is accepted."""
-        config = self.plan.config
-        return None if config.start.way == "at once" else start_limits(config, self.optics)
 
     @property
     def waits_in_darkness(self) -> bool:

@@ -30,7 +30,7 @@ from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from rig.devices import Devices, LightWatch
 from rig.instrument import ObserverGuard, Phase, RecordContents, RunNow
-from rig.measure.posterior import Posterior
+from rig.measure.posterior_worker import Posterior
 from rig.presentation import loud, percent, quantity
 from rig.settings import StopCondition
 

@@ -1,11 +1,13 @@
 """Displays a run: a live screen on a terminal, otherwise a line every few seconds, or JSON lines."""
 
+import logging
 import math
 import os
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any, Self
@@ -25,6 +27,7 @@ from rig.measure.run_status import Rates, estimate_rows, run_panel
 from rig.presentation import Verdict, loud, print_json_line, print_verdicts, say, table_tree
 from rig.settings import StopCondition
 
+_log = logging.getLogger(__name__)
 _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0
 _FORECAST_INTERVAL_S = 2.0
@@ -62,6 +65,7 @@ class RunDisplay:
         self._initial = math.nan
         self._console = console or Console(stderr=True)
         self._live: Live | None = None
+        self._closed = False
         self._printed_s = 0.0
         self._phase: Phase | None = None
         self._asked = ("", "")
@@ -80,7 +84,8 @@ class RunDisplay:
 
     def __exit__(self, *_error: object) -> None:
         if self._live is not None:
-            self._live.stop()
+            with suppress(OSError):
+                self._live.stop()
 
     # -- as a watcher, in the run's thread -----------------------------------
 
@@ -121,20 +126,27 @@ class RunDisplay:
         """Update the display; fast enough to be called ten times a second.
 
         What the run's thread has to print is printed here: a terminal that nobody reads holds no frame up.
+        One that was closed is left alone.
         """
-        while self._to_print:
-            self._to_print.popleft()()
         if math.isnan(self._initial) and not math.isnan(now.amplitude):
             self._initial = now.amplitude
         self._rates.take(now)
         now_s = time.monotonic()
-        if (
-            now_s - self._forecast_s >= _FORECAST_INTERVAL_S
-            and len(self._swings) >= 8
-            and not math.isnan(self._final)
-        ):
+        is_due = now_s - self._forecast_s >= _FORECAST_INTERVAL_S
+        if is_due and len(self._swings) >= 8 and not math.isnan(self._final):
             self._forecast_s = now_s
             self._forecast = self._predicted()
+        if self._closed:
+            return
+        try:
+            self._print(now, now_s)
+        except OSError as error:
+            _log.warning("the display of the run failed, the run continues: %s", error)
+            self._closed = True
+
+    def _print(self, now: RunNow, now_s: float) -> None:
+        while self._to_print:
+            self._to_print.popleft()()
         asked = now.alarm, now.instruction
         changed = now.phase is not self._phase or asked != self._asked
         if self._live is not None:

@@ -21,9 +21,8 @@ from rig.instrument import check_materials, complete
 from rig.measure.notices import Notices, Waiting, announced, check_waiting
 from rig.measure.phases import NoGo
 from rig.measure.posterior import check_stop_when
-from rig.measure.run import ready_for_frames
+from rig.measure.run import measure_run, ready_for_frames
 from rig.measure.run_parts import RunPlan
-from rig.measure.run_setup import measure_run
 from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
 from rig.measure.session_orders import Notes, await_leave, orders
 from rig.presentation import answer, failures, print_json_line, say
@@ -130,6 +129,11 @@ def _make_runs(
     folder = file.folder
     records = [folder / entry.record for entry in file.state.complete]
     failed = stopped = False
+
+    def say_failed(number: int, error: Exception) -> None:
+        say(f"run {number} failed: {error}", error=True)
+        options.notices.against.append(f"run {number} failed: {error}")
+
     while len(records) < file.state.runs_wanted and not (failed or stopped):
         number = file.state.next_number
         record = folder / f"run-{number}.mcap"
@@ -160,8 +164,7 @@ def _make_runs(
             file.note(number, record.name, RunState.FAILED, str(error))
             if not records:
                 raise
-            say(f"run {number} failed: {error}", error=True)
-            options.notices.against.append(f"run {number} failed: {error}")
+            say_failed(number, error)
             failed = True
             break
         except KeyboardInterrupt as interrupted:
@@ -187,9 +190,7 @@ def _make_runs(
             if options.waiting(outcome.failure.against):
                 continue
             devices.lights_again = False
-        reason = outcome.last.reason
-        interrupt = outcome.interrupt
-        stopped = outcome.stopped
+        reason, interrupt, stopped = outcome.last.reason, outcome.interrupt, outcome.stopped
         state = RunState.FAILED if outcome.failure is not None else RunState.COMPLETE
         # also where the user has ended it before it began
         if stopped and (outcome.failure is None or not record.exists()):
@@ -197,8 +198,7 @@ def _make_runs(
         file.note(number, record.name, state, str(outcome.failure or reason))
         if outcome.failure is not None:
             failed = True
-            say(f"run {number} failed: {outcome.failure}", error=True)
-            options.notices.against.append(f"run {number} failed: {outcome.failure}")
+            say_failed(number, outcome.failure)
         if record.exists():
             records.append(record)
         else:

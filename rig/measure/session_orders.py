@@ -8,7 +8,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +20,6 @@ from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.control import LightRefused
 from rig.devices import AuditEntry, Devices, Orders, SessionNews, ask_leave, at_terminal, wait_for_command
-from rig.instrument import Optics
 from rig.settings import Configuration
 
 NOTES_NAME = "notes.jsonl"
@@ -150,51 +148,25 @@ _SURELY = 2.0
 """Standard uncertainties beyond the limit of the rotation."""
 
 
-@dataclass(frozen=True, slots=True)
-class StartLimits:
-    """Limits of the first amplitude, of the transverse motion and of the rotation about the vertical.
-
-    Amplitudes are in `unit`; in px they are not limited, because the limits are configured in arcsec.
-    After `attempts` rejected starts the run fails.
-    """
-
-    lowest_amplitude: float
-    highest_amplitude: float
-    highest_transverse_ratio: float
-    highest_spin_deg_per_min: float
-    patience_s: float
-    attempts: int
-    unit: DeflectionUnit
-
-
-def start_limits(config: Configuration, optics: Optics) -> StartLimits:
-    """The configured limits."""
-    wanted_rad = config.session.initial_amplitude_arcsec * ARCSEC_RAD
-    start, in_px = config.start, optics.unit is DeflectionUnit.PX
-    return StartLimits(
-        lowest_amplitude=0.0 if in_px else start.lowest_amplitude * wanted_rad,
-        highest_amplitude=math.inf if in_px else start.highest_amplitude * wanted_rad,
-        highest_transverse_ratio=start.max_transverse_ratio,
-        highest_spin_deg_per_min=config.balance.spin_deg_per_min,
-        patience_s=start.patience_s,
-        attempts=start.attempts,
-        unit=optics.unit,
-    )
-
-
 class StartJudge:
     """Judges one start by its first two unflagged half-cycles and the balance of its first periods.
 
     After that the rotation is judged once, by the first balance that knows it, about five periods after the
-    release. `first_amplitude` is the larger amplitude of these half-cycles, 0 before the first.
+    release. `first_amplitude` is the larger amplitude of these half-cycles, in `unit`, 0 before the first; in
+    px it has no limits, because they are configured in arcsec. After `attempts` rejected starts a run fails.
     """
 
-    def __init__(self, limits: StartLimits) -> None:
-        self._limits = limits
-        self._accepted = False
+    def __init__(self, config: Configuration, unit: DeflectionUnit) -> None:
+        self._start, self._unit = config.start, unit
+        self.attempts = config.start.attempts
+        self._highest_spin_deg_per_min = config.balance.spin_deg_per_min
+        wanted_rad = config.session.initial_amplitude_arcsec * ARCSEC_RAD
+        self._lowest = config.start.lowest_amplitude * wanted_rad if unit is DeflectionUnit.RAD else 0.0
+        self._highest = (
+            config.start.highest_amplitude * wanted_rad if unit is DeflectionUnit.RAD else math.inf
+        )
+        self._accepted = self._balance_seen = self._rotation_judged = False
         self._good = 0
-        self._balance_seen = False
-        self._rotation_judged = False
         self.first_amplitude = 0.0
 
     def rejection(self, swings: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float) -> str:
@@ -210,7 +182,7 @@ class StartJudge:
             if self._rotation_judged or not math.isfinite(rate):
                 continue
             self._rotation_judged = True
-            highest = self._limits.highest_spin_deg_per_min
+            highest = self._highest_spin_deg_per_min
             if abs(rate) - _SURELY * u > highest:
                 return (
                     f"the plane of swing turns by {rate:+.2f} deg/min, at most {highest:g} deg/min is "
@@ -221,34 +193,31 @@ class StartJudge:
     def _first_half_cycles_fault(
         self, swings: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float
     ) -> str:
-        limits = self._limits
         if self._accepted:
             return ""
         for swing in swings:
             if not swing.flags:
                 self._good += 1
                 self.first_amplitude = max(self.first_amplitude, swing.amplitude)
-        if (
-            self._good >= 2
-            and not limits.lowest_amplitude <= self.first_amplitude <= limits.highest_amplitude
-        ):
+        if self._good >= 2 and not self._lowest <= self.first_amplitude <= self._highest:
             first, lowest, highest = (
-                amplitude / limits.unit.shown_size
-                for amplitude in (self.first_amplitude, limits.lowest_amplitude, limits.highest_amplitude)
+                amplitude / self._unit.shown_size
+                for amplitude in (self.first_amplitude, self._lowest, self._highest)
             )
             return (
-                f"first amplitude {first:.1f} {limits.unit.shown}, {lowest:.1f} to {highest:.1f} are required"
+                f"first amplitude {first:.1f} {self._unit.shown}, {lowest:.1f} to {highest:.1f} are required"
             )
+        allowed, patience_s = self._start.max_transverse_ratio, self._start.patience_s
         for balance in balances:
-            if balance.amplitude < 0.5 * limits.lowest_amplitude:
+            if balance.amplitude < 0.5 * self._lowest:
                 continue
             self._balance_seen = True
-            if balance.transverse_ratio > limits.highest_transverse_ratio:
+            if balance.transverse_ratio > allowed:
                 return (
                     f"transverse motion is {100 * balance.transverse_ratio:.1f} % of the swing, "
-                    f"at most {100 * limits.highest_transverse_ratio:.1f} % is allowed"
+                    f"at most {100 * allowed:.1f} % is allowed"
                 )
         self._accepted = self._good >= 2 and self._balance_seen
-        if not self._accepted and elapsed_s > limits.patience_s:
-            return f"no two clean half-cycles within {limits.patience_s:g} s"
+        if not self._accepted and elapsed_s > patience_s:
+            return f"no two clean half-cycles within {patience_s:g} s"
         return ""

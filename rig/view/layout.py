@@ -119,7 +119,9 @@ class _Views:
             rrb.Vertical(
                 self.trajectory(),
                 rrb.Horizontal(
-                    self.losses(), self.history(CLOCK, "Clock drift / ppm"), *self.reference_spot()
+                    self.history(LOSSES_ROOT, "Losses", has_legend=True),
+                    self.history(CLOCK, "Clock drift / ppm"),
+                    *self.reference_spot(),
                 ),
                 self.lanes(),
                 self.events(),
@@ -205,20 +207,15 @@ class _Views:
         )
 
     def deflection(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
-        return rrb.TimeSeriesView(
-            name=f"{title} / {self._unit}",
-            contents=self._below(path),
-            axis_x=until_now(WINDOW_S),
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend or len(self._runs) > 1),
-        )
+        return self._curves(f"{title} / {self._unit}", self._below(path), until_now(WINDOW_S), has_legend)
 
     def history(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
-        return rrb.TimeSeriesView(
-            name=title,
-            contents=self._below(path),
-            axis_x=WHOLE_RUN,
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend or len(self._runs) > 1),
-        )
+        return self._curves(title, self._below(path), WHOLE_RUN, has_legend)
+
+    def _curves(self, title: str, contents: list[str], axis: rrb.TimeAxis, has_legend: bool) -> rrb.View:
+        """Curves against time; those of several runs have a legend in any case."""
+        legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend or len(self._runs) > 1)
+        return rrb.TimeSeriesView(name=title, contents=contents, axis_x=axis, plot_legend=legend)
 
     def parameters(self) -> list[rrb.Container]:
         """One grid of small panels, if there are parameters."""
@@ -233,18 +230,7 @@ class _Views:
 
     def balance(self, title: str, names: Sequence[str]) -> rrb.View:
         contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]
-        legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(names) > 1 or len(self._runs) > 1)
-        return rrb.TimeSeriesView(
-            name=title, contents=contents, axis_x=until_now(BALANCING_S), plot_legend=legend
-        )
-
-    def losses(self) -> rrb.View:
-        return rrb.TimeSeriesView(
-            name="Losses",
-            contents=self._below(LOSSES_ROOT),
-            axis_x=WHOLE_RUN,
-            plot_legend=rrb.Corner2D.LeftTop,
-        )
+        return self._curves(title, contents, until_now(BALANCING_S), len(names) > 1)
 
     def lanes(self) -> rrb.View:
         contents = [f"+ {entity(run, lane)}" for run in self._runs for lane in LANES]

@@ -231,7 +231,8 @@ def setup_of(readers: Sequence[RecordReader], names: Sequence[str], layout: Layo
         title=f"SIMULATED {title}" if config is not None and config.simulated else title,
         layout=layout,
         runs=tuple(names),
-        amplitude=max(map(_amplitude, readers)),
+        # the axes of a single run follow it, those of several stay as they are
+        amplitude=1.0 if len(readers) == 1 else max(map(_amplitude, readers)),
         unit=readers[0].deflection_unit.shown,
         parameters={key: parameter_shown(key).label for key in _parameters(readers, config)},
         has_reference=any(REFERENCE.topic in reader.counts for reader in readers)
@@ -252,7 +253,7 @@ def run_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _amplitude(reader: RecordReader) -> float:
-    """The largest deflection among the first spots, as shown; it only sets the first axes of a single run."""
+    """The largest deflection among the first spots, as shown."""
     head = next(reader.spot_blocks(), None)
     if head is None:
         return 1.0

@@ -20,9 +20,9 @@ class Setup(NamedTuple):
     """What a drawing has to know before its first value.
 
     `runs` are the names of the runs that are overlaid, one empty name for a single run. `period_s` (of the
-    slow mode) and `amplitude` are expected values, `unit` is that of all deflections. `parameters`, with
-    their labels, are estimated while the run is measured, and each has a panel of the measuring layout. With
-    `has_reference` there is a panel for the spot of a mirror on the base.
+    slow mode) and `amplitude` (of the first axes) are expected values, `unit` is that of all deflections.
+    `parameters`, with their labels, are estimated while the run is measured, and each has a panel of the
+    measuring layout. With `has_reference` there is a panel for the spot of a mirror on the base.
     """
 
     title: str

@@ -21,6 +21,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from acquisition.camera import CameraSettings
+from acquisition.record.writer import RecordWriter
 from calibration.axes_fit import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
@@ -30,7 +31,7 @@ from rig.devices.session_devices import OpenCamera
 from rig.instrument.pipeline import Optics
 from rig.instrument.provenance import prepare_kernels
 from rig.instrument.run_now import RunNow
-from rig.measure.recorder import Entry, Recorder
+from rig.measure.recorder import Entry
 from rig.measure.run import MeasurementRun, ready_for_frames
 from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.run_status import Watcher
@@ -132,10 +133,10 @@ def real_time(
     full_scale_dn = 2**bits - 1
     latencies_ms: list[float] = []
     begin_ms: list[float] = []
-    original = Recorder._write
+    original = Entry.write
 
-    def timed(self: Recorder, entry: Entry) -> None:
-        original(self, entry)
+    def timed(entry: Entry, writer: RecordWriter) -> None:
+        original(entry, writer)
         now_ns = time.monotonic_ns()
         for number, due_ns in zip(entry.sequences, entry.device_times_ns, strict=True):
             into = begin_ms if number < _BEGIN_S * rate_hz else latencies_ms
@@ -165,14 +166,14 @@ def real_time(
                 watchers=watchers,
             )
         )
-        Recorder._write = timed  # type: ignore[method-assign]
+        Entry.write = timed  # type: ignore[assignment, method-assign]
         before = resource.getrusage(resource.RUSAGE_SELF)
         began_s = time.monotonic()
         try:
             with ready_for_frames(live=True):
                 outcome = run.execute(show)
         finally:
-            Recorder._write = original  # type: ignore[method-assign]
+            Entry.write = original  # type: ignore[method-assign]
         elapsed_s = time.monotonic() - began_s
         if outcome.failure is not None:
             raise outcome.failure

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from unittest.mock import Mock, patch
 
+from acquisition.record.reader import RecordReader
 from processing.errors import DataError
 from processing.fit import drag_verdict, identifiability
 from rig.analysis import contact_verdicts
@@ -134,3 +135,9 @@ def _logging_of_its_own() -> Iterator[None]:
     finally:
         root.handlers[:] = handlers
         root.setLevel(level)
+
+
+def events_of(record: Path) -> list[tuple[str, str]]:
+    """Kinds and texts of a record's events."""
+    with RecordReader(record) as reader:
+        return [(event.kind, event.text) for event in reader.events()]

@@ -17,7 +17,14 @@ from processing.units import seconds
 from rig.control import DevicesNow, LaserNow
 from rig.devices import STAYS_LIT, WIRE_IT, wrong_rate
 from rig.instrument import beam_quality
-from rig.measure.preflight.rest_checks import TrialFrames, ground, plane_of_swing, rest_position, stillness
+from rig.measure.preflight.rest_checks import (
+    TrialFrames,
+    ground,
+    judged,
+    plane_of_swing,
+    rest_position,
+    stillness,
+)
 from rig.presentation import Verdict, with_uncertainty
 from rig.settings import Configuration, PreflightSettings
 
@@ -28,56 +35,38 @@ _PICTURES = 48
 
 def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
     """Check that nearly every frame has a spot."""
-    lost = float(np.mean([bool(spot.flags & SpotFlag.LOST) for spot in spots])) if spots else 1.0
-    ok = lost <= limits.max_lost_fraction
-    return Verdict(
-        "spot found",
-        ok,
-        "" if ok else "no spot in too many frames",
-        "" if ok else "laser on? beam on the sensor? raise the exposure (exposure_us)",
-        measured=f"{100 * (1 - lost):.1f} % of {len(spots)} frames",
-        limit=f"{100 * (1 - limits.max_lost_fraction):g} %",
-    )
+    lost = _part_with(SpotFlag.LOST, spots, empty=1.0)
+    wrong = "no spot in too many frames", "laser on? beam on the sensor? raise the exposure (exposure_us)"
+    measured = f"{100 * (1 - lost):.1f} % of {len(spots)} frames"
+    limit = f"{100 * (1 - limits.max_lost_fraction):g} %"
+    return judged("spot found", lost <= limits.max_lost_fraction, wrong, measured, limit)
+
+
+def _part_with(flag: SpotFlag, spots: Sequence[Spot], empty: float) -> float:
+    return float(np.mean([bool(spot.flags & flag) for spot in spots])) if spots else empty
 
 
 def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSettings) -> Verdict:
     """Check the peak of the spot against the sensor's full scale."""
     peaks = [s.amplitude_dn + s.background_dn for s in spots if not s.flags & SpotFlag.LOST]
-    limit = f"{100 * limits.min_peak_fraction:g} to {100 * limits.max_peak_fraction:g} % of full scale"
+    low, high = limits.min_peak_fraction, limits.max_peak_fraction
+    limit = f"{100 * low:g} to {100 * high:g} % of full scale"
     if not peaks:
-        return Verdict(
-            "exposure",
-            False,
-            "there is nothing to measure",
-            "find the spot first",
-            measured="no spot",
-            limit=limit,
-        )
+        wrong = "there is nothing to measure", "find the spot first"
+        return judged("exposure", False, wrong, "no spot", limit)
     peak = float(np.median(peaks)) / full_scale_dn
-    dark, bright = peak < limits.min_peak_fraction, peak > limits.max_peak_fraction
-    reason = "too dark: noisy" if dark else "too bright: saturates" if bright else ""
-    remedy = (
-        "raise the exposure (exposure_us) or the laser"
-        if dark
-        else "lower the exposure (exposure_us) or the laser"
-        if bright
-        else ""
-    )
-    return Verdict("exposure", not reason, reason, remedy, measured=f"peak {100 * peak:.0f} %", limit=limit)
+    wrong = "too dark: noisy", "raise the exposure (exposure_us) or the laser"
+    if peak > high:
+        wrong = "too bright: saturates", "lower the exposure (exposure_us) or the laser"
+    return judged("exposure", low <= peak <= high, wrong, f"peak {100 * peak:.0f} %", limit)
 
 
 def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
     """Check how many frames have pixels at full scale."""
-    part = float(np.mean([bool(spot.flags & SpotFlag.SATURATED) for spot in spots])) if spots else 0.0
-    ok = part <= limits.max_saturated_fraction
-    return Verdict(
-        "saturation",
-        ok,
-        "" if ok else "pixels at full scale are lost to the fit",
-        "" if ok else "lower the exposure (exposure_us) or the laser's power",
-        measured=f"{100 * part:.1f} % of frames",
-        limit=f"{100 * limits.max_saturated_fraction:g} %",
-    )
+    part, most = _part_with(SpotFlag.SATURATED, spots, empty=0.0), limits.max_saturated_fraction
+    remedy = "lower the exposure (exposure_us) or the laser's power"
+    wrong = "pixels at full scale are lost to the fit", remedy
+    return judged("saturation", part <= most, wrong, f"{100 * part:.1f} % of frames", f"{100 * most:g} %")
 
 
 def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool = False) -> Verdict:
@@ -95,38 +84,22 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
             np.array([frame.sequence for frame in frames]),
         )
     except DataError as error:
-        return Verdict("clock", False, str(error), "restart the camera", measured="not measured", limit=limit)
+        return judged("clock", False, (str(error), "restart the camera"), "not measured", limit)
     rate = f"{relation.drift_ppm:+.0f} ± {relation.u_drift_ppm:.0f} ppm"
     if on_demand:
         rate = "no rate: made on demand"
-    elif wrong := wrong_rate(relation):
-        return Verdict(
-            "clock",
-            False,
-            wrong,
-            "the driver misreads its unit, or the computer's clock was set: see rig doctor",
-            measured=rate,
-            limit=limit,
-        )
+    elif wrong_by := wrong_rate(relation):
+        remedy = "the driver misreads its unit, or the computer's clock was set: see rig doctor"
+        return judged("clock", False, (wrong_by, remedy), rate, limit)
     jitter_us = relation.frame_jitter_s * 1e6
     ok = jitter_us <= limits.max_clock_jitter_us
     if ok and not on_demand and 3.0 * relation.u_drift_ppm > MOST_PPM:
-        return Verdict(
-            "clock",
-            True,
-            "unknown: these frames came too irregularly, or too few of them, to tell the clock's rate",
-            measured=f"jitter {jitter_us:.1f} µs, rate unknown ({rate})",
-            limit=limit,
-            made=False,
-        )
-    return Verdict(
-        "clock",
-        ok,
-        "" if ok else "frames come unevenly; turning times suffer",
-        "" if ok else "a fixed frame_rate_hz, the camera's own clock, no free-running trigger",
-        measured=f"jitter {jitter_us:.1f} µs, {rate}",
-        limit=limit,
-    )
+        reason = "unknown: these frames came too irregularly, or too few of them, to tell the clock's rate"
+        measured = f"jitter {jitter_us:.1f} µs, rate unknown ({rate})"
+        return Verdict("clock", True, reason, measured=measured, limit=limit, made=False)
+    remedy = "a fixed frame_rate_hz, the camera's own clock, no free-running trigger"
+    wrong = "frames come unevenly; turning times suffer", remedy
+    return judged("clock", ok, wrong, f"jitter {jitter_us:.1f} µs, {rate}", limit)
 
 
 def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: PreflightSettings) -> Verdict:
@@ -134,31 +107,17 @@ def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: Prefligh
     limit = f"{100 * limits.max_frame_rate_error:g} %, losses {100 * limits.max_dropped_fraction:g} %"
     span_s = seconds(frames[-1].time_ns - frames[0].time_ns) if len(frames) > 1 else 0.0
     if span_s <= 0:
-        return Verdict(
-            "frame rate",
-            False,
-            "the camera hardly delivers",
-            "see the camera",
-            measured="too few frames",
-            limit=limit,
-        )
+        wrong = "the camera hardly delivers", "see the camera"
+        return judged("frame rate", False, wrong, "too few frames", limit)
     numbers = frames[-1].sequence - frames[0].sequence
     rate_hz = numbers / span_s
     lost = 1.0 - (len(frames) - 1) / numbers
-    wrong = asked_hz is not None and abs(rate_hz / asked_hz - 1.0) > limits.max_frame_rate_error
-    lossy = lost > limits.max_dropped_fraction
-    return Verdict(
-        "frame rate",
-        not (wrong or lossy),
-        f"{asked_hz:g} Hz was requested" if wrong else "frames are being lost" if lossy else "",
-        "exposure too long, or the bus too slow"
-        if wrong
-        else "close other programs; use another port or cable"
-        if lossy
-        else "",
-        measured=f"{rate_hz:.2f} Hz, {100 * lost:.2f} % lost",
-        limit=limit,
-    )
+    is_other = asked_hz is not None and abs(rate_hz / asked_hz - 1.0) > limits.max_frame_rate_error
+    ok = not is_other and lost <= limits.max_dropped_fraction
+    wrong = "frames are being lost", "close other programs; use another port or cable"
+    if is_other:
+        wrong = f"{asked_hz:g} Hz was requested", "exposure too long, or the bus too slow"
+    return judged("frame rate", ok, wrong, f"{rate_hz:.2f} Hz, {100 * lost:.2f} % lost", limit)
 
 
 def disk(
@@ -166,15 +125,9 @@ def disk(
 ) -> Verdict:
     """Check the free space for the longest run allowed; `windows`: raw pixels are recorded too."""
     need = bytes_per_frame * rate_hz * duration_s
-    ok = free_bytes >= need
-    return Verdict(
-        "disk space",
-        ok,
-        "" if ok else "a run of full length does not fit",
-        "" if ok else f"free space, or another -o{', or record.windows = false' if windows else ''}",
-        measured=f"{_room(free_bytes)} free",
-        limit=f"{_room(need)} for {duration_s:g} s",
-    )
+    remedy = f"free space, or another -o{', or record.windows = false' if windows else ''}"
+    wrong, limit = ("a run of full length does not fit", remedy), f"{_room(need)} for {duration_s:g} s"
+    return judged("disk space", free_bytes >= need, wrong, f"{_room(free_bytes)} free", limit)
 
 
 def _room(size_bytes: float) -> str:
@@ -193,7 +146,7 @@ def check_look(
     """All checks that are made from some seconds of frames."""
     limits, at = config.preflight, look.deflections
     span_s = max(float(at.times_s[-1]), 1e-9) if len(at) else 1.0
-    rate_hz = len(look.frames) / span_s
+    rate_hz, longest_s = len(look.frames) / span_s, config.session.max_duration_s
     bytes_per_frame = _SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
     bytes_per_frame += look.frames[0].image.nbytes / (config.record.full_frame_interval_s * rate_hz)
     return [
@@ -215,13 +168,7 @@ def check_look(
         ground(look, config.pendulum, limits),
         frame_rate(look.frames, config.camera.frame_rate_hz, limits),
         clock(look.frames, limits, on_demand=config.on_demand),
-        disk(
-            free_bytes,
-            bytes_per_frame,
-            rate_hz,
-            config.session.max_duration_s,
-            windows=config.record.windows,
-        ),
+        disk(free_bytes, bytes_per_frame, rate_hz, longest_s, windows=config.record.windows),
     ]
 
 
@@ -247,58 +194,36 @@ def air(
     if not expected:
         return Verdict("environment", True, measured="no sensor is configured", limit=limit, made=False)
     if math.isnan(temperature_c) and optional and not asks_humidity:
-        reason, remedy = (
-            "the controller has none, or it is silent",
-            "plug a BME280 in, or state [environment]",
-        )
+        reason = "the controller has none, or it is silent"
+        remedy = "plug a BME280 in, or state [environment]"
         return Verdict("environment", True, reason, remedy, measured="no reading", limit=limit)
     if math.isnan(temperature_c):
-        return Verdict(
-            "environment", False, "the sensor is silent", "see rig doctor", measured="no reading", limit=limit
-        )
+        return judged("environment", False, ("the sensor is silent", "see rig doctor"), "no reading", limit)
     words = f"{temperature_c:.1f} °C, {humidity_percent:.0f} %, {pressure_pa / 100:.0f} hPa"
     if asks_humidity and math.isnan(humidity_percent):
-        reason, remedy = "it does not report humidity", "a sensor that does, or no limits of it"
-        return Verdict("environment", False, reason, remedy, measured=words, limit=limit)
+        wrong = "it does not report humidity", "a sensor that does, or no limits of it"
+        return judged("environment", False, wrong, words, limit)
     ok = limits.min_temperature_c <= temperature_c <= limits.max_temperature_c
     ok = ok and (not asks_humidity or damp[0] <= humidity_percent <= damp[1])
-    return Verdict(
-        "environment",
-        ok,
-        "" if ok else "out of range",
-        "" if ok else "wait, or widen",
-        measured=words,
-        limit=limit,
-    )
+    return judged("environment", ok, ("out of range", "wait, or widen"), words, limit)
 
 
 def controller(now: DevicesNow, wanted: bool) -> Verdict:
     """Check that the controller answers and its interlock is closed."""
     if not wanted:
         return Verdict("controller", True, measured="none is configured", limit="answers", made=False)
-    ok = now.interlock_closed
-    return Verdict(
-        "controller",
-        ok,
-        "" if ok else "it does not answer, or its interlock is open",
-        "" if ok else "see rig doctor; close the cover",
-        measured=now.text,
-        limit="answers, interlock closed",
-    )
+    wrong = "it does not answer, or its interlock is open", "see rig doctor; close the cover"
+    return judged("controller", now.interlock_closed, wrong, now.text, "answers, interlock closed")
 
 
 def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
     """Check that the laser is on; warns if only this program can switch it off."""
     if now is None:
         return Verdict("laser", True, measured="none is configured", limit="lit", made=False)
-    if not now.on:
-        remedy = "run rig doctor; close the interlock, turn its key"
-        return Verdict(
-            "laser", False, "there is no light for the measurement", remedy, measured=now.text, limit="lit"
-        )
-    if goes_dark_by_itself:
-        return Verdict("laser", True, measured=now.text, limit="lit")
-    return Verdict("laser", True, STAYS_LIT, WIRE_IT, measured=now.text, limit="lit")
+    if now.on and not goes_dark_by_itself:
+        return Verdict("laser", True, STAYS_LIT, WIRE_IT, measured=now.text, limit="lit")
+    wrong = "there is no light for the measurement", "run rig doctor; close the interlock, turn its key"
+    return judged("laser", now.on, wrong, now.text, "lit")
 
 
 def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool = False) -> Verdict:
@@ -320,24 +245,13 @@ def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool
         return Verdict("shutter", True, measured=f"rolling, {row_us} µs a row", limit=limit)
     if across < _ALONG_ROWS:
         return Verdict("shutter", True, measured="rolling, the slow axis lies along the rows", limit=limit)
-    return Verdict(
-        "shutter",
-        True,
-        "each row is exposed at its own time: half-periods differ, [shutter] does not say by how much",
-        "turn the camera so that the slow axis lies along the rows, or set a global reset, or rig calibrate "
-        "shutter",
-        measured="rolling, row time unknown",
-        limit=limit,
-    )
+    reason = "each row is exposed at its own time: half-periods differ, [shutter] does not say by how much"
+    remedy = "turn the camera so that the slow axis lies along the rows, or set a global reset, "
+    remedy += "or rig calibrate shutter"
+    return Verdict("shutter", True, reason, remedy, measured="rolling, row time unknown", limit=limit)
 
 
 def camera(driver: str, notes: Sequence[str]) -> Verdict:
     """Check that the camera accepted the requested settings."""
-    return Verdict(
-        "camera",
-        not notes,
-        "; ".join(notes),
-        "request only what the camera supports" if notes else "",
-        measured=driver,
-        limit="settings as requested",
-    )
+    wrong = "; ".join(notes), "request only what the camera supports"
+    return judged("camera", not notes, wrong, driver, "settings as requested")

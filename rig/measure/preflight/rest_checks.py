@@ -39,6 +39,12 @@ class TrialFrames:
     references: Sequence[Spot] = ()
 
 
+def judged(name: str, ok: bool, wrong: tuple[str, str], measured: str, limit: str) -> Verdict:
+    """A verdict; `wrong` is the reason and the remedy where it is not ok."""
+    reason, remedy = ("", "") if ok else wrong
+    return Verdict(name, ok, reason, remedy, measured=measured, limit=limit)
+
+
 def noise_and_vibration(
     x: Stability | None, y: Stability | None, unit: DeflectionUnit, limits: PreflightSettings
 ) -> list[Verdict]:
@@ -51,29 +57,15 @@ def noise_and_vibration(
     lines = sorted([*x.lines, *y.lines], key=lambda line: -line.amplitude)
     strongest = lines[0].amplitude / unit.shown_size if lines else 0.0
     named = f" ({lines[0].name})" if lines and lines[0].name else ""
-    words = (
-        f"{strongest:.3f} {unit.shown} at {lines[0].frequency_hz:.1f} Hz{named}"
-        if lines
-        else "none stands out"
-    )
-    quiet, still = noise <= limits.max_noise_arcsec, strongest <= limits.max_vibration_arcsec
+    words = "none stands out"
+    if lines:
+        words = f"{strongest:.3f} {unit.shown} at {lines[0].frequency_hz:.1f} Hz{named}"
+    noisy = "the spot is too noisy", "more light, a smaller gain; shield the beam from air"
+    shakes = "the base shakes", "find what runs at this frequency; decouple the table"
+    measured, quiet = f"{noise:.4f} {unit.shown} a frame", noise <= limits.max_noise_arcsec
     verdicts = [
-        Verdict(
-            "noise floor",
-            quiet,
-            "" if quiet else "the spot is too noisy",
-            "" if quiet else "more light, a smaller gain; shield the beam from air",
-            measured=f"{noise:.4f} {unit.shown} a frame",
-            limit=noise_limit,
-        ),
-        Verdict(
-            "vibration",
-            still,
-            "" if still else "the base shakes",
-            "" if still else "find what runs at this frequency; decouple the table",
-            measured=words,
-            limit=line_limit,
-        ),
+        judged("noise floor", quiet, noisy, measured, noise_limit),
+        judged("vibration", strongest <= limits.max_vibration_arcsec, shakes, words, line_limit),
     ]
     return [_against_arcsec(verdict, unit) for verdict in verdicts]
 
@@ -97,24 +89,16 @@ def ground(
         reason = f"{error}{longer(at)}"
         if most is None:
             return Verdict("ground", True, reason, measured="not measured", made=False)
-        return Verdict(
-            "ground", False, str(error), longer(at).removeprefix("; "), measured="not measured", limit=limit
-        )
+        wrong = str(error), longer(at).removeprefix("; ")
+        return judged("ground", False, wrong, "not measured", limit)
     of_angle = pendulum if at.unit is DeflectionUnit.RAD else None
     base = base_motion(found.density, found.upper_95, found.period_s, of_angle)
     words = drive_text(found.density, found.upper_95, base, seen=found.density.value > 0, unit=at.unit)
     words = f"{words}, in {at.times_s[-1]:.0f} s"
     if most is None:
         return Verdict("ground", True, measured=words)
-    quiet = found.density.value <= most
-    verdict = Verdict(
-        "ground",
-        quiet,
-        "" if quiet else "it moves too much",
-        "" if quiet else "wait for a quieter hour, or allow more",
-        measured=words,
-        limit=limit,
-    )
+    wrong = "it moves too much", "wait for a quieter hour, or allow more"
+    verdict = judged("ground", found.density.value <= most, wrong, words, limit)
     return verdict if at.unit is DeflectionUnit.RAD else replace(verdict, ok=True, reason=NO_LEVER, remedy="")
 
 
@@ -130,24 +114,14 @@ def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
     if not look.resting:
         return not_at_rest("rest position", limit)
     if not at.found.any():
-        return Verdict(
-            "rest position",
-            False,
-            "nothing to measure",
-            "find the spot first",
-            measured="no spot",
-            limit=limit,
-        )
+        wrong = "nothing to measure", "find the spot first"
+        return judged("rest position", False, wrong, "no spot", limit)
     x, y = np.nanmedian(at.shown_x), np.nanmedian(at.shown_y)
+    remedy = "rig balance says which weight to turn; or move the camera"
+    wrong = "the swing will not be centred on the sensor", remedy
+    measured = f"X {decimals(x, 1, sign=True)}, Y {decimals(y, 1, sign=True)} {at.unit.shown}"
     ok = math.hypot(x, y) <= limits.max_rest_offset_arcsec
-    verdict = Verdict(
-        "rest position",
-        ok,
-        "" if ok else "the swing will not be centred on the sensor",
-        "" if ok else "rig balance says which weight to turn; or move the camera",
-        measured=f"X {decimals(x, 1, sign=True)}, Y {decimals(y, 1, sign=True)} {at.unit.shown}",
-        limit=limit,
-    )
+    verdict = judged("rest position", ok, wrong, measured, limit)
     return _against_arcsec(verdict, at.unit)
 
 
@@ -175,14 +149,8 @@ def stillness(look: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
 
 
 def _too_few_spots(name: str, limit: str) -> Verdict:
-    return Verdict(
-        name,
-        False,
-        "too few frames with a spot to judge by",
-        "raise preflight.duration_s; find the spot",
-        measured="not measured",
-        limit=limit,
-    )
+    wrong = "too few frames with a spot to judge by", "raise preflight.duration_s; find the spot"
+    return judged(name, False, wrong, "not measured", limit)
 
 
 def not_at_rest(name: str, limit: str) -> Verdict:

@@ -20,7 +20,7 @@ from processing.spot import Spot, SpotFlag
 from processing.units import seconds
 from rig.analysis import taken
 from rig.control import SeismometerSettings
-from rig.measure.preflight.rest_checks import TrialFrames, longer, not_at_rest
+from rig.measure.preflight.rest_checks import TrialFrames, judged, longer, not_at_rest
 from rig.presentation import Verdict, percent, plain, with_uncertainty
 from rig.settings import PreflightSettings, ReferenceSettings
 
@@ -47,8 +47,7 @@ def witness(
     if problem is None:
         return Verdict("witness", True, measured="none is configured", limit=_COMES, made=False)
     if problem:
-        remedy = "see [witness]: its port, rate and columns"
-        return Verdict("witness", False, problem, remedy, measured=kind, limit=_COMES)
+        return judged("witness", False, (problem, "see [witness]: its port, rate and columns"), kind, _COMES)
     if len(samples) < _FEWEST:
         return _alive(
             f"{len(samples)} samples are too few to predict its benefit{longer(look.deflections)}", kind
@@ -56,8 +55,7 @@ def witness(
     value = np.array([[getattr(one, name) for name in _VALUES[: len(names)]] for one in samples])
     if dead := [name for name, one in zip(names, value.T, strict=True) if not np.ptp(one) > 0]:
         reason = f"{', '.join(dead)}: constant over {len(samples)} samples: dead, or its scale is wrong"
-        remedy = "check its power, cable and range"
-        return Verdict("witness", False, reason, remedy, measured=kind, limit=_COMES)
+        return judged("witness", False, (reason, "check its power, cable and range"), kind, _COMES)
     if not look.resting:
         return not_at_rest("witness", _COMES)
     at = look.deflections
@@ -107,22 +105,13 @@ def _gives(found: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
         if not ground_seen:
             hidden = "the ground does not exceed the noise of the spot, so its benefit is unknown"
             return _alive(f"{hidden} ({chance})", kind)
-        return Verdict(
-            "witness",
-            True,
-            f"it does not show what moves the pendulum: {chance}",
-            "check its place, columns and clock; a fit refuses one that explains nothing",
-            measured=f"{kind}, unrelated so far",
-            limit=_COMES,
-        )
+        reason = f"it does not show what moves the pendulum: {chance}"
+        remedy = "check its place, columns and clock; a fit refuses one that explains nothing"
+        return Verdict("witness", True, reason, remedy, measured=f"{kind}, unrelated so far", limit=_COMES)
     falls = f"{plain(found.factor, 2)} ({plain(found.least, 2)} to {plain(found.most, 2)})"
-    return Verdict(
-        "witness",
-        True,
-        measured=f"{in_all}: the swing at rest would fall by {falls}, the ground's part of it by "
-        f"{plain(found.least, 2)} at least",
-        limit=_COMES,
-    )
+    measured = f"{in_all}: the swing at rest would fall by {falls}, "
+    measured += f"the ground's part of it by {plain(found.least, 2)} at least"
+    return Verdict("witness", True, measured=measured, limit=_COMES)
 
 
 class _ReferenceAxis(NamedTuple):
@@ -147,21 +136,11 @@ def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: Prefl
     try:
         period_s = swing_at_rest(at.times_s, at.y).period_s
         ours, theirs = _places(look.spots), _places(look.references)
-        axes = [
-            _ReferenceAxis(
-                name,
-                reference_at_rest(
-                    at.times_ns,
-                    ours[axis],
-                    ours[2 + axis],
-                    theirs[axis],
-                    theirs[2 + axis],
-                    gain=stated.gain,
-                    period_s=period_s,
-                ),
-            )
-            for axis, name in enumerate("xy")
-        ]
+        axes = []
+        for axis, name in enumerate("xy"):
+            both = ours[axis], ours[2 + axis], theirs[axis], theirs[2 + axis]
+            found = reference_at_rest(at.times_ns, *both, gain=stated.gain, period_s=period_s)
+            axes.append(_ReferenceAxis(name, found))
     except DataError as error:
         return Verdict(
             "reference", True, f"{error}{longer(look.deflections)}", measured=seen, limit=limit, made=False

@@ -1,7 +1,8 @@
 """Aligning by eye: what is drawn, and what the keys do, on the simulated camera."""
 
 import io
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -17,7 +18,7 @@ from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_l
 from rig.devices.picture import figures
 from rig.instrument import camera_settings, make_camera
 from rig.presentation import palette
-from rig.presentation.quantities import Keys
+from rig.presentation.quantities import KeyParser, Keys
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
 
@@ -127,12 +128,14 @@ def test_a_spot_off_the_crosshair_is_a_matter_where_it_has_no_room() -> None:
 
 def test_words_say_where_the_spot_is_and_what_is_wrong() -> None:
     light, place, shape, _ = look_at(spot_at(100.0, 250.0, 400.0)).lines()
-    assert "SATURATED" in light
-    assert "from the crosshair −49.5, +50.5 px" in place
+    assert re.search(r"saturated \d+ px", light)
+    assert "off the crosshair −49.5, +50.5 px" in place
     assert "nearest edge 100 px" in place
     assert "saturated" in shape
-    assert "a clean spot" in look_at(spot_at(100.0, 250.0, 150.0)).lines()[2]
-    assert "no spot" in look_at(np.full(SHAPE, 10, dtype=np.uint8)).lines()
+    light, place, shape, _ = look_at(spot_at(100.0, 250.0, 150.0)).lines()
+    assert "saturated none" in light
+    assert "a clean spot" in shape
+    assert look_at(np.full(SHAPE, 10, dtype=np.uint8)).lines()[1] == "spot none found"
 
 
 def test_half_blocks_hold_two_pixels_each() -> None:
@@ -185,3 +188,17 @@ def test_keys_set_the_camera_and_save_pictures(tmp_path: Path, printed: io.Strin
     assert ("▀" in said) is terminal
     assert "exposure 156.25 µs" in said
     assert "align-1.png saved" in said
+
+
+@pytest.mark.parametrize("pieces", [lambda data: [data], lambda data: [bytes([byte]) for byte in data]])
+def test_keys_are_the_same_in_one_piece_and_in_many(pieces: Callable[[bytes], list[bytes]]) -> None:
+    parser = KeyParser()
+    keys = [key for piece in pieces(b"n \x1b[C\x1b[1;5C\x1bOCg1\r\x7f\x1bq") for key in parser.feed(piece)]
+    assert keys == ["n", "space", "right", "right", "g", "1", "enter", "backspace", "escape", "q"]
+
+
+def test_an_escape_that_stands_alone_is_a_key() -> None:
+    parser = KeyParser()
+    assert parser.feed(b"\x1b") == []
+    assert parser.flush() == ["escape"]
+    assert parser.flush() == []

@@ -84,13 +84,12 @@ def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: Ord
 
 def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: OrderConnection) -> None:
     told.look(*block(1))
-    assert told.pictures == 0
     assert line.picture() is None
     told.look(*block(2))
     told.look(*block(3))
     picture = line.picture()
     assert picture is not None
-    assert told.pictures == 1
+    assert picture.number == 1
     np.testing.assert_array_equal(picture.image, np.full((6, 8), 2, np.uint8))
     assert picture.spot == SPOT
     assert picture.reference is None

@@ -41,7 +41,7 @@ ASKS = {
     ("desk/aligner.py", "_lit"),
     ("devices/acknowledgement.py", "_light"),
     ("measure/plain_record.py", "preflight_rig"),
-    ("measure/run_setup.py", "_execute"),
+    ("measure/run.py", "_execute"),
     ("measure/session_orders.py", "relight"),
 }
 SWITCHES = {
@@ -187,7 +187,7 @@ WALKS: dict[tuple[str, str], tuple[Callable[[Configuration, Path], None], ...]] 
     ("balance/balancing.py", "look"): (balance,),
     ("devices/acknowledgement.py", "_light"): (typed,),
     ("measure/plain_record.py", "preflight_rig"): (preflight,),
-    ("measure/run_setup.py", "_execute"): (run, calibrate),
+    ("measure/run.py", "_execute"): (run, calibrate),
     ("measure/session_orders.py", "relight"): (ordered,),
 }
 

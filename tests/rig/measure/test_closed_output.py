@@ -4,10 +4,15 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from rig.devices import SessionNews
+from rig.measure import measure_session, screen
+from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, QUICK, set_words
 
 NOHUP = (
@@ -45,3 +50,24 @@ def test_a_session_without_anybody_to_read_its_output_is_complete(tmp_path: Path
     assert entry["state"] == "complete"
     assert (tmp_path / "out" / "results.json").exists()
     assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_who_watches_is_told_on_when_the_terminal_was_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phases: list[str] = []
+    usual = SessionNews.state
+
+    def state(news: SessionNews, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
+        phases.append(values["phase"])
+        usual(news, values, rows)
+
+    def closed(*_: object, **__: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(SessionNews, "state", state)
+    monkeypatch.setattr(screen, "say", closed)
+    values = {**QUICK, "session.max_duration_s": "3"}
+    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in values.items()])
+    measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
+    assert phases[-1] == "done"

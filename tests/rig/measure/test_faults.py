@@ -10,18 +10,13 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.swing import HalfCycleFlag
-from tests.rig.command_line import CONFIGS, QUICK, Done, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, Done, events_of, rig, set_words
 
 
 def run_with(folder: Path, **faults: str) -> Done:
     values = {key.replace("__", "."): value for key, value in faults.items()}
     words = set_words({**QUICK, "session.max_duration_s": "60", **values})
     return rig("run", CONFIGS / "demo.toml", "-o", folder, *words)
-
-
-def events_of(record: Path) -> list[tuple[str, str]]:
-    with RecordReader(record) as reader:
-        return [(event.kind, event.text) for event in reader.events()]
 
 
 @pytest.mark.slow

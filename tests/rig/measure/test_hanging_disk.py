@@ -17,7 +17,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from rig.instrument import Block
 from rig.measure import recorder as module
-from rig.measure.recorder import Entry, Recorder, SpotWindow
+from rig.measure.recorder import Entry, Recorder
 from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 from tests.waiting import until
@@ -40,8 +40,7 @@ def entry_of(frame: Frame) -> Entry:
     one = np.ones(1)
     spot = Spot(*[1.0] * 10, flags=0)
     block = Block([spot], Deflections(times, one, one, one, one, DeflectionUnit.RAD), [], [])
-    window = SpotWindow(frame.image, 0, 0)
-    return Entry(numbers, times.tolist(), times.tolist(), block, [window])
+    return Entry(numbers, times.tolist(), times.tolist(), block, [(frame.image, 0, 0)])
 
 
 def frame(number: int) -> Frame:

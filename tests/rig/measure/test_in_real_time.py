@@ -8,14 +8,9 @@ import pytest
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from processing.units import ARCSEC_RAD
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, events_of, rig, set_words
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
-
-
-def events_of(record: Path) -> list[tuple[str, str]]:
-    with RecordReader(record) as reader:
-        return [(event.kind, event.text) for event in reader.events()]
 
 
 MAGNET = {

@@ -13,6 +13,7 @@ from rig.measure.end_of_run import HELD_FITS, EndLimits, EndOfRun
 from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
+from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.rig.view.rrd_contents import column
 
@@ -59,7 +60,6 @@ def test_a_session_ends_by_what_it_knows_and_says_so(tmp_path: Path) -> None:
         **SMALL,
         "camera.frame_rate_hz": "25",
         "session.stop_when": '["u(p)/p < 0.9"]',
-        "view.file": "true",
     }
     source, folder = CONFIGS / "demo.toml", tmp_path / "out"
     config = load_configuration(source, [f"{key}={value}" for key, value in wanted.items()])
@@ -71,6 +71,7 @@ def test_a_session_ends_by_what_it_knows_and_says_so(tmp_path: Path) -> None:
     assert 46 <= run["half_cycles"] <= 48
     with RecordReader(folder / "run-1.mcap") as reader:
         assert reader.events()[-1].text == run["ended"]
+    write_rrd([folder / "run-1.mcap"], folder / "run-1.rrd")
     _, shown = column(folder / "run-1.rrd", "/parameters/period0_s", "Measurements:values")
     assert shown[0][0] == pytest.approx(4.071, rel=0.02)
 

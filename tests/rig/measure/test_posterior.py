@@ -67,7 +67,7 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(in_step: LivePosteri
     assert sorted({one.half_cycles for one in known} - {0}) == counts
     last = known[-1]
     cut = fit_exact(turning_points(measured[: last.half_cycles]), PENDULUM)
-    assert tuple(last.estimates) == in_step.parameters == cut.contact_names
+    assert tuple(last.estimates) == cut.contact_names
     for name, (value, u) in last.estimates.items():
         assert u == pytest.approx(cut.estimate(name).standard_uncertainty, rel=0.02)
         assert value == pytest.approx(cut.estimate(name).value, abs=0.02 * u)

@@ -13,10 +13,10 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, events_of, rig, set_words
 
 BY_HAND = {
-    **SMALL,
+    **QUICK,
     "start.way": '"by hand"',
     "simulation.release.at_s": "7.0",
     "simulation.release.way": '"push"',
@@ -31,11 +31,6 @@ BY_HAND = {
 
 def words(**changes: str) -> list[str]:
     return set_words({**BY_HAND, **{key.replace("__", "."): value for key, value in changes.items()}})
-
-
-def events_of(path: Path) -> list[tuple[str, str]]:
-    with RecordReader(path) as reader:
-        return [(event.kind, event.text) for event in reader.events()]
 
 
 def state_of(folder: Path) -> dict[str, Any]:

@@ -79,7 +79,7 @@ def test_a_record_that_came_to_its_end_is_complete(ended: Path) -> None:
 def test_a_disk_without_room_is_said_in_one_line_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.measure.run_setup.LEAST_FREE_BYTES", 1 << 62)
+    monkeypatch.setattr("rig.measure.run.LEAST_FREE_BYTES", 1 << 62)
     done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out")
     assert done.returncode == 2 or done.returncode == 1
     assert done.stderr.count("\n") == 1

@@ -4,24 +4,19 @@ import math
 
 import pytest
 
-from calibration.axes_fit import Axes
+from calibration import deflection_unit
 from calibration.light_lever import Lever
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
-from processing.spot import SensorModel
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
-from rig.instrument import Optics
-from rig.measure.session_orders import StartJudge, start_limits
+from rig.measure.session_orders import StartJudge
 from rig.settings import Configuration
 
 
 def judge(lever: Lever | None) -> StartJudge:
-    return StartJudge(
-        start_limits(
-            Configuration(camera={"driver": "simulated"}), Optics(SensorModel(1.0, 5.0, 255.0), lever, Axes())
-        )
-    )
+    config = Configuration(camera={"driver": "simulated"})
+    return StartJudge(config, deflection_unit(lever))
 
 
 def swings(amplitude: float) -> list[HalfCycle]:

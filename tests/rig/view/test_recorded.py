@@ -10,6 +10,7 @@ import pytest
 
 from acquisition.camera import Frame
 from acquisition.record.events import WARNING_KINDS
+from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from processing.balance import Balance
 from processing.deflections import Deflections, DeflectionUnit
@@ -17,7 +18,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
-from rig.view.show import run_names, show_records, write_rrd
+from rig.view.show import run_names, setup_of, show_records, write_rrd
 from tests.rig.view import scene as view_scene
 from tests.rig.view.rrd_contents import column, entities, measured, scalars
 
@@ -90,6 +91,16 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     # of a frame half as large; the cross' arms are symmetric about the spot, half a pixel further in Rerun's
     # coordinates
     assert np.mean(np.array(crosses[0]).reshape(-1, 2), axis=0) == pytest.approx([210.5, 80.5], abs=1e-3)
+
+
+def test_what_is_drawn_of_a_record_does_not_depend_on_how_much_was_there_at_first(tmp_path: Path) -> None:
+    data = make_record(tmp_path / "run.mcap").read_bytes()
+    (tmp_path / "begun").mkdir()
+    begun = tmp_path / "begun" / "run.mcap"
+    begun.write_bytes(data[: len(data) // 3])
+    with RecordReader(begun) as early, RecordReader(tmp_path / "run.mcap") as late:
+        assert len(early.spots()) < len(late.spots())
+        assert setup_of([early], [""], "measuring") == setup_of([late], [""], "measuring")
 
 
 def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path) -> None:

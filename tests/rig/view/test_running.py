@@ -19,7 +19,7 @@ from rig.terminal import LOOPBACK, start_python
 from rig.view import RunningView, replay_record
 from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, rig, set_words
-from tests.rig.view.rrd_contents import contents, scalars
+from tests.rig.view.rrd_contents import column, contents, scalars
 from tests.rig.view.test_recorded import make_record
 from tests.waiting import until
 
@@ -53,6 +53,8 @@ def test_what_is_shown_live_is_what_is_shown_afterwards(live: Path, tmp_path: Pa
     assert first.keys() == again.keys()
     differing = {key for key in first if first[key] != again[key]}
     assert differing == {("/__properties", "RecordingInfo:start_time")}
+    (last_state,) = column(live / "run-1.rrd", "/state", "TextDocument:text")[1][-1]
+    assert last_state.startswith("**done**: time limit of")
 
 
 def test_a_replay_shows_the_same_curves(live: Path, tmp_path: Path) -> None:
