@@ -9,27 +9,17 @@ from pathlib import Path
 from nicegui import run, ui
 
 from rig.control import LatchedTrip
-from rig.desk.alarm_list import AlarmKey, AlarmList, AlarmRow, AlarmState
+from rig.desk.alarm_list import AlarmKey, AlarmRow, AlarmState
 from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab, at_once
 
 
 class AlarmBar:
-    """Shows the list; `ask_leave` opens the dialog of a trip, whose acknowledgement is given there only.
+    """Shows the list; `ask_leave` opens the dialog of a trip, whose acknowledgement is given there only."""
 
-    `resumable` is the session whose missing runs can be made, `ask_resume` opens the dialog of that.
-    """
-
-    def __init__(
-        self,
-        alarms: AlarmList,
-        tab: Tab,
-        ask_leave: Callable[[], None],
-        resumable: Callable[[], Path | None],
-        ask_resume: Callable[[Path], None],
-    ) -> None:
-        self._alarms, self._tab, self._ask_leave = alarms, tab, ask_leave
-        self._resumable, self._ask_resume = resumable, ask_resume
+    def __init__(self, desk: Desk, tab: Tab, ask_leave: Callable[[], None]) -> None:
+        self._alarms, self._tab, self._ask_leave = desk.alarming.alarms, tab, ask_leave
+        self._resumable, self._ask_resume = desk.resumable, resume_dialog(desk, tab)
         self._shown: object = None
         self._banner = ui.element("div").classes("alarm").props('role="alert" aria-live="assertive"')
         with self._banner:

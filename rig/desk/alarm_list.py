@@ -47,6 +47,10 @@ class AlarmKey(StrEnum):
     DESK_LOST = "the desk does not answer"
 
 
+RaisedAlarm = tuple[AlarmKey, str]
+"""An alarm and its cause; one that is empty is the catalogue's."""
+
+
 @dataclass(frozen=True, slots=True)
 class Alarm:
     """What is known of an alarm before it is raised.
@@ -242,7 +246,7 @@ class AlarmList:
         self._since_s: dict[AlarmKey, float] = {}
         self._lock = threading.Lock()
 
-    def see(self, conditions: Mapping[AlarmKey, str], happened: Iterable[tuple[AlarmKey, str]] = ()) -> None:
+    def see(self, conditions: Mapping[AlarmKey, str], happened: Iterable[RaisedAlarm] = ()) -> None:
         """What holds at this moment, each with its cause, and what has happened since the last call.
 
         A cause that is empty is the catalogue's.

@@ -6,14 +6,13 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from acquisition.record.events import EventKind, Severity, level_of
 from processing.errors import RigError
 from rig.control import STALE_S, ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
-from rig.desk.alarm_list import AlarmKey, AlarmList
+from rig.desk.alarm_list import AlarmKey, AlarmList, RaisedAlarm
 from rig.instrument import Phase
 from rig.measure import LEAST_FREE_BYTES, read_session, state_of
 
@@ -40,23 +39,6 @@ _CONDITIONS: Final = frozenset({EventKind.STOPPED, EventKind.SPOT_LOST, EventKin
 _OF_DARKNESS: Final = frozenset({EventKind.LIGHT_STEP, EventKind.REST_STEP, EventKind.PUSH})
 _UNDER_TRIP: Final = frozenset({AlarmKey.LASER_DARK, AlarmKey.SPOT, AlarmKey.BALANCE})
 """What frames without light look like; `_OF_DARKNESS` are events of the same."""
-
-
-class HowEnded(StrEnum):
-    """How a session that was followed has ended."""
-
-    DIED = "died"
-    FAILED = "failed"
-    REGULARLY = "regularly"
-
-
-@dataclass(frozen=True, slots=True)
-class EndedSession:
-    """A session that has just ended, by the name of its folder, and why."""
-
-    name: str
-    how: HowEnded
-    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,29 +75,22 @@ def conditions(seen: Seen) -> dict[AlarmKey, str]:
 
 
 def happened(
-    events: Sequence[Mapping[str, Any]], ended: EndedSession | None, trip: LatchedTrip | None = None
-) -> list[tuple[AlarmKey, str]]:
+    events: Sequence[Mapping[str, Any]], ends: Sequence[RaisedAlarm], trip: LatchedTrip | None = None
+) -> list[RaisedAlarm]:
     """Alarms of a session's new events that are warnings, and of its end; none of what follows from a `trip`.
 
     A session that ends because somebody has pressed LIGHT OFF has not failed.
     """
-    is_own = trip is not None and _is_own(trip)
     passed_over = _CONDITIONS if trip is None else _CONDITIONS | _OF_DARKNESS
     found = []
     for event in events:
         kind, text = str(event["kind"]), str(event["text"])
         if kind in _OWN:
-            if not (is_own and kind == EventKind.FAILED):
-                found.append((_OWN[kind], text))
+            found.append((_OWN[kind], text))
         elif level_of(kind) is Severity.WARNING and kind not in passed_over:
             found.append((AlarmKey.DISTURBED, f"{kind}: {text}"))
-    if ended is not None and ended.how is HowEnded.FAILED and is_own:
-        return found
-    if ended is not None and ended.how is HowEnded.DIED:
-        found.append((AlarmKey.SESSION_DIED, f"{ended.name}: {ended.reason or 'killed, or crashed'}"))
-    if ended is not None and ended.how is HowEnded.FAILED:
-        found.append((AlarmKey.SESSION_FAILED, f"{ended.name}: {ended.reason}"))
-    return found
+    is_own = trip is not None and _is_own(trip)
+    return [one for one in (*found, *ends) if not (is_own and one[0] is AlarmKey.SESSION_FAILED)]
 
 
 def _is_own(trip: LatchedTrip) -> bool:
@@ -123,7 +98,7 @@ def _is_own(trip: LatchedTrip) -> bool:
     return trip.cause is TripCause.PERSON
 
 
-def _of_light(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+def _of_light(seen: Seen) -> Iterator[RaisedAlarm]:
     safety = seen.safety
     if safety.trip is not None and not _is_own(safety.trip):
         yield AlarmKey.TRIP, safety.trip.text
@@ -144,7 +119,7 @@ def _silence(safety: SafetyNow) -> str:
     return "nothing was heard of for more than 2 s"
 
 
-def _of_session(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+def _of_session(seen: Seen) -> Iterator[RaisedAlarm]:
     news = seen.news
     if not news:
         return
@@ -175,7 +150,7 @@ def _of_session(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
     yield from _of_forecast(state)
 
 
-def _of_frames(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
+def _of_frames(seen: Seen) -> Iterator[RaisedAlarm]:
     news = seen.news
     rate_hz = ((news.get("camera") or {}).get("applied") or {}).get("frame_rate_hz")
     patience_s = max(_FRAMES_S, 3.0 / float(rate_hz)) if rate_hz else _FRAMES_S
@@ -188,7 +163,7 @@ def _of_frames(seen: Seen) -> Iterator[tuple[AlarmKey, str]]:
         yield AlarmKey.SPOT, ""
 
 
-def _of_forecast(state: Mapping[str, Any]) -> Iterator[tuple[AlarmKey, str]]:
+def _of_forecast(state: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
     left_s, free_bytes, rate = (
         state.get(key) for key in ("remaining_s", "disk_free_bytes", "record_bytes_per_s")
     )
@@ -244,11 +219,11 @@ class Alarming:
         events = self._new_events()
         # the end of a session is seen before the latch of a rig that ends with it
         trip, self._trip = self._desk.safety.trip or self._trip, self._desk.safety.trip
-        found = happened(events, None, trip)
+        ends = []
         while following.ended:
-            found += happened([], following.ended.popleft(), trip)
-        found += self._start_alarms(trip)
-        self.alarms.see(conditions(self._seen()), found)
+            ends.append(following.ended.popleft())
+        ends += self._start_alarms()
+        self.alarms.see(conditions(self._seen()), happened(events, ends, trip))
 
     def _seen(self) -> Seen:
         desk, following = self._desk, self._desk.following
@@ -299,7 +274,7 @@ class Alarming:
         self._heard = (following.folder, max((int(event["number"]) for event in events), default=number))
         return events
 
-    def _start_alarms(self, trip: LatchedTrip | None) -> Iterator[tuple[AlarmKey, str]]:
+    def _start_alarms(self) -> Iterator[RaisedAlarm]:
         """A session of this desk that has ended with an error before it could be followed."""
         begun = self._desk.started
         if begun is None or begun[0].poll() in (None, 0) or begun[0] is self._begun:
@@ -311,4 +286,4 @@ class Alarming:
                 return
         words = [line for line in self._desk.last_words() if line.strip()]
         reason = words[-1] if words else f"ended with {begun[0].returncode}"
-        yield from happened([], EndedSession(folder.name, HowEnded.FAILED, reason), trip)
+        yield AlarmKey.SESSION_FAILED, f"{folder.name}: {reason}"

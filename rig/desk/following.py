@@ -15,7 +15,8 @@ from pydantic import TypeAdapter
 from acquisition.record.events import Event
 from processing.errors import RigError
 from rig.control import STALE_S, DevicesNow, SafetyNow
-from rig.desk.alarming import OF_CAMERA, EndedSession, HowEnded
+from rig.desk.alarm_list import AlarmKey, RaisedAlarm
+from rig.desk.alarming import OF_CAMERA
 from rig.desk.run_reader import RecordFollower
 from rig.devices import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
 from rig.measure import RunState, read_session
@@ -79,7 +80,7 @@ class Following:
     `news` is what it said last (empty without a session), `events` its events, `folder` where it is and
     `last_folder` where the last one was; `silent` is True while it is there and does not answer; `heard_s` is
     the monotonic time of the last news, `heartbeat` tells when it last gave a sign of life. `camera_event` is
-    the last event of its camera, `ended` are the sessions that have ended under its eyes.
+    the last event of its camera, `ended` are alarms of sessions that have ended under its eyes.
     """
 
     def __init__(self, output: Path) -> None:
@@ -91,7 +92,7 @@ class Following:
         self.silent = False
         self.heard_s = -math.inf
         self.camera_event: dict[str, Any] | None = None
-        self.ended: deque[EndedSession] = deque(maxlen=8)
+        self.ended: deque[RaisedAlarm] = deque(maxlen=8)
         self.heartbeat = Heartbeat(lambda: self.folder)
         self._line: OrderConnection | None = None
         self._reader: RecordFollower | None = None
@@ -149,11 +150,6 @@ class Following:
     def safety(self) -> SafetyNow:
         """The safety state as the running session has told it."""
         return SafetyNow.told(self.news.get("safety") or {})
-
-    @property
-    def has_picture(self) -> bool:
-        """Whether the running session has shown a frame."""
-        return self.last_picture is not None
 
     def look_now(self, folder: Path | None = None) -> None:
         """Look for a session at once; `folder`: one that was just started in another place."""
@@ -234,7 +230,7 @@ class Following:
             is_busy = isinstance(why, SessionBusy) or time.monotonic() - self._silent_s < _SEARCH_S
             if not is_busy or not line.process_lives or not _is_there(line):
                 line.close()
-                self.ended.append(_how_ended(line.folder))
+                self.ended.extend(_alarms_of_end(line.folder))
                 self._line, self.folder, self.silent = None, None, False
                 self.news = {}
                 self._read("")
@@ -288,18 +284,19 @@ def doing(state: Mapping[str, Any] | None) -> str:
     return ": ".join(filter(None, (stated.get("phase"), stated.get("progress"))))
 
 
-def _how_ended(folder: Path) -> EndedSession:
-    """How a session has ended that does not answer any more: one that was killed has left its file."""
+def _alarms_of_end(folder: Path) -> list[RaisedAlarm]:
+    """Of a session that does not answer any more; none of one that has ended as it should."""
     if (folder / ORDERS_NAME).exists():
-        return EndedSession(folder.name, HowEnded.DIED)
+        # one that was killed has left its file
+        return [(AlarmKey.SESSION_DIED, f"{folder.name}: killed, or crashed")]
     try:
         entries = read_session(folder).entries
     except RigError:
         # without a record it leaves nothing
-        return EndedSession(folder.name, HowEnded.REGULARLY)
+        return []
     if entries and entries[-1].state is RunState.FAILED:
-        return EndedSession(folder.name, HowEnded.FAILED, entries[-1].reason)
-    return EndedSession(folder.name, HowEnded.REGULARLY)
+        return [(AlarmKey.SESSION_FAILED, f"{folder.name}: {entries[-1].reason}")]
+    return []
 
 
 def _is_there(line: OrderConnection) -> bool:

@@ -9,7 +9,7 @@ from nicegui import run, ui
 from nicegui.events import KeyEventArguments
 
 from rig.control import STALE_S, LatchedTrip, TripCause
-from rig.desk.alarm_bar import AlarmBar, TripDialog, keys_dialog, resume_dialog, sentence
+from rig.desk.alarm_bar import AlarmBar, TripDialog, keys_dialog, sentence
 from rig.desk.alarm_list import CATALOGUE, AlarmKey, AlarmRow
 from rig.desk.desk import Desk, StartState
 from rig.desk.following import doing
@@ -66,9 +66,8 @@ class PageHeader:
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
         asking = TripDialog(desk, tab)
-        resume = resume_dialog(desk, tab)
         with ui.element("div").classes("cries"):
-            self.alarms = AlarmBar(desk.alarming.alarms, tab, asking.ask, desk.resumable, resume)
+            self.alarms = AlarmBar(desk, tab, asking.ask)
             with ui.element("div").classes("waits") as self._waits:
                 self._why_dark = ui.label()
                 self._acknowledge = tab.button("Acknowledge …", asking.ask).props('color="negative"')
@@ -150,8 +149,7 @@ def _session_age(desk: Desk) -> dict[str, object] | None:
     if following.folder is None or not following.news:
         return None
     age_s = time.monotonic() - following.heard_s
-    at = time.strftime("%H:%M:%S", time.localtime(time.time() - age_s))
-    return {"who": f"session {following.folder.name}", "age_s": round(age_s, 2), "at": at}
+    return {"who": f"session {following.folder.name}", "age_s": round(age_s, 2)}
 
 
 def _state(desk: Desk) -> str:

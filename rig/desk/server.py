@@ -132,43 +132,36 @@ class Guard:
         return passed  # type: ignore[return-value]
 
 
-class OffSwitch:
-    """Serves while it is open; `admits` judges host, origin and cookie of who asks, `off` switches off.
+class OffSwitch(http.server.ThreadingHTTPServer):
+    """Hears LIGHT OFF on a port of its own, in threads; it writes nothing into the terminal.
 
-    `off` is given the name of the press.
+    `admits` judges host, origin and cookie of who asks, `off` switches off, and is given the press's name.
     """
-
-    def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
-        self._server = _Server(off, admits)
-        self.port = int(self._server.server_address[1])
-
-    def start(self) -> None:
-        """Begin to listen."""
-        threading.Thread(target=self._server.serve_forever, name="off switch", daemon=True).start()
-
-    def close(self) -> None:
-        """Listen no more."""
-        self._server.shutdown()
-        self._server.server_close()
-
-
-class _Server(http.server.ThreadingHTTPServer):
-    """In threads; it writes nothing into the terminal."""
 
     request_queue_size = 64
     daemon_threads = True
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Who has gone is no event."""
-
     def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
         super().__init__((LOOPBACK, 0), _Handler)
         self.off, self.admits = off, admits
+        self.port = int(self.server_address[1])
+
+    def start(self) -> None:
+        """Begin to listen."""
+        threading.Thread(target=self.serve_forever, name="off switch", daemon=True).start()
+
+    def close(self) -> None:
+        """Listen no more."""
+        self.shutdown()
+        self.server_close()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Who has gone is no event."""
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
     timeout = 10.0
-    server: _Server
+    server: OffSwitch
 
     def do_POST(self) -> None:
         host, origin, cookie = (self.headers.get(name, "") for name in ("Host", "Origin", "Cookie"))

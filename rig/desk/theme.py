@@ -15,6 +15,12 @@ _IN_BOTH: Final[Mapping[str, str]] = {
     "lamp-go": palette.BLUISH_GREEN,
     "lamp-caution": palette.YELLOW,
     "lamp-no": palette.VERMILLION,
+    "bar": "#000000",
+    "bar-ink": "#ffffff",
+    "bar-dim": "#bbbbbb",
+    "bar-button": "#333333",
+    "off": "#c00000",
+    "off-ink": "#ffffff",
 }
 THEMES: Final[Mapping[str, Mapping[str, str]]] = {
     "dark": {
@@ -34,12 +40,6 @@ THEMES: Final[Mapping[str, Mapping[str, str]]] = {
         "alarm": palette.VERMILLION,
         "told": palette.YELLOW,
         "on-ground": "#000000",
-        "bar": "#000000",
-        "bar-ink": "#ffffff",
-        "bar-dim": "#bbbbbb",
-        "bar-button": "#333333",
-        "off": "#c00000",
-        "off-ink": "#ffffff",
         **_IN_BOTH,
     },
     "light": {
@@ -59,12 +59,6 @@ THEMES: Final[Mapping[str, Mapping[str, str]]] = {
         "alarm": "#b03a00",
         "told": "#004f8a",
         "on-ground": "#ffffff",
-        "bar": "#000000",
-        "bar-ink": "#ffffff",
-        "bar-dim": "#bbbbbb",
-        "bar-button": "#333333",
-        "off": "#c00000",
-        "off-ink": "#ffffff",
         **_IN_BOTH,
     },
 }

@@ -1,7 +1,6 @@
 """Between sessions: how the last one went and what comes next; the form of the next one, and its fields."""
 
 import html
-from collections.abc import Mapping
 
 from nicegui import run, ui
 
@@ -14,24 +13,13 @@ from rig.measure import HandOver, RunState
 from rig.settings import SessionSettings
 
 
-def text_field(desk: Desk, key: str, label: str, value: str = "") -> ui.input:
-    """A field for text."""
-    field = ui.input(label, value=value).props(f'dense outlined data-key="{key}" aria-label="{label}"')
-    field.classes("full-width")
-    return _judged(desk, key, field)
-
-
-def number_field(desk: Desk, key: str, label: str, value: float | None) -> ui.input:
-    """A field for a number; empty means that nothing is stated."""
-    shown = "" if value is None else f"{value:.10g}"
+def setting_field(desk: Desk, key: str, label: str, value: object, *, is_number: bool = False) -> ui.input:
+    """A field for a key of the configuration, judged by its model; an empty number is not stated."""
+    shown = "" if value is None else f"{value:.10g}" if isinstance(value, int | float) else str(value)
     field = ui.input(label, value=shown).props(f'dense outlined data-key="{key}" aria-label="{label}"')
-    return _judged(desk, key, field, is_number=True)
 
-
-def _judged(desk: Desk, key: str, field: ui.input, *, is_number: bool = False) -> ui.input:
     def fault(text: str | None) -> str | None:
         typed = as_typed(text, is_number)
-        # an empty number is not stated
         return None if is_number and typed == "" else desk.fault(key, typed) or None
 
     field.validation = fault
@@ -53,12 +41,21 @@ def as_typed(text: str | None, is_number: bool) -> object:
         return text
 
 
-def stated(fields: Mapping[str, tuple[ui.input, bool]]) -> dict[str, object]:
-    """Values by key of all fields, (field, whether it is a number); an empty number is left out."""
-    values = {key: as_typed(field.value, number) for key, (field, number) in fields.items()}
-    return {key: value for key, value in values.items() if not (value == "" and fields[key][1])}
-
-
+_ASKED = {
+    "1 · What is measured": (
+        ("sample", "sample", False),
+        ("operator", "operator", False),
+        ("notes", "notes", False),
+        ("contact_history", "contact history", False),
+    ),
+    "2 · How far": (
+        ("runs", "runs", True),
+        ("initial_amplitude_arcsec", "from / arcsec", True),
+        ("final_amplitude_arcsec", "to / arcsec", True),
+        ("max_duration_s", "at most / s", True),
+    ),
+}
+"""Keys of `[session]` that the form asks for: name, label, and whether it is a number."""
 _RELEASE = {
     "at once": "the record begins with the first frame, whether the pendulum moves or not",
     "by hand": "the pendulum comes to rest and is checked; then you are asked to release it",
@@ -70,12 +67,15 @@ _RELEASE = {
 def build_form(desk: Desk, tab: Tab) -> ui.element:
     """Build it; returns the element that holds it."""
     session = desk.config.session
+    fields: dict[str, tuple[ui.input, bool]] = {}
 
     def judged() -> dict[str, object]:
         for field, _ in fields.values():
             if field.value and not field.validate():
                 raise ConfigurationError(str(field.error))
-        return stated(fields)
+        typed = {key: as_typed(field.value, is_number) for key, (field, is_number) in fields.items()}
+        # an empty number is not stated
+        return {key: value for key, value in typed.items() if value != "" or not fields[key][1]}
 
     def ask() -> None:
         found = desk.checked(judged()).session
@@ -98,24 +98,13 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
             tab.button("Start the session", start).props(f'color="positive" {DELIBERATE}')
             ui.button("Not now", on_click=begin.close).props("outline")
     with ui.element("div").classes("grid thirds") as form:
-        with ui.column().classes("box"):
-            ui.html("1 · What is measured", tag="h3", sanitize=False).classes("middle")
-            sample = text_field(desk, "session.sample", "sample", session.sample)
-            operator = text_field(desk, "session.operator", "operator", session.operator)
-            notes = text_field(desk, "session.notes", "notes", session.notes)
-            history = text_field(desk, "session.contact_history", "contact history", session.contact_history)
-        with ui.column().classes("box"):
-            ui.html("2 · How far", tag="h3", sanitize=False).classes("middle")
-            runs = number_field(desk, "session.runs", "runs", session.runs)
-            first = number_field(
-                desk, "session.initial_amplitude_arcsec", "from / arcsec", session.initial_amplitude_arcsec
-            )
-            last = number_field(
-                desk, "session.final_amplitude_arcsec", "to / arcsec", session.final_amplitude_arcsec
-            )
-            longest = number_field(desk, "session.max_duration_s", "at most / s", session.max_duration_s)
-            for field in (runs, first, last, longest):
-                field.classes("full-width")
+        for title, asked in _ASKED.items():
+            with ui.column().classes("box"):
+                ui.html(title, tag="h3", sanitize=False).classes("middle")
+                for name, label, is_number in asked:
+                    key = f"session.{name}"
+                    field = setting_field(desk, key, label, getattr(session, name), is_number=is_number)
+                    fields[key] = field.classes("full-width"), is_number
         with ui.column().classes("box"):
             ui.html("3 · Start", tag="h3", sanitize=False).classes("middle")
             ui.label(f"Release {desk.config.start.way}: {_RELEASE[desk.config.start.way]}.")
@@ -123,16 +112,6 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
             tab.button("Start …", ask).props(
                 'color="positive" size="xl" aria-label="Start … a session"'
             ).classes("full-width")
-    fields = {
-        "session.sample": (sample, False),
-        "session.operator": (operator, False),
-        "session.notes": (notes, False),
-        "session.contact_history": (history, False),
-        "session.runs": (runs, True),
-        "session.initial_amplitude_arcsec": (first, True),
-        "session.final_amplitude_arcsec": (last, True),
-        "session.max_duration_s": (longest, True),
-    }
     return form
 
 

@@ -68,7 +68,7 @@ class LivePicture:
 
 def no_frame_yet(following: Following) -> str:
     """Why a session that runs shows no frame; empty if it does."""
-    if following.has_picture:
+    if following.last_picture is not None:
         return ""
     phase = doing(following.news.get("state"))
     return f"no frame yet: {phase or 'opening devices, compiling kernels'}"

@@ -17,7 +17,7 @@ from rig.desk.aligner import EXPOSE, Aligner
 from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.following import doing
-from rig.desk.panels.between_runs import as_typed, number_field
+from rig.desk.panels.between_runs import as_typed, setting_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
 from rig.desk.tab import DELIBERATE, Handler, Tab, at_once
 from rig.presentation import Verdict
@@ -171,7 +171,7 @@ class CameraControls:
         """A row for one setting: field, Set, for the exposure Auto, and a step down and up."""
         what = label.partition(" ")[0]
         with ui.row().classes("items-center no-wrap full-width"):
-            field = number_field(self._desk, f"camera.{name}", label, None)
+            field = setting_field(self._desk, f"camera.{name}", label, None, is_number=True)
             field.props("hide-bottom-space stack-label").classes("col")
             self._fields[name] = field
             self._small("Set", partial(self._typed, name, field), f"Set {label}")

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,7 +20,10 @@ def test_a_desk_that_dies_is_said_by_the_page_which_finds_the_next_one(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
 ) -> None:
     config = desk_configuration("")
-    with desk_page(browser, config) as (desk, page):
+    # the usual port may be taken by another desk of this machine between the two
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with desk_page(browser, config, "--port", str(port)) as (desk, page):
         page.wait_text("recording nothing")
         page.ask(RECORD)
         os.kill(desk.pid, signal.SIGSTOP)

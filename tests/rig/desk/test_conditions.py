@@ -10,7 +10,7 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from acquisition.record.events import EventKind
 from rig.control import ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey
-from rig.desk.alarming import EndedSession, HowEnded, Seen, conditions, happened
+from rig.desk.alarming import Seen, conditions, happened
 from rig.instrument import Phase
 
 MEASURING = {"phase": Phase.MEASURING, "temperature_c": 20.0}
@@ -99,29 +99,22 @@ def test_a_camera_that_is_gone_is_named_with_its_own_words_until_it_is_back(back
 
 def test_events_that_are_warnings_are_alarms_with_their_own_words() -> None:
     kinds = (EventKind.GAP, EventKind.PUSH, EventKind.RECORD, EventKind.SPOT_LOST, EventKind.REST)
-    assert happened([{"kind": str(kind), "text": "so it was"} for kind in kinds], None) == [
+    assert happened([{"kind": str(kind), "text": "so it was"} for kind in kinds], []) == [
         (AlarmKey.DISTURBED, "gap: so it was"),
         (AlarmKey.DISTURBED, "push: so it was"),
         (AlarmKey.DISK_FULL, "so it was"),
     ]
 
 
-def test_how_a_session_has_ended() -> None:
-    assert happened([], EndedSession("a", HowEnded.REGULARLY)) == []
-    assert happened([], EndedSession("a", HowEnded.DIED))[0][0] is AlarmKey.SESSION_DIED
-    assert happened([], EndedSession("a", HowEnded.FAILED, "no space left on device")) == [
-        (AlarmKey.SESSION_FAILED, "a: no space left on device")
-    ]
-
-
 def test_a_run_that_somebody_has_darkened_has_neither_failed_nor_found_anything() -> None:
-    failed = EndedSession("a", HowEnded.FAILED, "the laser is dark")
+    ends = [(AlarmKey.SESSION_FAILED, "a: the laser is dark"), (AlarmKey.SESSION_DIED, "a: killed")]
     events = [
         {"kind": kind, "text": "x"} for kind in (EventKind.LIGHT_STEP, EventKind.FAILED, EventKind.RECORD)
     ]
-    assert happened(events, failed, PRESSED) == [(AlarmKey.DISK_FULL, "x")]
-    assert [key for key, _ in happened(events, failed, TRIP)] == [
+    assert happened(events, ends, PRESSED) == [(AlarmKey.DISK_FULL, "x"), ends[1]]
+    assert [key for key, _ in happened(events, ends, TRIP)] == [
         AlarmKey.SESSION_FAILED,
         AlarmKey.DISK_FULL,
         AlarmKey.SESSION_FAILED,
+        AlarmKey.SESSION_DIED,
     ]

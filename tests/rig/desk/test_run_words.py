@@ -1,6 +1,7 @@
 """What a run is said to be doing."""
 
 import re
+from typing import Any
 
 import pytest
 
@@ -8,31 +9,26 @@ from rig.desk.panels.run_words import first_fit, strip, time_left
 from rig.instrument import Phase
 from rig.measure import FIRST_HALF_CYCLES
 
-
-def steps(text: str) -> list[str]:
-    return re.findall(r"<li[^>]*>([^<]*)</li>", text)
-
-
-def test_the_present_step_is_marked_and_has_its_value_against_its_limit() -> None:
-    shown = strip({"phase": "warm-up", "progress": "3 of 5 s"}, "by hand")
-    assert steps(shown) == [
-        "devices", "rest", "warm-up: 3 of 5 s", "preflight", "release", "recording", "closing"
-    ]  # fmt: skip
-    assert re.findall(r"<li aria-current=step>([^<]*)", shown) == ["warm-up: 3 of 5 s"]
+AT_ONCE = ["devices", "preflight", "recording", "closing"]
+ALL = ["devices", "rest", "warm-up", "preflight", "release", "recording", "closing"]
 
 
-def test_a_run_that_begins_at_once_has_neither_rest_nor_release() -> None:
-    assert steps(strip({"phase": Phase.MEASURING}, "at once")) == [
-        "devices", "preflight", "recording", "closing"
-    ]  # fmt: skip
-
-
-def test_the_step_a_run_is_at_is_always_shown() -> None:
-    assert "<li aria-current=step>rest</li>" in strip({"phase": Phase.REST}, "at once")
-
-
-def test_what_has_said_nothing_yet_opens_its_devices() -> None:
-    assert "<li aria-current=step>devices</li>" in strip({}, "magnet")
+@pytest.mark.parametrize(
+    ("state", "start_way", "steps", "present"),
+    [
+        ({}, "magnet", ALL, "devices"),
+        ({"phase": Phase.MEASURING}, "at once", AT_ONCE, "recording"),
+        # what a run does counts, whatever its configuration says
+        ({"phase": Phase.REST}, "at once", ALL, "rest"),
+        ({"phase": Phase.WARM_UP, "progress": "3 of 5 s"}, "by hand", ALL, "warm-up: 3 of 5 s"),
+    ],
+)
+def test_steps_with_the_present_one_against_its_limit(
+    state: dict[str, Any], start_way: str, steps: list[str], present: str
+) -> None:
+    shown = strip(state, start_way)
+    assert re.findall(r"<li aria-current=step>([^<]*)", shown) == [present]
+    assert [text.partition(":")[0] for text in re.findall(r"<li[^>]*>([^<]*)", shown)] == steps
 
 
 @pytest.mark.parametrize(
