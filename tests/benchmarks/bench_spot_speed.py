@@ -208,12 +208,12 @@ def peers(quick: bool) -> dict[str, Any]:
 
     methods: dict[str, Callable[[NDArray[Any]], tuple[float, float]]] = {"this tracker": ours}
     result: dict[str, Any] = {}
-    for name, locate in PEERS.items():
+    for name, peer in PEERS.items():
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                locate(images[0])
-            methods[name] = locate
+                peer(images[0])
+            methods[name] = peer
         except Exception as error:  # a peer's own failure is what is reported
             result[name] = {"skipped": f"{type(error).__name__}: {error}".splitlines()[0][:120]}
     times: dict[str, list[float]] = {name: [] for name in methods}
