@@ -16,7 +16,7 @@ export PYTHONDONTWRITEBYTECODE =
 demo: $(VENV)/.installed
 	$(BIN)/rig run configs/demo.toml $(if $(wildcard runs/first/*),,-o runs/first) $(ARGS)
 
-# tests/conftest.py says how many workers `auto` is, and what runs in which.
+# tests/conftest.py says how many workers `auto` is, and which files come first.
 test: $(VENV)/.kernels
 	$(BIN)/python -m pytest -n auto --no-loadscope-reorder -m "not bench and not kernel" $(ARGS)
 
@@ -93,8 +93,8 @@ $(VENV)/.installed-test: $(VENV)/.installed constraints-test.txt
 	$(INSTALL) --requirement constraints-test.txt
 	@touch $@
 
-# Compiled before the tests, and again when a module has changed that may hold one.
-$(VENV)/.kernels: $(VENV)/.installed-test tests/compile_kernels.py $(shell find acquisition calibration processing -name '*.py')
+# Compiled before the tests, and again when a module has changed that holds one.
+$(VENV)/.kernels: $(VENV)/.installed-test tests/compile_kernels.py $(shell grep -rl --include='*.py' '^@kernel' acquisition calibration processing)
 	$(BIN)/python -m tests.compile_kernels
 	@touch $@
 

@@ -1,18 +1,18 @@
-"""Fixtures of all tests: the folder of real data, if it exists."""
+"""Order and limits of time of all tests, and fixtures that all may use."""
 
 import gc
 import os
 import sys
 import warnings
-from collections.abc import Generator, Iterable, Iterator, Set
-from functools import cache
+from collections import Counter
+from collections.abc import Generator, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
-from xdist.scheduler import LoadScopeScheduling
+from xdist.scheduler import LoadFileScheduling
 
 from tests.orphans import leave_no_orphans
 from tests.signals import heed_signals
@@ -35,80 +35,55 @@ leave_no_orphans()
 
 LONG_S = 120
 """A test that states a limit of its own of so many seconds waits for long, and begins early."""
-_SLOW_BETWEEN = 4
-"""Files that compute, between two that wait for long."""
+COMPUTING_BETWEEN = 4
+"""Files that compute, those with most slow tests first, between two that wait for long."""
 LONGER_S = {"kernel": 1500, "slow": 300, "realtime": 300}
 """Limits in s, for a busy machine, of tests that are marked so; the others have the one of pyproject.toml."""
-
-
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Two workers more than processors (`-n auto`), since what measures real time waits.
-
-    Each looks for all tests by itself, which takes it about ten seconds.
-    """
-    waits = "not realtime" not in config.option.markexpr
-    return (os.cpu_count() or 1) + 2 * waits
-
-
-class FileByFile(LoadScopeScheduling):
-    """A file's tests run in one worker, since they share fixtures; what measures real time, in one."""
-
-    def _split_scope(self, nodeid: str) -> str:
-        path = nodeid.partition("::")[0]
-        return "real time" if measures_real_time(self.config.rootpath / path) else path
-
-
 WHOLE_SESSIONS = {"measured_series", "short_session"}
 """Fixtures for which the first test that wants them may wait as long as a slow one."""
 
 
-@cache
-def measures_real_time(path: Path) -> bool:
-    """Many such tests at once would disturb each other."""
-    return "mark.realtime" in path.read_text(encoding="utf-8")
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Two workers more than processors (`-n auto`), since slow tests wait for sessions in other processes."""
+    return (os.cpu_count() or 1) + 2 * ("not slow" not in config.option.markexpr)
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> FileByFile:
-    """What pytest-xdist gives to which worker.
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileScheduling:
+    """A file's tests run in one worker, since they share fixtures."""
+    return LoadFileScheduling(config, log)
 
-    Its own groups (`--dist loadgroup`) write into a test's name, which pytest 9.2 does not let them.
-    """
-    return FileByFile(config, log)
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Without searches for garbage, of which there is hardly any: they take a seventh of the time."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Limits of time, and the order of the files."""
-    long_files = {
-        item.path for item in items for mark in item.iter_markers("timeout") if mark.args[0] >= LONG_S
-    }
+    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    real = {item.path for item in items if item.get_closest_marker("realtime")}
+    long = {item.path for item in items for mark in item.iter_markers("timeout") if mark.args[0] >= LONG_S}
     for item in items:
         limit_s = max((limit for mark, limit in LONGER_S.items() if item.get_closest_marker(mark)), default=0)
         if WHOLE_SESSIONS & set(getattr(item, "fixturenames", ())):
             limit_s = max(limit_s, LONGER_S["slow"])
         if limit_s and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(limit_s))
-    slow_files = {item.path for item in items if item.get_closest_marker("slow")}
-    places = _places(dict.fromkeys(item.path for item in items), long_files, slow_files)
+    files = dict.fromkeys(item.path for item in items)
+    waiting = iter([*real, *(path for path in files if path in long - real)])
+    computing = sorted((path for path in files if path not in real | long), key=lambda path: -slow[path])
+    # were all that wait for long begun first, the processors would wait with them
+    order: list[Path] = []
+    for place, path in enumerate(computing):
+        order += [*(islice(waiting, 1) if place % COMPUTING_BETWEEN == 0 else ()), path]
+    places = {path: place for place, path in enumerate([*order, *waiting])}
     items.sort(key=lambda item: places[item.path])
-
-
-def _places(files: Iterable[Path], long_files: Set[Path], slow_files: Set[Path]) -> dict[Path, int]:
-    """When each file's turn is: real time, then slow files with those that wait among them, then short ones.
-
-    Were all that wait for long begun first, the processors would wait with them.
-    """
-    files = list(files)
-    first = [path for path in files if measures_real_time(path)]
-    waiting = iter([path for path in files if path in long_files and path not in first])
-    others = [path for path in files if path not in long_files and path not in first]
-    others.sort(key=lambda path: path not in slow_files)
-    mixed = list(first)
-    for place, path in enumerate(others):
-        if place % _SLOW_BETWEEN == 0:
-            mixed += islice(waiting, 1)
-        mixed.append(path)
-    return {path: place for place, path in enumerate([*mixed, *waiting])}
 
 
 @pytest.hookimpl(wrapper=True)

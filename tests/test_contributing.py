@@ -30,12 +30,13 @@ def examples() -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the tree with the files of all examples, and the compiled kernels beside their sources."""
+    """A copy of the tree with the files of all examples, a session, and the compiled kernels."""
     copy = tmp_path_factory.mktemp("copy")
     for name in COPIED:
         shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("data"))
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(ROOT / name, copy)
+    shutil.copytree(ROOT / "tests" / "rig" / "data" / "samples" / "first", copy / "runs" / "first")
     for text in examples().values():
         for _, place, content in BLOCK.findall(text):
             if place:
@@ -90,7 +91,7 @@ def test_a_camera_is_found_and_delivers_frames(tree: Path) -> None:
     said = run_all(tree, "Adding a camera")
     assert "swinging_spot  Swinging spot  serial SW-1" in said["rig doctor"]
     assert "camera.frame_rate_hz = 40.0" in said["rig camera show swinging-spot.toml"]
-    assert re.search(r"/spot +8\d\d\n", said["rig record info runs/swinging-spot/run-1.mcap"])
+    assert re.search(r"/spot +8\d\d\n", said["rig record info swinging-spot.mcap"])
     tested = said["pytest tests/acquisition/cameras/test_swinging_spot.py"]
     assert re.search(r"\b1\d passed", tested), tested
 

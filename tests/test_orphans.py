@@ -64,7 +64,7 @@ def test_what_a_killed_process_has_started_ends_with_it() -> None:
 
 def test_every_test_is_guarded(tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text((ROOT / "tests" / "conftest.py").read_text(encoding="utf-8"))
-    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = realtime\n")
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = slow\n")
     (tmp_path / "test_one.py").write_text(PYTEST)
     (process,) = killed_once_it_said([sys.executable, "-m", "pytest", "-q", "-s", "-n", "0"], tmp_path)
     until(lambda: not alive(process))

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from tests.benchmarks.cases import show
 from tests.orphans import leave_no_orphans
 from tests.signals import heed_signals
 
@@ -44,6 +45,7 @@ def main() -> int:
         began_s = time.monotonic()
         try:
             results[name] = importlib.import_module(f"tests.benchmarks.bench_{name}").run(quick=quick)
+            show(results[name])
         except Exception as error:
             failed.append(name)
             results[name] = {"not measured": f"{type(error).__name__}: {error}"}

@@ -12,26 +12,30 @@ import numpy as np
 
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
-from processing.arrays import Floats
 from processing.contact.laws import PAPER
-from processing.deflections import DeflectionUnit
-from processing.errors import RigError
 from processing.fit import FitResult, fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
-from processing.swing import TurningPoints, swings_of_blocks, turning_points
-from rig.analysis import evidence_of, settled_swings
+from processing.swing import TurningPoints, turning_points
+from rig.analysis import evidence_of
 from rig.analysis.air import FittedDrag
-from rig.settings import FitSettings
 from tests.benchmarks.bench_ground import GROUND_FILE, recorded, simulated
-from tests.benchmarks.bound import bound, true_columns
-from tests.benchmarks.cases import chosen
-from tests.benchmarks.coverage import coverage, held, lines, named, rms
-from tests.processing.fit.decays import ARCSEC, paper_pair, truth
+from tests.benchmarks.cases import SEEDS_APART, each_seed, run_cases
+from tests.benchmarks.coverage import (
+    FRAMES_PER_S,
+    Floats,
+    bound,
+    coverage,
+    held,
+    in_frames,
+    named,
+    rms,
+    true_columns,
+)
+from tests.processing.fit.decays import paper_pair, truth
 from tests.processing.fit.driven import driven_path
-from tests.processing.fit.frames import seen_in_frames
 
-NOISE_ARCSEC, FRAMES_PER_S = 0.005, 25.0
+NOISE_ARCSEC = 0.005
 NAMES = PAPER.names(drag=True)
 FLAT = "glass_k8"
 
@@ -57,9 +61,8 @@ def cases() -> list[Case]:
 
 
 def path_of(case: Case, seed: int) -> Floats:
-    """Deflections in rad at every frame; no two cases share a ground."""
+    """Deflections in rad at every frame."""
     parameters, pendulum = paper_pair(FLAT, case.drag_s)
-    seed += 1000 * cases().index(case)
     if case.q is not None:
         return driven_path(parameters, pendulum, q=case.q, seed=seed, frames_per_s=FRAMES_PER_S)[2]
     settings = simulated(FLAT, recorded(seed), seed)
@@ -70,7 +73,7 @@ def path_of(case: Case, seed: int) -> Floats:
 
 
 class Fitted(NamedTuple):
-    """The fit of one decay with waveform and drag, and CPU times: of the whole, and of a fit in vacuum."""
+    """The fit of one decay with waveform and drag, and CPU times: of it, and of a fit in vacuum."""
 
     fit: FitResult
     points: TurningPoints
@@ -78,13 +81,10 @@ class Fitted(NamedTuple):
     vacuum_cpu_s: float
 
 
-def fitted(case: Case, seed: int) -> Fitted:
+def fitted(case: Case, seed: int, seeds: list[int]) -> Fitted:
     """From frames to parameters as a session does it, with nothing known of the air."""
-    path, seeds = path_of(case, seed), [seed, 78, cases().index(case)]
-    samples = seen_in_frames(path, NOISE_ARCSEC * ARCSEC, seeds, FRAMES_PER_S)
-    swings = swings_of_blocks([samples])
     pendulum = paper_pair(FLAT)[1]
-    settled = settled_swings(swings, [samples], DeflectionUnit.RAD, pendulum, FitSettings())
+    settled = in_frames(path_of(case, seed), NOISE_ARCSEC, seeds, pendulum)
     points, evidence = turning_points(settled.swings), evidence_of(FittedDrag(), settled.harmonics)
     began_s = process_time()
     again = fit_exact(points, pendulum, drag=True, evidence=evidence)
@@ -107,46 +107,29 @@ def least(found: Fitted, case: Case) -> Floats:
     return bound(model, columns, here(columns)[1])[: len(NAMES)]
 
 
-def measure(case: Case, seeds: int) -> dict[str, Any]:
+def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
     """Shares of seeds whose intervals hold the truth, and rms errors in units of u and of the bound."""
     expected = truth(paper_pair(FLAT, case.drag_s)[0], NAMES)
-    pulls, to_bound, inside, relative, ratio = [], [], [], [], []
-    failed = 0
-    for seed in range(seeds):
-        try:
-            found = fitted(case, seed)
-            at_best = least(found, case)
-        except RigError as error:
-            failed += 1
-            print(f"  seed {seed}: {error}")
-            continue
-        off = found.fit.values[: len(NAMES)] - expected
-        pulls.append(off / found.fit.standard_uncertainty[: len(NAMES)])
-        to_bound.append(off / at_best)
-        relative.append(found.fit.standard_uncertainty[0] / expected[0])
-        ratio.append(found.cpu_s / found.vacuum_cpu_s)
-        inside.append(held(found.fit, NAMES, expected))
+
+    def one(seed: int) -> tuple[Fitted, Floats]:
+        found = fitted(case, seed, [seed - first, 78, first // SEEDS_APART])
+        return found, least(found, case)
+
+    found, failed = each_seed(one, seeds, first)
+    fits = [each.fit for each, _ in found]
+    off = [fit.values[: len(NAMES)] - expected for fit in fits]
+    u = [fit.standard_uncertainty[: len(NAMES)] for fit in fits]
+    pulls, inside = np.divide(off, u), [held(fit, NAMES, expected) for fit in fits]
+    to_bound = rms(np.divide(off, [at_best for _, at_best in found])).tolist()
     return {
-        "case": case.name,
         "seeds": seeds,
         "failed": failed,
-        "relative_u_b": float(np.median(relative)),
-        "cpu_over_vacuum": float(np.median(ratio)),
-        **named(NAMES, {**coverage(pulls, inside), "rms_to_bound": rms(to_bound).tolist()}),
+        "relative_u_b": float(np.median([each[0] for each in u]) / expected[0]),
+        "cpu_over_vacuum": float(np.median([each.cpu_s / each.vacuum_cpu_s for each, _ in found])),
+        **named(NAMES, {**coverage(pulls, inside), "rms_to_bound": to_bound}),
     }
 
 
 def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values."""
-    result: dict[str, Any] = {"cases": []}
-    for case in chosen(cases(), only, lambda case: case.name):
-        found = measure(case, 3 if quick else seeds)
-        result["cases"].append(found)
-        print(
-            f"{case.name}, {found['seeds']} seeds ({found['failed']} failed), "
-            f"u(b)/b {found['relative_u_b']:.2%}, CPU time {found['cpu_over_vacuum']:.1f} of a fit in vacuum",
-            *lines(found),
-            sep="\n",
-            flush=True,
-        )
-    return result
+    return run_cases(cases(), measure, 3 if quick else seeds, only)

@@ -3,7 +3,6 @@
 Run as ``python -m tests.benchmarks calibration [--quick]``.
 """
 
-import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,15 +18,9 @@ from tests.rig.calibrate.calibrated_measurement import measure
 FRAME_RATES_HZ = (25.0, 60.0)
 
 
-def _table(title: str, rows: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+def _table(rows: Sequence[Mapping[str, float]]) -> dict[str, Any]:
     """Mean and spread of deviations in standard uncertainties, share within one."""
-    seeds = len(rows)
-    u_mean, u_inside = 1 / math.sqrt(seeds), math.sqrt(0.6827 * 0.3173 / seeds)
-    found: dict[str, Any] = {"seeds": seeds, "u_mean": u_mean, "u_inside": u_inside}
-    print(
-        f"{title:32} mean error/u  spread/u  within 1 u   "
-        f"({seeds} seeds; u of mean {u_mean:.3f}, of share {u_inside:.3f})"
-    )
+    found: dict[str, Any] = {"seeds": len(rows)}
     for name in rows[0]:
         z = np.array([row[name] for row in rows])
         found[name] = {
@@ -36,7 +29,6 @@ def _table(title: str, rows: Sequence[Mapping[str, float]]) -> dict[str, Any]:
             "within_1u": float(np.mean(np.abs(z) < 1)),
             "largest": float(np.abs(z).max()),
         }
-        print(f"  {name:30} {z.mean():+12.3f} {z.std(ddof=1):9.3f} {np.mean(np.abs(z) < 1):11.3f}")
     return found
 
 
@@ -47,7 +39,7 @@ def end_to_end(rate_hz: float, seeds: int) -> dict[str, Any]:
         for seed in range(seeds):
             found = measure(seed, Path(folder) / str(seed), rate_hz=rate_hz)
             rows.append({name: (value - truth) / u for name, (value, u, truth) in found.items()})
-    return _table(f"end to end, {rate_hz:g} frames/s", rows)
+    return _table(rows)
 
 
 def measurements(seeds: int) -> dict[str, Any]:
@@ -63,19 +55,13 @@ def ladders(seeds: int) -> dict[str, Any]:
         z = np.abs(pulls)
         found[name] = {key: of_all[0] for key, of_all in coverage(np.array(pulls)[:, None]).items()}
         found[name] |= {"beyond_3u": float(np.mean(z > 3)), "relative_u": float(np.median(relative))}
-        print(
-            f"  {name:42}" + "".join(f" {key} {value:.3g}" for key, value in found[name].items()), flush=True
-        )
     return found
 
 
 def run(quick: bool = False) -> dict[str, Any]:
     """600 and 200 seeds (40 and 12 quick)."""
-    quantities = _table("quantity", [deviations(seed) for seed in range(40 if quick else 600)])
-    of_measurements = measurements(12 if quick else 200)
-    of_ladders = ladders(40 if quick else 400)
     return {
-        "quantities": quantities,
-        "ladders": of_ladders,
-        "end_to_end": of_measurements,
+        "quantities": _table([deviations(seed) for seed in range(40 if quick else 600)]),
+        "ladders": ladders(40 if quick else 400),
+        "end_to_end": measurements(12 if quick else 200),
     }

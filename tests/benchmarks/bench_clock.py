@@ -139,26 +139,23 @@ def pointing_z(world: str, seed: int, duration_s: float) -> float:
     return (found.drift_per_s - 1e-4) / found.u_drift_per_s
 
 
-def _row(title: str, z: Array) -> dict[str, float]:
-    rms = float(np.sqrt(np.mean(z**2)))
-    inside = float(np.mean(np.abs(z) < 1))
-    print(
-        f"  {title:34} rms z {rms:6.2f}   within 1 u {inside:5.2f}   largest {np.abs(z).max():6.1f}",
-        flush=True,
-    )
-    return {"rms_z": rms, "within_1u": inside, "largest_z": float(np.abs(z).max())}
+def _row(z: Array) -> dict[str, float]:
+    return {
+        "rms_z": float(np.sqrt(np.mean(z**2))),
+        "within_1u": float(np.mean(np.abs(z) < 1)),
+        "largest_z": float(np.abs(z).max()),
+    }
 
 
 def run(quick: bool = False) -> dict[str, Any]:
     """200 seeds of 120 s and 60 of 1200 s (20 and 6 quick)."""
     found: dict[str, Any] = {}
     for duration_s, seeds in ((120.0, 20 if quick else 200), (1200.0, 6 if quick else 60)):
-        print(f"{duration_s:g} s, {seeds} seeds")
         for world in WORLDS:
             z = np.array([clock_z(world, seed, duration_s) for seed in range(seeds)])
             for name, column in (("line", z[:, 0]), ("calibration", z[:, 1])):
-                found[f"clock, {world}, {name}, {duration_s:g} s"] = _row(f"clock, {world}: {name}", column)
+                found[f"clock, {world}, {name}, {duration_s:g} s"] = _row(column)
         for world in BEAMS:
             z = np.array([pointing_z(world, seed, duration_s) for seed in range(seeds)])
-            found[f"pointing, {world}, {duration_s:g} s"] = _row(f"pointing, {world}", z)
+            found[f"pointing, {world}, {duration_s:g} s"] = _row(z)
     return found

@@ -53,7 +53,4 @@ def fits(rounds: int) -> dict[str, Any]:
 
 def run(quick: bool = False) -> dict[str, Any]:
     """All numbers; `quick` takes fewer repetitions."""
-    results = fits(2 if quick else 5)
-    for key, value in results.items():
-        print(f"  {key}: {value:.4g}")
-    return results
+    return fits(2 if quick else 5)

@@ -3,10 +3,8 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
+from processing.arrays import Floats
 from processing.damping import amplitude_at, fit_damping
 from tests.processing.test_damping import KINDS, NOISE, T, true_amplitude
 
@@ -14,7 +12,6 @@ from tests.processing.test_damping import KINDS, NOISE, T, true_amplitude
 def run(quick: bool = False) -> dict[str, Any]:
     """For each kind of damping 400 decays (`quick`: 40), at five amplitudes."""
     seeds = 40 if quick else 400
-    shown = Table("damping", "bound, % of tau", "error / bound", "covered, %", "parts right, %", "floors")
     results: dict[str, Any] = {}
     for kind, parts in KINDS.items():
         truth = true_amplitude(parts)
@@ -32,28 +29,17 @@ def run(quick: bool = False) -> dict[str, Any]:
             right += [name in found.needed for name in ("constant", "linear", "quadratic")] == wanted
             floors += bool(np.isfinite(found.floor))
         ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / bound_s
-        share = 100.0 * np.mean(covered, axis=0)
         results[kind] = {
+            "bound, % of tau": (100.0 * bound_s * rate).round(3).tolist(),
             "error / bound": ratio.round(3).tolist(),
-            "covered, %": share.round(1).tolist(),
+            "covered, %": (100.0 * np.mean(covered, axis=0)).round(1).tolist(),
             "parts right, %": 100.0 * right / seeds,
             "floors invented": floors,
         }
-        shown.add_row(
-            kind,
-            " ".join(f"{x:.2f}" for x in 100.0 * bound_s * rate),
-            " ".join(f"{x:.2f}" for x in ratio),
-            " ".join(f"{x:.0f}" for x in share),
-            f"{100.0 * right / seeds:.0f}",
-            str(floors),
-        )
-    Console(width=150).print(shown)
     return results
 
 
-def _bound_s(
-    parts: tuple[float, float, float], amplitudes: NDArray[np.float64], rate: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _bound_s(parts: tuple[float, float, float], amplitudes: Floats, rate: Floats) -> Floats:
     """Least standard deviation of tau of any estimator without bias (Cramer and Rao), all parts unknown."""
     at, step = np.array([1.0, *parts]), 1e-6
     ahead, behind = (

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from processing.contact.laws import PAPER
-from processing.errors import RigError
 from processing.fit import FitResult, fit_exact
 from processing.swing import TurningPoints
 from rig.measure import FIRST_HALF_CYCLES
 from rig.measure.end_of_run import EndLimits, EndOfRun
 from rig.measure.posterior import following
 from rig.settings.number_input import stop_conditions
-from tests.benchmarks.coverage import coverage, held, lines, named
+from tests.benchmarks.cases import each_seed
+from tests.benchmarks.coverage import coverage, held, named
 from tests.processing.fit.decays import paper_pair, truth
 from tests.processing.fit.driven import driven_decay
 
@@ -59,42 +59,27 @@ def stopping(case: Stopping, seeds: int) -> dict[str, Any]:
     parameters, pendulum = paper_pair(case.flat)
     names = PAPER.names()
     true = truth(parameters, names)
-    fits, runs, failed = [], [], 0
-    for seed in range(seeds):
+
+    def one(seed: int) -> FitResult | None:
         points = driven_decay(parameters, pendulum, q=case.q, noise_arcsec=NOISE_ARCSEC, seed=9000 + seed)
-        try:
-            if (fit := stopped(points, case)) is not None:
-                fits.append(fit)
-                runs.append(points)
-        except RigError:
-            failed += 1
-    ends = [fit.half_cycles for fit in fits]
-    length = int(np.median(ends))
-    fixed = [fit_exact(points.first(length), pendulum, averaged=False) for points in runs]
+        return stopped(points, case)
+
+    found, failed = each_seed(one, seeds)
+    fits = [fit for fit in found if fit is not None]
     count = len(names)
     pulls = [(fit.values[:count] - true) / fit.standard_uncertainty[:count] for fit in fits]
-    found, at_fixed = (
-        named(names, coverage(pulls, [held(fit, names, true) for fit in these])) for these in (fits, fixed)
-    )
     return {
         "seeds": seeds,
         "failed": failed,
-        "reached_the_last_amplitude": seeds - failed - len(fits),
-        "half_cycles": np.percentile(ends, [5, 50, 95]).tolist(),
-        **found,
-        "one_u_at_a_fixed_length": at_fixed["one_u"],
+        "reached_the_last_amplitude": len(found) - len(fits),
+        "half_cycles": np.percentile([fit.half_cycles for fit in fits], [5, 50, 95]).tolist(),
+        **named(names, coverage(pulls, [held(fit, names, true) for fit in fits])),
     }
 
 
 def stoppings(seeds: int) -> dict[str, dict[str, Any]]:
     """Runs that end by their conditions."""
-    out = {}
-    for case in STOPPING:
-        name = f"{case.flat}, {', '.join(case.when)}"
-        found = out[name] = stopping(case, seeds)
-        print(f"{name}: {seeds} runs ended after {found['half_cycles']} half-cycles (5, 50, 95 %)")
-        print(*lines(found), f"  fixed length {found['one_u_at_a_fixed_length']}", sep="\n", flush=True)
-    return out
+    return {f"{case.flat}, {', '.join(case.when)}": stopping(case, seeds) for case in STOPPING}
 
 
 def run(quick: bool = False) -> dict[str, Any]:

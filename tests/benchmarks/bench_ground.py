@@ -14,33 +14,32 @@ from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
-from processing.contact import PendulumOnBall
 from processing.contact.laws import PAPER
-from processing.deflections import DeflectionUnit
-from processing.errors import RigError
-from processing.fit import fit_exact
+from processing.fit import FitResult, fit_exact
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
-from processing.swing import TurningPoints, swings_of_blocks, turning_points
-from rig.analysis import settled_swings
-from rig.settings import FitSettings
-from tests.benchmarks.bound import bound, true_columns
-from tests.benchmarks.cases import chosen
-from tests.benchmarks.coverage import coverage, held, lines, named, rms
-from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair, truth, with_noise
+from processing.swing import TurningPoints, turning_points
+from tests.benchmarks.cases import each_seed, run_cases
+from tests.benchmarks.coverage import (
+    FRAMES_PER_S,
+    Floats,
+    bound,
+    coverage,
+    held,
+    in_frames,
+    named,
+    rms,
+    true_columns,
+)
+from tests.processing.fit.decays import PAIRS, paper_pair, truth, with_noise
 from tests.processing.fit.driven import driven_decay, driven_path
-from tests.processing.fit.frames import seen_in_frames
 
 NOISE_ARCSEC = 0.005
-FRAMES_PER_S = 25.0
 SHARED = Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
 GROUND_FILE = SHARED / "ground" / "ulaanbaatar-lh1.csv"
-
-Floats = NDArray[np.float64]
 
 
 class Case(NamedTuple):
@@ -69,7 +68,7 @@ def white_frames(flat: str, q: float) -> Case:
 
     def points(seed: int) -> TurningPoints:
         _, _, path = driven_path(parameters, pendulum, q=q, seed=5000 + seed, frames_per_s=FRAMES_PER_S)
-        return detected(path, pendulum, seed)
+        return turning_points(in_frames(path, NOISE_ARCSEC, [seed, 78], pendulum).swings)
 
     return Case(f"{flat} q={q:g} frames", flat, points, q, 0.15, averaged=True)
 
@@ -99,7 +98,8 @@ def simulated_frames(name: str, flat: str, ground: Callable[[int], dict[str, Any
     def points(seed: int) -> TurningPoints:
         settings = simulated(flat, ground(seed), seed)
         end_s = float(true_turning_points(settings, run=seed).time_s[-1])
-        return detected(true_path(settings, end_s, FRAMES_PER_S, run=seed).y_rad, paper_pair(flat)[1], seed)
+        path = true_path(settings, end_s, FRAMES_PER_S, run=seed).y_rad
+        return turning_points(in_frames(path, NOISE_ARCSEC, [seed, 78], paper_pair(flat)[1]).swings)
 
     return Case(f"{flat} {name} frames", flat, points, share=0.15, averaged=True)
 
@@ -112,14 +112,6 @@ def recorded(seed: int) -> dict[str, Any]:
     """The recorded ground from a random second on: 90 minutes of record, and runs of at most 40."""
     offset_s = float(np.random.default_rng([seed, 5]).integers(0, 2500))
     return {"model": "file", "file": GROUND_FILE, "file_offset_s": offset_s}
-
-
-def detected(path: Floats, pendulum: PendulumOnBall, seed: int) -> TurningPoints:
-    """Turning points that the swing detector finds in tilts, measured again as in a session."""
-    noise = NOISE_ARCSEC * ARCSEC * np.sqrt(FRAMES_PER_S / 25.0)
-    blocks = [seen_in_frames(path, noise, [seed, 78], FRAMES_PER_S)]
-    settled = settled_swings(swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, pendulum, FitSettings())
-    return turning_points(settled.swings)
 
 
 def cases() -> list[Case]:
@@ -146,64 +138,53 @@ def least(points: TurningPoints, case: Case, noise: Noise) -> Floats:
     return bound(model, columns, jacobian)[: len(PAPER.names())]
 
 
-def measure(case: Case, seeds: int, first: int = 0) -> dict[str, Any]:
-    """Shares of seeds whose intervals hold the truth, and rms errors in units of u and of the bound."""
+class Fitted(NamedTuple):
+    """One decay: errors over u and over the bound, whether intervals hold the truth, the fit, its time."""
+
+    pull: Floats
+    to_bound: Floats
+    inside: list[list[bool]]
+    fit: FitResult
+    fit_cpu_s: float
+
+
+def fitted(case: Case, seed: int) -> Fitted:
     parameters, pendulum = paper_pair(case.flat)
     names = PAPER.names()
     expected = truth(parameters, names)
-    inside, pulls, to_bound, q, fits_s = [], [], [], [], []
-    warned = failed = left_out = 0
-    for seed in range(first, first + seeds):
-        points = case.points(seed)
-        began_s = process_time()
-        try:
-            result = fit_exact(points, pendulum, averaged=case.averaged)
-        except RigError as error:
-            failed += 1
-            print(f"  seed {seed}: {error}")
-            continue
-        fits_s.append(process_time() - began_s)
-        assert result.ground is not None
-        assert result.whiteness is not None
-        warned += result.whiteness.correlated
-        left_out += result.ground.left_out_half_cycles
-        q.append(result.ground.density_rad_per_s2_rthz.value)
-        off = result.values[: len(names)] - expected
-        pulls.append(off / result.standard_uncertainty[: len(names)])
-        to_bound.append(off / least(points.first(result.half_cycles), case, result.ground.noise))
-        inside.append(held(result, names, expected))
+    points = case.points(seed)
+    began_s = process_time()
+    fit = fit_exact(points, pendulum, averaged=case.averaged)
+    cpu_s = process_time() - began_s
+    assert fit.ground is not None
+    off = fit.values[: len(names)] - expected
+    at_best = least(points.first(fit.half_cycles), case, fit.ground.noise)
+    pull = off / fit.standard_uncertainty[: len(names)]
+    return Fitted(pull, off / at_best, held(fit, names, expected), fit, cpu_s)
+
+
+def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
+    """Shares of seeds whose intervals hold the truth, and rms errors in units of u and of the bound."""
+    count = max(round(seeds * case.share), 4)
+    found, failed = each_seed(lambda seed: fitted(case, seed), count, first)
+    pulls = [one.pull for one in found]
     table = {
-        **coverage(pulls, inside),
+        **coverage(pulls, [one.inside for one in found]),
         "median_pull": np.median(pulls, axis=0).tolist(),
-        "rms_to_bound": rms(to_bound).tolist(),
+        "rms_to_bound": rms([one.to_bound for one in found]).tolist(),
     }
+    grounds = [one.fit.ground for one in found if one.fit.ground is not None]
     return {
-        "case": case.name,
-        "seeds": seeds,
+        "seeds": count,
         "failed": failed,
-        "called_correlated": warned,
-        "half_cycles_left_out": left_out,
-        "q_stated": case.q,
-        "q_median": float(np.median(q)),
-        "fit_cpu_s": float(np.median(fits_s)),
-        **named(names, table),
+        "called_correlated": sum(bool(one.fit.whiteness and one.fit.whiteness.correlated) for one in found),
+        "half_cycles_left_out": sum(ground.left_out_half_cycles for ground in grounds),
+        "q_median": float(np.median([ground.density_rad_per_s2_rthz.value for ground in grounds])),
+        "fit_cpu_s": float(np.median([one.fit_cpu_s for one in found])),
+        **named(PAPER.names(), table),
     }
 
 
 def run(quick: bool = False, seeds: int = 200, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values. The surface energy is proportional to c, and so is its interval."""
-    result: dict[str, Any] = {"cases": []}
-    every = list(cases())
-    for case in chosen(every, only, lambda case: case.name):
-        count = 4 if quick else max(round(seeds * case.share), 4)
-        # no two cases share a seed: their seeds count together
-        found = measure(case, count, 1000 * every.index(case))
-        result["cases"].append(found)
-        print(
-            f"{case.name}, {count} seeds ({found['failed']} failed, {found['called_correlated']} called "
-            f"correlated), q {found['q_median']:.3g}, {found['fit_cpu_s']:.2f} s a fit",
-            *lines(found),
-            sep="\n",
-            flush=True,
-        )
-    return result
+    return run_cases(cases(), measure, 4 if quick else seeds, only)

@@ -1,12 +1,11 @@
 """Tables that are hard to judge: short runs, a contact that ages, times that jitter; do the intervals hold?
 
-Run as ``python -m tests.benchmarks hard_tables [--quick] [--seeds N] [CASE...]``. Decays come from an
+Run as ``python -m tests.benchmarks hard_tables [--quick]``. Decays come from an
 integration of the tests' own (`tests.processing.fit.changing`), on quiet ground and in air, seen 25 times a
 second with 0.005 arcsec, written as a table and fitted as `rig fit TABLE` does. Counted are values and 95 %
 intervals that are shown; a parameter that is only bounded counts where its interval holds the truth.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -15,8 +14,8 @@ import numpy as np
 
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit
-from tests.benchmarks.cases import chosen
-from tests.benchmarks.coverage import coverage, lines, named
+from tests.benchmarks.cases import run_cases
+from tests.benchmarks.coverage import coverage, named
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.rig.analysis.spinning import analysed_table, configuration, held_by
@@ -64,36 +63,24 @@ def table(case: Case, seed: int) -> Deflections:
     return Deflections(times_ns, x, y, u, u, DeflectionUnit.RAD)
 
 
-def measure(case: Case, seeds: int) -> dict[str, Any]:
+def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
     """Shares of seeds whose intervals hold the truth, and rms errors over u, of all that were fitted."""
-    pulls, inside, refused = [], [], 0
     config = configuration(*case.stated).model_copy(update={"lever": None, "axes": None})
+    true = {name: float(getattr(PARAMETERS, name)) for name in NAMES}
+    rows = []
     with TemporaryDirectory() as folder:
-        for seed in range(seeds):
-            found = analysed_table(
-                table(case, 1000 * CASES.index(case) + seed), config, Path(folder) / "t.csv"
-            )
-            if found.problem:
-                refused += 1
-                print(f"  seed {seed}: {found.problem}", flush=True)
-                continue
-            true = {name: float(getattr(PARAMETERS, name)) for name in NAMES}
-            both = [held_by(found, name, true[name]) for name in NAMES]
-            inside.append([one.inside for one in both])
-            pulls.append([one.pull for one in both])
+        for seed in range(first, first + seeds):
+            found = analysed_table(table(case, seed), config, Path(folder) / "t.csv")
+            if not found.problem:
+                rows.append([held_by(found, name, true[name]) for name in NAMES])
+    pulls, inside = ([[getattr(one, key) for one in row] for row in rows] for key in ("pull", "inside"))
     return {
-        "case": case.name,
         "seeds": seeds,
-        "failed": refused,
-        **named(NAMES, coverage(pulls, inside) if pulls else {"one_u": [0.0] * len(NAMES)}),
+        "failed": seeds - len(rows),
+        **named(NAMES, coverage(pulls, inside) if rows else {"one_u": [0.0] * len(NAMES)}),
     }
 
 
-def run(quick: bool = False, seeds: int = 20, only: Sequence[str] = ()) -> dict[str, Any]:
+def run(quick: bool = False, seeds: int = 20, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All cases, or those that are named."""
-    found = []
-    for case in chosen(CASES, tuple(only), lambda one: one.name):
-        one = measure(case, 2 if quick else seeds)
-        found.append(one)
-        print(f"{case.name}: {one['failed']} of {one['seeds']} refused", *lines(one), sep="\n", flush=True)
-    return {"cases": found}
+    return run_cases(CASES, measure, 2 if quick else seeds, only)

@@ -37,8 +37,6 @@ def run(quick: bool = False) -> dict[str, Any]:
         with h5py.File(made, "r+") as file:
             file["run_1"].attrs["NX_class"] = "NXnothing"
         results |= _found("the same with a class that does not exist", made)
-    for key, value in results.items():
-        print(f"{key}: {value}")
     return results
 
 

@@ -16,7 +16,7 @@ import urllib.parse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,18 +38,15 @@ from rig.measure.run_status import Watcher
 from rig.measure.screen import RunDisplay
 from rig.settings import load_configuration, validate_configuration
 from rig.view import RunningView
-from tests.benchmarks.memory_camera import MemoryCamera, drawn_frames
+from tests.benchmarks.memory_camera import FULL_SCALE_DN, MemoryCamera, drawn_frames
 
 
 class Case(NamedTuple):
-    """Frames of a size and rate, and the figures asked of them: ms of 99 %, ms at most, cores."""
+    """Frames of a size and rate."""
 
     width: int
     height: int
     rate_hz: float
-    p99_ms: float
-    most_ms: float
-    cores: float
 
     def __str__(self) -> str:
         return f"{self.rate_hz:g}/s of {self.width}x{self.height}"
@@ -58,19 +55,15 @@ class Case(NamedTuple):
 WAYS = ("alone", "with desk and viewer")
 PICTURES_HZ = 10.0
 _BEGIN_S = 0.5
-CASES = (
-    Case(640, 480, 500.0, 3.0, 20.0, float("inf")),
-    Case(256, 256, 2000.0, 10.0, float("inf"), float("inf")),
-    Case(640, 480, 1000.0, float("inf"), float("inf"), 0.8),
-)
+CASES = (Case(640, 480, 500.0), Case(256, 256, 2000.0), Case(640, 480, 1000.0))
 
 
 class Company(NamedTuple):
     """What watches the run."""
 
-    watchers: Sequence[Watcher]
-    news: SessionNews | None
-    show: Callable[[RunNow], None]
+    watchers: Sequence[Watcher] = ()
+    news: SessionNews | None = None
+    show: Callable[[RunNow], None] = lambda _: None
 
 
 class Desk:
@@ -110,18 +103,7 @@ class Desk:
             connection.getresponse().read()
 
 
-def real_time(
-    width: int,
-    height: int,
-    bits: Literal[8, 12],
-    rate_hz: float,
-    duration_s: float,
-    *,
-    watchers: Sequence[Watcher] = (),
-    news: SessionNews | None = None,
-    show: Callable[[RunNow], None] = lambda _: None,
-    viewed: bool = False,
-) -> dict[str, Any]:
+def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) -> dict[str, Any]:
     """One run in real time: frames lost, latency from frame to record, share of one core.
 
     The latency runs from the moment when a frame is due to the end of the recorder's write call for it; part
@@ -129,8 +111,8 @@ def real_time(
     first frame, as they are in ``rig run``. The frames of the first `_BEGIN_S` wait until the record has been
     created and is on the disk, and are told apart.
     """
-    frames = drawn_frames(width, height, bits, rate_hz, round(min(2.0 * rate_hz, 600)))
-    full_scale_dn = 2**bits - 1
+    rate_hz = case.rate_hz
+    frames = drawn_frames(case.width, case.height, rate_hz, round(min(2.0 * rate_hz, 600)))
     latencies_ms: list[float] = []
     begin_ms: list[float] = []
     original = Entry.write
@@ -147,9 +129,9 @@ def real_time(
         if viewed:
             record = Path(folder) / "run.mcap"
             stack.enter_context(RunningView(record, "web", record.with_suffix(".rrd"), "measuring"))
-        camera = MemoryCamera(frames, full_scale_dn, rate_hz, duration_s)
+        camera = MemoryCamera(frames, rate_hz, duration_s)
         opened = OpenCamera(camera, camera.open(), ())
-        sensor = SensorModel(10_000.0 / full_scale_dn, 7.0, full_scale_dn)
+        sensor = SensorModel(10_000.0 / FULL_SCALE_DN, 7.0, FULL_SCALE_DN)
         prepare_kernels(sensor, print)
         lever = Lever(arm_m=1.0, pixel_pitch_m=4.8e-6)
         optics = Optics(sensor, lever, Axes())
@@ -159,11 +141,11 @@ def real_time(
         config = config.model_copy(update={"lever": lever})
         run = MeasurementRun(
             RunParts(
-                plan=RunPlan(config, Path(), Path(folder) / "run.mcap", "run 1", session_news=news),
+                plan=RunPlan(config, Path(), Path(folder) / "run.mcap", "run 1", session_news=company.news),
                 camera=opened,
                 optics=optics,
                 stream=FrameStream(camera, CameraSettings()),
-                watchers=watchers,
+                watchers=company.watchers,
             )
         )
         Entry.write = timed  # type: ignore[assignment, method-assign]
@@ -171,7 +153,7 @@ def real_time(
         began_s = time.monotonic()
         try:
             with ready_for_frames(live=True):
-                outcome = run.execute(show)
+                outcome = run.execute(company.show)
         finally:
             Entry.write = original  # type: ignore[method-assign]
         elapsed_s = time.monotonic() - began_s
@@ -222,21 +204,9 @@ def desk_and_viewer() -> Iterator[Company]:
 def measured(case: Case, seconds: float, way: str) -> dict[str, Any]:
     """One run, with the load of the machine beside it."""
     with ExitStack() as stack:
-        company = Company((), None, lambda _: None)
-        if way == "with desk and viewer":
-            company = stack.enter_context(desk_and_viewer())
-        watchers, news, show = company
-        found = real_time(
-            case.width,
-            case.height,
-            8,
-            case.rate_hz,
-            seconds,
-            watchers=watchers,
-            news=news,
-            show=show,
-            viewed=way == "with desk and viewer",
-        )
+        watched = way == "with desk and viewer"
+        company = stack.enter_context(desk_and_viewer()) if watched else Company()
+        found = real_time(case, seconds, company, viewed=watched)
     return found | {"load": os.getloadavg()[0]}
 
 
@@ -247,10 +217,7 @@ def run(quick: bool = False) -> dict[str, Any]:
     for case in CASES:
         for _ in range(turns):
             for way in WAYS:
-                found = measured(case, seconds, way)
-                results.setdefault(f"{case}, {way}", []).append(found)
-                numbers = ", ".join(f"{key} {value:.3g}" for key, value in found.items())
-                print(f"{case}, {way}: {numbers}", flush=True)
+                results.setdefault(f"{case}, {way}", []).append(measured(case, seconds, way))
     return results
 
 

@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from tests.kernel.boot import Missing
 from tests.kernel.power_cuts import KINDS, cut_power
@@ -22,10 +20,6 @@ def run(quick: bool = False) -> dict[str, Any]:
                 results |= _of_one(kind, Path(name), cuts, duration_s)
             except Missing as missing:
                 results[f"{kind}: not measured"] = str(missing)
-    table = Table("power cut", "measured")
-    for key, value in results.items():
-        table.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
-    Console().print(table)
     return results
 
 

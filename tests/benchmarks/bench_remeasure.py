@@ -11,7 +11,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
@@ -23,11 +22,11 @@ from processing.swing import swings_of_blocks, turning_points
 from rig.analysis import settled_swings
 from rig.analysis.air import FittedDrag
 from rig.settings import FitSettings
-from tests.benchmarks.cases import chosen
+from tests.benchmarks.cases import each_seed, run_cases
+from tests.benchmarks.coverage import Floats, rms
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 
-Floats = NDArray[np.float64]
 _MIDDLE_RAD = 60 * ARCSEC
 DRAG_S = 1e-3
 
@@ -105,55 +104,35 @@ CASES = (
 )
 
 
-def measure(case: Case, seeds: int) -> dict[str, Any]:
+def pulls(case: Case, seed: int) -> list[float]:
+    """Errors over u of all parameters of one run."""
     clean = case.clean()
-    names = PAPER.names(drag=case.drag)
-    settings, drag = FitSettings(), FittedDrag(fitted=case.drag)
-    pulls, refused, failed = [], 0, 0
-    for seed in range(seeds):
-        rng = np.random.default_rng([seed, 15])
-        samples = case.sampled(clean, rng)
-        noise = case.noise_arcsec * ARCSEC
-        times_ns = np.rint(samples.time_s * 1e9).astype(np.int64)
-        seen = samples.angle_rad + noise * rng.standard_normal(len(times_ns))
-        blocks = [slow_deflections(times_ns, seen, noise)]
-        settled = settled_swings(
-            swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, samples.pendulum, settings, drag=drag
-        )
-        refused += settled.motion is None
-        try:
-            fit = settled.exact or fit_exact(turning_points(settled.swings), samples.pendulum, drag=case.drag)
-        except Exception as error:
-            failed += 1
-            print(f"  seed {seed}: {error}")
-            continue
-        pulls.append(
-            [
-                (fit.estimate(n).value - getattr(samples.parameters, n))
-                / fit.estimate(n).standard_uncertainty
-                for n in names
-            ]
-        )
-    rms = np.sqrt(np.mean(np.square(pulls), axis=0))
-    return {
-        "case": case.name,
-        "seeds": seeds,
-        "refused": refused,
-        "failed": failed,
-        "rms_pull": dict(zip(names, rms.tolist(), strict=True)),
-        "rms_of_all": float(np.sqrt(np.mean(np.square(pulls)))),
-    }
+    rng = np.random.default_rng([seed, 15])
+    samples = case.sampled(clean, rng)
+    noise = case.noise_arcsec * ARCSEC
+    times_ns = np.rint(samples.time_s * 1e9).astype(np.int64)
+    blocks = [
+        slow_deflections(times_ns, samples.angle_rad + noise * rng.standard_normal(len(times_ns)), noise)
+    ]
+    settled = settled_swings(
+        swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, samples.pendulum, FitSettings(),
+        drag=FittedDrag(fitted=case.drag),
+    )  # fmt: skip
+    fit = settled.exact or fit_exact(turning_points(settled.swings), samples.pendulum, drag=case.drag)
+    found = {name: fit.estimate(name) for name in PAPER.names(drag=case.drag)}
+    return [
+        (one.value - getattr(samples.parameters, name)) / one.standard_uncertainty
+        for name, one in found.items()
+    ]
+
+
+def measure(case: Case, seeds: int, _: int) -> dict[str, Any]:
+    """Root mean squares of errors over u, of each parameter and of all; the cases share their noise."""
+    found, failed = each_seed(lambda seed: pulls(case, seed), seeds)
+    of_each = dict(zip(PAPER.names(drag=case.drag), rms(found).tolist(), strict=True))
+    return {"seeds": seeds, "failed": failed, "rms_pull": of_each, "rms_of_all": float(rms(np.ravel(found)))}
 
 
 def run(quick: bool = False, seeds: int = 40, only: tuple[str, ...] = ()) -> dict[str, Any]:
-    found = []
-    for case in chosen(CASES, only, lambda case: case.name):
-        one = measure(case, 4 if quick else seeds)
-        found.append(one)
-        listed = " ".join(f"{name} {value:.2f}" for name, value in one["rms_pull"].items())
-        print(
-            f"{case.name:16} rms error/u {one['rms_of_all']:.2f} ({listed}), {one['refused']} refused, "
-            f"{one['failed']} failed of {one['seeds']}",
-            flush=True,
-        )
-    return {"cases": found}
+    """All cases, or those that are named."""
+    return run_cases(CASES, measure, 4 if quick else seeds, only)

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.benchmarks import safety_lasers
-from tests.benchmarks.safety_faults import CABLE, KEYS, SIGNALS, measured
+from tests.benchmarks.safety_faults import CABLE, KEYS, SIGNALS, Row, measured
 from tests.benchmarks.safety_program import PLACES
-from tests.benchmarks.safety_row import Row
 from tests.benchmarks.safety_sequences import run_sequences
 from tests.rig.control.conftest import PACKAGE, VERSION
 
@@ -70,7 +69,6 @@ def run(quick: bool = False) -> dict[str, Any]:
     if wanted := os.environ.get("SAFETY_TRIALS"):
         trials = [trial for trial in TRIALS if wanted in " ".join(trial)]
     found = sequences(quick)
-    print(found, flush=True)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         package = _interpreter(folder)

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from processing.spot import SpotFlag, SpotTracker
 from tests.processing.spot.moved_beams import COMPACT, RealBeam
@@ -55,19 +53,4 @@ def run(quick: bool = False) -> dict[str, Any]:
     """All images of one compact beam."""
     default = Path(__file__).resolve().parents[2].parent / "shared" / "data"
     folder = Path(os.environ.get("RIG_SHARED_DATA", default)) / "beams"
-    rows = [beam(folder / name, 30 if quick else 300) for name in COMPACT]
-    table = Table(title=f"real beams moved within ± {_REACH_PX:g} px, fresh noise")
-    for column in (
-        "image", "model", "frames", "chi2/dof", "scatter mpx", "/u", "/bound", "moved as", "poor", "lost",
-    ):  # fmt: skip
-        table.add_column(column, justify="right")
-    for r in rows:
-        table.add_row(
-            r["name"], r["model"], f"{r['frames']}", f"{r['chi2_per_dof']:.2f}",
-            " ".join(f"{1e3 * s:.2f}" for s in r["scatter_px"]),
-            " ".join(f"{s:.2f}" for s in r["scatter_over_u"]),
-            " ".join(f"{s:.2f}" for s in r["scatter_over_bound"]),
-            " ".join(f"{s:.5f}" for s in r["moved_as"]), f"{r['poor']}", f"{r['lost']}",
-        )  # fmt: skip
-    Console(width=150).print(table)
-    return {"beams": rows}
+    return {"beams": [beam(folder / name, 30 if quick else 300) for name in COMPACT]}

@@ -124,88 +124,66 @@ def windows(sigma: float, count: int, seed: int) -> tuple[NDArray[Any], NDArray[
     return np.array([exposed(light((n, n), x, y, sigma, PEAK), rng) for x, y in truth]), truth
 
 
-def _picasso() -> Callable[[NDArray[Any]], tuple[float, float]]:
+Place = tuple[float, float]
+
+
+def _picasso(image: NDArray[Any]) -> Place:
     from picasso import gaussmle
 
-    def locate(image: NDArray[Any]) -> tuple[float, float]:
-        n = min(image.shape) // 2 * 2 - 1
-        # photons, as the method wants them: the background's pedestal has no shot noise to speak of
-        spot = ((image[:n, :n].astype(np.float32) - 6) * 39.2).clip(min=0)[None]
-        theta = gaussmle.gaussmle(spot, eps=1e-3, max_it=100, method="sigmaxy")[0][0]
-        return float(theta[0]), float(theta[1])
-
-    return locate
+    n = min(image.shape) // 2 * 2 - 1
+    # photons, as the method wants them: the background's pedestal has no shot noise to speak of
+    spot = ((image[:n, :n].astype(np.float32) - 6) * 39.2).clip(min=0)[None]
+    theta = gaussmle.gaussmle(spot, eps=1e-3, max_it=100, method="sigmaxy")[0][0]
+    return float(theta[0]), float(theta[1])
 
 
-def _photutils() -> Callable[[NDArray[Any]], tuple[float, float]]:
+def _photutils(image: NDArray[Any]) -> Place:
     from photutils.centroids import centroid_2dg
 
-    def locate(image: NDArray[Any]) -> tuple[float, float]:
-        x, y = centroid_2dg(image - 6.0)
-        return float(x), float(y)
-
-    return locate
+    x, y = centroid_2dg(image - 6.0)
+    return float(x), float(y)
 
 
-def _trackpy() -> Callable[[NDArray[Any]], tuple[float, float]]:
+def _trackpy(image: NDArray[Any]) -> Place:
     import trackpy
 
     trackpy.quiet()
-
-    def locate(image: NDArray[Any]) -> tuple[float, float]:
-        found = trackpy.locate(image, 37, topn=1, preprocess=True)
-        return float(found.x.iloc[0]), float(found.y.iloc[0])
-
-    return locate
+    found = trackpy.locate(image, 37, topn=1, preprocess=True)
+    return float(found.x.iloc[0]), float(found.y.iloc[0])
 
 
-def _laserbeamsize() -> Callable[[NDArray[Any]], tuple[float, float]]:
+def _laserbeamsize(image: NDArray[Any]) -> Place:
     import laserbeamsize
 
-    def locate(image: NDArray[Any]) -> tuple[float, float]:
-        x, y = laserbeamsize.beam_size(image)[:2]
-        return float(x), float(y)
-
-    return locate
+    x, y = laserbeamsize.beam_size(image)[:2]
+    return float(x), float(y)
 
 
-def _astropy() -> Callable[[NDArray[Any]], tuple[float, float]]:
+def _astropy(image: NDArray[Any]) -> Place:
     from astropy.modeling import fitting, models
 
-    def locate(image: NDArray[Any]) -> tuple[float, float]:
-        ny, nx = image.shape
-        y, x = np.mgrid[:ny, :nx]
-        start = models.Gaussian2D(PEAK, nx / 2, ny / 2, 6, 6) + models.Const2D(6.0)
-        fit = fitting.TRFLSQFitter()(start, x, y, image.astype(float))
-        return float(fit.x_mean_0.value), float(fit.y_mean_0.value)
-
-    return locate
+    ny, nx = image.shape
+    y, x = np.mgrid[:ny, :nx]
+    start = models.Gaussian2D(PEAK, nx / 2, ny / 2, 6, 6) + models.Const2D(6.0)
+    fit = fitting.TRFLSQFitter()(start, x, y, image.astype(float))
+    return float(fit.x_mean_0.value), float(fit.y_mean_0.value)
 
 
-def _lmfit() -> Callable[[NDArray[Any]], tuple[float, float]]:
+def _lmfit(image: NDArray[Any]) -> Place:
     from lmfit.models import ConstantModel, Gaussian2dModel
 
     model = Gaussian2dModel() + ConstantModel()
-
-    def locate(image: NDArray[Any]) -> tuple[float, float]:
-        ny, nx = image.shape
-        y, x = np.mgrid[:ny, :nx]
-        start = model.make_params(
-            amplitude=PEAK * 226, centerx=nx / 2, centery=ny / 2, sigmax=6, sigmay=6, c=6
-        )
-        fit = model.fit(image.ravel().astype(float), start, x=x.ravel(), y=y.ravel())
-        return fit.params["centerx"].value, fit.params["centery"].value
-
-    return locate
+    ny, nx = image.shape
+    y, x = np.mgrid[:ny, :nx]
+    start = model.make_params(amplitude=PEAK * 226, centerx=nx / 2, centery=ny / 2, sigmax=6, sigmay=6, c=6)
+    fit = model.fit(image.ravel().astype(float), start, x=x.ravel(), y=y.ravel())
+    return fit.params["centerx"].value, fit.params["centery"].value
 
 
-def _cv2_moments() -> Callable[[NDArray[Any]], tuple[float, float]]:
-    def locate(image: NDArray[Any]) -> tuple[float, float]:
-        # the background is subtracted, and what then is negative stays so
-        m = cv2.moments(image.astype(np.float32) - 6.0)
-        return m["m10"] / m["m00"], m["m01"] / m["m00"]
-
-    return locate
+def _cv2_moments(image: NDArray[Any]) -> Place:
+    # the background is subtracted, and what then is negative stays so
+    m = cv2.moments(image.astype(np.float32) - 6.0)
+    return m["m10"] / m["m00"], m["m01"] / m["m00"]
 
 
 PEERS = {
@@ -230,14 +208,13 @@ def peers(quick: bool) -> dict[str, Any]:
 
     methods: dict[str, Callable[[NDArray[Any]], tuple[float, float]]] = {"this tracker": ours}
     result: dict[str, Any] = {}
-    for name, make in PEERS.items():
+    for name, peer in PEERS.items():
         try:
-            methods[name] = make()
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                methods[name](images[0])
+                peer(images[0])
+            methods[name] = peer
         except Exception as error:  # a peer's own failure is what is reported
-            methods.pop(name, None)
             result[name] = {"skipped": f"{type(error).__name__}: {error}".splitlines()[0][:120]}
     times: dict[str, list[float]] = {name: [] for name in methods}
     errors: dict[str, list[tuple[float, float]]] = {name: [] for name in methods}
@@ -268,9 +245,4 @@ def peers(quick: bool) -> dict[str, Any]:
 def run(quick: bool = False) -> dict[str, Any]:
     """All of it; numbers as plain values."""
     cv2.setNumThreads(1)
-    ratios, others = against_sums(20 if quick else 200), peers(quick)
-    for row in ratios:
-        print("  " + ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
-    for name, numbers in others.items():
-        print(f"  {name}: {numbers}")
-    return {"against_sum": ratios, "peers": others}
+    return {"against_sum": against_sums(20 if quick else 200), "peers": peers(quick)}

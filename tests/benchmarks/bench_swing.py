@@ -18,23 +18,13 @@ HALF_CYCLES = 164
 
 
 def gathered(runs: int, make: Callable[[np.random.Generator], Record]) -> np.ndarray:
-    """Columns: true amplitude, errors over u (A, t), errors over CRLB (A, t), run."""
+    """Columns: true amplitude, errors over u (A, t), errors over CRLB (A, t)."""
     rows = []
-    for run_number in range(runs):
-        record = make(np.random.default_rng([2023, run_number]))
+    for number in range(runs):
+        record = make(np.random.default_rng([2023, number]))
         e = errors(record, detect(record))
-        rows.append(
-            np.column_stack(
-                [
-                    record.turn_amplitude[e.index],
-                    e.amplitude,
-                    e.time,
-                    e.amplitude_to_crlb,
-                    e.time_to_crlb,
-                    np.full(len(e), run_number),
-                ]
-            )
-        )
+        true = record.turn_amplitude[e.index]
+        rows.append(np.column_stack([true, e.amplitude, e.time, e.amplitude_to_crlb, e.time_to_crlb]))
     return np.concatenate(rows)
 
 
@@ -54,17 +44,6 @@ def figures(rows: np.ndarray) -> dict[str, float]:
     }
 
 
-def print_figures(name: str, numbers: dict[str, float]) -> None:
-    print(
-        f"  {name:42s} RMS/CRLB A {numbers['amplitude_rms_over_crlb']:.3f}"
-        f" t {numbers['time_rms_over_crlb']:.3f}"
-        f"  actual/claimed A {numbers['amplitude_actual_over_claimed']:.3f}"
-        f" t {numbers['time_actual_over_claimed']:.3f}"
-        f"  bias/u A {numbers['amplitude_bias_over_u']:+.3f} t {numbers['time_bias_over_u']:+.3f}"
-        f"  n {numbers['swings']:.0f} (+-{numbers['scatter']:.3f})"
-    )
-
-
 def accuracy(runs: int) -> dict[str, Any]:
     """Damped sinusoid from 300 px to 3 px at each frame rate: whole runs and bands of amplitude."""
     found: dict[str, Any] = {}
@@ -78,8 +57,6 @@ def accuracy(runs: int) -> dict[str, Any]:
             band = (rows[:, 0] <= high) & (rows[:, 0] > low)
             here[f"{high:g} to {low:g} px"] = figures(rows[band])
         found[f"{frames_per_s:g} frames/s"] = here
-        for name, numbers in here.items():
-            print_figures(f"{frames_per_s:g} frames/s, {name}", numbers)
     return found
 
 

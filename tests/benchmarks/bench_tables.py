@@ -5,15 +5,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from tests.rig.intake.table_cases import judged, table_matrix
 
 
 def run(quick: bool = False) -> dict[str, Any]:
     """How often which; `quick` takes every fifth table."""
-    shown = Table("table", "outcome", "said")
     counts: Counter[str] = Counter()
     wrong = []
     for case in table_matrix()[:: 5 if quick else 1]:
@@ -21,9 +17,5 @@ def run(quick: bool = False) -> dict[str, Any]:
             outcome = judged(case, Path(folder))
         counts[outcome.kind] += 1
         if outcome.kind == "wrong":
-            wrong.append(case.name)
-        shown.add_row(case.name, outcome.kind, outcome.said[-120:])
-    Console(width=180).print(shown)
-    results = {"tables": counts.total(), **counts, "wrong": counts["wrong"], "wrong ones": wrong}
-    print(results)
-    return results
+            wrong.append(f"{case.name}: {outcome.said[-120:]}")
+    return {"tables": counts.total(), **counts, "wrong": counts["wrong"], "wrong ones": wrong}

@@ -14,23 +14,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from processing.contact.laws import PAPER
-from processing.deflections import DeflectionUnit
-from processing.errors import RigError
 from processing.estimate import WELL_DETERMINED, Estimate
-from processing.fit import DragFinding, FitMethod, FitResult, drag_verdict, drifts_of
-from processing.swing import TurningPoints, swings_of_blocks, turning_points
-from rig.analysis import settled_swings
+from processing.fit import DragFinding, FitMethod, drag_verdict, drifts_of
+from processing.swing import turning_points
 from rig.analysis.air import FittedDrag, evidence_of
 from rig.analysis.contact_fits import fit_decay
 from rig.settings import FitSettings
-from tests.benchmarks.cases import chosen
-from tests.benchmarks.coverage import rms
+from tests.benchmarks.cases import each_seed, run_cases
+from tests.benchmarks.coverage import FRAMES_PER_S, in_frames, rms
 from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
-from tests.processing.fit.frames import seen_in_frames
 
-NOISE_ARCSEC, FRAMES_PER_S = 0.005, 25.0
+NOISE_ARCSEC = 0.005
 DRAG_S, FLAT = 1.7e-3, "glass_k8"
 KNOWN_S = Estimate(1.5e-3, 0.75 * 1.5e-3)
 GROUNDS = (1e-9, 8e-9)
@@ -58,24 +53,15 @@ WORLDS = {
 }
 
 
-class Fitted(NamedTuple):
-    """The fit as reported, and its points."""
+class Case(NamedTuple):
+    """A world on a ground."""
 
-    fit: FitResult
-    points: TurningPoints
+    world: str
+    q: float
 
-
-def fitted(world: World, q: float, seed: int) -> Fitted:
-    """From frames to the reported fit."""
-    path = changing_path(PARAMETERS, PENDULUM, world, q=q, seed=seed, frames_per_s=FRAMES_PER_S)[2]
-    samples = seen_in_frames(path, NOISE_ARCSEC * ARCSEC, [seed, 78], FRAMES_PER_S)
-    swings = swings_of_blocks([samples])
-    drag, settings = FittedDrag(known_s=KNOWN_S), FitSettings()
-    settled = settled_swings(swings, [samples], DeflectionUnit.RAD, PENDULUM, settings, drag=drag)
-    points = turning_points(settled.swings)
-    evidence = evidence_of(drag, settled.harmonics)
-    fits, _, _ = fit_decay(points, PENDULUM, settings, settled.exact, evidence=evidence)
-    return Fitted(fits[FitMethod.EXACT], points)
+    @property
+    def name(self) -> str:
+        return f"{self.world}, q={self.q:g}"
 
 
 class Outcome(NamedTuple):
@@ -88,38 +74,39 @@ class Outcome(NamedTuple):
     named: tuple[str, ...]
 
 
-def outcome(found: Fitted) -> Outcome:
-    b, u = found.fit.estimate("b")
-    drifts = drifts_of(found.points, PENDULUM, found.fit)
-    u_drifts = {"ageing": FitSettings().u_ageing, "period_drift": U_PERIOD}
+def outcome(case: Case, seed: int) -> Outcome:
+    """From frames to the reported fit, and what it says."""
+    path = changing_path(
+        PARAMETERS, PENDULUM, WORLDS[case.world], q=case.q, seed=seed, frames_per_s=FRAMES_PER_S
+    )[2]
+    drag, settings = FittedDrag(known_s=KNOWN_S), FitSettings()
+    settled = in_frames(path, NOISE_ARCSEC, [seed, 78], PENDULUM, drag)
+    points = turning_points(settled.swings)
+    evidence = evidence_of(drag, settled.harmonics)
+    fit = fit_decay(points, PENDULUM, settings, settled.exact, evidence=evidence)[0][FitMethod.EXACT]
+    b, u = fit.estimate("b")
+    drifts = drifts_of(points, PENDULUM, fit)
+    u_drifts = {"ageing": settings.u_ageing, "period_drift": U_PERIOD}
     wide = np.sqrt(u**2 + sum((size * drifts[name][0]) ** 2 for name, size in u_drifts.items()))
-    named = [change.kind.value for change in found.fit.changes]
-    if found.fit.misfit is not None and found.fit.misfit.seen:
+    named = [change.kind.value for change in fit.changes]
+    if fit.misfit is not None and fit.misfit.seen:
         named.append("misfit")
-    if found.fit.whiteness is not None and found.fit.whiteness.correlated:
+    if fit.whiteness is not None and fit.whiteness.correlated:
         named.append("no noise")
-    if drag_verdict(found.points, PENDULUM, found.fit).finding is DragFinding.SEEN:
+    if drag_verdict(points, PENDULUM, fit).finding is DragFinding.SEEN:
         named.append("drag")
     off = b - PARAMETERS.b
     return Outcome(off / u, off / float(wide), u / abs(b), bool(u > WELL_DETERMINED * abs(b)), tuple(named))
 
 
-def measure(name: str, q: float, seeds: int, first: int = 0) -> dict[str, Any]:
+def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:
     """Shares of seeds."""
-    outcomes, failed = [], 0
-    for seed in range(first, first + seeds):
-        try:
-            outcomes.append(outcome(fitted(WORLDS[name], q, seed)))
-        except RigError as error:
-            failed += 1
-            print(f"  seed {seed}: {error}")
+    outcomes, failed = each_seed(lambda seed: outcome(case, seed), seeds, first)
     pulls = np.array([one.pull for one in outcomes])
     wide = np.array([one.pull_with_drifts for one in outcomes])
     withheld = np.array([one.withheld for one in outcomes])
     kinds = sorted({word for one in outcomes for word in one.named})
     return {
-        "case": name,
-        "q": q,
         "seeds": seeds,
         "failed": failed,
         "right_or_withheld": float(np.mean((np.abs(wide) < 3) | withheld)),
@@ -127,27 +114,11 @@ def measure(name: str, q: float, seeds: int, first: int = 0) -> dict[str, Any]:
         "withheld": float(np.mean(withheld)),
         "median_relative_u": float(np.median([one.relative_u for one in outcomes])),
         "rms_pull": float(rms(wide)),
-        "rms_pull_in_the_fit_alone": float(rms(pulls)),
         "named": {word: float(np.mean([word in one.named for one in outcomes])) for word in kinds},
     }
 
 
 def run(quick: bool = False, seeds: int = 100, only: tuple[str, ...] = ()) -> dict[str, Any]:
     """All of it; numbers as plain values."""
-    result: dict[str, Any] = {"contact": [PAPER.name, FLAT], "cases": []}
-    every = list(WORLDS)
-    for name in chosen(WORLDS, only, str):
-        for place, q in enumerate(GROUNDS):
-            # no two cases share a seed: their seeds count together
-            first = 1000 * (every.index(name) * len(GROUNDS) + place)
-            found = measure(name, q, 2 if quick else seeds, first)
-            result["cases"].append(found)
-            print(
-                f"{name}, q={q:g}, {found['seeds']} seeds ({found['failed']} failed): b right or withheld "
-                f"{found['right_or_withheld']:.2f} (in the fit alone {found['right_in_the_fit_alone']:.2f}, "
-                f"withheld {found['withheld']:.2f}), u(b)/b {found['median_relative_u']:.2%}, rms off/u "
-                f"{found['rms_pull']:.2f} (fit alone {found['rms_pull_in_the_fit_alone']:.2f}); named "
-                + ", ".join(f"{word} {share:.2f}" for word, share in found["named"].items()),
-                flush=True,
-            )
-    return result
+    cases = [Case(world, q) for world in WORLDS for q in GROUNDS]
+    return run_cases(cases, measure, 2 if quick else seeds, only)

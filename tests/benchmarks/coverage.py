@@ -1,27 +1,29 @@
-"""Tables of coverage: how often intervals hold the truth, and errors in units of what was claimed."""
+"""Decays of known parameters: how often intervals hold the truth, errors over the claimed u and the bound."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from processing.contact import ContactParameters, PendulumOnBall
+from processing.deflections import DeflectionUnit
 from processing.fit import FitResult
+from processing.fit.exact_model import ExactModel
+from processing.least_squares import covariance_of
+from processing.swing import TurningPoints, swings_of_blocks
+from rig.analysis import settled_swings
+from rig.analysis.air import FittedDrag
+from rig.analysis.contact_fits import RefinedHalfCycles
+from rig.settings import FitSettings
+from tests.processing.fit.decays import ARCSEC, truth
+from tests.processing.fit.frames import seen_in_frames
 
 Floats = NDArray[np.float64]
 
+FRAMES_PER_S = 25.0
+
 COVERAGES = (0.6827, 0.95)
 """Of the intervals of a fit."""
-TITLES = {
-    "one_u": "within 1 u",
-    "two_u": "within 2 u",
-    "ninety_five": "within 95 %",
-    "beyond_3u": "beyond 3 u",
-    "rms_pull": "rms error/u",
-    "median_pull": "median",
-    "rms_to_bound": "rms/bound",
-    "series_agree": "series agree",
-}
 
 
 def rms(rows: ArrayLike) -> Floats:
@@ -54,10 +56,27 @@ def named(names: Sequence[str], table: Mapping[str, Sequence[float]]) -> dict[st
     return {key: dict(zip(names, values, strict=True)) for key, values in table.items()}
 
 
-def lines(found: Mapping[str, Any]) -> list[str]:
-    """The rows of coverage among what a case found, as text."""
-    return [
-        f"  {title:12}" + "".join(f" {name} {value:.2f}" for name, value in found[key].items())
-        for key, title in TITLES.items()
-        if isinstance(found.get(key), dict)
-    ]
+def true_columns(model: ExactModel, parameters: ContactParameters, points: TurningPoints) -> Floats:
+    """The columns of a model for a decay of these parameters that begins with these points."""
+    known = dict(zip(model.names, truth(parameters, model.names), strict=False))
+    known |= {"initial_amplitude_rad": float(points.amplitude[0]), "start_time_s": float(points.time_s[0])}
+    return np.asarray(model.columns.from_physical(known))
+
+
+def bound(model: ExactModel, columns: Floats, jacobian: Floats) -> Floats:
+    """Standard deviations of the Cramer-Rao bound of the parameters, in the order of the model's names."""
+    matrix = model.columns.physical(columns)[1]
+    return np.asarray(np.sqrt(np.diag(matrix @ covariance_of(jacobian) @ matrix.T)))
+
+
+def in_frames(
+    path_rad: Floats,
+    noise_arcsec: float,
+    seed: list[int],
+    pendulum: PendulumOnBall,
+    drag: FittedDrag = FittedDrag(),  # noqa: B008
+) -> RefinedHalfCycles:
+    """What a session makes of a path that a camera sees: detected, and measured again."""
+    samples = seen_in_frames(path_rad, noise_arcsec * ARCSEC, seed, FRAMES_PER_S)
+    swings = swings_of_blocks([samples])
+    return settled_swings(swings, [samples], DeflectionUnit.RAD, pendulum, FitSettings(), drag=drag)

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import deque
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame, 
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 
+FULL_SCALE_DN = 255
 RING_S = 0.1
 """What the buffers of a driver hold by default, at the rate of the frames."""
 
@@ -22,19 +23,11 @@ class MemoryCamera:
     counted. A frame's camera time is when it was due, its host time when it was taken.
     """
 
-    def __init__(
-        self,
-        frames: list[np.ndarray[Any, Any]],
-        full_scale_dn: int,
-        rate_hz: float,
-        duration_s: float,
-        buffers: int | None = None,
-    ) -> None:
+    def __init__(self, frames: list[np.ndarray[Any, Any]], rate_hz: float, duration_s: float) -> None:
         self._frames = frames
-        self._full_scale_dn = full_scale_dn
         self._period_ns = round(1e9 / rate_hz)
         self._count = round(duration_s * rate_hz)
-        self._buffers = max(4, round(RING_S * rate_hz)) if buffers is None else buffers
+        self._buffers = max(4, round(RING_S * rate_hz))
         self._filled: deque[int] = deque()
         self._next = 0
         self._lost = 0
@@ -46,7 +39,7 @@ class MemoryCamera:
 
     def open(self) -> CameraInfo:
         ny, nx = self._frames[0].shape
-        return CameraInfo("memory", "", "", "", nx, ny, self._full_scale_dn, True)
+        return CameraInfo("memory", "", "", "", nx, ny, FULL_SCALE_DN, True)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         return settings
@@ -99,12 +92,10 @@ class MemoryCamera:
         return CameraStatus(delivered=self._delivered, dropped_by_host=self._lost)
 
 
-def drawn_frames(
-    width: int, height: int, bits: Literal[8, 12], rate_hz: float, count: int
-) -> list[np.ndarray[Any, Any]]:
+def drawn_frames(width: int, height: int, rate_hz: float, count: int) -> list[np.ndarray[Any, Any]]:
     """Half a swing across the sensor, drawn by the simulated rig."""
     settings = SimulationSettings(
-        sensor=SensorTruth(width_px=width, height_px=height, bit_depth=bits),
+        sensor=SensorTruth(width_px=width, height_px=height, bit_depth=8),
         optics=OpticsTruth(arm_m=1.0 * height / 640),
     )
     settings = settings.model_copy(

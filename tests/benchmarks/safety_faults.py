@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -17,7 +18,6 @@ from unittest.mock import patch
 from processing.errors import RigError
 from rig.devices import NoSession, OrderConnection
 from tests.benchmarks.safety_program import PLACES
-from tests.benchmarks.safety_row import Row
 from tests.rig.command_line import CONFIGS
 from tests.rig.control.wires import FirmwareBoard
 
@@ -79,6 +79,32 @@ CABLE = {
 }
 PEOPLE_END_IT = ("told to end (SIGTERM)", "Ctrl-C", "terminal closed (SIGHUP)")
 """After these a person need only ask for light again."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of a fault; times in s, None where there is nothing to measure.
+
+    `dark_s` is from the fault to the dark on the board's clock, `says_on_s` how long the program said "on"
+    after it, `relit` how often light came that nobody asked for, `needed` what light took afterwards.
+    """
+
+    path: str
+    fault: str
+    dark_s: float | None
+    says: str
+    says_on_s: float | None
+    relit: int
+    needed: str
+    violation: str = ""
+
+    @property
+    def line(self) -> str:
+        """Of a table in Markdown."""
+        dark = "–" if self.dark_s is None else f"{self.dark_s:.2f}"
+        on = "–" if self.says_on_s is None else f"{self.says_on_s:.1f}"
+        wrong = f" **{self.violation}**" if self.violation else ""
+        return f"| {self.path} | {self.fault} | {dark} | {self.says} | {on} | {self.needed}{wrong} |"
 
 
 class Trial:

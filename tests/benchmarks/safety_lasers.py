@@ -7,7 +7,7 @@ from pathlib import Path
 
 from processing.errors import DeviceError, RigError
 from rig.control.lasers import LaserRefused
-from tests.benchmarks.safety_row import Row
+from tests.benchmarks.safety_faults import Row
 from tests.benchmarks.safety_world import Program, World, patched_wait, stepped_world
 from tests.rig.control.instruments import Instrument
 from tests.rig.control.lasers.pairs import FAMILIES, STRAYED

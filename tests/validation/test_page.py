@@ -63,7 +63,7 @@ def _source_of_benchmark(name: str) -> str:
     own = (root / f"tests/benchmarks/bench_{name}.py").read_text(encoding="utf-8")
     modules = {
         path
-        for module, names in re.findall(r"^from (tests[.\w]*) import ([^(\n]+)", own, re.MULTILINE)
+        for module, names in re.findall(r"^from (tests[.\w]*) import (.+)", own, re.MULTILINE)
         for path in (module, *(f"{module}.{each}" for each in names.split(", ")))
     }
     files = [root / f"{module.replace('.', '/')}.py" for module in sorted(modules)]

@@ -16,7 +16,7 @@ from rig.measure.session import simulate_record
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS, QUICK
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 DAY_NS = 86_400_000_000_000
 
 

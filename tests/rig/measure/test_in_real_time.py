@@ -1,16 +1,14 @@
-"""Sessions in real time, since a controller moves the simulated rig."""
+"""Sessions whose controller moves the simulated rig, for which they wait."""
 
-import json
 from pathlib import Path
 
 import pytest
 
-from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from processing.units import ARCSEC_RAD
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, events_of, rig, set_words
+from tests.rig.command_line import CONFIGS, SMALL, events_of, rig, set_words
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 
 MAGNET = {
@@ -23,23 +21,6 @@ MAGNET = {
     # a program that a busy machine holds up for longer than usual is no trip of its own
     "controller.watchdog_s": "5.0",
 }
-
-
-SOONER = {
-    **QUICK,
-    "preflight.duration_s": "1.0",
-    "phases.rest_window_s": "2.0",
-    "phases.warm_up_window_s": "2.1",
-    "faults.laser_fades_at_s": "12",
-    "faults.laser_fade_duration_s": "1",
-    "faults.vibration_burst_at_s": "14",
-    "faults.draught_at_s": "16",
-    "faults.camera_unplugged_at_s": "17",
-    "faults.camera_replugged_at_s": "19",
-    "session.max_duration_s": "14",
-    "controller.watchdog_s": "5.0",
-}
-"""The same faults, in half of the time."""
 
 
 def test_a_magnet_holds_and_lets_go(tmp_path: Path) -> None:
@@ -67,25 +48,6 @@ def test_a_magnet_that_holds_nothing_is_said(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "the magnet does not hold the pendulum" in done.stderr
     assert not list((tmp_path / "out").glob("*.mcap"))
-
-
-def test_all_faults_at_once_leave_a_record_that_says_what_happened(tmp_path: Path) -> None:
-    done = rig("run", CONFIGS / "faults.toml", "-o", tmp_path / "out", *set_words(SOONER))
-    assert "Traceback" not in done.stderr
-    record = tmp_path / "out" / "run-1.mcap"
-    assert record.exists(), done.stderr
-    kinds = {kind for kind, _ in events_of(record)}
-    assert {"rest", "warm-up", "preflight", "release", "start", "stop"} <= kinds
-    assert {"spot lost", "spot found", "camera lost", "camera back"} <= kinds
-    with RecordReader(record) as reader:
-        assert not reader.truncated
-        losses, end = reader.losses(), end_of(reader.events())
-    assert losses is not None
-    assert losses.while_unplugged > 50
-    assert end is not None
-    assert end.kind == EventKind.STOP
-    state = json.loads((tmp_path / "out" / "session.json").read_text())
-    assert state["entries"][-1]["state"] == "complete"
 
 
 @pytest.mark.parametrize("rate_hz", [25, 100])

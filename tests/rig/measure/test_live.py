@@ -1,7 +1,7 @@
-"""A live run in real time from its start to its end, with the display on a terminal.
+"""Two live runs in real time from start to end: one with the display on a terminal, one with faults.
 
 What runs on demand is processed as fast as it goes; only here do watchers, forecasts and late frames meet a
-clock. That with faults is in `test_in_real_time.py`.
+clock.
 """
 
 import json
@@ -12,14 +12,15 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.rig.command_line import CONFIGS, rig, set_words
+from acquisition.record.events import EventKind, end_of
+from acquisition.record.reader import RecordReader
+from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 from tests.rig.pseudo_terminal import Terminal
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.realtime,
     pytest.mark.timeout(300),
-    pytest.mark.skipif(os.name != "posix", reason="a pseudo-terminal is POSIX's"),
 ]
 
 LIVE = {
@@ -72,6 +73,7 @@ def at_a_terminal(folder: Path, values: dict[str, str]) -> Live:
         terminal.close()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="a pseudo-terminal is POSIX's")
 def test_a_run_comes_to_its_end_on_a_terminal_and_says_what_an_uncalibrated_clock_does(
     tmp_path: Path,
 ) -> None:
@@ -103,3 +105,39 @@ def test_a_run_comes_to_its_end_on_a_terminal_and_says_what_an_uncalibrated_cloc
     # γ follows from ratios of periods, which no rate changes
     gamma = found["budget"]["gamma_pa"]
     assert abs(gamma["value"] - 28.97e6) < 3.0 * gamma["standard_uncertainty"]
+
+
+SOONER = {
+    **QUICK,
+    "preflight.duration_s": "1.0",
+    "phases.rest_window_s": "2.0",
+    "phases.warm_up_window_s": "2.1",
+    "faults.laser_fades_at_s": "12",
+    "faults.laser_fade_duration_s": "1",
+    "faults.vibration_burst_at_s": "14",
+    "faults.draught_at_s": "16",
+    "faults.camera_unplugged_at_s": "17",
+    "faults.camera_replugged_at_s": "19",
+    "session.max_duration_s": "14",
+    "controller.watchdog_s": "5.0",
+}
+"""The faults of `faults.toml`, in half of the time."""
+
+
+def test_all_faults_at_once_leave_a_record_that_says_what_happened(tmp_path: Path) -> None:
+    done = rig("run", CONFIGS / "faults.toml", "-o", tmp_path / "out", *set_words(SOONER))
+    assert "Traceback" not in done.stderr
+    record = tmp_path / "out" / "run-1.mcap"
+    assert record.exists(), done.stderr
+    with RecordReader(record) as reader:
+        assert not reader.truncated
+        losses, events = reader.losses(), reader.events()
+    kinds, end = {event.kind for event in events}, end_of(events)
+    assert {"rest", "warm-up", "preflight", "release", "start", "stop"} <= kinds
+    assert {"spot lost", "spot found", "camera lost", "camera back"} <= kinds
+    assert losses is not None
+    assert losses.while_unplugged > 50
+    assert end is not None
+    assert end.kind == EventKind.STOP
+    state = json.loads((tmp_path / "out" / "session.json").read_text())
+    assert state["entries"][-1]["state"] == "complete"

@@ -77,7 +77,6 @@ main()
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @posix_only
 def test_a_view_that_is_stopped_costs_no_frame(tmp_path: Path) -> None:
     words = set_words(IN_REAL_TIME | {"view.file": "true", "view.mode": '"web"'})
