@@ -4,6 +4,8 @@ import contextlib
 import errno
 import os
 import random
+import secrets
+import shutil
 import sys
 import tempfile
 import threading
@@ -79,7 +81,8 @@ class _Disk:
         self._reserve_lock = threading.Lock()
         self._forcing: threading.Thread | None = None
         self._failure: OSError | None = None
-        self._file = path.open("xb", buffering=0)
+        # also readable, so that a record whose name was removed can be copied
+        self._file = path.open("x+b", buffering=0)
         lock_for_writing(self._file.fileno())
         try:
             self._reserve = Reserve(path.parent, reserve_bytes)
@@ -119,7 +122,8 @@ class _Disk:
 
     def force(self) -> None:
         """Flush the file to the disk, and adapt the reserve to the size of the file's ending."""
-        self._must_have_its_name()
+        if not self._has_its_name():
+            raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
         try:
             with self._reserve_lock:
                 needed = self._reserve_bytes + _INDEX_BYTES * self.chunks + _SPARE_BYTES
@@ -158,9 +162,10 @@ class _Disk:
             self._failure = self._failure or error
 
     def last_force(self) -> None:
-        """Flush the finished file."""
+        """Flush the finished file, and save what was removed meanwhile under its name."""
         _sync_file(self._file.fileno())
-        self._must_have_its_name()
+        if not self._has_its_name():
+            self._copy_to_its_name()
 
     def close(self) -> None:
         """Close file and reserve; never raises."""
@@ -169,12 +174,25 @@ class _Disk:
         with contextlib.suppress(OSError):
             self._file.close()
 
-    def _must_have_its_name(self) -> None:
-        """Raise OSError where the path no longer names this file."""
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(self._file.fileno()), self._path.stat()):
-                return
-        raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
+    def _has_its_name(self) -> bool:
+        """Whether the path still names this file."""
+        try:
+            return os.path.samestat(os.fstat(self._file.fileno()), self._path.stat())
+        except FileNotFoundError:
+            return False
+
+    def _copy_to_its_name(self) -> None:
+        """Save the content of a file that was removed: it lives only as long as it is open."""
+        path = self._path
+        if os.path.lexists(path):
+            path = path.with_name(f"{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file.seek(0)
+        with path.open("xb") as copy:
+            shutil.copyfileobj(self._file, copy)
+            copy.flush()
+            _sync_file(copy.fileno())
+        sync_folder(path.parent)
 
     def _give_reserve_back(self, error: OSError) -> bool:
         if error.errno not in _FULL_DISK:

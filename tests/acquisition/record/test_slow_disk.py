@@ -133,7 +133,7 @@ def test_a_disk_that_is_full_behind_ones_back(tmp_path: Path, monkeypatch: pytes
     assert not [finding for finding in check_record(path) if finding.severity == "error"]
 
 
-def test_a_record_that_is_removed_while_it_is_written_is_said(tmp_path: Path) -> None:
+def test_a_record_that_is_removed_while_it_is_written_is_said_and_saved(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     writer = RecordWriter(path, 0)
     writer.write_event(0, "a", "")
@@ -141,3 +141,4 @@ def test_a_record_that_is_removed_while_it_is_written_is_said(tmp_path: Path) ->
     with pytest.raises(RecordError, match="removed or renamed while it was written"):
         writer.flush()
     writer.close()
+    assert kinds(path)[0] == "a"

@@ -6,7 +6,7 @@ from math import nan
 import numpy as np
 import pytest
 
-from acquisition.simulation.ground_settings import GroundTruth
+from acquisition.simulation.settings import GroundTruth
 from processing.estimate import Determinacy, Estimate
 from processing.fit import BaseMotion, Budget, Drag, DragFinding, Ground, fit_exact
 from processing.fit.uncertainty import BudgetSource
