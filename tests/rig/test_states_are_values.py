@@ -26,7 +26,6 @@ _READING: Final = frozenset(
 _ALLOWED: Final = {
     "rig/desk/calibrating.py": "the last line of a command that has failed is shown without its name",
     "rig/archive/session_rows.py": "the path stands in another column, and is not repeated in the flaw",
-    "acquisition/cameras/pylon.py": "lines of the maker's message are joined",
     "rig/presentation/verdict.py": "a message states its remedy behind a semicolon",
     "processing/least_squares.py": "scipy raises the same class for every fault",
 }
