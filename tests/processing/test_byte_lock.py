@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from processing import kernel_parts
-from processing.kernel_parts import byte_locked
+from processing import kernel_compiler
+from processing.kernel_compiler import byte_locked
 
 pytest.importorskip("fcntl", reason="the locks are those of POSIX")
 HOLDER = """
 import sys
 from pathlib import Path
-from processing.kernel_parts import byte_locked
+from processing.kernel_compiler import byte_locked
 with byte_locked(Path(sys.argv[1]), 7, lambda: None):
     print("held", flush=True)
     input()
@@ -55,7 +55,7 @@ def test_another_byte_is_free(tmp_path: Path) -> None:
 def test_a_process_that_hangs_is_not_waited_for_for_ever(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kernel_parts, "LONGEST_S", 0.2)
+    monkeypatch.setattr(kernel_compiler, "LONGEST_S", 0.2)
     other = holder(tmp_path / "lock")
     with byte_locked(tmp_path / "lock", 7, lambda: None):
         assert other.poll() is None

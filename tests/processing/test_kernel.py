@@ -21,7 +21,8 @@ import pytest
 from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
-from processing.kernel import at_compilation, cache_of, kernel
+from processing.kernel import at_compilation, kernel
+from processing.kernel_compiler import cache_of
 from tests.rig.long_record import make_long_record
 
 ROOT = Path(__file__).parents[2]
