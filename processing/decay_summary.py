@@ -178,8 +178,8 @@ _MOST = 240
 """The covariance of a walk has no zeros: its factors cost the cube of the number."""
 _NODES = 400
 """Against 6,400 the forecast moves by a thousandth of its uncertainty."""
-_EXPONENT, _U_EXPONENT = 0.87, 0.06
-_LN_DRY_PART, _U_LN_DRY_PART = math.log(0.25), 0.6
+_PRIOR, _U_PRIOR = np.array([0.0, 0.0, 0.87, math.log(0.25)]), np.array([0.06, 0.6])
+"""Of the exponent p and of ln d, the last two parameters; of the others nothing is known."""
 _WALKS = np.geomspace(1e-3, 10.0, 9)
 """Variance of a half-cycle's step of the walk over that of the noise, as they are tried."""
 
@@ -253,24 +253,18 @@ class _Decay:
     def _times(self, parameters: Floats) -> Floats:
         """Predicted times of the amplitudes and, last, of the final one."""
         wanted = np.append(self._a, self._final)
-        found: Floats = self._at(wanted, self._along(self._paces(parameters))) + parameters[0]
-        return found
-
-    def _prior(self, parameters: Floats) -> Floats:
-        return np.array(
-            [(parameters[2] - _EXPONENT) / _U_EXPONENT, (parameters[3] - _LN_DRY_PART) / _U_LN_DRY_PART]
-        )
+        return np.asarray(self._at(wanted, self._along(self._paces(parameters))) + parameters[0])
 
     def _fitted(self) -> Floats:
         """Parameters, as if the noise were all."""
         u_t = self._u / (-self.slope * self._a)
 
         def residuals(parameters: Floats) -> Floats:
-            return np.concatenate([(self._times(parameters)[:-1] - self._t) / u_t, self._prior(parameters)])
+            late = (self._times(parameters)[:-1] - self._t) / u_t
+            return np.concatenate([late, (parameters - _PRIOR)[2:] / _U_PRIOR])
 
-        ln_k = math.log(-self.slope * self._grid[0])
-        start = np.array([self._t[0], ln_k, _EXPONENT, _LN_DRY_PART])
-        apart = np.array([np.inf, 5.0, 10 * _U_EXPONENT, 10 * _U_LN_DRY_PART])
+        start = np.array([self._t[0], math.log(-self.slope * self._grid[0]), *_PRIOR[2:]])
+        apart = np.array([np.inf, 5.0, *(10 * _U_PRIOR)])
         found = solve(
             differenced(residuals), start, lower=start - apart, upper=start + apart, max_evaluations=60
         )
@@ -278,85 +272,49 @@ class _Decay:
 
     def remaining(self, half_period_s: float) -> Forecast:
         """The forecast, averaged over the sizes of the walk by how well each explains the amplitudes."""
+        from scipy.linalg import cholesky, solve_triangular
+
         parameters = self._fitted()
-        times = self._times(parameters)
-        columns = []
-        for k, step in enumerate((1e-3, 1e-5, 1e-5, 1e-4)):
-            moved = parameters.copy()
-            moved[k] += step
-            columns.append((self._times(moved) - times) / step)
-        slopes = np.column_stack(columns)
-        paces = self._paces(parameters)
+        times, slopes = differenced(self._times)(parameters)
+        left, count, paces = self._t - times[:-1], len(self._t), self._paces(parameters)
+        known = np.eye(4)[2:] / _U_PRIOR[:, None]
         # a step of the walk stays in the amplitude, so that in time it grows with the pace; it is walked
         # from one amplitude to the next whether the ground let that one fall or rise
         squares = self._at(self._a, paces**2)
         steps = 0.5 * (squares[1:] + squares[:-1]) * np.maximum(np.diff(self._t), 0.0) / half_period_s
-        walked = np.concatenate([[0.0], np.cumsum(steps)])
+        typical2 = float(np.median(self._u)) ** 2
+        walked = typical2 * np.concatenate([[0.0], np.cumsum(steps)])
         to_come = self._along(paces**3) / half_period_s
-        left = float(to_come[-1] - self._at(self._a[-1:], to_come)[0])
-        linear = _Linear(
-            left=self._t - times[:-1],
-            slopes=slopes[:-1],
-            final_slope=slopes[-1],
-            prior=self._prior(parameters),
-            noise=(self._u * self._at(self._a, paces)) ** 2,
-            walk=float(np.median(self._u)) ** 2 * walked,
-            walk_left=float(np.median(self._u)) ** 2 * left,
-            final_noise=(float(np.median(self._u)) * float(paces[-1])) ** 2,
-        )
+        walk_left = typical2 * float(to_come[-1] - self._at(self._a[-1:], to_come)[0])
+        noise = np.diag((self._u * self._at(self._a, paces)) ** 2)
+        earlier = np.minimum.outer(np.arange(count), np.arange(count))
+
+        def solved(ratio: float) -> tuple[float, float, float]:
+            """Correction of the final time, its variance and the log likelihood, for a size of the walk."""
+            root = cholesky(noise + ratio * walked[earlier], lower=True)
+            white = solve_triangular(root, np.column_stack([left, slopes[:-1], ratio * walked]), lower=True)
+            e, a, last = white[:, 0], white[:, 1:5], white[:, 5]
+            misfit = FactoredJacobian(a).left(e)
+            # amplitudes that scatter more than their uncertainties say
+            scale = max(1.0, float(misfit @ misfit) / max(count - 4, 1))
+            rows = np.concatenate([e / math.sqrt(scale), -known @ (parameters - _PRIOR)])
+            fit = FactoredJacobian(np.vstack([a / math.sqrt(scale), known]))
+            shift, rest = fit.coefficients(rows), fit.left(rows)
+            # the walk so far goes on from where it is
+            value = float(slopes[-1] @ shift + last @ (e - a @ shift))
+            variance = float(np.sum(((slopes[-1] - last @ a) @ fit.root) ** 2))
+            ahead = ratio * (walked[-1] + walk_left) - float(last @ last) + typical2 * float(paces[-1]) ** 2
+            cost = float(rest @ rest) + count * math.log(scale) + 2.0 * float(np.log(np.diag(root)).sum())
+            return value, variance + scale * ahead, -0.5 * (cost + fit.log_det)
+
         # parameters that the decay leaves without meaning have no solution
         with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
-            found = np.array([linear.solved(ratio) for ratio in _WALKS])
-            return self._averaged(found[np.all(np.isfinite(found), axis=1)], float(times[-1]))
+            found = np.array([solved(ratio) for ratio in _WALKS])
+            found = found[np.all(np.isfinite(found), axis=1)]
+            if len(found):
+                weight = np.exp(found[:, 2] - found[:, 2].max())
+                weight /= weight.sum()
+                mean = float(weight @ found[:, 0])
+                variance = float(weight @ (found[:, 1] + (found[:, 0] - mean) ** 2))
+                return Forecast(float(times[-1]) + mean, math.sqrt(max(variance, 0.0)))
         return Forecast(math.nan, math.nan)
-
-    @staticmethod
-    def _averaged(found: Floats, final_s: float) -> Forecast:
-        if not len(found):
-            return Forecast(math.nan, math.nan)
-        weight = np.exp(found[:, 2] - found[:, 2].max())
-        weight /= weight.sum()
-        mean = float(weight @ found[:, 0])
-        variance = float(weight @ (found[:, 1] + (found[:, 0] - mean) ** 2))
-        return Forecast(final_s + mean, math.sqrt(max(variance, 0.0)))
-
-
-class _Linear(NamedTuple):
-    """The model near its fit: residual times, their slopes by the parameters, variances of noise and walk."""
-
-    left: Floats
-    slopes: Floats
-    final_slope: Floats
-    prior: Floats
-    noise: Floats
-    walk: Floats
-    walk_left: float
-    final_noise: float
-
-    def solved(self, ratio: float) -> tuple[float, float, float]:
-        """Correction of the final time, its variance and the log likelihood, for a size of the walk."""
-        from scipy.linalg import cholesky, solve_triangular
-
-        count = len(self.left)
-        earlier = np.minimum.outer(np.arange(count), np.arange(count))
-        root = cholesky(np.diag(self.noise) + ratio * self.walk[earlier], lower=True)
-        white = solve_triangular(
-            root, np.column_stack([self.left, self.slopes, ratio * self.walk]), lower=True
-        )
-        e, a, last = white[:, 0], white[:, 1:5], white[:, 5]
-        misfit = FactoredJacobian(a).left(e)
-        # amplitudes that scatter more than their uncertainties say
-        scale = max(1.0, float(misfit @ misfit) / max(count - 4, 1))
-        known = np.zeros((2, 4))
-        known[0, 2], known[1, 3] = 1.0 / _U_EXPONENT, 1.0 / _U_LN_DRY_PART
-        normal = a.T @ a / scale + known.T @ known
-        wanted = a.T @ e / scale - known.T @ self.prior
-        shift = np.linalg.solve(normal, wanted)
-        # the walk so far goes on from where it is
-        slope = self.final_slope - last @ a
-        value = float(self.final_slope @ shift + last @ (e - a @ shift))
-        variance = float(slope @ np.linalg.solve(normal, slope))
-        ahead = ratio * (self.walk[-1] + self.walk_left) - float(last @ last) + self.final_noise
-        cost = float(e @ e) / scale + float(self.prior @ self.prior) - float(wanted @ shift)
-        cost += count * math.log(scale) + 2.0 * float(np.log(np.diag(root)).sum())
-        return value, variance + scale * ahead, -0.5 * (cost + float(np.linalg.slogdet(normal)[1]))

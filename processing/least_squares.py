@@ -191,12 +191,15 @@ class FactoredJacobian:
         Coordinates (k,) that are not determined.
     log_det
         ln det J^T J of the directions that are determined.
+    condition
+        Ratio of the largest to the smallest singular value.
     """
 
     def __init__(self, jacobian: Floats) -> None:
         norm = np.linalg.norm(jacobian, axis=0)
         scale = np.where(norm > 0, norm, 1.0)
         directions, singular, vt = np.linalg.svd(jacobian / scale, full_matrices=False)
+        self.condition = float(singular[0] / max(singular[-1], 1e-300)) if len(singular) else 1.0
         kept = singular > _SINGULAR * singular.max(initial=0.0)
         self.directions: Floats = directions[:, kept]
         self.root: Floats = (vt[kept].T / singular[kept]) / scale[:, None]

@@ -8,6 +8,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.least_squares import FactoredJacobian
 from processing.reference_spot import common_motion, fitted_gain
 from processing.units import seconds
 
@@ -176,4 +177,4 @@ def _without_swing(time_s: Floats, values: Floats, period_s: float) -> Floats:
     hats = np.maximum(1 - np.abs(time_s[:, None] - knots) / (_KNOT_PERIODS * period_s), 0.0)
     phase = 2 * np.pi * time_s[:, None] / period_s
     columns = np.column_stack([np.ones_like(time_s), hats * np.cos(phase), hats * np.sin(phase)])
-    return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])
+    return FactoredJacobian(columns).left(values)

@@ -4,8 +4,6 @@ Amplitude in first approximation (Eq. 5), period in second (Eq. 6):
 
     d alpha/dt = -(4/T) (c + b alpha^p/(p+1) + d alpha)                      (5, with a linear term d)
     T0/T = 1 - 2 kappa alpha^n J(n) (1 - curvature(n) rho alpha)             (6)
-
-Without the linear term a closed form exists, with which the tests compare.
 """
 
 from dataclasses import replace
@@ -21,7 +19,7 @@ from processing.contact.law import ContactParameters, PendulumOnBall, stiffness_
 from processing.decay_summary import FEWEST_PERIODS, full_periods, mean_period, reference_amplitude
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.least_squares import Loss, Solution, propagate, solve
+from processing.least_squares import FactoredJacobian, Loss, Solution, propagate, solve
 from processing.swing import TurningPoints
 
 _PIECE, _PIECES = 0.1, 400
@@ -206,7 +204,7 @@ def period_start(x: Floats, period_s: Floats, u_period_s: Floats, rho: float) ->
     found: list[tuple[float, PeriodStart]] = []
     for n in _EXPONENTS_N:
         columns = np.column_stack([np.ones_like(x), -frequency_drop(x, float(n), 1.0, rho)])
-        solution, *_ = np.linalg.lstsq(columns * weight[:, None], frequency * weight, rcond=None)
+        solution = FactoredJacobian(columns * weight[:, None]).coefficients(frequency * weight)
         rest = float(np.sum(((columns @ solution - frequency) * weight) ** 2))
         if solution[0] > 0:
             found.append(

@@ -20,6 +20,7 @@ from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import FREE_PERIOD, PERIOD, Law, Parameter
 from processing.contact.memoryless import Moment, Moments, memoryless_law
 from processing.decay_summary import reference_amplitude
+from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ def spline_law(points: TurningPoints) -> tuple[Law, MomentSplines]:
     def likely(found: StartValues, _: float) -> list[dict[str, float]]:
         x = np.geomspace(0.3 * points.amplitude.min(), points.amplitude.max(), _PER_FIT) / reference
         wanted = found.decay.c + max(found.decay.b, 0.0) * x**found.decay.p
-        friction = np.linalg.lstsq(splines.friction(x) / wanted[:, None], np.ones_like(x), rcond=None)[0]
+        friction = FactoredJacobian(splines.friction(x) / wanted[:, None]).coefficients(np.ones_like(x))
         known = dict(zip(of_friction, friction.tolist(), strict=True))
         return [known | dict.fromkeys(of_elastic, 0.0) | {PERIOD: found.mean_period_s}]
 

@@ -1,5 +1,4 @@
-"""Moments of the paper's law (Eqs. 1 and 3), loops and work of a swing, losses of a decay, surface energy;
-the contact spot with adhesion: JKR, DMT and Maugis-Dugdale beside Hertz.
+"""Loops and work of a swing, losses of a decay, surface energy; the contact spot with adhesion.
 
 Hertz leaves adhesion out. The adhesion that resists rolling (c of Eq. 1) also pulls the surfaces together, so
 that the spot is larger and the surface energy that follows from c, which is divided by the spot's area, is
@@ -20,14 +19,12 @@ from math import acos, isfinite, nan, pi, sqrt
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from processing.arrays import Floats
 from processing.contact.law import (
     ContactParameters,
     Law,
     PendulumOnBall,
-    stiffness_ratio,
     weight_moment,
 )
 from processing.contact.laws import DEFAULT_LAW, turning_points_of
@@ -35,29 +32,6 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.quantity import PART
 from processing.swing import TurningPoints
-
-
-def friction_moment(
-    phi_rad: ArrayLike, direction: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall
-) -> Floats:
-    """M_fr of Eq. 1 in N m, without drag, for angles of any shape; `direction` is the sign of phi'."""
-    phi = np.abs(np.asarray(phi_rad, dtype=np.float64))
-    friction = parameters.c + parameters.b * phi**parameters.p
-    return np.asarray(-weight_moment(pendulum) * friction * np.sign(direction), dtype=np.float64)
-
-
-def elastic_moment(phi_rad: ArrayLike, parameters: ContactParameters, pendulum: PendulumOnBall) -> Floats:
-    """M_el of Eq. 3 in N m (skeletal curve), for angles of any shape.
-
-    It has the sign of phi and opposes the moment of gravity.
-    """
-    phi = np.asarray(phi_rad, dtype=np.float64)
-    size = np.abs(phi)
-    rho = pendulum.ball_radius_m / pendulum.contact_radius_m
-    ratio = (
-        stiffness_ratio(parameters.gamma_pa, pendulum) * size ** (parameters.n + 1) * (pi / 2 - rho * size)
-    )
-    return np.asarray(weight_moment(pendulum) * ratio * np.sign(phi), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)

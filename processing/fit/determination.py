@@ -20,7 +20,7 @@ from processing.estimate import WELL_DETERMINED, Determinacy, FitMethod
 from processing.fit.checks import impossible
 from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
-from processing.least_squares import Solution, solve
+from processing.least_squares import FactoredJacobian, Solution, solve
 from processing.number_text import plain, with_uncertainty
 from processing.quantity import OF, Quantity
 from processing.swing import TurningPoints
@@ -36,8 +36,6 @@ _STEPS = 20
 _ALIKE = 0.15
 """Part of a half-width by which the ends of both intervals may differ where value and uncertainty stand."""
 _NAMED = Quantity("", "", unit=OF + "name")
-
-"""Each uncertainty is seven times what it would be if the other parameter were known: 1/sqrt(1 - 0.99^2)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,9 +115,7 @@ class _ConditionalModel:
         change = (self.at(before + step)(free)[0] - here) * ((after - before) / step)
         if not np.all(np.isfinite(change)):
             return free
-        norm = np.linalg.norm(jacobian, axis=0)
-        norm[norm == 0] = 1.0
-        return np.asarray(free - np.linalg.lstsq(jacobian / norm, change, rcond=1e-10)[0] / norm)
+        return free - FactoredJacobian(jacobian).coefficients(change)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.fit.terms import Term
 from processing.fit.terms import solve as solve_terms
-from processing.least_squares import covariance_of, solve
+from processing.least_squares import FactoredJacobian, covariance_of, solve
 from processing.swing import TurningPoints
 
 _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
@@ -119,8 +119,8 @@ class _SharedParameters:
     def _line(self, drags: Sequence[float]) -> list[float]:
         exposure = np.array([run.stated.exposure for run in self.runs])
         design = exposure[:, None] if self.by_ratio else np.column_stack([np.ones_like(exposure), exposure])
-        found = np.linalg.lstsq(design, np.array(drags), rcond=None)[0]
-        return [float(value) for value in found]
+        found: list[float] = FactoredJacobian(design).coefficients(np.array(drags)).tolist()
+        return found
 
     def contact(self, shared: Floats) -> tuple[Floats, Floats]:
         """SI values of the contact, and their derivatives by what is shared, in the solver's units."""

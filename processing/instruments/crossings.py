@@ -22,6 +22,7 @@ from processing.arrays import Floats, Ints
 from processing.decay_summary import full_periods
 from processing.errors import DataError
 from processing.estimate import Estimate
+from processing.least_squares import FactoredJacobian
 from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints
 from processing.units import nanoseconds, seconds
 
@@ -138,10 +139,8 @@ def _crossings(time_s: Floats, values: Floats, u: Floats, half_s: float, spacing
             continue
         scale_s = _REACH * half_s
         x = (time_s[first:last] - time_s[i]) / scale_s
-        weighted = np.vander(x, _POWERS, increasing=True) / u[first:last, np.newaxis]
-        q, r = np.linalg.qr(weighted)
-        solution = np.linalg.solve(r, q.T @ (values[first:last] / u[first:last]))
-        cover = np.linalg.inv(r)
+        fit = FactoredJacobian(np.vander(x, _POWERS, increasing=True) / u[first:last, np.newaxis])
+        solution = fit.coefficients(values[first:last] / u[first:last])
         slopes = np.polynomial.polynomial.polyder(solution)
         root = slope = 0.0
         for _ in range(20):
@@ -153,9 +152,9 @@ def _crossings(time_s: Floats, values: Floats, u: Floats, half_s: float, spacing
         found.append(
             _Crossing(
                 float(time_s[i]) + root * scale_s,
-                float(np.linalg.norm(by_value @ cover)) / abs(slope) * scale_s,
+                float(np.linalg.norm(by_value @ fit.root)) / abs(slope) * scale_s,
                 slope / scale_s,
-                float(np.linalg.norm(by_slope @ cover)) / scale_s,
+                float(np.linalg.norm(by_slope @ fit.root)) / scale_s,
             )
         )
     return found
@@ -198,6 +197,8 @@ def _swing(index: int, before: _Crossing, after: _Crossing, centre: float, start
     )
 
 
+_ALIKE = 1e7
+"""Condition of the three columns from which on rounding is what tells them apart."""
 _TELLING = 0.5
 """Standard uncertainty of the factor above which 1 cannot be told from 0."""
 
@@ -262,17 +263,13 @@ def circular_error(points: TurningPoints) -> CircularError:
     summed = np.concatenate(([0.0], np.cumsum(ideal_excess(np.sqrt(square)))))
     where = points.index - points.index[0]
     design = np.column_stack([np.ones(len(where)), where.astype(np.float64), summed[where]])
-    weighted = design / points.u_time_s[:, np.newaxis]
-    scale = np.linalg.norm(weighted, axis=0)
-    if not scale[2] > 0 or np.linalg.cond(weighted / scale) > 1e7:
+    fit, time = FactoredJacobian(design / points.u_time_s[:, np.newaxis]), points.time_s / points.u_time_s
+    if fit.condition > _ALIKE:
         raise DataError("the amplitudes are too much alike to tell how the period depends on them")
-    solution, _, _, _ = np.linalg.lstsq(weighted / scale, points.time_s / points.u_time_s, rcond=None)
-    residual = points.time_s / points.u_time_s - weighted / scale @ solution
+    residual = fit.left(time)
     chi2_per_dof = float(residual @ residual) / (len(points) - 3)
-    covariance = np.linalg.inv((weighted / scale).T @ (weighted / scale)) * max(1.0, chi2_per_dof)
-    covariance /= np.outer(scale, scale)
-    values = solution / scale
-    half_s, slope_s = float(values[1]), float(values[2])
+    covariance = fit.covariance() * max(1.0, chi2_per_dof)
+    _, half_s, slope_s = fit.coefficients(time).tolist()
     by = np.array([0.0, -slope_s / half_s**2, 1 / half_s])
     factor = Estimate(slope_s / half_s, float(np.sqrt(by @ covariance @ by)))
     period0 = Estimate(2 * half_s, 2 * math.sqrt(covariance[1, 1]))

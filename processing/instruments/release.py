@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from processing.arrays import Floats, Ints
+from processing.least_squares import FactoredJacobian
 from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
 
@@ -98,17 +99,16 @@ def _release_fit(
         design = np.column_stack([np.ones(len(since)), since**_POWERS]) / u_values[used, None]
         design = np.vstack([design, known[:, :-1]])
         seen = np.append(values[used] / u_values[used], 0.5 * cubic * known[0, 1])
-        solution = np.linalg.lstsq(design, seen, rcond=None)[0]
+        solution = FactoredJacobian(design).coefficients(seen)
         slope = -(_POWERS * since ** (_POWERS - 1)) @ solution[1:] / u_values[used]
-        whole = np.column_stack([design, np.append(slope, 0.0)])
-        steps, chi2, *_ = np.linalg.lstsq(whole, seen - design @ solution, rcond=None)
-        step_s = float(np.clip(steps[-1], -0.5, 0.5)) * scale_s
+        whole = FactoredJacobian(np.column_stack([design, np.append(slope, 0.0)]))
+        left = seen - design @ solution
+        step_s = float(np.clip(whole.coefficients(left)[-1], -0.5, 0.5)) * scale_s
         release_s += step_s
         if abs(release_s) > scale_s:
             return None
-    dof = len(seen) - len(steps)
-    chi2_per_dof = float(chi2[0]) / dof if len(chi2) else math.inf
+    chi2_per_dof = float(np.sum(whole.left(left) ** 2)) / (len(seen) - len(whole.root))
     if chi2_per_dof > _UNLIKE or not solution[0] > 0:
         return None
-    u = np.sqrt(np.diag(np.linalg.inv(whole.T @ whole)) * max(1.0, chi2_per_dof))
+    u = np.sqrt(np.diag(whole.covariance()) * max(1.0, chi2_per_dof))
     return (float(solution[0]), release_s), (float(u[0]), float(u[-1]) * scale_s)

@@ -14,6 +14,7 @@ import numpy as np
 
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
+from processing.least_squares import FactoredJacobian
 from processing.swing import HalfCycle, HalfCycleFlag
 from processing.units import seconds
 
@@ -91,13 +92,11 @@ def _fit(x: Floats, values: Floats, u_values: Floats) -> tuple[Floats, Floats]:
     design = np.empty((len(x), _TERMS))
     design[:, :_POWERS] = np.vander(x, _POWERS, increasing=True)
     design[:, _POWERS] = x * np.abs(x)
-    weighted = design / u_values[:, np.newaxis]
-    q, r = np.linalg.qr(weighted)
-    solution = np.linalg.solve(r, q.T @ (values / u_values))
-    residual = values / u_values - weighted @ solution
+    fit, weighted = FactoredJacobian(design / u_values[:, np.newaxis]), values / u_values
+    residual = fit.left(weighted)
     chi2_per_dof = float(residual @ residual) / (len(x) - _TERMS)
-    spread = np.sum(np.linalg.inv(r) ** 2, axis=1)
-    return solution, np.sqrt(spread * max(1.0, chi2_per_dof))
+    spread = np.sum(fit.root**2, axis=1)
+    return fit.coefficients(weighted), np.sqrt(spread * max(1.0, chi2_per_dof))
 
 
 def _about_the_rest_position(swings: list[HalfCycle]) -> list[HalfCycle]:

@@ -7,21 +7,19 @@ column, the highest value met. The brightest place is then located in the few ro
 from collections.abc import Callable
 from typing import Any, cast
 
-from llvmlite import ir  # type: ignore[import-untyped]
-from numba import types
-from numba.extending import intrinsic
-
 from processing.arrays import Ints
-from processing.kernel import kernel
+from processing.kernel import intrinsic, kernel
 from processing.spot.fit_values import Image
 
 LINE_BYTES = 64
 _READ, _KEEP, _DATA = 0, 3, 1
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def _prefetch(typing_context: Any, image: Any, place: Any) -> Any:
     """Generate the LLVM prefetch instruction for `prefetch`."""
+    from llvmlite import ir  # type: ignore[import-untyped]
+    from numba import types
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, arguments[0])

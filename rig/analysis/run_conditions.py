@@ -19,8 +19,7 @@ from processing.fit import Ground
 from processing.quantity import Quantity
 from processing.spot import LONGEST_CHOICE_FRAMES, BeamUse, SpotFlag, SpotModel
 from processing.units import seconds
-from rig.devices import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED
-from rig.instrument import rate_text
+from rig.instrument import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED, rate_text
 from rig.presentation import Verdict, percent
 from rig.settings import Configuration, PreflightSettings
 

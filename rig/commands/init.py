@@ -4,18 +4,17 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from acquisition.camera import PluggedCamera
-from acquisition.cameras.drivers import DRIVERS
 from processing.errors import ConfigurationError, RigError
 from processing.units import unit_of_name
 from rig.commands.arguments import in_json
-from rig.control import LASERS
 from rig.presentation import say
-from rig.settings import keys_with_faults, quantity
+
+if TYPE_CHECKING:
+    from acquisition.camera import PluggedCamera
 
 
 def register(app: typer.Typer) -> None:
@@ -152,7 +151,7 @@ class Question:
     open_choice: bool = False
 
 
-def ask(cameras: Sequence[PluggedCamera], ports: Sequence[tuple[str, str]]) -> dict[str, Any]:
+def ask(cameras: Sequence["PluggedCamera"], ports: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """Ask all questions at the terminal; returns the stated keys.
 
     A wrong answer is asked for again; where lines come from a file or pipe, it ends the questions.
@@ -188,7 +187,7 @@ def ask(cameras: Sequence[PluggedCamera], ports: Sequence[tuple[str, str]]) -> d
 
 
 def questions(
-    cameras: Sequence[PluggedCamera], ports: Sequence[tuple[str, str]], stated: Keys
+    cameras: Sequence["PluggedCamera"], ports: Sequence[tuple[str, str]], stated: Keys
 ) -> Iterator[Question]:
     """The questions in their order; `stated` grows by the keys of each answer before the next is asked."""
     yield _camera(cameras)
@@ -202,8 +201,10 @@ def questions(
     yield Question("Folder to record in:", _text("session.output"), "runs")
 
 
-def _camera(cameras: Sequence[PluggedCamera]) -> Question:
+def _camera(cameras: Sequence["PluggedCamera"]) -> Question:
     """Cameras that are there are chosen by their number; of one driver there may be several."""
+    from acquisition.cameras.drivers import DRIVERS
+
     choices, keys = [], {}
     drivers = [camera.driver for camera in cameras]
     for place, camera in enumerate(cameras, 1):
@@ -224,7 +225,7 @@ def _camera(cameras: Sequence[PluggedCamera]) -> Question:
     return Question("Which camera:", lambda answer: _checked(keys[answer]), suggested, tuple(choices))
 
 
-def _identity(camera: PluggedCamera, *, several: bool) -> dict[str, Any]:
+def _identity(camera: "PluggedCamera", *, several: bool) -> dict[str, Any]:
     keys: dict[str, Any] = {"camera.driver": camera.driver}
     if several and camera.serial:
         keys["camera.serial"] = camera.serial
@@ -235,6 +236,8 @@ def _identity(camera: PluggedCamera, *, several: bool) -> dict[str, Any]:
 
 def _ports(ports: Sequence[tuple[str, str]], stated: Keys) -> Iterator[Question]:
     """Controller and laser: which of them this program switches, and where they are plugged in."""
+    from rig.control import LASERS
+
     yield Question(
         "Serial port of the controller, a Pico with this program's firmware (another board: none):",
         lambda text: (
@@ -278,6 +281,7 @@ def _lever(stated: Keys) -> Iterator[Question]:
 
 def _length(key: str) -> Callable[[str], Keys]:
     """Reads a number with its standard uncertainty, a key of its own; nothing for an empty answer."""
+    from rig.settings import quantity
 
     def read(text: str) -> Keys:
         if not text:
@@ -298,6 +302,8 @@ def _checked(keys: Keys, *, whole: str = "") -> Keys:
 
     `whole` names a section of which all is stated, so that what holds between its keys is checked, too.
     """
+    from rig.settings import keys_with_faults
+
     if lines := keys_with_faults(keys, whole):
         raise ConfigurationError("; ".join(lines))
     return keys

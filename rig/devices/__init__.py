@@ -7,9 +7,6 @@ from rig.devices import picture
 from rig.devices.acknowledgement import LightWatch, TypedAcknowledgement, ask_leave, at_terminal
 from rig.devices.audit import AUDIT_NAME, AuditEntry, check_log
 from rig.devices.clocks import (
-    U_FREE_RUNNING,
-    U_QUARTZ,
-    U_SYNCHRONISED,
     ClockAnchors,
     ClockRate,
     ntp_state,

@@ -21,14 +21,8 @@ from acquisition.record.topics import ClockAnchor, RecordedClockStep
 from calibration import ClockRelation, relate_clocks
 from processing.errors import DataError, DeviceError
 from processing.units import seconds
-from rig.instrument import CameraClock
+from rig.instrument import U_FREE_RUNNING, U_SYNCHRONISED, CameraClock
 
-U_FREE_RUNNING: Final = 50e-6
-"""Relative standard uncertainty of a computer's free-running quartz oscillator."""
-U_SYNCHRONISED: Final = 1e-6
-"""Of one that follows a time server which states no better."""
-U_QUARTZ: Final = 0.7e-6
-"""Of a quartz that follows the room, 1 ppm up and down in an hour: no record of minutes shows it."""
 _PATIENCE_S = 3.0
 _TIME_ERROR, _UNSYNCHRONISED = 5, 0x40
 

@@ -45,4 +45,14 @@ from rig.instrument.provenance import (
     session_metadata,
     versions,
 )
-from rig.instrument.run_now import CameraClock, Phase, RecordContents, RunNow, rate_text, told_in
+from rig.instrument.run_now import (
+    U_FREE_RUNNING,
+    U_QUARTZ,
+    U_SYNCHRONISED,
+    CameraClock,
+    Phase,
+    RecordContents,
+    RunNow,
+    rate_text,
+    told_in,
+)

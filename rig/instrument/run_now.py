@@ -41,6 +41,14 @@ _TELLS_PPM = 100.0
 """Any quartz is right within so much: a rate that is known no better says nothing."""
 
 
+U_FREE_RUNNING: Final = 50e-6
+"""Relative standard uncertainty of a computer's free-running quartz oscillator."""
+U_SYNCHRONISED: Final = 1e-6
+"""Of one that follows a time server which states no better."""
+U_QUARTZ: Final = 0.7e-6
+"""Of a quartz that follows the room, 1 ppm up and down in an hour: no record of minutes shows it."""
+
+
 def rate_text(drift_ppm: float, u_drift_ppm: float) -> str:
     """Rate and standard uncertainty with two digits of the latter, 0.1 ppb at the finest."""
     digits = min(max(1 - math.floor(math.log10(max(u_drift_ppm, 1e-9))), 0), 4)

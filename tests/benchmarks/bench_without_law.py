@@ -5,6 +5,7 @@ At rest the decays are the tests' own, in the basement those of the simulated ri
 law, expressed as the splines are, with no moment proportional to the angle at the reference.
 """
 
+from dataclasses import asdict
 from time import process_time
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from processing.contact import PendulumOnBall
 from processing.contact.law import ContactParameters
-from processing.contact.moments import elastic_moment, friction_moment
+from processing.contact.laws import PAPER
 from processing.fit import fit_model_free
 from processing.fit.model_free import FreeMoments
 from tests.benchmarks.bench_ground import Case, basement, simulated_case
@@ -28,10 +29,10 @@ def true_moments(found: FreeMoments, parameters: ContactParameters, pendulum: Pe
     """Friction and elastic moment of the paper's law where gravity has all that is proportional there."""
     phi, at = found.phi_rad, found.reference_rad
     weight = pendulum.mass_kg * pendulum.gravity_m_per_s2 * pendulum.ball_radius_m
-    share = elastic_moment(at, parameters, pendulum) / at
-    elastic = elastic_moment(phi, parameters, pendulum) - share * phi
-    friction = friction_moment(phi, -1.0, parameters, pendulum)
-    return np.array([friction, elastic]) / (1 - share / weight)
+    every = np.append(phi, at)
+    friction, elastic = PAPER.branch_moments(every, -np.ones_like(every), asdict(parameters), pendulum)
+    share = elastic[-1] / at
+    return np.asarray(np.array([friction[:-1], elastic[:-1] - share * phi]) / (1 - share / weight))
 
 
 def rest(flat: str) -> Case:

@@ -1,8 +1,10 @@
-"""Kernels are compiled once, kept while nothing that they use has changed, and work without a cache."""
+"""Kernels are compiled once, kept while nothing that they use has changed, and work without a cache.
+
+A byte of a file is one process's at a time, and nobody's once that has ended.
+"""
 
 import gc
 import importlib
-import json
 import os
 import shutil
 import signal
@@ -21,7 +23,9 @@ import pytest
 from numba.core.errors import TypingError
 from numpy.typing import NDArray
 
-from processing.kernel import at_compilation, cache_of, kernel
+from processing import kernel_compiler
+from processing.kernel import at_compilation, kernel
+from processing.kernel_compiler import byte_locked
 from tests.rig.long_record import make_long_record
 
 ROOT = Path(__file__).parents[2]
@@ -70,6 +74,15 @@ def imported_again() -> ModuleType:
     return importlib.import_module("outer_kernel")
 
 
+def printed(folder: Path, program: str) -> str:
+    """What another process prints, which finds the kernels of the folder."""
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", program], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def compilations(module: ModuleType, ways: int = 1) -> tuple[float, list[bool]]:
     """Result of `outer`, and what was said of its compilation: one entry if it was compiled."""
     said: list[bool] = []
@@ -86,10 +99,7 @@ def test_compiled_once_and_then_loaded(folder: Path) -> None:
 def test_a_kernel_called_by_another_and_by_python_is_loaded_for_both(folder: Path) -> None:
     program = "import outer_kernel; print(outer_kernel.outer(1.0, 1), outer_kernel.filled(2).tolist())"
     for _ in range(2):  # compiled, then loaded in a process that has compiled nothing
-        done = subprocess.run(
-            [sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=True
-        )
-        assert done.stdout == "21.0 [10.0, 10.0]\n"
+        assert printed(folder, program) == "21.0 [10.0, 10.0]\n"
 
 
 @pytest.mark.parametrize(
@@ -108,45 +118,26 @@ def test_compiled_again_after_a_change(folder: Path, name: str, old: str, new: s
 
 
 @pytest.mark.slow
-def test_compiled_again_when_a_module_of_what_it_calls_is_gone(folder: Path) -> None:
-    """As after an update of the program: the machine code names the modules that it was made from."""
-    source = folder / "outer_kernel.py"
-    source.write_text(
-        "from processing.kernel import kernel\nfrom inner_kernel import filled\n\n"
-        "@kernel\ndef outer(x, ways):\n    return 2.1 * filled(1)[0]\n"
-    )
-    assert compilations(imported_again()) == (21.0, [True])
-    (folder / "inner_kernel.py").rename(folder / "moved_kernel.py")
-    source.write_text(source.read_text().replace("inner_kernel", "moved_kernel"))
-    done = subprocess.run(
-        [sys.executable, "-B", "-c", "import outer_kernel; print(outer_kernel.outer(1.0, 1))"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.stdout == "21.0\n", done.stderr
-
-
-@pytest.mark.slow
-def test_compiled_again_when_the_class_of_an_argument_is_gone(folder: Path) -> None:
-    """As after an update of the program: the index of the machine code names the classes of arguments."""
-    source = folder / "outer_kernel.py"
-    source.write_text(
-        "from typing import NamedTuple\nfrom processing.kernel import kernel\n\n"
-        "class Pair(NamedTuple):\n    one: float\n    other: float\n\n"
-        "@kernel\ndef outer(pair):\n    return pair.one * pair.other\n"
-    )
-    for name in ("Pair", "Couple"):
-        source.write_text(source.read_text().replace("Pair", name))
-        done = subprocess.run(
-            [sys.executable, "-B", "-c", f"from outer_kernel import *; print(outer({name}(2.0, 10.5)))"],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.stdout == "21.0\n", done.stderr
+@pytest.mark.parametrize(
+    ("text", "called", "old", "new"),
+    [
+        ("from inner_kernel import filled\n\n@kernel\ndef outer(x):\n    return x * filled(1)[0]\n",
+         "outer(2.1)", "inner_kernel", "moved_kernel"),
+        (("from typing import NamedTuple\n\nclass Pair(NamedTuple):\n    one: float\n    other: float\n\n"
+          "@kernel\ndef outer(pair):\n    return pair.one * pair.other\n"),
+         "outer(Pair(2.0, 10.5))", "Pair", "Couple"),
+    ],
+)  # fmt: skip
+def test_compiled_again_when_what_the_machine_code_names_is_gone(
+    folder: Path, text: str, called: str, old: str, new: str
+) -> None:
+    """As after an update of the program: it names the modules of what it calls, and classes of arguments."""
+    (folder / "moved_kernel.py").write_text(INNER)
+    for _ in range(2):
+        (folder / "outer_kernel.py").write_text(f"from processing.kernel import kernel\n{text}")
+        assert printed(folder, f"from outer_kernel import *; print({called})") == "21.0\n"
+        (folder / "inner_kernel.py").unlink(missing_ok=True)
+        text, called = text.replace(old, new), called.replace(old, new)
 
 
 def test_not_compiled_again_for_words(folder: Path) -> None:
@@ -197,26 +188,11 @@ def test_code_that_was_not_kept_is_not_taken_for_what_was_kept_before(folder: Pa
     assert compilations(imported_again()) == (21.0, [True])
     source = folder / "outer_kernel.py"
     source.write_text(source.read_text().replace("FACTOR * inner", "FACTOR + inner"))
-    done = subprocess.run(
-        [sys.executable, "-B", "-c", LITTLE_SPACE], cwd=folder, capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "13.0\n"
+    assert printed(folder, LITTLE_SPACE) == "13.0\n"
     assert compilations(imported_again()) == (13.0, [True])
     assert compilations(imported_again()) == (13.0, [])
     # what can no longer be loaded is deleted
     assert len(list(folder.rglob("outer_kernel.outer*.nbc"))) == 1
-
-
-def test_two_processes_that_keep_code_at_once_keep_it_apart(folder: Path) -> None:
-    """Both have found the cache empty before one of them has kept code for other types than the other."""
-    one, other, reader = (cache_of(imported_again().outer.py_func, {})._cache_file for _ in range(3))
-    found = other._load_index()
-    one.save("types", "code")
-    other._load_index = lambda: found
-    other._save_data = full_disk
-    with pytest.raises(OSError, match="full"):
-        other.save("other types", "other code")
-    assert reader.load("other types") is None
 
 
 AT_ONCE = """
@@ -268,10 +244,6 @@ def test_an_error_of_a_kernel_within_another_names_its_values(folder: Path) -> N
             module.outer(-2.0, 1)
 
 
-def full_disk(name: str, data: object) -> None:
-    raise OSError("full")
-
-
 @pytest.fixture
 def for_everyone() -> Iterator[Path]:
     """A folder that another user can enter, which pytest's own are not."""
@@ -297,26 +269,26 @@ def locked(folder: Path) -> Path:
 
 
 PROGRAM = """
-import json, outer_kernel
+import outer_kernel
 from processing.kernel import at_compilation
-from tests.rig.long_record import make_long_record
 said = []
 with at_compilation(said.append):
-    result = outer_kernel.outer(1.0, 1)
-print(json.dumps([result, said]))
+    print(outer_kernel.outer(1.0, 1), said)
 """
 
 
-def run_as_nobody(folder: Path, *words: str) -> str:
-    """What a python prints that may write nowhere; it finds modules in this folder first."""
+@pytest.mark.slow
+def test_works_where_nothing_can_be_written(for_everyone: Path) -> None:
+    (for_everyone / "outer_kernel.py").write_text(OUTER)
+    (for_everyone / "inner_kernel.py").write_text(INNER)
     done = subprocess.run(
-        as_nobody(sys.executable, "-B", *words),
-        cwd=folder,
+        as_nobody(sys.executable, "-B", "-c", PROGRAM),
+        cwd=locked(for_everyone),
         env={
             "PATH": os.environ["PATH"],
-            "HOME": str(folder),
+            "HOME": str(for_everyone),
             "NUMBA_OPT": "0",  # what is compiled is not asked to be fast
-            "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
+            "PYTHONPATH": os.pathsep.join([str(for_everyone), str(ROOT)]),
         },
         capture_output=True,
         text=True,
@@ -324,34 +296,17 @@ def run_as_nobody(folder: Path, *words: str) -> str:
     )
     if done.returncode != 0 and "Permission denied" in done.stderr and "python" in done.stderr.split("\n")[0]:
         pytest.skip(f"another user cannot run this python: {done.stderr.splitlines()[0]}")
-    assert done.returncode == 0, done.stderr
-    return done.stdout + done.stderr
+    assert done.stdout == "21.0 [False]\n", done.stderr
 
 
-@pytest.mark.slow
-def test_works_where_nothing_can_be_written(for_everyone: Path) -> None:
-    (for_everyone / "outer_kernel.py").write_text(OUTER)
-    (for_everyone / "inner_kernel.py").write_text(INNER)
-    locked(for_everyone)
-    assert json.loads(run_as_nobody(for_everyone, "-c", PROGRAM)) == [21.0, [False]]
-
-
-@pytest.fixture
-def sources(for_everyone: Path) -> Path:
-    """A copy of the program that nobody can write, with a folder for records that everybody can."""
-    for name in ("rig", "acquisition", "calibration", "processing", "configs"):
-        shutil.copytree(ROOT / name, for_everyone / name, ignore=shutil.ignore_patterns("__pycache__"))
-    locked(for_everyone)
-    for_everyone.chmod(0o755)
-    (for_everyone / "records").mkdir()
-    (for_everyone / "records").chmod(0o777)
-    return for_everyone
-
-
-def test_a_record_is_shown_where_no_cache_can_be_written(sources: Path) -> None:
-    record = make_long_record(sources / "records" / "run.mcap", 200)
-    record.chmod(0o644)
-    assert "full_scale_dn" in run_as_nobody(sources, "-m", "rig", "record", "info", "records/run.mcap")
+def test_what_calls_no_kernel_does_not_import_numba(tmp_path: Path) -> None:
+    record = make_long_record(tmp_path / "run.mcap", 20)
+    program = (
+        f"import sys; sys.argv = ['rig', 'record', 'info', {str(record)!r}]\n"
+        "from rig.cli import main\n"
+        "try:\n    main()\nfinally:\n    print('numba' in sys.modules)"
+    )
+    assert printed(ROOT, program).splitlines()[-1] == "False"
 
 
 def test_threads_that_first_call_a_kernel_at_the_same_time_get_the_same_code() -> None:
@@ -406,3 +361,59 @@ def test_an_interrupt_in_a_kernel_that_makes_arrays_is_an_interrupt() -> None:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
         signal.signal(signal.SIGVTALRM, before)
     assert pressed == 200
+
+
+HOLDER = """
+import sys
+from pathlib import Path
+from processing.kernel_compiler import byte_locked
+with byte_locked(Path(sys.argv[1]), 7, lambda: None):
+    print("held", flush=True)
+    input()
+"""
+
+
+def holder(path: Path) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    return process
+
+
+def test_it_is_waited_for_until_the_other_process_is_killed(tmp_path: Path) -> None:
+    other = holder(tmp_path / "lock")
+    waits: list[int] = []
+
+    def kill() -> None:
+        waits.append(1)
+        threading.Timer(0.3, other.kill).start()
+
+    with other, byte_locked(tmp_path / "lock", 7, kill):
+        assert other.wait(30.0) != 0
+    assert waits == [1]
+
+
+def test_another_byte_is_free(tmp_path: Path) -> None:
+    other = holder(tmp_path / "lock")
+    waits: list[int] = []
+    with byte_locked(tmp_path / "lock", 8, lambda: waits.append(1)):
+        assert other.poll() is None
+    assert waits == []
+    other.communicate("\n", 30.0)
+
+
+def test_a_process_that_hangs_is_not_waited_for_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_compiler, "LONGEST_S", 0.2)
+    other = holder(tmp_path / "lock")
+    with byte_locked(tmp_path / "lock", 7, lambda: None):
+        assert other.poll() is None
+    other.communicate("\n", 30.0)
+
+
+def test_without_a_place_for_the_lock_it_is_done_without(tmp_path: Path) -> None:
+    with byte_locked(tmp_path / "none" / "lock", 7, lambda: None):
+        assert not (tmp_path / "none").exists()

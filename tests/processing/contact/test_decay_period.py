@@ -4,16 +4,11 @@ import threading
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.integrate import quad
 
 from processing.contact import turning_points_of
 from processing.contact.asymptotic import PRINTED_CURVATURE, cosine_moment, curvature, decay_path, period
 from processing.contact.law import ContactParameters
-from processing.errors import DataError
-from tests.processing.contact.eq5_closed_form import decay_amplitude, decay_time
 from tests.processing.fit.decays import ARCSEC, PAIRS, paper_pair
 
 
@@ -26,94 +21,21 @@ def by_quadrature(low: float, high: float, b: float, p: float, c: float, period_
     return float(period_s / 4 * np.sum(half * w * np.exp(u) / (c + b / (p + 1) * np.exp(p * u))))
 
 
-EXPONENTS = (
-    0.0,
-    1e-12,
-    1e-6,
-    1e-3,
-    0.1,
-    0.25,
-    1 / 3,
-    0.5,
-    0.815,
-    0.944,
-    1 - 1e-12,
-    1.0,
-    1 + 1e-9,
-    1.5,
-    2.0,
-    3.0,
-)
+@pytest.mark.parametrize("p", [0.0, 0.1, 0.5, 0.815, 0.944, 1 - 1e-12, 1.0, 1.5, 3.0])
+@pytest.mark.parametrize(("b", "c"), [(4e-3, 1e-3), (4e-3, 1e-9), (1e-6, 1e-3), (4e-3, 0.0)])
+def test_a_path_without_drag_takes_the_time_of_the_integral(p: float, b: float, c: float) -> None:
+    start = 3.0
+    s = np.linspace(0.0, 2.0 * start / (c + b * start**p), 40)
+    path, _ = decay_path(s, start, b / (p + 1), p, c, 0.0)
+    late = path > 1e-3
+    assert np.count_nonzero(late) > 5
+    taken = [by_quadrature(x, start, b, p, c, 4.0) for x in path[late].tolist()]
+    np.testing.assert_allclose(taken[1:], s[late][1:], rtol=1e-10)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("p", EXPONENTS)
-def test_closed_form_is_the_integral_over_the_whole_range(p: float) -> None:
-    for c in (0.0, 1e-30, 1e-12, 1e-9, 1e-8, 1e-6, 1e-3):
-        for b in (0.0, 1e-9, 1e-4, 37e-4, 1.0):
-            if b + c == 0:
-                continue
-            for low, high in ((1e-5, 6e-4), (1e-8, 6e-4), (5.9e-4, 6e-4)):
-                time = decay_time(low, high, b=b, p=p, c=c, period_s=4.0)
-                np.testing.assert_allclose(time, by_quadrature(low, high, b, p, c, 4.0), rtol=1e-11)
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    p=st.floats(0, 3),
-    log_c=st.floats(-12, -4),
-    log_b=st.floats(-7, 0),
-    share=st.floats(1e-4, 0.999),
-)
-def test_closed_form_is_the_integral_anywhere(p: float, log_c: float, log_b: float, share: float) -> None:
-    b, c = 10**log_b, 10**log_c
-    time = decay_time(6e-4 * share, 6e-4, b=b, p=p, c=c, period_s=4.0)
-    np.testing.assert_allclose(time, by_quadrature(6e-4 * share, 6e-4, b, p, c, 4.0), rtol=1e-10)
-
-
-def test_closed_form_agrees_with_scipy_quad() -> None:
-    parameters, _ = paper_pair("glass_k8")
-    b, p, c = parameters.b, parameters.p, parameters.c
-    for low in (2 * ARCSEC, 30 * ARCSEC):
-        expected, error = quad(
-            lambda phi: 1 / (c + b * phi**p / (p + 1)), low, 124 * ARCSEC, epsabs=0, epsrel=1e-13, limit=200
-        )
-        time = decay_time(low, 124 * ARCSEC, b=b, p=p, c=c, period_s=4.0)
-        assert abs(float(time) - expected) <= max(1e-12 * expected, 2 * error)
-
-
-def test_limits_are_numbers() -> None:
-    def end(b: float, p: float, c: float) -> float:
-        return float(decay_time(0.0, 1.0, b=b, p=p, c=c, period_s=4.0))
-
-    assert end(0.0, 0.5, 2.0) == pytest.approx(0.5, rel=1e-15)  # constant friction alone
-    assert end(3.0, 0.0, 2.0) == pytest.approx(0.2, rel=1e-15)  # p = 0: two constants
-    assert end(1.5, 0.5, 0.0) == pytest.approx(2.0, rel=1e-14)  # dies in finite time
-    assert end(2.0, 1.0, 0.0) == np.inf  # exponential decay never ends
-    assert end(2.0, 1.0, 1.0) == pytest.approx(np.log(2.0), rel=1e-14)
-
-
-def test_amplitude_inverts_time() -> None:
-    parameters, _ = paper_pair("silicon")
-    kind = {"b": parameters.b, "p": parameters.p, "c": parameters.c, "period_s": 4.07}
-    amplitude = np.geomspace(1e-6, 6e-4, 300)
-    time = decay_time(amplitude, 6e-4, **kind)
-    np.testing.assert_allclose(decay_amplitude(time, 6e-4, **kind), amplitude, rtol=1e-12)
-    earlier = decay_time(9e-4, 6e-4, **kind)
-    assert earlier < 0
-    np.testing.assert_allclose(decay_amplitude(earlier, 6e-4, **kind), 9e-4, rtol=1e-12)
-    end = float(decay_time(0.0, 6e-4, **kind))
-    assert decay_amplitude(end, 6e-4, **kind) == 0
-    assert np.isnan(decay_amplitude(1.001 * end, 6e-4, **kind))
-
-
-def test_path_with_drag_follows_the_rate_and_without_it_the_closed_form() -> None:
-    b, p, c, start = 4e-3, 0.9, 1e-3, 3.0
+def test_derivatives_of_a_path_with_drag_are_those_of_differences() -> None:
     s = np.concatenate([np.linspace(0, 200, 60), [400.0]])
-    path, gradient = decay_path(s, start, b / (p + 1), p, c, 0.0)
-    time = decay_time(path, start, b=b, p=p, c=c, period_s=4.0)
-    np.testing.assert_allclose(time[1:], s[1:], rtol=1e-11)
-    values = np.array([start, b, p, c, 2e-3])
+    values = np.array([3.0, 4e-3, 0.9, 1e-3, 2e-3])
     _, gradient = decay_path(s, *values)
     for i in range(5):
         step = np.zeros(5)
@@ -139,14 +61,6 @@ def test_constant_friction_ends_the_path_at_rest() -> None:
     thread.join(20.0)
     assert found, "the amplitude falls for ever"
     np.testing.assert_allclose(found[0], [3.0, 1.5, 0.3, np.nan, np.nan], rtol=1e-12)
-
-
-@pytest.mark.parametrize(("b", "c"), [(-1e-3, 1e-8), (1e-3, -1e-8), (0.0, 0.0)])
-def test_friction_that_gives_energy_is_refused(b: float, c: float) -> None:
-    with pytest.raises(DataError, match=r"Eq\. 5"):
-        decay_time(1e-5, 6e-4, b=b, p=0.9, c=c, period_s=4.0)
-    with pytest.raises(DataError, match=r"Eq\. 5"):
-        decay_amplitude(1.0, 6e-4, b=b, p=0.9, c=c, period_s=4.0)
 
 
 def averaged_frequency_drop(
