@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from processing.errors import ConfigurationError, RigError
-from processing.units import unit_of_name
 from rig.commands.arguments import in_json
-from rig.presentation import say
 
 if TYPE_CHECKING:
     from acquisition.camera import PluggedCamera
@@ -61,7 +59,6 @@ def init(
         return
     file = file or Path("my-rig.toml")
     from acquisition.cameras.drivers import find_cameras
-    from rig.commands.init import ask
     from rig.control import list_serial_ports
     from rig.presentation import answer, say
     from rig.settings import refuse_existing, write_configuration
@@ -170,6 +167,8 @@ def ask(cameras: Sequence["PluggedCamera"], ports: Sequence[tuple[str, str]]) ->
     KeyboardInterrupt
         After Ctrl-C.
     """
+    from rig.presentation import say
+
     say("A configuration for your rig. Enter accepts the value in brackets, Ctrl-C ends and writes nothing.")
     stated: dict[str, Any] = {}
     for question in questions(cameras, ports, stated):
@@ -281,6 +280,7 @@ def _lever(stated: Keys) -> Iterator[Question]:
 
 def _length(key: str) -> Callable[[str], Keys]:
     """Reads a number with its standard uncertainty, a key of its own; nothing for an empty answer."""
+    from processing.units import unit_of_name
     from rig.settings import quantity
 
     def read(text: str) -> Keys:
@@ -324,6 +324,8 @@ def _chosen(question: Question, text: str) -> str:
 
 
 def _typed(question: Question) -> str:
+    from rig.presentation import say
+
     for number, (answer, what) in enumerate(question.choices, 1):
         say(f"  {number}  {answer}{f': {what}' if what else ''}")
     prompt = f"{question.text}{f' [{question.suggested}]' if question.suggested else ''} "
