@@ -59,7 +59,7 @@ def read_portable(data: bytes) -> tuple[NDArray[Any], int]:
     """
     header = _portable(data, 0)
     if header is None:
-        raise ValueError("no header of a binary PGM or PPM file (P5, P6)")
+        raise ValueError("no header of a binary PGM or PPM file (P5, P6); save it as one, or as TIFF or PNG")
     channels, nx, ny, largest, begin = header
     if not 0 < largest < 65536 or nx * ny == 0:
         raise ValueError(f"the header states {nx}x{ny} pixels up to {largest}")
