@@ -60,7 +60,7 @@ _NOT_CONSTANT = 4.0
 _AGREE = 2.0
 """Standard uncertainties of their difference within which both ends agree."""
 _TOLD = 2.0
-"""Standard uncertainties from which on a decrement is told from nought: one over it has a value."""
+"""Standard uncertainties from which on a decrement is told from zero: one over it has a value."""
 _PART = 3
 """The change is that from the first to the last third of the half-cycles."""
 
@@ -115,7 +115,7 @@ class DecaySummary:
 
     @property
     def quality_factor(self) -> Estimate | None:
-        """pi over the decrement; None where that changes, is not told from nought, or is below it, and of a
+        """pi over the decrement; None where that changes, is not told from zero, or is below it, and of a
         decay that is faster than a swing.
         """
         found = self.decrement

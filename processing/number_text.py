@@ -101,7 +101,7 @@ def signed(value: float) -> str:
 
 
 def decimals(value: float, places: int, *, sign: bool = False) -> str:
-    """A number with so many decimals, `−12.0`, `+0.3`; what rounds to nought has no minus."""
+    """A number with so many decimals, `−12.0`, `+0.3`; what rounds to zero has no minus."""
     # -0.0 + 0.0 is 0.0
     text = f"{round(value, places) + 0.0:{'+' if sign else ''}.{places}f}"
     return text.replace("-", MINUS)

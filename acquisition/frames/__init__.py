@@ -1,1 +1,1 @@
-"""What becomes of frames between a camera and whoever takes them: checked, numbered, timed, queued."""
+"""What becomes of frames between a camera and the code that takes them: checked, numbered, timed, queued."""

@@ -152,7 +152,7 @@ def asking(camera: str, what: str) -> Iterator[None]:
     except RigError:
         raise
     except Exception as error:
-        # whoever writes a driver wants to see where it failed
+        # the author of a driver wants to see where it failed
         _log.error("%s: %s failed", camera, what, exc_info=error)
         raise DeviceError(f"{camera}: {what} failed: {in_one_line(error)}") from error
 
@@ -191,7 +191,7 @@ class Counts:
 
     @property
     def now(self) -> CameraStatus:
-        """Never raises, whoever asks."""
+        """Never raises."""
         try:
             found = self._ask()
             if not isinstance(found, CameraStatus):

@@ -7,7 +7,7 @@ period of the band's end, the images of the band about the knots' rate hold less
 (8e-5 in the falling part). The result has four continuous derivatives and is a polynomial between knots,
 which an integrator that stops at knots takes without error.
 
-Every white number depends on its place and a key alone, so that a series is the same whoever asks, in
+Every white number depends on its place and a key alone, so that a series is the same for every reader, in
 which steps, and when; memory holds two blocks.
 """
 
@@ -105,7 +105,7 @@ class SmoothSeries:
     terms
         Each with the factor it is multiplied by.
     end_s
-        The series is not known from here on; whoever uses it stops there.
+        The series is not known from here on; a reader stops there.
     """
 
     def __init__(self, rate_hz: float, terms: Sequence[tuple[float, Term]], end_s: float = math.inf) -> None:

@@ -43,27 +43,29 @@ _SCATTER = 0.03
 
 @dataclass(frozen=True)
 class PlaneOfSwing:
-    """Direction of the slow mode as a function of time: a spline, from Y towards X, in rad.
-
-    `knots`, `degree` and `coefficients` are the spline's, in parts of the time from `first_ns` to `last_ns`;
-    `covariance` is that of the coefficients. `directions` is how many there were, `chi2_per_dof` how they
-    scatter about it in their uncertainties, `scatter_rad` in rad, where the swing is large. `start_ns` is the
-    time from which turning is counted. `doubt` says why the curve does not describe the plane, empty if it
-    does.
-    """
+    """Direction of the slow mode as a function of time: a spline, from Y towards X, in rad."""
 
     first_ns: int
+    """Time of the first direction, where the spline's argument is 0."""
     last_ns: int
+    """Time of the last direction, where it is 1."""
     knots: Floats
     degree: int
     coefficients: Floats
+    """Of the spline's basis (terms,), in rad."""
     covariance: Floats
+    """Of the coefficients (terms, terms)."""
     directions: int
+    """Number of directions through which the spline is laid."""
     chi2_per_dof: float
+    """Scatter of the directions about the spline, in their uncertainties."""
     scatter_rad: float
+    """The same in rad, weighted by the size of the swing."""
     start_ns: int
+    """Time from which turning is counted."""
     period_s: float
     doubt: str = ""
+    """Why the spline does not describe the plane; empty if it does."""
 
     def direction_rad(self, times_ns: Ints) -> Floats:
         """Direction at these times (n,); before and after the decay, that of its ends."""

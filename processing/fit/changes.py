@@ -247,7 +247,7 @@ class _Scan:
 
         Shape (coordinates, places), of one standard deviation each.
 
-        Its size is believed to be nought with the standard uncertainty `u_size`, its time to be any, and
+        Its size is believed to be zero with the standard uncertainty `u_size`, its time to be any, and
         there to be one with the chance `_CHANCE`; the data say how much of it they want, less what is
         `explained` otherwise.
         """

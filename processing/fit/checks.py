@@ -155,7 +155,7 @@ def limit_warnings(limited: Sequence[str]) -> tuple[str, ...]:
 _SMALL_RAD = 0.03
 """Amplitude up to which gravity's moment is taken as proportional: A^2/16 of the period is 6e-5 there."""
 _SIGNIFICANT = 3.0
-"""Standard uncertainties below nought from which on a sign is a wrong one."""
+"""Standard uncertainties below zero from which on a sign is a wrong one."""
 
 
 def domain_warnings(

@@ -31,7 +31,7 @@ _FEWEST = 8
 _STATED = 10.0
 """How many pieces the stated uncertainties of the samples count for in the covariance of the harmonics."""
 _KEPT = 32
-"""Predictions that a waveform keeps: a fit, and whoever judges it, ask for those at the same values again."""
+"""Predictions that a waveform keeps: a fit and the verdicts on it ask for those at the same values again."""
 _GATE = 5.0
 """Standard deviations beyond which a harmonic is one of a disturbed piece."""
 

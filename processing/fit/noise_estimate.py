@@ -64,7 +64,7 @@ class NoiseBounds(NamedTuple):
 class NoiseSearch:
     """Maximises the restricted likelihood over the drive and the scale of the stated uncertainties.
 
-    The model is taken as linear in the columns about the given ones; whoever fits repeats both until neither
+    The model is taken as linear in the columns about the given ones; the caller repeats both until neither
     moves. `kind` is any noise that tells how the turning points were measured. The scale is at least 1;
     with a robust loss, which copes with outliers by itself, it is 1.
     """

@@ -54,10 +54,10 @@ class RigQuantities:
     the pendulum rests, at the tilt `rest_rad` from the lever's reference. `balls` is the number of balls that
     carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 if it is not one.
     `ageing`, `adhesion_ageing`, `drag_drift` and `period_drift` are the relative growth over a run of the
-    friction b, of c, of the drag and of the period, all nought as the fit has it. `common_amplitude_rad` is
-    what all amplitudes are too small by, nought as well: the compression of a film takes as much from each.
+    friction b, of c, of the drag and of the period, all zero as the fit has it. `common_amplitude_rad` is
+    what all amplitudes are too small by, zero as well: the compression of a film takes as much from each.
     `plane_of_swing_rad` is the error of the angle by which a decay was turned back whose plane of swing
-    turned, nought as well. `contact_radius_m` is a stated radius of the contact in the place of Hertz's: the
+    turned, zero as well. `contact_radius_m` is a stated radius of the contact in the place of Hertz's: the
     materials are then not used, and the load does not change it.
     """
 

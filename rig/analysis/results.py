@@ -182,7 +182,7 @@ class RunResults(RowsByName):
     does not say. `beam` names the model fitted to the spots and counts their flags.
     `table` has a row for every number that is reported: what the exact fit and the apparatus give, then what
     every decay has, whether or not a law is fitted: period and decrement (means over the decay), quality
-    factor (none where the decrement changes, is not told from nought, or is larger than pi), first and last
+    factor (none where the decrement changes, is not told from zero, or is larger than pi), first and last
     amplitude, in arcsec, or in px for a record without a lever, or in the unit of a table.
     `measured_again_on` is the motion on which the fitted turning points were measured again (see
     `processing.fit.refinement`); None: they are as detected. `position_errors` were subtracted from the

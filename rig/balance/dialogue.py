@@ -1,4 +1,4 @@
-"""The dialogue of `rig balance --json` as whoever shows it sees it: what to do now, the numbers, the way."""
+"""The dialogue of `rig balance --json`, as the desk shows it: what to do now, the numbers, the way."""
 
 import math
 import sys

@@ -69,7 +69,7 @@ def compressed(
         bound = _bound(name, value, u, row)
         if bound is not None:
             bounds[name] = bound
-        elif 0 < u < inf and _is_told(row):
+        elif 0 < u < inf and _is_determined(row):
             names.append(name)
     # b and gamma are independent of their exponents only beside them
     names = [name for name in names if EXPONENT_OF.get(name, (name, 0.0))[0] in names]
@@ -116,7 +116,7 @@ def compressed(
     )
 
 
-def _is_told(row: ResultRow | None) -> bool:
+def _is_determined(row: ResultRow | None) -> bool:
     return row is None or row.verdict in (Determinacy.DETERMINED, Determinacy.INTERVAL)
 
 
@@ -128,7 +128,7 @@ def _bound(name: str, value: float, u: float, row: ResultRow | None) -> Bound | 
     if row is not None and row.verdict is Determinacy.LOWER_BOUND and row.lower > 0:
         return Bound(log(row.lower), EndSide.LOWER, _SOFT)
     upper = row.upper if row is not None and isfinite(row.upper) else value + 2 * u
-    only = not _is_told(row) or value <= 0 or (row is None and u > _WELL * value)
+    only = not _is_determined(row) or value <= 0 or (row is None and u > _WELL * value)
     if not only or not 0 < upper < inf:
         return None
     # the likelihood falls from one u below the limit on: its half is at the value plus one u
@@ -233,7 +233,7 @@ SCHEMA = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignValue:
-    """A quantity of a contact, where all effects are nought.
+    """A quantity of a contact where all effects are zero.
 
     `without_priors` is the answer of the data alone. Ends are of the 95 % band.
     """

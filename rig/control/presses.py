@@ -95,10 +95,10 @@ class Presses:
 
 
 def darken_beside(laser: LaserSettings, controller: ControllerSettings) -> list[str]:
-    """Write "off" to the ports of controller and laser, whoever has them open; returns what failed.
+    """Write "off" to the ports of controller and laser, whichever program has them open; returns what failed.
 
-    Waits for nothing, neither for a lock nor for a reply: the reply goes to whoever has the port, who skips
-    it. A system on which a port cannot be opened twice says so.
+    Waits for nothing, neither for a lock nor for a reply: the reply goes to the program that has the port,
+    which skips it. A system on which a port cannot be opened twice says so.
     """
     orders = []
     if laser.kind == "controller" and controller.kind == "serial":

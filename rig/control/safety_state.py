@@ -148,7 +148,7 @@ class SafetyState:
             self._held = None
 
     def held_for(self, folder: Path) -> None:
-        """Tell others in which folder whoever holds it can be asked."""
+        """Tell other programs in which folder the holder can be asked."""
         if self._held is not None:
             self._held.write(f"\n{folder.absolute()}".encode())
             self._held.flush()

@@ -226,7 +226,7 @@ class ControlService(DeviceThread):
         outdated = "it was switched off meanwhile" if self._offs != offs else ""
         if refusal := self._permit.refusal_to_light or outdated:
             raise LightRefused(f"{controller.name}: the laser stays off: {refusal}")
-        # until the board has said that it is lit, whoever asked is told that it is not
+        # until the board has said that it is lit, a caller is told that it is not
         self._lit_after_offs = -1
         controller.laser_on()
         self._beat()

@@ -100,7 +100,7 @@ class UsbTmcLine:
         try:
             os.write(self._fd, data)
         except TimeoutError:
-            # whoever asks gets no answer, and asks again
+            # the caller gets no answer, and asks again
             self._clear()
         except OSError as error:
             raise self._lost("write", error) from error

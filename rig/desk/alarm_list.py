@@ -306,7 +306,7 @@ class AlarmList:
         if row is None:
             self._rows[key] = AlarmRow(key, cause, now_s)
         elif again or row.cleared_s is not None:
-            # it comes again: whoever has seen the last one has not seen this one
+            # it comes again: the operator has seen the last one, and not this one
             self._rows[key] = AlarmRow(key, cause, now_s, times=row.times + 1)
         elif row.earlier or row.cause != cause:
             self._rows[key] = replace(row, cause=cause, earlier=False)

@@ -40,7 +40,7 @@ class LitCamera:
         if frame is not None:
             frame = self._delivered.checked(frame)
             self._permit.frame_read(frame.image)
-        # whoever reads looks at once
+        # the reader looks at once
         self._permit.moved(Stage.PROCESSING)
         return frame
 

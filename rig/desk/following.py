@@ -1,4 +1,4 @@
-"""Follows the session that runs on this machine, whoever has started it."""
+"""Follows the session that runs on this machine, started by the desk or at a terminal."""
 
 import math
 import threading

@@ -47,11 +47,12 @@ class Lighting:
         self._pressed: dict[str, _Pressing] = {}
 
     def off(self, press: str = "") -> list[str]:
-        """Everything dark, whoever has lit it; returns what failed. Waits for no device, session or command
-        before all of them are told.
+        """Switch everything off, whichever program has lit it; returns what failed.
 
-        First of all the press is left beside the rig's state, where whoever lights reads it: a program that
-        only starts hears no order. Ports are told off directly, too: a frozen session hears its order only
+        All are told before a device, a session or a command is waited for.
+
+        First of all the press is left beside the rig's state, where every program that lights reads it: one
+        that only starts hears no order. Ports are told off directly, too: a frozen session hears its order only
         when it goes on, and then stays dark. The same `press` comes by two ways: the later one must not
         darken what a person has acknowledged and lit again meanwhile, and says what the first one says.
         """
@@ -185,7 +186,7 @@ class Lighting:
 
 
 class _Order:
-    """An order in a thread of its own; whoever gets it may be frozen."""
+    """An order in a thread of its own; the process that gets it may be frozen."""
 
     def __init__(self, give: Callable[[T], bool], to: T) -> None:
         self._done: list[bool] = []

@@ -79,7 +79,7 @@ class Tab:
 
         async def acted() -> None:
             if self.errors is not None:
-                # whoever does the next thing has read what was wrong with the last one
+                # the operator who does the next thing has read what was wrong with the last one
                 self.errors.clear()
             try:
                 done = do()

@@ -167,7 +167,7 @@ class LightWatch:
             kind, claim = EventKind.LASER_UNKNOWN, "it is not known whether the laser is lit"
             why = "; ".join(filter(None, (why, self._last_said(now_s), devices.without_word)))
         if self.alarm:
-            # who was silent speaks again
+            # the device that was silent answers again
             devices.audit(AuditEntry.DARK, why)
         else:
             devices.fell_dark(why)

@@ -161,7 +161,7 @@ class FrameStream:
 
         Raises FrameTimeout if no frame arrives within the timeout, DeviceError if the driver hangs.
         """
-        # whoever closes the stream waits for it: a camera that is being read is not closed
+        # the thread that closes the stream waits for it: a camera that is being read is not closed
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
         self._thread.start()
         while not (self._begun.wait(_WAIT_S) or self._stop.is_set()):
@@ -314,7 +314,7 @@ class FrameStream:
 
     def _first_queue(self, first: Frame) -> FrameQueue:
         capacity = most_waiting(first, self.policy)
-        # what is made on demand waits for whoever takes it
+        # what is made on demand waits for the thread that takes it
         self._backlog = None if self.policy == "wait" else Backlog(capacity, first.image.nbytes)
         self._first, self._queue = first, FrameQueue(capacity, self.policy)
         return self._queue
@@ -368,7 +368,7 @@ class FrameStream:
 
     def _fail(self, error: Exception, reason: str) -> None:
         if not isinstance(error, RigError):
-            # whoever writes a driver wants to see where it failed
+            # the author of a driver wants to see where it failed
             _log.error("%s", reason, exc_info=error)
             error = DeviceError(reason)
         if self.failure is None:

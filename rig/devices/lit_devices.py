@@ -196,7 +196,7 @@ class LitDevices:
             self.laser.off()
 
     def wait_until_heard(self) -> None:
-        """Until whoever knows of light and interlock has answered, or has had time to."""
+        """Until the devices that know of light and interlock have answered, or have had time to."""
         end_s = time.monotonic() + _HEARD_WITHIN_S
         while time.monotonic() < end_s and self._silent():
             time.sleep(_LOOK_S)
@@ -276,8 +276,8 @@ class LitDevices:
     def fell_dark(self, why: str) -> None:
         """Note that a laser which should be lit is not, and latch it: no later run lights it by itself.
 
-        Whoever switched it off, at its panel or from another program, may be in the beam's way. Of one that
-        does not answer nobody knows: it may still be lit, as it should. What a trip has darkened,
+        A person who switched it off, at its panel or from another program, may be in the beam's way.
+        One that does not answer may still be lit, as it should. What a trip has darkened,
         acknowledged or not, did not go dark by itself.
         """
         if not self.confirmed_dark:

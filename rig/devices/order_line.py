@@ -167,7 +167,8 @@ def _lives(pid: int) -> bool:
 def running_sessions(output: Path) -> Iterator[Path]:
     """Folders in `output` whose session answers, the newest first, asked one after the other.
 
-    One that was killed has left its file; whoever has its port meanwhile may take long to say nothing.
+    One that was killed has left its file; another program that has its port now may take long to say
+    nothing.
     """
     stated = []
     for path in output.glob(f"*/{ORDERS_NAME}"):

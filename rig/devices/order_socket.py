@@ -1,4 +1,4 @@
-"""The order socket of whoever has the devices: a loopback port that answers those who have its key."""
+"""The order socket of the process that has the devices: a loopback port that answers holders of its key."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What a session knows of itself at this moment, kept for whoever asks."""
+"""What a session knows of itself at this moment, for the programs that ask."""
 
 import math
 import threading

@@ -21,30 +21,34 @@ NOT_STATED: Final = "unit"
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Time in integer ns from the first sample, positions in the user's unit.
-
-    `scale_rad` is the unit in rad, None where the unit is no angle (volts, px, mm): decay and
-    period can then be had, contact parameters not. `time_unit` is that of the table's times, which nothing
-    stated if `time_is_assumed`, `time_name` their column, `first_ns` the first of them as it stands there.
-    `understood` says in lines what the file was taken for, and which rows were left out. `u_common_in_noises`
-    is the standard uncertainty of an error that all amplitudes share, as a multiple of the noise of one
-    position. `run` is the name of the run, where the file holds several. `remedy` is what to say where there
-    is no decay.
-    """
+    """One or two positions against time, as a table or a film holds them."""
 
     times_ns: NDArray[np.int64]
+    """Times (n,) since the first sample."""
     positions: tuple[NDArray[np.float64], ...]
+    """One or two arrays (n,), in `unit`; NaN where a value is missing."""
     names: tuple[str, ...]
+    """The column of each position."""
     unit: str
     scale_rad: float | None
+    """The unit in rad. None where it is no angle (volts, px, mm): then period and decay are found, and no
+    parameters of the contact."""
     time_unit: str = "s"
+    """The unit of the times in the file."""
     time_name: str = ""
+    """The column of the times."""
     time_is_assumed: bool = False
+    """Whether nothing in the file states the unit of the times."""
     understood: tuple[str, ...] = ()
+    """Lines that say what the file was taken for, and which rows were left out."""
     first_ns: int = 0
+    """The first time as it stands in the file."""
     u_common_in_noises: float = 0.0
+    """Standard uncertainty of an error that all amplitudes share, in units of the noise of one position."""
     remedy: str = ""
+    """What the user can do where no decay is found."""
     run: str = ""
+    """The name of the run, where the file holds several."""
 
 
 Array = NDArray[np.float64]

@@ -66,7 +66,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
         "view": config.view.model_copy(update={"mode": "none", "file": False}),
         "preflight": config.preflight.model_copy(update={"when": "never"}),
         "start": config.start.model_copy(update={"way": "at once"}),
-        # whoever looks at the picture gives no leave to go on
+        # a person who looks at the picture gives no leave to go on
         "laser": config.laser.model_copy(update={"when_dark": "end"}),
     }
     record.parent.mkdir(parents=True, exist_ok=True)

@@ -44,7 +44,7 @@ def test_ends_that_disagree_are_a_change(scatter: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_decrement_that_is_not_told_from_nought_has_no_quality_factor(seed: int) -> None:
+def test_a_decrement_that_is_not_told_from_zero_has_no_quality_factor(seed: int) -> None:
     """It came out as -1.8 million with an uncertainty of 1.7 million."""
     found = summarise_decay(decay(0.0, 0.0, 1.0, seed))
     assert found.quality_factor is None

@@ -36,7 +36,7 @@ UDEV_RULE: Final = (
     'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
     f'ENV{{ID_USB_INTERFACES}}=="*:{VISION_CLASS:02x}{VISION_SUBCLASS:02x}*"'
 )
-"""What matches such cameras in a rule of udev, whoever made them; `rig doctor --install-udev` writes it."""
+"""What matches such cameras of any maker in a rule of udev; `rig doctor --install-udev` writes it."""
 
 # Error codes of the operating systems for a device that has been unplugged
 _GONE: Final = {errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN}

@@ -196,7 +196,7 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
 
 
 def find_again(known: VideoDevice) -> VideoDevice:
-    """The device that was open before: whoever holds its old number, it may have come back with another.
+    """The device that was open before: it may have another number now, and another device its old one.
 
     Raises DeviceError while it is not there, or cannot be opened.
     """

@@ -102,7 +102,7 @@ def look_now(desk: Desk) -> AlignmentFrame | None:
 def picture_now(desk: Desk, width_px: int, height_px: int, zoom: float) -> bytes:
     """The newest look as PNG of this size, with all that is drawn into it; black without one. Blocks.
 
-    Whoever asks for it looks: the live picture stays lit.
+    A page that asks for it is being looked at: the live picture stays lit.
     """
     aligner = desk.aligner
     if aligner is None:

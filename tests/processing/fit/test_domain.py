@@ -50,7 +50,7 @@ def test_a_sign_that_cannot_be_is_named() -> None:
         if name != "gamma_pa" and abs(correlated[fit.names.index(name)]) > 0.2:
             assert text[name].verdict is Determinacy.UNDETERMINED
             assert "withheld: gamma_pa" in text[name].text
-    # within its uncertainty a quantity that is nought may come out below
+    # within its uncertainty a quantity that is zero may come out below
     values[at] = -2 * fit.standard_uncertainty[at]
     assert domain_warnings(points, PENDULUM, replace(fit, values=values)) == ()
     assert np.all(np.isfinite(values))

@@ -211,7 +211,7 @@ def test_what_drifts_do_to_the_parameters() -> None:
             assert moved.values[at] - still.values[at] == pytest.approx(by[at], rel=0.15)
 
 
-def test_drifts_can_be_fitted_about_nought() -> None:
+def test_drifts_can_be_fitted_about_zero() -> None:
     points = decay(World(ageing=0.01, lasting_s=740.0), q=0.0)
     fit = fitted(points)
     near = LinearisedFit.of(points, PENDULUM, fit)

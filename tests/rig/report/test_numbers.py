@@ -67,7 +67,7 @@ def test_digits_beside_a_limit(value: float, u: float, limit: float, shown: str)
     assert judged_number(value, u, limit) == shown
 
 
-def test_what_rounds_to_nought_has_no_minus() -> None:
+def test_what_rounds_to_zero_has_no_minus() -> None:
     assert (decimals(-0.04, 1), decimals(-0.04, 1, sign=True), decimals(0.4, 0, sign=True)) == (
         "0.0",
         "+0.0",
