@@ -52,8 +52,8 @@ class Lighting:
         All are told before a device, a session or a command is waited for.
 
         First of all the press is left beside the rig's state, where every program that lights reads it: one
-        that only starts hears no order. Ports are told off directly, too: a frozen session hears its order only
-        when it goes on, and then stays dark. The same `press` comes by two ways: the later one must not
+        that only starts hears no order. Ports are told off directly, too: a frozen session hears its order
+        only when it goes on, and then stays dark. The same `press` comes by two ways: the later one must not
         darken what a person has acknowledged and lit again meanwhile, and says what the first one says.
         """
         with self._pressing:
