@@ -119,6 +119,12 @@ def test_importing_rig_loads_nothing_and_its_parts_nothing_that_takes_long() -> 
     )
 
 
+def test_the_command_line_comes_before_numpy_which_would_start_threads_that_cost_a_third_of_a_fit() -> None:
+    code = "import sys, rig.cli; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert {"numpy", "rich.console"}.isdisjoint(done.stdout.split())
+
+
 def test_a_package_of_another_with_one_of_our_names_is_told(tmp_path: Path) -> None:
     (tmp_path / "processing").mkdir()
     (tmp_path / "processing" / "__init__.py").touch()
