@@ -187,9 +187,7 @@ def _decaying(period_s: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
         pytest.param(1 / 60, id="minutes"),
     ],
 )
-def test_times_of_no_unit_that_are_strange_in_seconds_are_asked_for(
-    tmp_path: Path, per_s: float
-) -> None:
+def test_times_of_no_unit_that_are_strange_in_seconds_are_asked_for(tmp_path: Path, per_s: float) -> None:
     t, x = _decaying()
     path = write(tmp_path / "t.csv", np.round(t * per_s) if per_s > 1.0 else t * per_s, x)
     with pytest.raises((ConfigurationError, DataError), match=r"unit.*--time-unit") as refused:
