@@ -137,6 +137,7 @@ def _instead_of(path: Path) -> str:
     how = {
         "": "; put a name with spaces in quotes",
         ".toml": "; rig init writes a configuration",
+        ".mcap": "; give the path of a record, which rig run makes",
     }.get(path.suffix.lower(), "")
     if path.suffix.lower() == ".toml":
         from rig.settings import shipped_names

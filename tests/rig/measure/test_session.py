@@ -127,6 +127,7 @@ def test_a_folder_that_holds_a_run_is_never_written_over(measured_series: Path) 
     ("words", "status", "message"),
     [
         (("run", "nowhere.toml"), 2, "no such file; rig init writes a configuration"),
+        (("replay", "nowhere.mcap"), 2, "no such record; give the path of a record, which rig run makes"),
         (("run",), 2, "Missing argument"),
         (("rnu",), 2, "Did you mean"),
         (("run", CONFIGS / "demo.toml", "--set", "session.rnus=3"), 2, "did you mean runs?"),
