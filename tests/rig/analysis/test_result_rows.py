@@ -51,6 +51,7 @@ def bounded(fit: FitResult, name: str, lower: float, upper: float, verdict: Dete
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 0.1])
 def test_a_short_run_has_the_profile_s_interval_in_every_output(scale: float) -> None:
     """b of 75 s: the budget said 2.7e-5 to 2.4e-3, the profile 7.2e-5 to 0.02; the truth is 3.7e-3."""

@@ -80,6 +80,7 @@ def test_a_decay_whose_plane_turns_is_followed(spin: Spin) -> None:
     assert "plane_of_swing_rad" in sources
 
 
+@pytest.mark.slow
 def test_an_angle_between_the_axes_that_is_not_known_is_a_line_of_the_budget(tmp_path: Path) -> None:
     config = configuration("axes.u_non_orthogonality_rad=2e-3")
     seen, run = positions(Spin(FAST), seed=3), run_of(Spin(FAST), u_axes=2e-3)
@@ -93,6 +94,7 @@ def test_an_angle_between_the_axes_that_is_not_known_is_a_line_of_the_budget(tmp
     assert moved == pytest.approx(line.contribution, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("u_axes", "power"), [(0.0, 2), (2e-3, 1)], ids=["own", "common"])
 def test_the_mean_of_a_series_has_a_line_for_the_plane(u_axes: float, power: int, tmp_path: Path) -> None:
     """The first run does not turn. What is not known of a plane falls in the mean, the axes do not."""
@@ -141,6 +143,7 @@ def test_what_cannot_be_followed_is_withheld(spoiled: str, said: str, tmp_path: 
     assert not run.budget
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spin", "largest_u_b"),
     [
