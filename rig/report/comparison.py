@@ -352,9 +352,9 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
     if tested:
         differ = sum(line.cells[-1] == "differ" for line in lines)
         said.append(
-            f"{differ} of {tested} comparisons differ; the others are in the CSV. Welch's t test; chance: "
-            "the probability of a difference at least as large between identical series, the 5 % level "
-            "being shared by all rows."
+            f"{differ} of {tested} comparisons differ (-o FILE.html writes all of them). Welch's t test; "
+            "chance: the probability of a difference at least as large between identical series, the 5 % "
+            "level being shared by all rows."
         )
     if untested:
         said.append(
