@@ -66,7 +66,7 @@ def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
 
 def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws | None:
     """Fit the laws to the turning points of a fitted run; None where it has no fit."""
-    exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
+    exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
         return None
     like = dict(zip(exact.names, exact.values.tolist(), strict=True))
@@ -92,7 +92,7 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
 
 def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     """The run with these laws compared."""
-    return replace(run, results=replace(run.results, laws=laws_of(run, laws)))
+    return replace(run, laws=laws_of(run, laws))
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
@@ -201,6 +201,7 @@ def _harmonics(values: NDArray[np.complex128]) -> Harmonics:
 Array = NDArray[np.float64]
 _FEWEST = 8
 """Periods for a smooth curve."""
+_FEWEST_POINTS = 3
 
 
 @dataclass(frozen=True)
@@ -224,10 +225,10 @@ class Curves:
     smooth_s: Array
 
 
-def curves_of(points: TurningPoints, run: RunResults) -> Curves | None:
+def curves_of(run: RunResults) -> Curves | None:
     """The curves of one run; None where it was not fitted."""
-    pendulum, fits = run.pendulum, run.fits
-    if pendulum is None or not set(FitMethod) <= set(fits):
+    pendulum, fits, points = run.pendulum, run.fits, run.points
+    if pendulum is None or not set(FitMethod) <= set(fits) or len(points) < _FEWEST_POINTS:
         return None
     exact_rad, exact_time_s = _exact(points, fits[FitMethod.EXACT], pendulum)
     periods = full_periods(points)
@@ -314,13 +315,11 @@ def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[st
 
     Raises DataError: the run was not fitted, or not with the law that is stated.
     """
-    stored = run.turning_points
-    curves = None if stored is None else curves_of(stored.points(), run)
-    if stored is None or curves is None or run.pendulum is None:
+    curves, points = curves_of(run), run.points
+    if curves is None or run.pendulum is None:
         raise DataError(
             f"{run.record}: has no fit of the contact's laws: {run.problem or 'no pendulum is stated'}"
         )
-    points = stored.points()
     unknown = np.full(len(points.index), np.nan)
 
     def curve(amplitude_rad: Floats, time_s: Floats) -> ModelCurve:

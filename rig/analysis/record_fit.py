@@ -134,25 +134,25 @@ def analyse_run(
     run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    warnings = [*run.results.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
+    warnings = [*run.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
     end = end_of(reader.events())
     frames, judged = deflections.frames, Beam.of(beam, noise_is_known=config.sensor is not None)
-    dropped_frames, exact = dropped(frames), run.results.fits.get(FitMethod.EXACT)
+    dropped_frames, exact = dropped(frames), run.fits.get(FitMethod.EXACT)
     if pulled is not None and judged.poor_fit_frames:
         judged = replace(judged, likely_cause=pulled.verdict.reason, remedy=pulled.verdict.remedy)
     of_contact = config.instrument.description().report == "contact"
-    results = replace(
-        run.results,
+    return replace(
+        run,
         frames=frames,
         dropped_frames=dropped_frames,
         simulated=RecordedCamera.of(reader.metadata).simulated,
         losses=reader.losses(),
         beam=judged,
         warnings=tuple(warnings),
-        notes=(*run.results.notes, *([] if less is None else [less.text])),
+        notes=(*run.notes, *([] if less is None else [less.text])),
         calibration=calibration,
         ended=None if end is None else end.text,
-        inputs_sha256={**inputs_sha256(reader), **run.results.inputs_sha256},
+        inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},
         surroundings=surroundings,
         clock=clock,
         conditions=run_conditions(
@@ -162,7 +162,7 @@ def analyse_run(
             dropped_frames,
             config.preflight,
             None if exact is None else exact.ground,
-            run.results.half_cycles,
+            run.half_cycles,
             judged,
             clock,
             (
@@ -175,4 +175,3 @@ def analyse_run(
             ),
         ),
     )
-    return replace(run, results=results)

@@ -11,7 +11,7 @@ from processing.damping import amplitude_at
 from processing.fit import BaseMotion, Ground, SeismometerSpectra
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.swing import ResidualSpectrum
-from rig.analysis import PositionErrors, RunResults, StoredTurningPoints
+from rig.analysis import PositionErrors, RunResults
 from rig.presentation import palette
 from rig.report.drawing import (
     ASYMPTOTIC,
@@ -193,11 +193,11 @@ def trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
     )
 
 
-def damped_figure(stored: StoredTurningPoints, results: RunResults, unit: ShownUnit) -> ReportFigure:
+def damped_figure(results: RunResults, unit: ShownUnit) -> ReportFigure:
     """Amplitude against time with its residuals and what was left out, period, and time constant against
     amplitude.
     """
-    points = stored.points()
+    points, stored = results.points, results.stored
     amplitude, u_amplitude = points.amplitude / unit.shown_size, points.u_amplitude / unit.shown_size
     figure = canvas(4.6)
     ((top, tau), (below, period)) = figure.subplots(2, 2, height_ratios=[1.5, 1.0])

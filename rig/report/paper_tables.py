@@ -322,8 +322,8 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
 
 
 def _drawings(series: PairSeries) -> list[ReportFigure]:
-    points, motion = series.points[0], series.motion
-    curves, exact = curves_of(points, series.run), series.run.fits[_EXACT]
+    points, motion = series.run.points, series.motion
+    curves, exact = curves_of(series.run), series.run.fits[_EXACT]
     period_s = exact.mean_period_s.value
     drawings = [
         figures_motion.slow_figure(motion, period_s),

@@ -23,7 +23,6 @@ from rig.analysis import (
     RunResults,
     Series,
     SessionResults,
-    StoredTurningPoints,
     TableDecay,
     encoded,
     read_results,
@@ -152,7 +151,7 @@ def read_table_decay(folder: Path, decay: RunResults, name: str) -> Exported:
 
     Raises RecordError where the positions beside the results cannot be read.
     """
-    stored, place = decay.turning_points or StoredTurningPoints(), decay.decay or TableDecay()
+    stored, place = decay.stored, decay.decay or TableDecay()
     own = decay.amplitude_unit or "unit"
     of_angle = stored.unit is DeflectionUnit.RAD
     unit, size = ("rad", conversion(own, "rad")) if of_angle else (own, 1.0)

@@ -67,7 +67,7 @@ def draw_run(source: Path | SessionResults, number: int) -> list[ReportFigure]:
         named = source if isinstance(source, Path) else "results"
         raise RecordError(f"{named}: run {number} is not there; it has runs 1 to {len(runs)}")
     run = runs[number - 1]
-    return _drawings(run, _curves(run))
+    return _drawings(run, curves_of(run.results))
 
 
 def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
@@ -111,7 +111,7 @@ _ORDER = (
 def _run(run: RunData, files: Path, *, alone: bool) -> dict[str, str]:
     """The parts of a run in their order, figures and tables by their names."""
     files.mkdir(parents=True, exist_ok=True)
-    curves = _curves(run)
+    curves = curves_of(run.results)
     tables = run_tables(run, curves)
     save_tables(tables, files)
     tables_shown = {table.name: html.table(table) for table in tables if table.shown}
@@ -135,12 +135,8 @@ def _taken(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
     return "\n".join(found.pop(name) for found in (tables, figures) if name in found)
 
 
-def _curves(run: RunData) -> Curves | None:
-    return curves_of(run.points, run.results) if len(run.points) >= 3 else None
-
-
 def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
-    motion, points = run.motion, run.points
+    motion, points = run.motion, run.results.points
     fit = run.results.fits.get(FitMethod.EXACT)
     period_s = _period(run) if fit is None else fit.mean_period_s.value
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
@@ -154,7 +150,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and not run.results.fits:
-        drawings.append(damped_figure(run.stored, run.results, motion.unit))
+        drawings.append(damped_figure(run.results, motion.unit))
     if run.results.position_errors is not None:
         drawings.append(place_figure(run.results.position_errors))
     if run.results.instrument is not None or run.is_table:
@@ -192,7 +188,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
 
 def _period(run: RunData) -> float:
     """Mean period of the turning points, for the length of the detail views."""
-    points = run.points
+    points = run.results.points
     if len(points) < 2:
         return _DEFAULT_PERIOD_S
     return float(2 * (points.time_s[-1] - points.time_s[0]) / (points.index[-1] - points.index[0]))

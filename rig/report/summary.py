@@ -135,7 +135,7 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
 
 
 def _lasted(run: RunData) -> str:
-    time_s = run.motion.time_s if len(run.motion.time_s) else run.points.time_s
+    time_s = run.motion.time_s if len(run.motion.time_s) else run.results.points.time_s
     length_s = time_s[-1] - time_s[0] if len(time_s) else 0.0
     return f"{length_s / 60:.1f} min"
 
@@ -187,7 +187,7 @@ def _to_copy(source: ReportSource, found: RowsByName) -> list[str]:
 def sentence(run: RunData) -> str:
     """How much was measured in a run, in one sentence."""
     results, unit = run.results, run.motion.unit.shown
-    left_out = len(run.stored.left_out_flags)
+    left_out = len(run.results.stored.left_out_flags)
     taken = (
         f"{results.frames} rows"
         if run.is_table

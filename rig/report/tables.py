@@ -236,7 +236,7 @@ def correlation_table(results: RunResults) -> Table:
 
 def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
     """Every half-cycle that was fitted, with the models beside it, for the file."""
-    points, unit = run.points, run.motion.unit
+    points, unit = run.results.points, run.motion.unit
     size = unit.shown_size
     columns = ["index", "time_s", "u_time_s", f"amplitude_{unit.shown}", f"u_amplitude_{unit.shown}"]
     arrays = [

@@ -16,7 +16,6 @@ from processing.fit import FitMethod
 from processing.swing import TurningPoints
 from rig.analysis import (
     RunResults,
-    StoredTurningPoints,
     analyse_record,
     curves_of,
     parameter_table,
@@ -57,10 +56,9 @@ class RunAnalysis(NamedTuple):
 def run_analysis(record: Path) -> RunAnalysis:
     """The results next to the record if they were made from this file, else a new fit."""
     _, known = recorded_results(record, sha256_of(record))
-    results = analyse_record(record).results if known is None else known
-    stored = results.turning_points or StoredTurningPoints()
+    results = analyse_record(record) if known is None else known
     # of a record, so never a table's
-    return RunAnalysis(record, results, stored.points(), DeflectionUnit(stored.unit))
+    return RunAnalysis(record, results, results.points, DeflectionUnit(results.stored.unit))
 
 
 def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[AnalysisCurve]:
@@ -75,7 +73,7 @@ def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[AnalysisCurve]:
         amplitude, u = points.amplitude / size, points.u_amplitude / size
         data = "measured" if alone else name
         drawn.append(AnalysisCurve("decay", data, points.time_s, amplitude, u if alone else None, "points"))
-        curves = curves_of(points, run.results)
+        curves = curves_of(run.results)
         if curves is None:
             continue
         at, u_period_s = curves.period_rad / size, curves.u_period_s
