@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import nan
 from typing import Final
 
@@ -129,12 +129,7 @@ def _without_law(
             moments = free.moments_of_law(trial.fit, found.phi_rad)
             same[trial.law.name] = LawMoments(moments.friction_n_m, moments.elastic_n_m)
     return ModelFreeMoments(
-        phi_rad=found.phi_rad,
-        friction_n_m=found.friction_n_m,
-        u_friction_n_m=found.u_friction_n_m,
-        elastic_n_m=found.elastic_n_m,
-        u_elastic_n_m=found.u_elastic_n_m,
-        reference_rad=found.reference_rad,
+        **{column.name: getattr(found, column.name) for column in fields(found)},
         ground_rad_per_s2_rthz=free.fit.ground.density_rad_per_s2_rthz.value,
         laws=same,
     )
@@ -147,9 +142,8 @@ def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str
         fit, law = trial.fit, trial.law
         one = LawFit(title=law.title, source=law.source, problem=trial.problem)
         if fit is not None and fit.ground is not None and fit.whiteness is not None:
-            one = LawFit(
-                title=law.title,
-                source=law.source,
+            one = replace(
+                one,
                 parameters={name: fit.estimate(name) for name in fit.names},
                 bic_above_best=compared.above_best(trial),
                 aic_above_best=trial.aic - min(one.aic for one in compared.trials),
@@ -198,7 +192,6 @@ def _harmonics(values: NDArray[np.complex128]) -> Harmonics:
     return Harmonics(values.real.copy(), -values.imag)
 
 
-Array = NDArray[np.float64]
 _FEWEST = 8
 """Periods for a smooth curve."""
 _FEWEST_POINTS = 3
@@ -213,16 +206,16 @@ class Curves:
     model-free one.
     """
 
-    asymptotic_rad: Array
-    exact_rad: Array
-    exact_time_s: Array
-    period_rad: Array
-    period_time_s: Array
-    period_s: Array
-    u_period_s: Array
-    asymptotic_period_s: Array
-    exact_period_s: Array
-    smooth_s: Array
+    asymptotic_rad: Floats
+    exact_rad: Floats
+    exact_time_s: Floats
+    period_rad: Floats
+    period_time_s: Floats
+    period_s: Floats
+    u_period_s: Floats
+    asymptotic_period_s: Floats
+    exact_period_s: Floats
+    smooth_s: Floats
 
 
 def curves_of(run: RunResults) -> Curves | None:
@@ -250,7 +243,7 @@ def curves_of(run: RunResults) -> Curves | None:
     )
 
 
-def _smooth(amplitude: Array, periods: Periods) -> Array:
+def _smooth(amplitude: Floats, periods: Periods) -> Floats:
     """A cubic smoothing spline of the periods over ln A by generalised cross-validation."""
     # not at import: most commands draw no curves
     from scipy.interpolate import make_smoothing_spline
@@ -262,7 +255,7 @@ def _smooth(amplitude: Array, periods: Periods) -> Array:
     return np.asarray(spline(np.log(amplitude)))
 
 
-def _exact(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[Array, Array]:
+def _exact(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[Floats, Floats]:
     """Amplitude and time of the half-swing map at the half-cycles of the data."""
     index = points.index - points.index[0]
     start = fit.estimate(AMPLITUDE.key).value
@@ -270,7 +263,7 @@ def _exact(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[A
     return amplitude[index], time[index] + fit.estimate(TIME.key).value
 
 
-def _asymptotic(points: TurningPoints, fit: Fit) -> Array:
+def _asymptotic(points: TurningPoints, fit: Fit) -> Floats:
     """Eq. 5 (with its linear term where one was fitted) at the times of the data."""
     known = fit.contact()
     mean = fit.mean_period_s.value

@@ -110,14 +110,11 @@ def analyse_run(
     spots say, and `dropped` tells how many frames are missing between the first and the last, from how many
     there were. What a reference spot shares with the pendulum's is taken off.
     """
-    less = less_beam_motion(reader, config)
-    if less is not None and less.used:
-        blocks = Changed(blocks, less.change)
-        swings = swings_of_blocks(blocks)
-    pulled = without_fixed_light(reader, config)
-    if pulled is not None and pulled.used:
-        blocks = Changed(blocks, pulled.change)
-        swings = swings_of_blocks(blocks)
+    less, pulled = less_beam_motion(reader, config), without_fixed_light(reader, config)
+    for one in (less, pulled):
+        if one is not None and one.used:
+            blocks = Changed(blocks, one.change)
+            swings = swings_of_blocks(blocks)
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate

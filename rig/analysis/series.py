@@ -282,10 +282,11 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
 def instrument_series(runs: Sequence[AnalysedRun], numbers: Sequence[int] = ()) -> Series | None:
     """What runs of another instrument say together: places on the sample, the reference.
 
-    None where there is no such thing. `numbers` are as `reduce_series` has them.
+    None where there is no such thing. `numbers` are as `reduce_series` has them, of all runs.
     """
     reductions = [run.reduction for run in runs if run.reduction is not None]
-    found = reduce_series(reductions, numbers)
+    kept = [number for number, run in zip(numbers, runs, strict=False) if run.reduction is not None]
+    found = reduce_series(reductions, kept)
     return None if found is None else Series(runs=len(reductions), instrument=found)
 
 

@@ -165,8 +165,8 @@ def analyse_trajectory(
 
 def _series(decays: Sequence[FoundDecay], run: str) -> Series | None:
     """Decays of one run against each other, by their places; where the run has a number, all have that."""
-    reduced = [decay.results for decay in decays if decay.results.reduction is not None]
-    return instrument_series(reduced, [int(run)] * len(reduced) if run.isdecimal() else ())
+    runs = [decay.results for decay in decays]
+    return instrument_series(runs, [int(run)] * len(runs) if run.isdecimal() else ())
 
 
 def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionResults | None:
@@ -179,9 +179,8 @@ def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionRe
     runs: list[AnalysedRun] = []
     numbers: list[int] = []
     for place, (name, table) in enumerate(tables.items(), start=1):
-        found = [decay.results for decay in table.decays if decay.results.reduction is not None]
-        runs += found
-        numbers += [int(name) if by_name else place] * len(found)
+        runs += [decay.results for decay in table.decays]
+        numbers += [int(name) if by_name else place] * len(table.decays)
     series = instrument_series(runs, numbers)
     if series is None:
         return None

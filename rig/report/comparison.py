@@ -202,9 +202,8 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
             with styled():
                 drawings = [comparison_figure(names, rows), *([against_figure(seen, over)] if over else [])]
                 figures = save_figures(drawings, files)
-            body = [*figures, *(html.table(content) for content in tables)]
+            body = [*figures.values(), *(html.table(content) for content in tables)]
             page = html.page("Series compared", ", ".join(series), body)
-            atomic_write.take_away_leftovers(output.parent, output.name)
             atomic_write.write_new(output, page.encode())
     return tables
 

@@ -41,7 +41,6 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     files = target.parent / target.stem
     with written(target):
         files.mkdir(parents=True, exist_ok=True)
-        atomic_write.take_away_leftovers(target.parent, target.name)
         series = [] if source.series is None else _series(source, source.series, files)
         alone = len(source.runs) == 1
         runs = [_run(run, files / f"run-{k}", alone=alone) for k, run in enumerate(source.runs, start=1)]
@@ -90,7 +89,7 @@ def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
     body.append(html.notes(apart))
     if series.fits:
         with styled():
-            body += save_figures([figures_contact.series_figure(series)], files)
+            body += save_figures([figures_contact.series_figure(series)], files).values()
     body += [html.table(table) for table in tables[1:]]
     save_tables(tables, files)
     return body
@@ -116,7 +115,7 @@ def _run(run: RunData, files: Path, *, alone: bool) -> dict[str, str]:
     save_tables(tables, files)
     tables_shown = {table.name: html.table(table) for table in tables if table.shown}
     with styled():
-        figures = {d.name: text for d, text in _pictures(_drawings(run, curves), files)}
+        figures = save_figures(_drawings(run, curves), files)
     body = {"heading": html.heading(run.title)}
     if not alone:
         body["said"] = html.paragraph(sentence(run)) + html.notes(notes_of(run))
@@ -194,21 +193,16 @@ def _period(run: RunData) -> float:
     return float(2 * (points.time_s[-1] - points.time_s[0]) / (points.index[-1] - points.index[0]))
 
 
-def _pictures(drawings: Sequence[ReportFigure], files: Path) -> list[tuple[ReportFigure, str]]:
-    """Write every figure, drawn once, and its HTML: a frame is pixels, and PNG, all else lines, and SVG."""
+def save_figures(drawings: Sequence[ReportFigure], files: Path) -> dict[str, str]:
+    """Write every figure as a file: a frame is pixels, and PNG, all else lines, and SVG. Its HTML by name."""
     atomic_write.take_away_leftovers(files)
-    found = []
+    found = {}
     for drawing in drawings:
         is_frame = drawing.name.endswith("frame")
         data = png(drawing) if is_frame else svg(drawing)
         atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
-        found.append((drawing, html.picture(drawing, data, "image/png" if is_frame else "image/svg+xml")))
+        found[drawing.name] = html.picture(drawing, data, "image/png" if is_frame else "image/svg+xml")
     return found
-
-
-def save_figures(drawings: Sequence[ReportFigure], files: Path) -> list[str]:
-    """Write figures as files; returns their HTML in order."""
-    return [text for _, text in _pictures(drawings, files)]
 
 
 def save_tables(tables: Sequence[Table], files: Path) -> None:

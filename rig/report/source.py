@@ -14,6 +14,7 @@ from acquisition.camera import Frame
 from acquisition.record.digest import RecordedCamera, known_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import RecordedNote
+from processing.arrays import Floats
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
 from processing.instruments import DEGREE_RAD
@@ -31,8 +32,6 @@ from rig.analysis import (
 from rig.instrument import CONFIGURATION_NAME, recorded_configuration
 from rig.intake import along_and_across, read_positions
 
-Array = NDArray[np.float64]
-
 
 class ShownUnit(NamedTuple):
     """The unit in which deflections are shown, and its size in that in which they are stored."""
@@ -45,9 +44,9 @@ class ShownUnit(NamedTuple):
 class ShownTrajectory:
     """Deflection of every frame as shown, so in `unit.shown`; NaN where the spot was lost."""
 
-    time_s: Array
-    x: Array
-    y: Array
+    time_s: Floats
+    x: Floats
+    y: Floats
     unit: ShownUnit
 
 
@@ -135,11 +134,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         picture = _picture(reader, spots, notes)
         deflections = reader.deflections(spots)
         provenance: dict[str, Mapping[str, str]] = {
-            "file": {
-                "record": path.name,
-                "sha256": results.sha256,
-                **{f"sha256 of {name}": value for name, value in results.inputs_sha256.items()},
-            },
+            "file": {"record": path.name, **_hashes(results)},
             **reader.metadata,
         }
         configuration = reader.attachments.get(CONFIGURATION_NAME)
@@ -170,6 +165,11 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     if results.calibration:
         provenance["calibration"] = _flat(results.calibration)
     return RunData(f"Run {number}", results, motion, picture, provenance, spectrum, notes)
+
+
+def _hashes(run: RunResults) -> dict[str, str]:
+    """Of its record or table, and of what belongs to it."""
+    return {"sha256": run.sha256, **{f"sha256 of {name}": one for name, one in run.inputs_sha256.items()}}
 
 
 def _as_line(note: RecordedNote, rate: float, spots: NDArray[Any]) -> str:
@@ -246,11 +246,7 @@ def decay_of_table(folder: Path, table: SessionResults, decay: RunResults, numbe
     except RigError as error:
         notes.append(f"no motion is drawn: {error}")
         motion = ShownTrajectory(np.empty(0), np.empty(0), np.empty(0), unit)
-    file = {
-        "table": decay.record,
-        "sha256": decay.sha256,
-        **{f"sha256 of {name}": value for name, value in decay.inputs_sha256.items()},
-    }
+    file = {"table": decay.record, **_hashes(decay)}
     title = f"Decay {number}" if len(table.runs) > 1 else "Decay"
     return RunData(title, decay, motion, None, {"file": file, "session": place.session}, None, notes)
 

@@ -92,8 +92,7 @@ def _part(contribution: float) -> str:
 
 def series_table(series: Series) -> Table:
     """A series combined: exact, asymptotic, and the paper's way."""
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
     average = series.averaged_curves or AveragedCurves()
     for name in exact or asymptotic:
@@ -105,25 +104,22 @@ def series_table(series: Series) -> Table:
             average.parameters.get(name, NOT_DETERMINED),
         ]
         known = (row.value, row.u_total, row.lower, row.upper) if row is not None else [math.nan] * 4
-        rows.append([name, *known, *cells, *others[0], *others[1]])
         between = cells[1] * shown_as.factor
         told = row is None or row.determined
-        shown.append(
-            [
-                shown_as.label,
-                "" if row is None else row.text,
-                "" if row is None else row.interval_text,
-                plain(between, 2) if between else "none seen",
-                *(shown_as.text(value, u) if told else "" for value, u in others),
-            ]
-        )  # fmt: skip
-    return Table(
+        texts = [
+            shown_as.label,
+            "" if row is None else row.text,
+            "" if row is None else row.interval_text,
+            plain(between, 2) if between else "none seen",
+            *(shown_as.text(value, u) if told else "" for value, u in others),
+        ]
+        lines.append(TableRow([name, *known, *cells, *others[0], *others[1]], texts))
+    return Table.of(
         "series", "The series",
         ("parameter", "value", "u_total", "lower_95", "upper_95", *_SERIES_KEYS, "asymptotic_value",
          "asymptotic_u", "averaged_curves_value", "averaged_curves_u"),
-        rows,
         ("", FitMethod.EXACT, "95 % interval", "between runs", FitMethod.ASYMPTOTIC.heading,
-         "curves averaged first"), shown,
+         "curves averaged first"), lines,
         "Runs combined with their own and the between-run scatter, Student's t for the 95 % interval, and "
         "with the apparatus as far as stated; beside it, of the swings alone, Eqs. 5 and 6, and the paper's "
         "way: the runs' curves averaged, then Eqs. 5 and 6 fitted.",
