@@ -17,7 +17,7 @@ from rig.analysis.fit_tables import law_table, moments_table, parameter_table, q
 from rig.analysis.half_cycle_fits import clock_rate_of
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.record_fit import analyse_record, analyse_run
-from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named, plain_row
 from rig.analysis.results import (
     AveragedCurves,
     PositionErrors,

@@ -36,10 +36,6 @@ def _shown(name: str, values: Floats, middle: float) -> Floats:
     return values - middle if name in POSITIVE else values * quantity(name).factor
 
 
-def _colours(contacts: Sequence[str]) -> dict[str, str]:
-    return {name: palette.SEQUENCE[place % len(palette.SEQUENCE)] for place, name in enumerate(contacts)}
-
-
 def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
     """Each coordinate with an effect over its covariate: runs, and the model's 68 and 95 % bands."""
     found, results = campaign.posterior, campaign.results
@@ -55,7 +51,7 @@ def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
     margins = {"left": 0.1, "wspace": 0.42, "hspace": 0.5}
     figure, panels = three_columns(len(wanted), lambda rows: 0.6 + 2.3 * rows, **margins)
     contacts = list(results.contacts)
-    colours = _colours(contacts)
+    colours = dict(zip(contacts, palette.SEQUENCE * len(contacts), strict=False))
     for axes, (effect, name) in zip(panels, wanted, strict=True):
         place = found.model.names.index(name)
         label, factor = covariate_words(effect.covariate)[1:]

@@ -77,11 +77,6 @@ class RunData:
     notes: Sequence[str] = ()
 
     @property
-    def simulated(self) -> bool:
-        """Whether the frames are those of the simulated rig."""
-        return bool(self.results.simulated)
-
-    @property
     def is_table(self) -> bool:
         """Whether it is a decay of a table or a film, which knows nothing of frames and cameras."""
         return self.results.decay is not None
