@@ -27,7 +27,7 @@ from processing.swing import HalfCycle, TurningPoints
 from rig.analysis.air import OPEN_DRAG, believed_drifts, evidence_of, known_drag
 from rig.analysis.contact_fits import fit_decay, settled_swings
 from rig.analysis.contact_verdicts import rig_quantities, with_contact
-from rig.analysis.decay_values import amplitude_rows, values_of_points
+from rig.analysis.decay_values import decay_rows, values_of_points
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import PositionErrors, StoredTurningPoints
@@ -120,10 +120,9 @@ def analyse_swings(
     if of_ground is not None and witness is not None:
         of_ground = replace(of_ground, source=witness[0].name, understood=witness[0].understood)
     values = values_of_points(points, unit.shown_size, _u_second(config, u_clock))
-    rows = () if values is None else values.rows(path.stem)
     run = AnalysedRun(
         **_head(path, points, unit),
-        table=(*rows, *amplitude_rows(points, unit.shown, unit.shown_size, path.stem)),
+        table=decay_rows(points, values, unit.shown, unit.shown_size, path.stem),
         damping=None if values is None else values.damping,
         measured_again_on=settled.motion,
         position_errors=errors,
@@ -169,7 +168,7 @@ def _reduced(
         **_head(path, reduction.points, unit),
         table=(
             *reduction.rows,
-            *amplitude_rows(reduction.points, unit.shown, unit.shown_size, path.stem),
+            *decay_rows(reduction.points, None, unit.shown, unit.shown_size, path.stem),
         ),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),

@@ -30,7 +30,7 @@ from processing.swing import (
 from processing.units import ARCSEC_RAD, seconds
 from rig.analysis.air import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.compared_laws import with_laws
-from rig.analysis.decay_values import DECAY, amplitude_damping, amplitude_rows, decay_values
+from rig.analysis.decay_values import DECAY, amplitude_damping, decay_rows, decay_values
 from rig.analysis.half_cycle_fits import SeismometerBeside, analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import (
@@ -314,8 +314,7 @@ def _analyse(
         run,
         table=(
             *(row for row in run.table if row.fit != DECAY),
-            *decay.rows(name),
-            *amplitude_rows(points, trajectory.unit, scale, name),
+            *decay_rows(points, decay, trajectory.unit, scale, name),
         ),
         frames=int(np.count_nonzero(inside)),
         half_cycles=run.half_cycles or summary.half_cycles,

@@ -20,7 +20,7 @@ from rig.report.tables import instrument_table, series_table
 
 if TYPE_CHECKING:
     from rig.report.paper_tables import reproduce_paper
-    from rig.report.plan import ageing_table, plan_expected, plan_figure, plan_table, print_plan, save_plan
+    from rig.report.plan import ageing_table, plan_expected, plan_figure, plan_table, save_plan
     from rig.report.planned_run import (
         PlannedContact,
         expected_of,
@@ -35,7 +35,7 @@ _LATER = {
     for module, names in {
         "session_export": "export_session",
         "planned_run": "PlannedContact expected_of expected_of_run expected_of_table planned_expectation",
-        "plan": "ageing_table plan_expected plan_figure plan_table print_plan save_plan",
+        "plan": "ageing_table plan_expected plan_figure plan_table save_plan",
         "paper_tables": "reproduce_paper",
     }.items()
     for name in names.split()

@@ -15,7 +15,7 @@ from processing.contact import DRAG
 from processing.errors import DataError
 from processing.fit import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.units import ARCSEC_RAD
-from rig.presentation import Table, TableRow, answer, palette, percent, plain, print_tables, quantity
+from rig.presentation import Table, TableRow, answer, palette, percent, plain, quantity
 from rig.report.planned_run import PlannedContact
 
 if TYPE_CHECKING:
@@ -162,11 +162,6 @@ def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
         "For friction that changes linearly with time at an unknown rate; the period of each run is free. "
         f"{symbol} refers to the middle of the elapsed time. A change of the air looks like ageing.",
     )  # fmt: skip
-
-
-def print_plan(plan: Plan, ageing: Table) -> None:
-    """The tables on the terminal."""
-    print_tables([plan_table(plan), ageing])
 
 
 def save_plan(plan: Plan, folder: Path, ageing: Table) -> None:
