@@ -4,7 +4,6 @@
 2023, 11(2), 88.
 """
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -19,7 +18,7 @@ from acquisition.simulation.true_path import noisy, true_path, true_turning_poin
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
 from processing.fit import FitMethod, FitResult, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
-from processing.swing import TurningPoints, swings_of_blocks, turning_points
+from processing.swing import swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, seconds
 from rig.analysis import (
     AnalysedRun,
@@ -117,13 +116,12 @@ PAIRS: Final = (
 class PairSeries:
     """One contact pair, simulated and analysed.
 
-    `points` are the turning points of all runs; `motion` and `run` belong to the first run, `series` to all.
+    `motion` and `run` belong to the first run, `series` to all.
     """
 
     pair: PrintedPair
     parameters: ContactParameters
     pendulum: PendulumOnBall
-    points: Sequence[TurningPoints]
     motion: ShownTrajectory
     run: RunResults
     series: Series
@@ -167,4 +165,4 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     first = AnalysedRun(path=Path(), record="", turning_points=stored[0], fitted=of_first, rig=rig)
     run = with_contact(first, pendulum)
     series = combined_series(fits, runs, pendulum, rig)
-    return PairSeries(pair, pair.parameters(b_exponent), pendulum, runs, shown[0], run, series)
+    return PairSeries(pair, pair.parameters(b_exponent), pendulum, shown[0], run, series)
