@@ -18,9 +18,9 @@ from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
-from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, start_session
+from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, start_session
 from rig.desk.lighting import Lighting, Safety
-from rig.desk.sessions import LookingAgain, SessionIndex
+from rig.desk.sessions import SessionIndex
 from rig.desk.store import DeskStore
 from rig.devices import NoSession
 from rig.measure import HandOver, hand_over, session_folder
@@ -63,8 +63,7 @@ class Desk:
         by = "board" if self.config.laser.kind == "controller" else "laser"
         self.safety = Safety(self.rig, self.following, lambda: self.aligner, by)
         self.aligner: Aligner | None = None
-        self.jobs: dict[str, Job] = {}
-        self.looking_again = LookingAgain()
+        self.jobs = Jobs()
         self.sessions = SessionIndex(self.config.session.output)
         self._session: tuple[subprocess.Popen[bytes], Path] | None = None
         self._handed_over: tuple[tuple[object, ...], HandOver | None] | None = None
@@ -100,19 +99,15 @@ class Desk:
     # -- what is started --------------------------------------------------------
 
     def start(self, name: str, *words: str, values: Mapping[str, object] | None = None) -> Job:
-        """Start a command of this configuration that ends with the desk; one of a name at a time.
+        """Start a command of this configuration that uses the camera, and ends with the desk.
 
         Raises ConfigurationError where the camera is in use, or a trip is not acknowledged. May wait.
         """
         self._needs_leave(name)
         self.needs_camera(name)
         self.checked(values)
-        before = self.jobs.get(name)
-        if before is not None and before.running:
-            raise ConfigurationError(f"rig {name} is running already; end it first")
         sets = [word for one in self.overridden(values) for word in ("--set", one)]
-        self.jobs[name] = Job([*name.split(), str(self.source), *words, *sets])
-        return self.jobs[name]
+        return self.jobs.begin(name, str(self.source), *words, *sets, uses_camera=True)
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
@@ -167,10 +162,10 @@ class Desk:
         """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""
         if self.following.running or (self.session_state is StartState.RUNNING and not self._has_ended()):
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
-        for name, job in self.jobs.items():
+        for name, job in self.jobs.running(uses_camera=True):
             # what has reported its result, or was asked to end, is about to end
             about_to = job.ending or "preflight" in job.newest
-            if job.running and not (about_to and job.wait(_ENDS_WITHIN_S)):
+            if not (about_to and job.wait(_ENDS_WITHIN_S)):
                 raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
         self.end_aligning()
 
@@ -294,7 +289,6 @@ class Desk:
         self.end_aligning()
         for job in self.jobs.values():
             job.end()
-        self.looking_again.end()
         self.sessions.stop()
         self.place.close()
 

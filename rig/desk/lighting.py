@@ -91,10 +91,9 @@ class Lighting:
         orders = [_Order(_order_dark, folder) for folder in folders]
         # in a thread of its own: a disk that hangs holds nothing else up
         orders.append(_Order(self._holder_dark, folders))
-        for job in tuple(desk.jobs.values()):
-            if job.running:
-                job.end()
-                heard = True
+        for _, job in desk.jobs.running(uses_camera=True):
+            job.end()
+            heard = True
         end_s = time.monotonic() + _HEARD_WITHIN_S
         heard = any(order.heard(end_s) for order in orders) or heard
         unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
@@ -147,9 +146,8 @@ class Lighting:
             return aligner.acknowledge(number)
         if desk.following.running:
             return desk.following.order(f"acknowledge {number}")
-        for name, job in desk.jobs.items():
-            if job.running:
-                raise ConfigurationError(f"rig {name} has the devices; end it, then acknowledge")
+        for name, _ in desk.jobs.running(uses_camera=True):
+            raise ConfigurationError(f"rig {name} has the devices; end it, then acknowledge")
         with Devices(desk.config, desk.config.session.output, "the desk", desk.safety.unfiled) as devices:
             devices.wait_until_heard()
             return devices.acknowledge(number, "the desk")

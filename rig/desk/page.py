@@ -172,7 +172,7 @@ def _state(desk: Desk) -> str:
         return f"last session {how}{more}: {desk.session_folder.name}"
     if desk.session_folder is not None:
         return f"last session: {desk.session_folder.name}"
-    running = [name for name, job in desk.jobs.items() if job.running and "preflight" not in job.newest]
+    running = [name for name, job in desk.jobs.running(uses_camera=True) if "preflight" not in job.newest]
     return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source.name}"
 
 
@@ -181,7 +181,7 @@ def _recording(desk: Desk) -> str:
     news = desk.following.news
     if desk.following.running:
         return str(news.get("run") or "") if (news.get("state") or {}).get("phase") == Phase.MEASURING else ""
-    return next((name for name, job in desk.jobs.items() if job.running and name.startswith("camera")), "")
+    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name.startswith("camera")), "")
 
 
 def _keys() -> list[tuple[str, str]]:

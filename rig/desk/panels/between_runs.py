@@ -7,7 +7,7 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.desk import tables
 from rig.desk.desk import Desk
-from rig.desk.panels.runs import open_served
+from rig.desk.panels.runs import fit_again, open_served
 from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.measure import HandOver, RunState
 from rig.settings import SessionSettings
@@ -189,7 +189,7 @@ class RunResult:
 
     def _fit(self) -> None:
         if self._drawn is not None:
-            self._desk.looking_again.fit(self._drawn.folder)
+            fit_again(self._desk, self._drawn.folder)
             ui.notify(f"rig fit {self._drawn.folder.name} runs; what it says is below the list of sessions")
 
     def _open(self) -> None:

@@ -10,6 +10,7 @@ from rig.calibrate import CalibrationReport, Filing
 from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibrating
 from rig.desk.desk import Desk
+from rig.desk.panels.between_runs import as_typed
 from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.settings import number
 
@@ -113,7 +114,7 @@ class CalibrationForm:
             self._result.set_content(_result(made))
 
     async def _record(self) -> None:
-        exposure = self._exposure.value if self._kind.seconds is None else ""
+        exposure = as_typed(self._exposure.value, True) if self._kind.seconds is None else ""
         await run.io_bound(self._calibrating.record, self._name, str(self._amount.value or ""), exposure)
 
     async def _file(self) -> None:

@@ -1,6 +1,7 @@
 """Runs: the sessions made so far and the archive; find, report, show in Rerun, fit again, resume."""
 
 import json
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ from nicegui import run, ui
 
 from processing.errors import ConfigurationError, RigError
 from rig.archive import find_runs
+from rig.calibrate import next_free
 from rig.desk.alarm_bar import resume_dialog
 from rig.desk.desk import Desk
 from rig.desk.sessions import NUMBERS, SERVED, LastRun, SessionRow, last_run
@@ -21,7 +23,7 @@ _COLUMNS = ("begun", "name", "sample", "runs", "state", *LastRun._fields, "condi
 _STATED = ("begun", "sample", "runs", "state", "conditions", "operator")
 _LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
   <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
-_ON_A_PAGE = 15
+_ON_A_PAGE, _LAST_LINES = 15, 14
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${props.row.folder}`" />'
 
 
@@ -150,7 +152,7 @@ class Actions:
             )
         ]
         self._wanted = ui.label().classes("dim")
-        self._ending = tab.button("End it", desk.looking_again.end).props("flat")
+        self._ending = tab.button("End it", self._end).props("flat")
         self.elements = (*self._buttons, self._wanted)
         self.mark(None)
 
@@ -163,23 +165,28 @@ class Actions:
 
     def refresh(self) -> None:
         """Show whether a command runs."""
-        self._ending.set_visibility(self._desk.looking_again.running)
+        self._ending.set_visibility(bool(self._desk.jobs.running(uses_camera=False)))
 
     def report(self) -> None:
         """Open the report, or have it made."""
         row = self._chosen()
         if row.report is None:
-            self._desk.looking_again.report(row.folder)
+            self._desk.jobs.begin("report", str(row.folder), uses_camera=False)
             ui.notify("the report is being written; open it when it is finished")
         else:
             open_served(self._desk, row.report)
 
     def view(self) -> None:
         """Show the session in Rerun."""
-        self._desk.looking_again.view(self._chosen().folder)
+        words = str(self._chosen().folder), "--view", "web"
+        self._desk.jobs.begin("view", *words, uses_camera=False)
 
     def _fit(self) -> None:
-        self._desk.looking_again.fit(self._chosen().folder)
+        fit_again(self._desk, self._chosen().folder)
+
+    def _end(self) -> None:
+        for _, job in self._desk.jobs.running(uses_camera=False):
+            job.end()
 
     def _ask_resume(self) -> None:
         row = self._chosen()
@@ -196,10 +203,10 @@ class Actions:
 
 
 class CommandOutput:
-    """The last words of the commands that look at sessions again, and the address of what Rerun shows."""
+    """The last words of the commands that need no camera, and the address of what Rerun shows."""
 
     def __init__(self, desk: Desk) -> None:
-        self._again = desk.looking_again
+        self._jobs = desk.jobs
         with ui.column().classes("full-width box q-mt-sm"):
             ui.label("output of the commands").classes("title")
             self._link = ui.link("open what rig view shows", "", new_tab=True)
@@ -207,11 +214,24 @@ class CommandOutput:
             self._words.style("white-space: pre; overflow: auto; max-height: 300px; font: 13px monospace")
 
     def refresh(self) -> None:
-        """Show what they have said by now."""
-        self._words.set_text("\n".join(self._again.said()))
-        address = self._again.address("view")
+        """Show how each of them stands, and what they have said by now."""
+        lines: list[str] = []
+        address = ""
+        for name, job in tuple(self._jobs.items()):
+            if not job.uses_camera:
+                state = "runs" if job.running else "done" if job.status == 0 else "failed"
+                lines += [f"rig {name}: {state}", *list(job.said)[-_LAST_LINES:]]
+        view = self._jobs.get("view")
+        for line in list(view.said) if view is not None and view.running else ():
+            address = match[0] if (match := re.search(r"http://127\.0\.0\.1:\d+\S*", line)) else address
+        self._words.set_text("\n".join(lines))
         self._link.props(f'href="{address}"')
         self._link.set_visibility(bool(address))
+
+
+def fit_again(desk: Desk, folder: Path) -> None:
+    """Fit the runs of a session again, into a folder of their own."""
+    desk.jobs.begin("fit", str(folder), "-o", str(next_free(folder, "fit")), uses_camera=False)
 
 
 def open_served(desk: Desk, page: Path) -> None:

@@ -1,5 +1,6 @@
 """What panels ask of the desk: settings of the camera to keep, answers to the balance, looking again."""
 
+import inspect
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,10 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError, RigError
 from rig.balance import BalanceStage
+from rig.cli import app
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
+from rig.desk.calibrating import kinds
 from rig.desk.charts import ChartCurve, in_last_row
 from rig.desk.desk import Desk
 from rig.desk.lighting import refusal
@@ -73,7 +76,7 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", ECHO, **how))
-    job = desk.jobs["balance"] = jobs.Job(["balance"])
+    job = desk.jobs["balance"] = jobs.Job(["balance"], uses_camera=True)
     until(lambda: bool(job.lines))
     with pytest.raises(ConfigurationError, match="first measure"):
         desk.balancing.turned("x", "0.5")
@@ -129,6 +132,21 @@ def test_a_trip_is_not_to_be_acknowledged_while_the_interlock_is_open() -> None:
     assert refusal(is_open) == "close the interlock first"
     # what was heard long ago holds nobody up: the devices decide
     assert not refusal(replace(is_open, interlock_age_s=60.0))
+
+
+def test_every_form_of_a_calibration_has_the_options_of_its_command() -> None:
+    group = next(one for one in app.registered_groups if one.name == "calibrate").typer_instance
+    assert group is not None
+    options = {
+        str(one.callback.__name__): {
+            name.replace("_", "-") for name in inspect.signature(one.callback).parameters
+        }
+        for one in group.registered_commands
+        if one.callback is not None
+    }
+    assert options.keys() == kinds().keys()
+    for name, kind in kinds().items():
+        assert {"output", "valid-days", "by", "as-json", *kind.fields} <= options[name]
 
 
 def test_turns_in_two_parts_are_summed_in_words() -> None:
