@@ -104,13 +104,7 @@ def chart_options(
                 "nameGap": 8,
                 **({} if ends is None else _from_to(ends[1])),
                 # where rows lie close the ends of one meet those of the next
-                "axisLabel": {
-                    **_TEXT,
-                    ":formatter": _number(""),
-                    "hideOverlap": True,
-                    "showMinLabel": alone,
-                    "showMaxLabel": alone,
-                },
+                "axisLabel": {**labels, "showMinLabel": alone, "showMaxLabel": alone},
                 "axisLine": {"lineStyle": {"color": "var(--edge)"}},
                 "splitLine": _LINES,
                 "splitNumber": 5 if alone else 2,
@@ -151,15 +145,7 @@ def chart_options(
             {"type": "inside", "xAxisIndex": every, "filterMode": "none"},
             {"type": "inside", "yAxisIndex": every, "filterMode": "none", "zoomOnMouseWheel": "shift"},
         ],
-        "graphic": [
-            {
-                "type": "text",
-                "left": "center",
-                "top": "middle",
-                "silent": True,
-                "style": {"text": empty if nothing else "", "fill": "var(--dim)", "fontSize": 15},
-            }
-        ],
+        "graphic": [_words(empty if nothing else "", "middle", 15)],
     }
 
 
@@ -167,13 +153,12 @@ def in_last_row(curves: Sequence[ChartCurve], words: str) -> dict[str, Any]:
     """Words in the middle of the last row."""
     rows = max((curve.row for curve in curves), default=0) + 1
     part = (100.0 - _BELOW_PERCENT) / rows
-    return {
-        "type": "text",
-        "left": "center",
-        "top": f"{100.0 - _BELOW_PERCENT - 0.5 * (part - _NAME_PERCENT):.1f}%",
-        "silent": True,
-        "style": {"text": words, "fill": "var(--dim)", "fontSize": 13},
-    }
+    return _words(words, f"{100.0 - _BELOW_PERCENT - 0.5 * (part - _NAME_PERCENT):.1f}%", 13)
+
+
+def _words(text: str, top: str, size: int) -> dict[str, Any]:
+    style = {"text": text, "fill": "var(--dim)", "fontSize": size}
+    return {"type": "text", "left": "center", "top": top, "silent": True, "style": style}
 
 
 def _whole(points: Sequence[Points]) -> dict[str, float]:

@@ -47,7 +47,8 @@ class Desk:
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
     `place` is what is kept on disk, `lighting` takes light and gives it, `rig` is the rig's own safety state.
-    `archive` is the file whose runs are listed, too.
+    `archive` is the file whose runs are listed, too; `started` the process and the folder of the session that
+    was started here last.
     """
 
     def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: Path = Path()) -> None:
@@ -65,7 +66,7 @@ class Desk:
         self.aligner: Aligner | None = None
         self.jobs = Jobs()
         self.sessions = SessionIndex(self.config.session.output)
-        self._session: tuple[subprocess.Popen[bytes], Path] | None = None
+        self.started: tuple[subprocess.Popen[bytes], Path] | None = None
         self._handed_over: tuple[tuple[object, ...], HandOver | None] | None = None
         self.place = DeskStore(source)
         self.alarming = Alarming(self)
@@ -118,7 +119,7 @@ class Desk:
             folder, _ = session_folder(config, self.source, None)
             sets = [word for one in self.overridden(values) for word in ("--set", one)]
             words = ["run", str(self.source), "-o", str(folder), *sets, *(["--force"] if force else [])]
-            self._session = start_session(words, folder), folder
+            self.started = start_session(words, folder), folder
         self.following.look_now(folder)
         return folder
 
@@ -127,7 +128,7 @@ class Desk:
         with self._lock:
             self._needs_leave("run")
             self.needs_camera("run")
-            self._session = start_session(["run", "--resume", str(folder)], folder), folder
+            self.started = start_session(["run", "--resume", str(folder)], folder), folder
         self.following.look_now(folder)
 
     def stop_session(self, wakes_within_s: float = _WAKES_WITHIN_S) -> str:
@@ -175,7 +176,7 @@ class Desk:
         One that was stopped answers no more, and its runs are on the page, before it has closed its devices.
         One that is still to be heard of, or whose report is being made, does not end.
         """
-        if self._session is None or self.following.last_folder != self._session[1]:
+        if self.started is None or self.following.last_folder != self.started[1]:
             return False
         deadline_s = time.monotonic() + _ENDS_WITHIN_S
         while self.session_state is StartState.RUNNING:
@@ -221,26 +222,21 @@ class Desk:
     @property
     def session_state(self) -> StartState | None:
         """Of the session that this desk has started; None if none was."""
-        if self._session is None:
+        if self.started is None:
             return None
-        status = self._session[0].poll()
+        status = self.started[0].poll()
         return StartState.RUNNING if status is None else StartState.DONE if status == 0 else StartState.FAILED
 
     @property
     def starting(self) -> bool:
         """Whether the session that this desk has started last has still to be heard of."""
-        begun = self._session
+        begun = self.started
         return begun is not None and begun[0].poll() is None and self.following.last_folder != begun[1]
-
-    @property
-    def started(self) -> "tuple[subprocess.Popen[bytes], Path] | None":
-        """The process and the folder of the session that this desk has started last."""
-        return self._session
 
     @property
     def session_folder(self) -> Path | None:
         """Folder of the running session, else of the last one that this desk has seen or started."""
-        return self.following.last_folder or (self._session[1] if self._session is not None else None)
+        return self.following.last_folder or (self.started[1] if self.started is not None else None)
 
     def resumable(self) -> Path | None:
         """The newest session, where it was interrupted and none runs: its missing runs can be made."""
@@ -273,13 +269,6 @@ class Desk:
         except OSError:
             return []
         return text.splitlines()[-12:]
-
-    def hold(self) -> None:
-        """Be the only desk of this configuration and its sessions' folder.
-
-        Raises ConfigurationError where another one is.
-        """
-        self.place.hold(self.config.session.output)
 
     def close(self) -> None:
         """End what ends with the desk; a session goes on."""

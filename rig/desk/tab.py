@@ -8,7 +8,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
-from nicegui import context, ui
+from nicegui import context, run, ui
 from nicegui.elements.mixins.value_element import ValueElement
 
 from processing.errors import RigError
@@ -151,6 +151,16 @@ class Tab:
         """Await it as a part of this tab: a task of its own does not know where its messages belong."""
         with self._client:
             await done
+
+
+def apart(do: Callable[..., object], *given: object) -> Handler:
+    """A handler that does it in a thread, since it may wait, and shows the words that it returns."""
+
+    async def done() -> None:
+        if isinstance(said := await run.io_bound(do, *given), str):
+            ui.notify(said)
+
+    return done
 
 
 _running: set["asyncio.Future[None]"] = set()

@@ -120,7 +120,7 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.wait_text("mark a session")
     page.key("o")
     page.wait_text("no session is marked; mark one in the list")
-    mark(page, "broken")
+    page.mark("broken")
     page.click("Resume")
     page.wait_text("The laser will be lit")
     page.in_dialog()
@@ -132,7 +132,7 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     )
     assert "sandbox" in policy, "a report that came from elsewhere runs no script at the desk"
     assert page.ask("fetch('/sessions/broken/run-1.mcap').then(r => r.status)") == 404
-    mark(page, "older")
+    page.mark("older")
     page.wait_text("older is marked")
     page.click("Report")
     page.wait_text("rig report: ")
@@ -141,17 +141,6 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.browser.open(str(page.ask("location.origin")) + "/sessions/broken/report.html")
     page.wait("document.images.length > 0 && [...document.images].every(image => image.naturalWidth > 0)")
     photograph(page, "report")
-
-
-def mark(page: Page, folder: str) -> None:
-    """Mark a session, or take its mark away."""
-    box = (
-        "[...document.querySelectorAll('.q-table tbody tr')]"
-        f".find(row => row.innerText.includes({folder!r})).querySelector('.q-checkbox')"
-    )
-    before = page.wait(f"{box}.getAttribute('aria-checked')")
-    page.ask(f"{box}.click()")
-    page.wait(f"{box}.getAttribute('aria-checked') !== {before!r}")
 
 
 def test_only_reports_below_the_folder_are_served(tmp_path: Path) -> None:

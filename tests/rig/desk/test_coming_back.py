@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.rig.desk.desk_page import DeskProcess, desk_page
-from tests.rig.desk.test_told import RECORD
+from tests.rig.desk.test_page import RECORD
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
