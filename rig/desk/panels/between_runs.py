@@ -1,6 +1,7 @@
 """Between sessions: how the last one went and what comes next; the form of the next one, and its fields."""
 
 import html
+from contextlib import suppress
 
 from nicegui import run, ui
 
@@ -28,17 +29,13 @@ def setting_field(desk: Desk, key: str, label: str, value: object, *, is_number:
 
 def as_typed(text: str | None, is_number: bool) -> object:
     """A number where one was typed; anything else as text, which the model judges."""
-    text = (text or "").strip() if is_number else (text or "")
     if not is_number:
-        return text
-    try:
-        return int(text)
-    except ValueError:
-        pass
-    try:
-        return float(text)
-    except ValueError:
-        return text
+        return text or ""
+    text = (text or "").strip()
+    for read in (int, float):
+        with suppress(ValueError):
+            return read(text)
+    return text
 
 
 _ASKED = {

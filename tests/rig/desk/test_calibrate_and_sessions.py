@@ -179,7 +179,9 @@ def test_only_reports_below_the_folder_are_served(tmp_path: Path) -> None:
         (["complete", "complete"], "complete"),
     ],
 )
-def test_only_what_was_killed_is_called_interrupted(tmp_path: Path, states: list[Any], shown: str) -> None:
+def test_only_what_was_killed_is_called_interrupted_and_whatever_lacks_runs_is_resumed(
+    tmp_path: Path, states: list[Any], shown: str
+) -> None:
     folder = tmp_path / "session"
     folder.mkdir()
     file = SessionFile.made(folder, tmp_path / "rig.toml", 2, {})
@@ -190,6 +192,8 @@ def test_only_what_was_killed_is_called_interrupted(tmp_path: Path, states: list
     index.look()
     (row,) = index.page(None).rows
     assert row.state == shown
+    # as rig run --resume does; one that was frozen and then stopped, too
+    assert row.resumable is (shown not in ("no run made", "complete"))
     (row,) = index.page(folder).rows
     assert row.state == "running"
 

@@ -20,7 +20,6 @@ from rig.desk.charts import ChartCurve, in_last_row
 from rig.desk.desk import Desk
 from rig.desk.lighting import refusal
 from rig.desk.panels.balance import net_of
-from rig.desk.sessions import session_row
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
 from rig.terminal import start_python
@@ -173,22 +172,3 @@ def test_the_newest_session_is_resumed_where_it_was_interrupted(desk: Desk, tmp_
     file.close()
     desk.sessions.look()
     assert desk.resumable() is None
-
-
-@pytest.mark.parametrize(
-    ("state", "resumed"),
-    [
-        (RunState.RECORDING, True),
-        (RunState.STOPPED, True),
-        (RunState.FAILED, True),
-        (RunState.COMPLETE, False),
-    ],
-)
-def test_whatever_lacks_runs_can_be_resumed_from_the_list(
-    tmp_path: Path, state: RunState, resumed: bool
-) -> None:
-    """As `rig run --resume` does; one that was frozen and then stopped, too."""
-    file = SessionFile.made(tmp_path, tmp_path / "rig.toml", 1, {})
-    file.note(1, "run-1.mcap", state)
-    file.close()
-    assert session_row(tmp_path).resumable is resumed
