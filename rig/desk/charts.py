@@ -201,7 +201,7 @@ def _series(curve: ChartCurve, points: Points, unit: str) -> list[dict[str, Any]
             "tooltip": {"show": False},
         }
         edge["lineStyle"] = {"opacity": 0}
-        low = [(x, _plus(y, u, -1)) for x, y, u in points]
+        low = [(x, None if y is None else y - (u or 0.0)) for x, y, u in points]
         wide = [(x, 2 * (u or 0.0)) for x, _, u in points]
         return [
             {**edge, "data": low},
@@ -209,10 +209,6 @@ def _series(curve: ChartCurve, points: Points, unit: str) -> list[dict[str, Any]
             {**common, "data": [(x, y) for x, y, _ in points]},
         ]
     return [{**common, "data": list(points)}]
-
-
-def _plus(y: float | None, u: float | None, sign: int) -> float | None:
-    return None if y is None else y + sign * (u or 0.0)
 
 
 def _number(unit: str) -> str:
@@ -236,7 +232,7 @@ class Chart:
         square: bool = False,
         height: str = "",
     ) -> None:
-        self._title, self._x, self._square = title, x, square
+        self._x = x
         self._curves: Sequence[ChartCurve] = curves
         self._shown: object = None
         self._small = bool(height)

@@ -36,9 +36,8 @@ def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
 class Job:
     """A command that ends with the desk, because its pipes do; it answers in JSON lines.
 
-    `lines` are the last objects it has printed, `said` its other words; `count` numbers the objects.
-    `ending`: it was asked to end, and will in a moment. `uses_camera`: while it runs nothing else has the
-    camera, and LIGHT OFF ends it.
+    `lines` are the last objects it has printed, `said` its other words. `ending`: it was asked to end, and
+    will in a moment. `uses_camera`: while it runs nothing else has the camera, and LIGHT OFF ends it.
     """
 
     def __init__(self, words: list[str], *, uses_camera: bool) -> None:
@@ -51,7 +50,6 @@ class Job:
         self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
         self.newest: dict[str, dict[str, Any]] = {}
         self.said: deque[str] = deque(maxlen=_LAST_LINES)
-        self.count = 0
         self._readers = [
             threading.Thread(target=target, name=f"job-{words[0]}", daemon=True)
             for target in (self._read, self._listen)
@@ -108,7 +106,6 @@ class Job:
                 if isinstance(found, dict):
                     self.lines.append(found)
                     self.newest[str(found.get("kind"))] = found
-                    self.count += 1
         with suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.close()

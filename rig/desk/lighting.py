@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 from processing.errors import ConfigurationError, DeviceError, RigError
 from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause, darken_beside
 from rig.desk.aligner import Aligner
-from rig.desk.following import Following
+from rig.desk.following import Following, clock
 from rig.devices import NOT_OURS, ORDERS_NAME, Devices, NoSession, OrderConnection, SessionBusy
 
 if TYPE_CHECKING:
@@ -348,18 +348,14 @@ def _lamp(text: str, kind: str, age_s: float) -> Mapping[str, object]:
 
 def _last_loop(confirmed: ConfirmedState | None) -> Mapping[str, object]:
     """`closed at 05:48:36`."""
-    return {} if confirmed is None else {"last": f"{confirmed.state} at {_clock(confirmed.at_s)}"}
-
-
-def _clock(at_s: float) -> str:
-    return time.strftime("%H:%M:%S", time.localtime(at_s))
+    return {} if confirmed is None else {"last": f"{confirmed.state} at {clock(confirmed.at_s)}"}
 
 
 def _last(confirmed: ConfirmedState | None) -> Mapping[str, object]:
     """`off, confirmed 05:48:36 by board and camera`; light that was on may be off by now."""
     if confirmed is None:
         return {}
-    said = f"confirmed {_clock(confirmed.at_s)} by {confirmed.by}"
+    said = f"confirmed {clock(confirmed.at_s)} by {confirmed.by}"
     is_on = confirmed.state is Light.ON
     text = f"unknown; on, {said}" if is_on else f"{confirmed.state}, {said}"
     return {"last": text, "last_age_s": round(time.time() - confirmed.at_s, 1)}

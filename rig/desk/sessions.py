@@ -21,7 +21,6 @@ from rig.presentation import quantity, with_uncertainty
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
-_STATE = "session.json"
 _LEAST_WAIT_S, _WAIT_OF_WORK = 1.0, 15.0
 """A large folder is looked through less often: one part in fifteen of a core at most."""
 
@@ -100,7 +99,7 @@ class SessionIndex:
         with suppress(OSError), os.scandir(self._output) as entries:
             for entry in entries:
                 with suppress(OSError):
-                    files.append((os.stat(f"{entry.path}/{_STATE}").st_mtime_ns, entry.path))
+                    files.append((os.stat(f"{entry.path}/{STATE_NAME}").st_mtime_ns, entry.path))
         files.sort(reverse=True)
         there = {path for _, path in files}
         for gone in self._known.keys() - there:

@@ -11,7 +11,7 @@ from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibrating
 from rig.desk.desk import Desk
 from rig.desk.panels.between_runs import as_typed
-from rig.desk.tab import DELIBERATE, Tab, at_once
+from rig.desk.tab import DELIBERATE, Tab, at_once, box
 from rig.settings import number
 
 _DAYS, _DARK_FRAMES = 90.0, 16
@@ -52,8 +52,7 @@ class CalibrationForm:
         self._offered: object = None
         self._drawn: CalibrationReport | None = None
         kind = self._kind
-        with ui.column().classes("box full-width") as self.box:
-            ui.html(html.escape(kind.title), tag="h3", sanitize=False).classes("middle")
+        with box(kind.title, "full-width", head="middle") as self.box:
             ui.label(kind.do)
             with ui.row().classes("items-center"):
                 amount = f"{_DARK_FRAMES}" if kind.seconds is None else f"{kind.seconds:g}"

@@ -19,7 +19,7 @@ from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.panels.between_runs import as_typed, setting_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
-from rig.desk.tab import DELIBERATE, Handler, Tab, apart, at_once
+from rig.desk.tab import DELIBERATE, Handler, Tab, apart, at_once, box
 from rig.presentation import Verdict
 
 KEYS = (("z", "rig: zoom 1, 4, 16"),)
@@ -117,11 +117,7 @@ class CameraControls:
         self._fields: dict[str, ui.input] = {}
         self._needing: list[ui.button] = []
         # on a low screen it scrolls by itself: picture and buttons stay
-        with (
-            ui.column()
-            .classes("box scrolls")
-            .props('role="region" aria-label="lamps and settings" tabindex="0"')
-        ):
+        with box("", "scrolls", region="lamps and settings"):
             self._lamps = ui.html(sanitize=False).classes("full-width")
             self._lamps.props('role="status" aria-label="lamps"')
             self._note = ui.label().props('role="status"')

@@ -82,7 +82,7 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     with pytest.raises(ConfigurationError, match="wait for the end"):
         desk.balancing.forget()
     job.answer("the measurement is over")
-    until(lambda: job.count == 2)
+    until(lambda: len(job.lines) == 2)
     for count, do in enumerate(
         (
             lambda: desk.balancing.turned("x", " +0.5 "),
@@ -93,7 +93,7 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
         start=3,
     ):
         do()
-        until(lambda count=count: job.count == count)
+        until(lambda count=count: len(job.lines) == count)
     assert [line["heard"] for line in list(job.lines)[2:]] == ["x +0.5", "", "f", "q"]
     assert job.ending
     job.end()
