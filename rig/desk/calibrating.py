@@ -154,7 +154,7 @@ class Calibrating:
         if self._recording is None:
             return ""
         kind, path, job = self._recording
-        if not job.wait(0.0):
+        if job.status is None:
             return f"{path} is recorded{f': {job.said[-1]}' if job.said else ''}"
         self._recording = None
         if job.ending:
@@ -178,7 +178,7 @@ class Calibrating:
             words = [
                 f"--{name}={text.strip()}"
                 for name, text in {**options, **stated}.items()
-                if text.strip() not in ("", _UNKNOWN)
+                if text.strip() and (name in options or text != _UNKNOWN)
             ]
             name = f"calibrate {kind}"
             job = self._desk.jobs.begin(name, str(path), *words, "--json", uses_camera=False)
