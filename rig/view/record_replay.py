@@ -176,7 +176,7 @@ def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
         return
     by_name = {change.name: change for change in changes}
     asymptotic = [change for name, change in by_name.items() if name.startswith(_ASYMPTOTIC)]
-    head = ("", source, "change / u", *(["of the asymptotic fit"] if asymptotic else []))
+    head = ("", f"{source}, u: swings", "change / u", *(["of the asymptotic fit"] if asymptotic else []))
     rows: list[list[str]] = []
     for name, change in by_name.items():
         if name.startswith(_ASYMPTOTIC):
