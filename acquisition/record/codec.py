@@ -133,19 +133,7 @@ def encode_swing(kind: MessageType, swing: HalfCycle) -> bytes:
     shown = [2.0 * swing.half_period_s]
     if kind is SWING:
         shown.insert(0, swing.amplitude / ARCSEC_RAD)
-    return kind.encode(
-        swing.index,
-        swing.turn_time_ns,
-        swing.u_turn_time_s,
-        swing.amplitude,
-        swing.u_amplitude,
-        swing.half_period_s,
-        swing.u_half_period_s,
-        swing.centre,
-        swing.side,
-        swing.flags,
-        *shown,
-    )
+    return kind.encode(*[getattr(swing, name) for name in HalfCycle.__dataclass_fields__], *shown)
 
 
 def swings_of(table: NDArray[Any]) -> list[HalfCycle]:

@@ -43,7 +43,6 @@ from acquisition.record.topics import (
     LOSSES,
     METADATA_COPY,
     NOTE,
-    PIXEL_KINDS,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SPOT,
@@ -53,7 +52,6 @@ from acquisition.record.topics import (
     RecordedLosses,
     RecordedNote,
     RecordedWindow,
-    number_kinds,
     number_topics,
 )
 from processing.balance import Balance
@@ -95,8 +93,9 @@ class RecordReader:
             self._own = self.metadata["record"]
             self.deflection_unit = DeflectionUnit(self._own["deflection_unit"])
             self.epoch_offset_ns = int(self._own["epoch_offset_ns"])
-            self._kinds = {kind.topic: kind for kind in (*number_kinds(self.deflection_unit), *PIXEL_KINDS)}
-            self._numbers.contents.channels = dict(enumerate(number_topics(self.deflection_unit), start=1))
+            topics = number_topics(self.deflection_unit)
+            self._kinds = {kind.topic: kind for kind in (topics | PIXEL_TOPICS).values() if kind is not None}
+            self._numbers.contents.channels = dict(enumerate(topics, start=1))
             self._open_pixels()
         except OSError as error:
             self.close()

@@ -366,29 +366,21 @@ SESSION_KINDS: Final = (PHASE, LIGHT, HEALTH, ESTIMATE, FITTED)
 """Kinds of messages by which a session says how it stands while it measures."""
 
 
-def number_kinds(unit: DeflectionUnit) -> tuple[MessageType, ...]:
-    """Kinds of messages in the file of numbers, in the order of their channels."""
-    return *_measured(unit), *SESSION_KINDS
+OF_UNIT: Final = {
+    DeflectionUnit.RAD: (SPOT, SWING, BALANCE),
+    DeflectionUnit.PX: (SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED),
+}
+"""Kinds of the messages whose fields have the unit of the deflections, the first ones in every record."""
+Topics: TypeAlias = dict[str, MessageType | None]
+"""Topics of a file in the order of their channels, from 1, with their kinds; None: a type of Foxglove's."""
 
 
-def _measured(unit: DeflectionUnit) -> tuple[MessageType, ...]:
-    calibrated, uncalibrated = (
-        (SPOT, SWING, BALANCE),
-        (SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED),
-    )
-    return (
-        *(calibrated if unit is DeflectionUnit.RAD else uncalibrated),
-        *(EVENT, ENVIRONMENT, REFERENCE, WITNESS, NOTE, LOSSES, CLOCK, CAMERA_STEP, CAMERA_TEMPERATURE),
-    )
+def number_topics(unit: DeflectionUnit) -> Topics:
+    """Topics in the file of numbers."""
+    others = (EVENT, ENVIRONMENT, REFERENCE, WITNESS, NOTE, LOSSES, CLOCK, CAMERA_STEP, CAMERA_TEMPERATURE)
+    topics: Topics = {kind.topic: kind for kind in (*OF_UNIT[unit], *others)}
+    return topics | {LOG_TOPIC: None, CAMERA_TOPIC: None} | {kind.topic: kind for kind in SESSION_KINDS}
 
 
-def number_topics(unit: DeflectionUnit) -> tuple[str, ...]:
-    """Topics in the file of numbers, in the order of their channels, from 1."""
-    measured, session = (tuple(kind.topic for kind in kinds) for kinds in (_measured(unit), SESSION_KINDS))
-    return *measured, LOG_TOPIC, CAMERA_TOPIC, *session
-
-
-PIXEL_KINDS: Final = (WINDOW, IMAGE)
-"""Kinds of messages in the file of pixels, in the order of their channels, from 1."""
-PIXEL_TOPICS: Final = (WINDOW.topic, IMAGE.topic, PREVIEW_TOPIC)
-"""Topics in the file of pixels, in the order of their channels, from 1."""
+PIXEL_TOPICS: Final[Topics] = {WINDOW.topic: WINDOW, IMAGE.topic: IMAGE, PREVIEW_TOPIC: None}
+"""Topics in the file of pixels."""

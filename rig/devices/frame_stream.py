@@ -1,17 +1,19 @@
 """The camera thread: reads frames from the preflight to the end of a run, and reconnects the camera."""
 
 import logging
+import math
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, CameraStatus, Frame, FrameTimeout
+from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout
 from acquisition.frames.guard import Counts, HangingRead, asking, ended
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.numbering import FrameLine
-from acquisition.frames.queue import Backlog, FrameQueue, Policy, most_waiting
+from acquisition.frames.queue import MOST_BYTES, BoundedQueue, Policy, taken_from
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
@@ -97,6 +99,7 @@ class Standstill:
 _log = logging.getLogger(__name__)
 _LOOK_NS = 250_000_000
 _WAIT_S = 0.05
+_FEWEST, _MOST_ON_DEMAND = 8, 64
 _FIRST_S = 0.5
 """For the first frame a camera is asked again and again, so that a stop is noticed."""
 
@@ -132,17 +135,17 @@ class FrameStream:
         self._reconnect_s = reconnect_s
         self._stop = threading.Event()
         self._closed = False
-        self._counts_before = CameraStatus()
-        self._queue: FrameQueue | None = None
-        self._backlog: Backlog | None = None
+        # frames on demand are not lost while it is full; a short one keeps them in the processor's cache
+        most = _MOST_ON_DEMAND if policy == "wait" else math.inf
+        self._queue = BoundedQueue[Frame](most, policy, MOST_BYTES, fewest=_FEWEST)
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._counts = Counts(lambda: camera.status)
         self._thread: threading.Thread | None = None
         self._begun = threading.Event()
         self._first: Frame | None = None
-        self._events: list[tuple[EventKind, str]] = []
+        self._events: deque[tuple[EventKind, str]] = deque()
         self._standstill = Standstill(lambda text: self._events.append((EventKind.STANDSTILL, text)))
-        self._steps: list[RecordedClockStep] = []
+        self._steps: deque[RecordedClockStep] = deque()
         self._at_last_look = FrameLosses()
         self._look_ns = 0
         self._hanging = HangingRead(timeout_s)
@@ -173,9 +176,7 @@ class FrameStream:
     def take(self, at_most: int, timeout_s: float) -> list[Frame]:
         """Up to `at_most` frames in order; empty after the timeout, and if drained."""
         self.permit.moved(Stage.PROCESSING)
-        if self._queue is None:
-            return []
-        if self._backlog is not None and (said := self._backlog.see(len(self._queue))):
+        if said := self._queue.remark():
             self._events.append((EventKind.BACKLOG, said))
         frames = self._queue.take(at_most, timeout_s)
         try:
@@ -186,15 +187,14 @@ class FrameStream:
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
-        taken, self._events = self._events, []
+        taken = taken_from(self._events)
         if remark := self._counts.take_remark():
             taken.append((EventKind.WATCHER_FAILED, f"the camera's counts: {remark}"))
         return taken
 
     def take_clock_steps(self) -> list[RecordedClockStep]:
         """Steps of the camera's clock since the last call, which are taken off the times of the frames."""
-        taken, self._steps = self._steps, []
-        return taken
+        return taken_from(self._steps)
 
     def request_stop(self) -> None:
         """End the stream; may be called from any thread."""
@@ -210,8 +210,7 @@ class FrameStream:
             return
         self._closed = True
         self._standstill.end()
-        if self._queue is not None:
-            self._queue.close()
+        self._queue.close()
         if remark := ended(self._camera.stop, "camera: stop()"):
             _log.warning("%s", remark)
             self._events.append((EventKind.CAMERA_STOP, remark))
@@ -221,22 +220,20 @@ class FrameStream:
     @property
     def drained(self) -> bool:
         """True if the stream has ended and every frame has been taken."""
-        return self._queue is not None and self._queue.drained
+        return self._queue.drained
 
     @property
     def losses(self) -> FrameLosses:
         """Frames lost since the start, by cause."""
-        unqueued = 0 if self._queue is None else self._queue.dropped
-        status = self._counts_before + self._counts.now
         return FrameLosses.of(
-            status,
-            unqueued=unqueued,
+            self._counts.now,
+            unqueued=self._queue.dropped,
             while_unplugged=self._line.missing,
             wrong_time=self._line.rejected + self._line.waiting,
         )
 
     def __len__(self) -> int:
-        return 0 if self._queue is None else len(self._queue)
+        return len(self._queue)
 
     def _raise_if_it_hangs(self, waited_s: float) -> None:
         # what is made on demand may take as long as it likes
@@ -252,7 +249,7 @@ class FrameStream:
         opened_again = False
         try:
             while not self._stop.is_set():
-                begun = self._queue is not None
+                begun = self._begun.is_set()
                 # a source on demand may be slow; silence of a free-running camera is reported early
                 patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
                 patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
@@ -298,8 +295,8 @@ class FrameStream:
                 self._events.extend(passed.notes)
                 self._steps.extend(passed.steps)
                 for joined in passed.frames:
-                    queue = self._first_queue(joined) if self._queue is None else self._queue
-                    queue.put(joined)
+                    self._first = self._first or joined
+                    self._queue.put(joined)
                     self._begun.set()
         except FrameTimeout as error:
             unused = self.losses.since(self._at_last_look)
@@ -308,16 +305,8 @@ class FrameStream:
         except Exception as error:
             self._fail(error, self._named(error))
         finally:
-            if self._queue is not None:
-                self._queue.close()
+            self._queue.close()
             self._begun.set()
-
-    def _first_queue(self, first: Frame) -> FrameQueue:
-        capacity = most_waiting(first, self.policy)
-        # what is made on demand waits for the thread that takes it
-        self._backlog = None if self.policy == "wait" else Backlog(capacity, first.image.nbytes)
-        self._first, self._queue = first, FrameQueue(capacity, self.policy)
-        return self._queue
 
     def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
         """The same, with the frames that came and could not be used: the trigger is no cause of those."""
@@ -344,9 +333,7 @@ class FrameStream:
             except DeviceError:
                 self._stop.wait(0.25)
             else:
-                # a driver that has noticed the loss counts on, any other begins again
-                if self._counts.now.reconnects == before.reconnects:
-                    self._counts_before += before
+                self._counts.go_on(before)
                 if differences:
                     self._events.append((EventKind.CAMERA_BACK, f"with other settings: {differences}"))
                 return

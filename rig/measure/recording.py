@@ -3,13 +3,12 @@
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from acquisition.camera import Frame, Image
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import LOSSES, Recorded, RecordedHealth, RecordedNote, RecordedPhase
+from acquisition.record.topics import LOSSES, NOTE, Recorded, RecordedHealth, RecordedNote, RecordedPhase
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
 from processing.slope_uncertainty import KickWatch, StepWatch
@@ -270,11 +269,10 @@ class Recording:
 
     def _take_nothing(self) -> None:
         """Record events without waiting for frames, so that a silent camera is noted immediately."""
-        new, notes = self._device_events(), self._notes()
-        messages = self._state(Phase.MEASURING, math.nan)
-        if new or notes or messages:
-            self._recorder.put(Entry(events=new, notes=notes, messages=messages))
-            self._tell([*new, *(note.event for note in notes)], messages)
+        new, messages = self._device_events(), [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
+        if new or messages:
+            self._recorder.put(Entry(events=new, messages=messages))
+            self._tell(new, messages)
 
     def _take(self, taken: list[Frame], taken_ns: int) -> Block:
         """Process frames that were taken at `taken_ns` and record them; returns the block as it is shown."""
@@ -291,21 +289,22 @@ class Recording:
         self._half_cycles += len(shown.swings)
         entry = counts.entry(taken, block, self._pipeline)
         self._last = taken[-1]
-        notes = self._notes()
         messages, of_clocks = self._readings.take(taken)
+        messages += self._notes()
         stepped: list[Event] = self._wall.past("the watch for steps", [], self._steps.take, block)
-        new = [*entry.events, *said, *stepped, *of_clocks, *self._device_events()]
+        entry.events = [*entry.events, *said, *stepped, *of_clocks, *self._device_events()]
         due = bool(shown.swings) or self._on_demand or taken_ns - self._published_ns > _PUBLISHED_NS
         if due:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - taken[0].host_time_ns)
             messages += self._state(Phase.MEASURING, age_s)
-        self._recorder.put(replace(entry, events=new, messages=messages, notes=notes))
+        entry.messages = messages
+        self._recorder.put(entry)
         if (news := parts.plan.session_news) is not None:
             self._wall.past(_LOOKING, None, news.look, taken, shown)
-        if due or new or messages or notes or shown.balances:
-            self._tell([*new, *(note.event for note in notes)], messages, shown)
+        if due or entry.events or messages or shown.balances:
+            self._tell(entry.events, messages, shown)
         return shown
 
     def _close(self, rejected: str) -> None:
@@ -329,32 +328,31 @@ class Recording:
             swings = self._wall.past(_LESS_BEAM, swings, self._less.finish)
         self._half_cycles += len(swings)
         last = [*self._device_events(), *early, end]
-        messages = [(LOSSES, self._losses.last(counts.last_ns)), *self._state(Phase.CLOSING, math.nan)]
-        notes = self._notes()
-        self._recorder.put(
-            Entry(block=empty, events=last, messages=messages, attachments=attachments, notes=notes)
-        )
+        losses = (LOSSES, self._losses.last(counts.last_ns))
+        messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
+        self._recorder.put(Entry(block=empty, events=last, messages=messages, attachments=attachments))
         self._tell(last, messages, empty._replace(swings=swings))
 
     def _tell(
         self, events: Sequence[Event], messages: Sequence[Recorded] = (), block: Block | None = None
     ) -> None:
-        """Tell those who watch what the record was told."""
+        """Tell those who watch what the record was told; they have notes among the events."""
         values, counts = [value for _, value in messages], self._counts
+        events = [*events, *(value.event for value in values if isinstance(value, RecordedNote))]
         swings, balances = ([], []) if block is None else (block.swings, block.balances)
         self._status.tell(RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, values))
 
-    def _notes(self) -> list[RecordedNote]:
+    def _notes(self) -> list[Recorded]:
         """What operators have noted since the last call, on the frames' clock."""
         if self._parts.plan.notes is None:
             return []
         counts, last = self._counts, self._last
-        found = []
+        found = list[Recorded]()
         for host_time_ns, author, text in self._parts.plan.notes.take():
             at_ns = last.time_ns + host_time_ns - last.host_time_ns
             # what was typed before the record begins is in it, too, and frames on demand have another clock
             at_ns = min(max(at_ns, counts.start_ns), counts.last_ns)
-            found.append(RecordedNote(at_ns, host_time_ns, author, text))
+            found.append((NOTE, RecordedNote(at_ns, host_time_ns, author, text)))
         return found
 
     def _end_in_darkness(self) -> None:

@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from acquisition.camera import Frame
+from acquisition.frames.queue import MOST_BYTES
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedPhase
 from processing import decay_summary
@@ -18,7 +19,7 @@ from rig.instrument import Phase, RecordContents, RunNow, optics_of, prepare_ker
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
 from rig.measure.posterior import LivePosterior, live_posterior
 from rig.measure.readings import LossLog
-from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
+from rig.measure.recorder import Recorder
 from rig.measure.recording import Recording
 from rig.measure.run_parts import RunOutcome, RunParts, RunPlan, set_aside
 from rig.measure.screen import RunDisplay
@@ -183,7 +184,7 @@ class MeasurementRun:
         recorder = Recorder(
             parts.open_record(epoch_offset_ns, frames[0], preflight),
             # frames made on demand wait for the disk, and no memory has to hold them
-            MOST_WAITING_BYTES // 16 if self._stream.policy == "wait" else MOST_WAITING_BYTES,
+            MOST_BYTES // 16 if self._stream.policy == "wait" else MOST_BYTES,
             permit=self._stream.permit,
         )
         # of one that is recorded at once any start is accepted

@@ -89,7 +89,7 @@ def write_sample(
                 done.images.append(frame)
                 writer.write_image(frame)
                 writer.write_preview(frame)
-                writer.write(ENVIRONMENT, Environment(time_ns, 21.5, np.nan, 101325.0), time_ns)
+                writer.write(ENVIRONMENT, Environment(time_ns, 21.5, np.nan, 101325.0))
             writer.write_log(time_ns, 2, "session", f"block {first}")
             writer.flush()
         writer.write_event(frames * FRAME_NS, "stop", "amplitude below 2 arcsec")

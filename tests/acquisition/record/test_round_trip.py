@@ -252,7 +252,7 @@ def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
     for write in (
         lambda: writer.write_event(0, "late", ""),
         lambda: writer.write_swing(swing),
-        lambda: writer.write(ENVIRONMENT, Environment(5), 5),
+        lambda: writer.write(ENVIRONMENT, Environment(5)),
     ):
         with pytest.raises(RecordError, match="closed"):
             write()
