@@ -92,10 +92,6 @@ class CheckedFrames:
                 "and counted in status.wrong_id",
             )
         self._sequence = number
-        self._check_image(image, number)
-        return frame
-
-    def _check_image(self, image: object, number: int) -> None:
         if not isinstance(image, np.ndarray):
             raise _refusal(f"the image of frame {number} is {type(image).__name__}", "make it a numpy array")
         if image.ndim != 2 or image.dtype not in _TYPES or not image.size:
@@ -121,6 +117,7 @@ class CheckedFrames:
                     "image.copy()",
                 )
         self._newest.append(_LastImage(number, image, _some(image).copy()))
+        return frame
 
 
 def checked_info(info: object, driver: str) -> CameraInfo:

@@ -142,9 +142,14 @@ class FrameLosses:
         )
 
     @property
+    def counts(self) -> tuple[int, ...]:
+        """All numbers, in their order."""
+        return _counts(self)
+
+    @property
     def total(self) -> int:
         """Frames that are missing."""
-        return sum(_counts(self)) - self.wrong_id
+        return sum(self.counts) - self.wrong_id
 
     @property
     def came(self) -> int:
@@ -160,14 +165,14 @@ class FrameLosses:
 
     def since(self, before: "FrameLosses") -> "FrameLosses":
         """What was lost after `before`."""
-        return FrameLosses(*map(sub, _counts(self), _counts(before)))
+        return FrameLosses(*map(sub, self.counts, before.counts))
 
     def __str__(self) -> str:
         words = (
             *("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged"),
             *("without a right time", "with an error status", "with a number that was before"),
         )
-        named = [f"{count} {word}" for count, word in zip(_counts(self), words, strict=True) if count]
+        named = [f"{count} {word}" for count, word in zip(self.counts, words, strict=True) if count]
         return ", ".join(named) or "none"
 
 

@@ -39,10 +39,9 @@ from acquisition.record.topics import (
     BALANCE,
     EVENT,
     IMAGE,
+    KIND_OF,
     LOG_TOPIC,
-    LOSSES,
     METADATA_COPY,
-    NOTE,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SPOT,
@@ -52,6 +51,7 @@ from acquisition.record.topics import (
     RecordedLosses,
     RecordedNote,
     RecordedWindow,
+    TimedMessage,
     number_topics,
 )
 from processing.balance import Balance
@@ -59,7 +59,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.swing import HalfCycle
 
-_Value = TypeVar("_Value")
+_Value = TypeVar("_Value", bound=TimedMessage)
 Piece: TypeAlias = dict[str, list[Message]]
 """Messages of a chunk, by topic."""
 
@@ -312,14 +312,12 @@ class RecordReader:
         parts = list(self._tables(kind))
         return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
 
-    def values(
-        self, topic: str, value_class: type[_Value], messages: Iterable[Message] | None = None
-    ) -> list[_Value]:
-        """All messages of a topic, or some of them, as values of the class with which they were written."""
-        kind = self._kinds[topic]
+    def values(self, value_class: type[_Value], messages: Iterable[Message] | None = None) -> list[_Value]:
+        """All values of a class that were written, or those in some messages of their topic."""
+        kind = KIND_OF[value_class]
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in (self.messages(topic) if messages is None else messages)
+            for message in (self.messages(kind.topic) if messages is None else messages)
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -367,11 +365,11 @@ class RecordReader:
 
     def notes(self) -> list[RecordedNote]:
         """What operators have noted during the run."""
-        return self.values(NOTE.topic, RecordedNote)
+        return self.values(RecordedNote)
 
     def losses(self) -> FrameLosses | None:
         """Numbers of lost frames by cause; None in a record that was cut before they were written."""
-        found = self.values(LOSSES.topic, RecordedLosses)
+        found = self.values(RecordedLosses)
         return FrameLosses(*found[-1][1:]) if found else None
 
     def windows(self, start_ns: int | None = None) -> Iterator[RecordedWindow]:

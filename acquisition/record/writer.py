@@ -11,11 +11,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+
 from acquisition.camera import Frame, Image
 from acquisition.record import pixels_beside
 from acquisition.record.codec import (
     encode_balance,
-    encode_camera_calibration,
     encode_log,
     encode_preview,
     encode_swing,
@@ -25,19 +26,19 @@ from acquisition.record.codec import (
 )
 from acquisition.record.events import Event, EventKind, Severity
 from acquisition.record.mcap_file import McapFile
-from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     BALANCE,
     CAMERA_TOPIC,
     EVENT,
     IMAGE,
+    KIND_OF,
     LOG_TOPIC,
     METADATA_COPY,
     OF_UNIT,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
-    REFERENCE,
     SCHEMA_VERSION,
+    SENSOR_FRAME,
     SWING,
     WINDOW,
     RecordedNote,
@@ -177,7 +178,7 @@ class RecordWriter:
         for sequence, time_ns, spot in zip(
             sequences, deflections.times_ns.tolist(), references, strict=bool(references)
         ):
-            self.write(REFERENCE, RecordedReference.of(sequence, time_ns, spot))
+            self.write(RecordedReference.of(sequence, time_ns, spot))
         self.flush_if_due()
 
     def write_window(
@@ -239,20 +240,30 @@ class RecordWriter:
         distance_px: float,
         reference_px: tuple[float, float],
     ) -> None:
-        """Write the geometry of the sensor, as a foxglove.CameraCalibration.
+        """Write the geometry of the sensor, as a foxglove.CameraCalibration without distortion.
 
         The light lever corresponds to a pinhole camera with the mirror as pinhole. `distance_px` is the arm
         divided by the pixel pitch, `reference_px` the position (x, y) of the spot at zero tilt,
         `sensor_shape` (ny, nx).
         """
-        data = encode_camera_calibration(self._offset_ns + time_ns, sensor_shape, distance_px, reference_px)
-        self._add(CAMERA_TOPIC, time_ns, data)
+        x_px, y_px = reference_px
+        message = CameraCalibration(
+            frame_id=SENSOR_FRAME,
+            width=sensor_shape[1],
+            height=sensor_shape[0],
+            K=[distance_px, 0.0, x_px, 0.0, distance_px, y_px, 0.0, 0.0, 1.0],
+            R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            P=[distance_px, 0.0, x_px, 0.0, 0.0, distance_px, y_px, 0.0, 0.0, 0.0, 1.0, 0.0],
+        )
+        message.timestamp.FromNanoseconds(self._offset_ns + time_ns)
+        self._add(CAMERA_TOPIC, time_ns, message.SerializeToString())
 
-    def write(self, kind: MessageType, value: TimedMessage) -> None:
-        """Write a value with the fields of its kind, one of `number_topics`.
+    def write(self, value: TimedMessage) -> None:
+        """Write a value as a message of its own, one of `KIND_OF`.
 
         What an operator has noted is also a line of the log, which viewers display.
         """
+        kind = KIND_OF[type(value)]
         data = kind.encode(*[getattr(value, name) for name in kind.names])
         self._add(kind.topic, value.time_ns, data)
         if isinstance(value, RecordedNote):

@@ -146,7 +146,7 @@ class FrameStream:
         self._events: deque[tuple[EventKind, str]] = deque()
         self._standstill = Standstill(lambda text: self._events.append((EventKind.STANDSTILL, text)))
         self._steps: deque[RecordedClockStep] = deque()
-        self._at_last_look = FrameLosses()
+        self._lost_before = self._at_last_look = FrameLosses()
         self._look_ns = 0
         self._hanging = HangingRead(timeout_s)
         self.ended = ""
@@ -224,7 +224,14 @@ class FrameStream:
 
     @property
     def losses(self) -> FrameLosses:
-        """Frames lost since the start, by cause."""
+        """Frames lost since the start, or since `count_losses_anew`, by cause."""
+        return self._lost().since(self._lost_before)
+
+    def count_losses_anew(self) -> None:
+        """Frames that were lost before are none of those that `losses` counts."""
+        self._lost_before = self._lost()
+
+    def _lost(self) -> FrameLosses:
         return FrameLosses.of(
             self._counts.now,
             unqueued=self._queue.dropped,
@@ -242,56 +249,56 @@ class FrameStream:
             self._fail(error, hangs)
             raise error
 
-    def _acquire(self) -> None:
-        """Read and hand over, reconnect after an unplugging."""
-        line = self._line
-        silent_s = 0.0
-        opened_again = False
-        try:
-            while not self._stop.is_set():
-                begun = self._begun.is_set()
-                # a source on demand may be slow; silence of a free-running camera is reported early
-                patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
-                patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
-                self._hanging.begins()
-                try:
-                    read = self._camera.read(patience_s)
-                except (FrameTimeout, CameraLost) as lost:
-                    if isinstance(lost, FrameTimeout):
-                        lost = self._said_with_reasons(lost)
-                        if begun and silent_s == 0.0 and patience_s < self._timeout_s:
-                            self._events.append((EventKind.CAMERA_SILENT, str(lost)))
-                        silent_s += patience_s
-                        if silent_s < self._timeout_s - 1e-6:
-                            continue
-                    # drivers notice an unplugged cable after seconds, or never: one that can be opened
-                    # again was there all the time if it stays silent
-                    stays_silent = self.policy == "wait" or opened_again
-                    if not begun or (isinstance(lost, FrameTimeout) and stays_silent):
-                        raise lost from None
-                    opened_again = opened_again or isinstance(lost, FrameTimeout)
-                    self._events.append((EventKind.CAMERA_LOST, str(lost)))
-                    self._hanging.is_elsewhere()
-                    self._reconnect(lost)
-                    line.begin_again()
-                    silent_s = 0.0
-                    continue
-                if read is None:
-                    self.ended = self.ended or "the camera delivered its last frame"
-                    break
-                if self.policy != "wait":
-                    self._standstill.raise_if_slept()
-                passed = line.take(read)
-                self.permit.frame_read(read.image)
-                if silent_s and begun:
-                    self._events.append(
-                        (EventKind.CAMERA_SPEAKS, f"after more than {silent_s:.2f} s of silence")
-                    )
+    def _read(self) -> Frame | None:
+        """What the camera delivers next, opened again after an unplugging; None at the end."""
+        silent_s, opened_again = 0.0, False
+        begun = self._begun.is_set()
+        while not self._stop.is_set():
+            # a source on demand may be slow; silence of a free-running camera is reported early
+            on_demand = self.policy == "wait"
+            patience_s = self._timeout_s if on_demand else self._line.patience_s(self._timeout_s)
+            patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
+            self._hanging.begins()
+            try:
+                read = self._camera.read(patience_s)
+            except (FrameTimeout, CameraLost) as lost:
+                if isinstance(lost, FrameTimeout):
+                    lost = self._said_with_reasons(lost)
+                    if begun and silent_s == 0.0 and patience_s < self._timeout_s:
+                        self._events.append((EventKind.CAMERA_SILENT, str(lost)))
+                    silent_s += patience_s
+                    if silent_s < self._timeout_s - 1e-6:
+                        continue
+                # drivers notice an unplugged cable after seconds, or never: one that can be opened
+                # again was there all the time if it stays silent
+                if not begun or (isinstance(lost, FrameTimeout) and (on_demand or opened_again)):
+                    raise lost from None
+                opened_again = opened_again or isinstance(lost, FrameTimeout)
+                self._events.append((EventKind.CAMERA_LOST, str(lost)))
+                self._hanging.is_elsewhere()
+                self._reconnect(lost)
+                self._line.begin_again()
                 silent_s = 0.0
-                opened_again = False
+                continue
+            if read is None:
+                self.ended = self.ended or "the camera delivered its last frame"
+            elif not on_demand:
+                self._standstill.raise_if_slept()
+            if silent_s and begun and read is not None:
+                text = f"after more than {silent_s:.2f} s of silence"
+                self._events.append((EventKind.CAMERA_SPEAKS, text))
+            return read
+        return None
+
+    def _acquire(self) -> None:
+        """Read, check, number, and hand over."""
+        try:
+            while (read := self._read()) is not None:
+                passed = self._line.take(read)
+                self.permit.frame_read(read.image)
                 if read.host_time_ns >= self._look_ns:
                     self._look_ns = int(read.host_time_ns) + _LOOK_NS
-                    self._at_last_look = self.losses
+                    self._at_last_look = self._lost()
                 self._events.extend(passed.notes)
                 self._steps.extend(passed.steps)
                 for joined in passed.frames:
@@ -299,7 +306,7 @@ class FrameStream:
                     self._queue.put(joined)
                     self._begun.set()
         except FrameTimeout as error:
-            unused = self.losses.since(self._at_last_look)
+            unused = self._lost().since(self._at_last_look)
             why = "the camera has stalled" if not unused.came else f"of those that came {unused.came_text}"
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
@@ -310,7 +317,7 @@ class FrameStream:
 
     def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
         """The same, with the frames that came and could not be used: the trigger is no cause of those."""
-        unused = self.losses.since(self._at_last_look)
+        unused = self._lost().since(self._at_last_look)
         if not unused.came:
             return lost
         name = str(lost).partition(": ")[0]

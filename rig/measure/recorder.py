@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from acquisition.camera import Frame, Image
 from acquisition.frames.queue import MOST_BYTES, BoundedQueue, taken_from
 from acquisition.record.events import Event
-from acquisition.record.topics import Recorded
+from acquisition.record.topics import TimedMessage
 from acquisition.record.writer import RecordWriter
 from rig.control import LightPermit, Stage
 from rig.instrument import Block
@@ -29,7 +29,7 @@ SLOW_S = 2.0
 
 @dataclass(slots=True)
 class Entry:
-    """Data to be recorded for some consecutive frames; `messages` are values, each with its kind.
+    """Data to be recorded for some consecutive frames; `messages` are values, of which each is one.
 
     `windows` are copies of the pixels around the spots, each with (x0, y0), where on the sensor its
     first pixel is, in px; None without a spot.
@@ -43,7 +43,7 @@ class Entry:
     images: Sequence[Frame] = ()
     preview: Frame | None = None
     events: Sequence[Event] = ()
-    messages: Sequence[Recorded] = ()
+    messages: Sequence[TimedMessage] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
@@ -61,7 +61,7 @@ class Recorder:
     Entries wait in memory while the disk is slow or hangs; once they take `most_waiting_bytes`, `put`
     waits, too, so that what is lost then is lost, and counted, before it was processed. After an error (a
     full disk, a removed drive) further entries are discarded; the session has to check `error`. `permit`
-    learns that the writing goes on, on which the light of a laser depends.
+    learns that the writing goes on, on which the light of a laser depends. `put` queues an entry.
     """
 
     def __init__(
@@ -73,6 +73,7 @@ class Recorder:
         self._writer = writer
         self._permit = permit or LightPermit()
         self._entries = BoundedQueue[Entry](math.inf, "wait", most_waiting_bytes)
+        self.put = self._entries.put
         self._writing_since_s = math.inf
         self._pauses_s: deque[float] = deque()
         self._looked_s = -math.inf
@@ -108,10 +109,6 @@ class Recorder:
     def bytes_written(self) -> int:
         """Size of the record so far."""
         return self._writer.bytes_written
-
-    def put(self, entry: Entry) -> None:
-        """Queue an entry; waits while the queue is full."""
-        self._entries.put(entry)
 
     def close(self) -> None:
         """Write the queued entries and close the file; see `error` afterwards."""
@@ -160,8 +157,8 @@ class Recorder:
                 writer.write_image(frame)
             if entry.preview is not None:
                 writer.write_preview(entry.preview)
-            for kind, value in entry.messages:
-                writer.write(kind, value)
+            for value in entry.messages:
+                writer.write(value)
             for name, data in entry.attachments.items():
                 writer.attach(name, data)
             for event in entry.events:

@@ -15,6 +15,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from rig.desk.charts import Chart, ChartCurve, chart_options, trajectory_ends
 from rig.devices import OrderSocket, SessionNews
+from rig.instrument import Block
 from rig.presentation import quantity
 from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
@@ -81,12 +82,12 @@ def test_a_trajectory_is_drawn_and_a_zoom_outlives_new_points(
     folder.mkdir(parents=True)
     page.key("3")
     with OrderSocket(folder, session_news, {}):
-        session_news.before_record([frame], [SPOT], way)
+        session_news.look([frame], Block([SPOT], way, [], []))
         page.wait(f"{OF}.getOption().series[0].data.length > 90")
         page.ask(f"{OF}.dispatchAction({{type: 'dataZoom', dataZoomIndex: 0, start: 0, end: 75}})")
         page.wait(f"{OF}.getOption().dataZoom[0].end === 75")
         more = Deflections(way.times_ns + 10**9, 0.5 * y, y, none, none, DeflectionUnit.PX)
-        session_news.before_record([frame], [SPOT], more)
+        session_news.look([frame], Block([SPOT], more, [], []))
         page.wait(f"{OF}.getOption().series[0].data.length > 190")
         assert page.ask(f"{OF}.getOption().dataZoom[0].end") == 75
         assert page.ask("rigNumber(-1.23456789, 'px')") == "−1.23457 px"

@@ -18,6 +18,7 @@ from processing.errors import DeviceError
 from processing.spot import Spot
 from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.devices import OrderSocket, SessionNews
+from rig.instrument import Block
 from rig.settings import Configuration
 from tests.rig.control.test_states import status
 from tests.rig.desk.desk_page import DeskProcess, Page
@@ -136,7 +137,7 @@ HOLD = "{}.forEach(b => {{ b.rigHeld = true; b.click(); b.rigHeld = false; }})"
 def feed(news: SessionNews, frame: Frame, spot: Spot, none: Deflections, ended: threading.Event) -> None:
     """Frames, as long as a session gets them."""
     while not ended.wait(0.2):
-        news.before_record([frame], [spot], none)
+        news.look([frame], Block([spot], none, [], []))
 
 
 def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_heard(
@@ -176,7 +177,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.wait_text("no frame yet: rest: spread 3 px")
         page.wait_while(
             "!document.body.innerText.includes('no frame yet')",
-            lambda: session_news.before_record([frame], [spot], none),
+            lambda: session_news.look([frame], Block([spot], none, [], [])),
         )
         session_news.state({"phase": "release", "instruction": "release by hand now"}, [])
         page.wait_text("RELEASE BY HAND NOW")
