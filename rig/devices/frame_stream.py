@@ -185,6 +185,11 @@ class FrameStream:
             self._queue.close()
         return frames
 
+    def waits_on_purpose(self) -> None:
+        """The processing waits for a fit, and with it frames that are made on demand: neither has stalled."""
+        for stage in (Stage.CAMERA, Stage.PROCESSING):
+            self.permit.moved(stage)
+
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
         taken = taken_from(self._events)

@@ -291,7 +291,8 @@ class Recording:
             shown = self._wall.past(_LESS_BEAM, block, self._less.shown, times_ns, block)
             said = [Event(times_ns[-1], EventKind.BEAM, text) for text in self._less.take_news()]
         if parts.posterior is not None:
-            self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, shown.deflections)
+            waiting = self._stream.waits_on_purpose
+            self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, shown.deflections, waiting)
         self._half_cycles += len(shown.swings)
         entry = counts.entry(taken, block, self._pipeline)
         self._last = taken[-1]

@@ -83,6 +83,17 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(in_step: LivePosteri
     assert in_step.latest == Posterior()
 
 
+def test_frames_that_wait_for_a_fit_on_purpose_say_so(in_step: LivePosterior) -> None:
+    """A run that `stop_when` may end said that its camera had stalled while the first fit compiled."""
+    measured = swings(POINTS)[:FIRST_HALF_CYCLES]
+    in_step.begin()
+    in_step.take(measured[:-1], NO_SAMPLES, lambda: pytest.fail("nothing is waited for"))
+    waited: list[int] = []
+    in_step.take(measured[-1:], NO_SAMPLES, lambda: waited.append(1))
+    assert waited
+    assert in_step.latest.half_cycles == FIRST_HALF_CYCLES
+
+
 def test_without_the_process_that_fits_the_half_cycles_go_on_and_it_is_said_once(
     in_step: LivePosterior,
 ) -> None:
