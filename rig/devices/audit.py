@@ -27,6 +27,8 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 AUDIT_NAME = "audit.jsonl"
+_NAMED = 5
+"""So many folders with a log are named where there is none."""
 _IDLE_S = 1.0
 _PATIENCE_S = 5.0
 """For so long what is logged is waited for; a disk that hangs holds nothing up for longer."""
@@ -132,9 +134,10 @@ def check_log(folder: Path, state: SafetyState) -> list[str]:
     try:
         lines = path.read_bytes().splitlines()
     except FileNotFoundError:
+        there = ", ".join(sorted(str(one.parent) for one in path.parent.glob(f"*/{AUDIT_NAME}"))[:_NAMED])
         raise RecordError(
-            f"{path}: there is no log: no program that controls a laser wrote into this folder; name that of "
-            "a session, or session.output"
+            f"{path}: there is no log: no program that controls a laser wrote into this folder; "
+            + (f"there is one in {there}" if there else "name the folder of a session")
         ) from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None

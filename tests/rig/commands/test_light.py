@@ -72,7 +72,15 @@ def test_a_trip_is_shown_acknowledged_and_logged(tmp_path: Path, words: list[str
         end = state.end_of_log(log)
         assert end is not None
         assert end[0] == 1
-    assert rig("light", "audit", runs).returncode == 0  # its only line, and nobody knows the end
+    # its only line, and nobody knows the end, which is said
+    unchecked = rig("light", "audit", runs)
+    assert unchecked.returncode == 0
+    assert "whole but perhaps for its end, which was not checked: --config" in unchecked.stdout
+    of_another = rig("light", "audit", runs, "--config", CONFIGS / "demo.toml")
+    assert "the state of this rig knows nothing of this log" in of_another.stdout
+    (tmp_path / "session").mkdir()
+    elsewhere = rig("light", "audit", tmp_path)
+    assert f"there is one in {runs}" in elsewhere.stderr
 
 
 def test_a_rig_that_another_program_holds_is_shown_from_its_file(words: list[str]) -> None:
