@@ -9,15 +9,17 @@ from processing.errors import DeviceError
 from rig.control.protocol import (
     AirReading,
     BoardEvent,
+    CommandRefused,
     ControllerIdentity,
+    ControllerReset,
     ControllerStatus,
     Latch,
+    Link,
     floats_of,
     status_of,
 )
-from rig.control.serial_port import PortLost, SerialLine, SerialPort
+from rig.control.serial_port import PortLost, ReplyTimeout, SerialLine, SerialPort
 from rig.control.settings import ControllerSettings
-from rig.control.usbtmc import CommandRefused, ControllerReset, Link, ReplyTimeout
 
 _MAKER = "optical-pendulum-rig"
 FIRMWARE = "1.4"

@@ -12,8 +12,9 @@ from rig.control.controller import Controller
 from rig.control.lasers import LaserSettings, make_laser
 from rig.control.lasers.thorlabs4000 import USB_VENDOR as THORLABS
 from rig.control.protocol import ControllerStatus
+from rig.control.sensors import parse_environment
 from rig.control.serial_port import LineReader, PortLost, SerialPort, ports_here
-from rig.control.settings import ControllerSettings, EnvironmentSettings, parse_environment
+from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.presentation import Verdict
 
 PICO = 0x2E8A

@@ -20,6 +20,10 @@ class PortLost(DeviceError):
     """The port is missing or was unplugged; opening it again may succeed."""
 
 
+class ReplyTimeout(DeviceError):
+    """A device answered neither a command nor its repetitions."""
+
+
 class SerialLine(Protocol):
     """Bytes to and from a device: a serial port, or the simulated controller in this process.
 

@@ -15,11 +15,18 @@ from typing import TypeVar
 from processing.errors import DeviceError
 from rig.control.controller import Controller
 from rig.control.light_permit import Interlock, LightPermit, LightRefused
-from rig.control.protocol import AirReading, ControllerIdentity, ControllerStatus, Latch, Trip
+from rig.control.protocol import (
+    AirReading,
+    CommandRefused,
+    ControllerIdentity,
+    ControllerReset,
+    ControllerStatus,
+    Latch,
+    Trip,
+)
 from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
-from rig.control.usbtmc import CommandRefused, ControllerReset
 from rig.control.worker import DeviceThread
 
 _REOPEN_S = 0.5

@@ -7,8 +7,13 @@ can start, is refused.
 
 import time
 
-from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
-from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+from rig.control.lasers.serial_laser import (
+    LaserIdentity,
+    LaserRefused,
+    LaserState,
+    SerialLaser,
+    rounded_down,
+)
 
 _CARRIED_OUT_S = 0.1
 

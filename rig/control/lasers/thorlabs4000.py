@@ -11,8 +11,13 @@ good instead of only as long as it is low.
 
 from collections.abc import Callable
 
-from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
-from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+from rig.control.lasers.serial_laser import (
+    LaserIdentity,
+    LaserRefused,
+    LaserState,
+    SerialLaser,
+    rounded_down,
+)
 from rig.control.lasers.settings import LaserSettings
 from rig.control.serial_port import SerialLine
 from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc

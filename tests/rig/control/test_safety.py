@@ -10,8 +10,8 @@ from contextlib import contextmanager
 import pytest
 
 from rig.control.controller import Controller
+from rig.control.protocol import ControllerReset
 from rig.control.service import ControlService
-from rig.control.usbtmc import ControllerReset
 from tests.rig.control.conftest import settings_for
 from tests.rig.control.wires import FirmwareBoard
 

@@ -7,12 +7,11 @@ import pytest
 from processing.errors import DeviceError
 from rig.control.controller import Controller, InterlockOpen, PowerLimit
 from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, LightRefused, Stage
-from rig.control.protocol import AirReading
+from rig.control.protocol import AirReading, CommandRefused
 from rig.control.safety_state import SafetyState, TripCause
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
-from rig.control.usbtmc import CommandRefused
 from rig.control.worker import JobExpired, Worker
 from tests.rig.control.stepped import Clock, SpoiledLine, SteppedBoard, stepped_clock, turn
 

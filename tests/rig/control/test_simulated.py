@@ -13,8 +13,9 @@ import pytest
 from rig.control.controller import InterlockOpen, PowerLimit
 from rig.control.light_permit import LightRefused
 from rig.control.protocol import AirReading
+from rig.control.sensors import EnvironmentService
 from rig.control.service import ControlService, ControlState
-from rig.control.settings import ControllerSettings, EnvironmentService, EnvironmentSettings, SerialFaults
+from rig.control.settings import ControllerSettings, EnvironmentSettings, SerialFaults
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 from tests.waiting import until
 
@@ -121,19 +122,19 @@ def test_sensor_that_writes_lines(sensor: tuple[int, str]) -> None:
     master, port = sensor
     pattern = r"T=(?P<temperature_c>[-\d.]+) (?:H=(?P<humidity_percent>[\d.]+) )?P=(?P<pressure_hpa>[\d.]+)"
     with EnvironmentService(EnvironmentSettings(kind="serial", port=port, pattern=pattern)) as service:
-        assert math.isnan(service.latest.environment.temperature_c)
+        assert math.isnan(service.latest.temperature_c)
         # what comes before the port is open is lost, as with any sensor
-        until(lambda: os.write(master, b"garbage\xff\r\n") > 0 and service.latest.unread_lines > 0)
+        until(lambda: os.write(master, b"garbage\xff\r\n") > 0 and service.unread_lines > 0)
         os.write(master, b"T=21.5 H=40.25 P=1013.")
         time.sleep(0.05)
         os.write(master, b"25\r\n")
-        until(lambda: service.latest.environment == AirReading(21.5, 40.25, 101325.0))
+        until(lambda: service.latest == AirReading(21.5, 40.25, 101325.0))
         os.write(master, b"T=22.0 P=1000\n")
-        until(lambda: service.latest.environment.temperature_c == 22.0)
-        assert math.isnan(service.latest.environment.humidity_percent)
+        until(lambda: service.latest.temperature_c == 22.0)
+        assert math.isnan(service.latest.humidity_percent)
 
 
 def test_missing_sensor_is_reported_and_awaited() -> None:
     with EnvironmentService(EnvironmentSettings(kind="serial", port="/dev/ttyNoSuchPort")) as service:
-        until(lambda: "/dev/ttyNoSuchPort" in service.latest.last_error)
+        until(lambda: "/dev/ttyNoSuchPort" in service.last_error)
     assert service.failure is None

@@ -4,9 +4,9 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.control.controller import PowerLimit
+from rig.control.laser_service import LaserService
 from rig.control.light_permit import LightPermit
 from rig.control.serial_port import PortLost
-from rig.control.states import LaserService
 from tests.rig.control.instruments import FakeCobolt, FakeObis
 from tests.rig.control.lasers.pairs import Ports, laser_for
 from tests.rig.control.stepped import turn

@@ -5,9 +5,9 @@ import os
 import pytest
 
 from rig.control.controller import PowerLimit
+from rig.control.laser_service import LaserService
 from rig.control.lasers import LASERS
-from rig.control.states import LaserService
-from rig.control.usbtmc import ReplyTimeout
+from rig.control.serial_port import ReplyTimeout
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.control.lasers.pairs import FAMILIES, Pair, laser_for
 from tests.waiting import until
