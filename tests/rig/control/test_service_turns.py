@@ -1,6 +1,7 @@
 """What the controller's thread decides, turn by turn, with the firmware on a stepped clock."""
 
 from collections.abc import Callable
+from concurrent.futures import Future
 
 import pytest
 
@@ -62,23 +63,6 @@ def live(service: ControlService, board: SteppedBoard, duration_s: float) -> Non
     end_s = board.clock.monotonic() + duration_s
     while board.clock.monotonic() < end_s:
         board.turn(turn(service))
-
-
-def test_a_trip_whose_line_was_lost_is_latched_once(
-    service: ControlService, board: SteppedBoard, state: SafetyState
-) -> None:
-    lit(service, board)
-    board.to_host = lambda data: b"" if b"TRIP" in data else data
-    board.closed = False
-    board.turn(0.02)
-    board.closed = True
-    live(service, board, 2.0)
-    assert state.trip is not None
-    assert (state.trip.number, state.trip.cause) == (1, TripCause.INTERLOCK)
-    state.acknowledge(1)
-    live(service, board, 2.0)
-    assert state.trip is None
-    assert board.outputs()["laser"][0] == 0
 
 
 def test_an_output_that_does_not_follow_is_latched(
@@ -306,8 +290,8 @@ def test_an_interlock_that_opens_is_noticed_by_the_permit(
         on.result(0)
 
 
-def test_an_opening_of_20_ms_latches_though_the_line_about_it_was_lost(
-    service: ControlService, board: SteppedBoard, permit: LightPermit
+def test_an_opening_of_20_ms_latches_once_though_the_line_about_it_was_lost(
+    service: ControlService, board: SteppedBoard, permit: LightPermit, state: SafetyState
 ) -> None:
     lit(service, board)
     board.to_host = lambda data: b"" if b"TRIP" in data else data
@@ -324,10 +308,15 @@ def test_an_opening_of_20_ms_latches_though_the_line_about_it_was_lost(
     turn(service)
     with pytest.raises(LightRefused, match="trip 1"):
         on.result(0)
+    state.acknowledge(1)
+    live(service, board, 2.0)
+    assert state.trip is None
     assert board.outputs()["laser"][0] == 0
 
 
-def test_a_reset_board_is_opened_again_and_stays_dark(service: ControlService, board: SteppedBoard) -> None:
+def test_a_reset_board_is_opened_again_and_stays_dark(
+    service: ControlService, board: SteppedBoard, permit: LightPermit, state: SafetyState
+) -> None:
     lit(service, board)
     board.press(b"r")
     board.turn()
@@ -341,6 +330,22 @@ def test_a_reset_board_is_opened_again_and_stays_dark(service: ControlService, b
     live(service, board, 3.0)
     assert board.outputs()["laser"][0] == 0
     assert service.snapshot.reconnects == 1
+    assert any("reset" in text for text in service.take_events())
+
+    def asked() -> Future[None]:
+        on = service.laser_on()
+        turn(service)
+        return on
+
+    with pytest.raises(LightRefused, match=r"trip 1 \(POWER\): the controller was reset"):
+        asked().result(0)
+    state.acknowledge(1)
+    with pytest.raises(LightRefused, match="until a person asks for light"):
+        asked().result(0)
+    assert board.outputs()["laser"][0] == 0
+    permit.ask()
+    asked().result(0)
+    assert board.outputs()["laser"][0] == 1
 
 
 def test_an_unplugged_board_is_said_once(service: ControlService, board: SteppedBoard) -> None:
