@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.control.firmware import core
+from rig.control.firmware.lines import crc16
 from rig.control.protocol import BoardEvent, Reply, checksum, decode, encode
 from tests.rig.control.stepped import Clock, SteppedBoard
 
@@ -21,12 +21,12 @@ def seal(body: bytes) -> bytes:
 def test_checksum_is_the_published_one_on_both_sides() -> None:
     # Check value of CRC-16/CCITT-FALSE in the catalogues of CRC algorithms.
     assert checksum(b"123456789") == 0x29B1
-    assert core.crc16(b"123456789") == 0x29B1
+    assert crc16(b"123456789") == 0x29B1
 
 
 @given(st.binary(max_size=100))
 def test_both_sides_compute_the_same_checksum(data: bytes) -> None:
-    assert core.crc16(data) == checksum(data)
+    assert crc16(data) == checksum(data)
 
 
 @given(st.integers(1, 65535), PRINTABLE.filter(lambda t: not t.startswith(("OK", "ERR"))))
