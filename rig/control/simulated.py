@@ -80,7 +80,6 @@ class SimulatedBoard:
         self._outputs = outputs
         self.set_pulse, self.set_magnet, self.set_starter = outputs.pulse, outputs.magnet, outputs.starter
         self.set_clamp, self.set_brake = outputs.clamp, outputs.brake
-        self.interlock_closed = outputs.interlock_closed
         self._random = random.Random(0)
         self._thread: threading.Thread | None = None
         self._reset_done = False
@@ -152,6 +151,10 @@ class SimulatedBoard:
     def laser_enabled(self) -> bool:
         """Whether the laser's relay is closed."""
         return self._enabled
+
+    def interlock_closed(self) -> bool:
+        """State of the interlock loop."""
+        return self._outputs.interlock_closed()
 
     def interlock_opened(self) -> bool:
         """Whether it opened for less than a turn, which is not simulated."""
