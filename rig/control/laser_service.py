@@ -94,7 +94,7 @@ class LaserService(DeviceThread):
     def _submit(
         self, call: Callable[[SerialLaser], T], timeout_s: float = 5.0, urgent: bool = False
     ) -> "Future[T]":
-        return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
+        return self._queue(lambda: self._guarded(call), timeout_s, urgent)
 
     def _turn(self) -> float:
         try:

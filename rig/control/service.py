@@ -136,7 +136,7 @@ class ControlService(DeviceThread):
         self, call: Callable[[Controller], T], timeout_s: float = 2.0, urgent: bool = False
     ) -> "Future[T]":
         """Queue any call on the controller."""
-        return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
+        return self._queue(lambda: self._guarded(call), timeout_s, urgent)
 
     def laser_on(self) -> "Future[None]":
         """Switch the laser on, unless the interlock is open or `permit` refuses; a later `laser_off` or

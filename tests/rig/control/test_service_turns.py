@@ -13,7 +13,7 @@ from rig.control.safety_state import SafetyState, TripCause
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
-from rig.control.worker import JobExpired, Worker
+from rig.control.worker import DeviceThread, JobExpired
 from tests.rig.control.stepped import Clock, SpoiledLine, SteppedBoard, stepped_clock, turn
 
 HEARTBEAT_S, WATCHDOG_S = 0.5, 2.0
@@ -426,6 +426,20 @@ def test_a_board_whose_firmware_knows_no_pulses_is_named(board: SteppedBoard) ->
         controller.set_laser_pulse(0.0, 20.0)
 
 
+class Worker(DeviceThread):
+    """Operates nothing."""
+
+    def __init__(self, turn: Callable[[], float], finish: Callable[[], None]) -> None:
+        self._turn_once, self._finish_once = turn, finish
+        super().__init__("test")
+
+    def _turn(self) -> float:
+        return self._turn_once()
+
+    def _finish(self) -> None:
+        self._finish_once()
+
+
 class TestWorker:
     """Which of its jobs a thread does, when."""
 
@@ -435,7 +449,7 @@ class TestWorker:
 
     @pytest.fixture
     def worker(self, clock: Clock, order: list[str]) -> Worker:
-        return Worker("test", lambda: 1.0, lambda: order.append("finish"))
+        return Worker(lambda: 1.0, lambda: order.append("finish"))
 
     def work_off(self, worker: Worker) -> None:
         while not worker._jobs.empty():
@@ -444,10 +458,10 @@ class TestWorker:
     def test_urgent_jobs_go_first_and_late_ones_do_not_act(
         self, worker: Worker, order: list[str], clock: Clock
     ) -> None:
-        late = worker.submit(lambda: order.append("late"), 0.05)
-        first = worker.submit(lambda: order.append("first"), 10.0)
-        urgent = worker.submit(lambda: order.append("urgent"), 10.0, urgent=True)
-        cancelled = worker.submit(lambda: order.append("cancelled"), 10.0)
+        late = worker._queue(lambda: order.append("late"), 0.05)
+        first = worker._queue(lambda: order.append("first"), 10.0)
+        urgent = worker._queue(lambda: order.append("urgent"), 10.0, urgent=True)
+        cancelled = worker._queue(lambda: order.append("cancelled"), 10.0)
         assert cancelled.cancel()
         clock.sleep(0.1)
         self.work_off(worker)
@@ -457,7 +471,7 @@ class TestWorker:
         assert order == ["urgent", "first"]
 
     def test_a_job_at_its_last_moment_is_done(self, worker: Worker, order: list[str], clock: Clock) -> None:
-        job = worker.submit(lambda: order.append("just"), 0.5)
+        job = worker._queue(lambda: order.append("just"), 0.5)
         clock.sleep(0.499)
         self.work_off(worker)
         assert job.done()
@@ -467,18 +481,18 @@ class TestWorker:
         def fail() -> None:
             raise ZeroDivisionError("of the job")
 
-        job = worker.submit(fail, 1.0)
+        job = worker._queue(fail, 1.0)
         self.work_off(worker)
         with pytest.raises(ZeroDivisionError):
             job.result(0)
         assert worker.failure is None
 
     def test_what_waits_fails_when_it_is_closed(self, worker: Worker, order: list[str]) -> None:
-        waiting = worker.submit(lambda: order.append("waiting"), 10.0)
+        waiting = worker._queue(lambda: order.append("waiting"), 10.0)
         assert worker.close()
         worker._run()
         assert order == ["finish"]
-        for job in (waiting, worker.submit(lambda: order.append("after"), 10.0)):
+        for job in (waiting, worker._queue(lambda: order.append("after"), 10.0)):
             with pytest.raises(DeviceError, match="test is closed"):
                 job.result(0)
 
@@ -488,8 +502,8 @@ def test_an_error_of_ours_ends_a_worker_with_its_reason() -> None:
         raise ZeroDivisionError("a fault of ours")
 
     finished: list[bool] = []
-    worker = Worker("test", fail, lambda: finished.append(True))
-    future = worker.submit(lambda: None, 10.0)
+    worker = Worker(fail, lambda: finished.append(True))
+    future = worker._queue(lambda: None, 10.0)
     worker._run()
     with pytest.raises(DeviceError, match="closed"):
         future.result(0)
