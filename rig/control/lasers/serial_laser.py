@@ -281,6 +281,28 @@ class SerialLaser(ABC):
                 line.close()
 
 
+class DiodeDriver(SerialLaser):
+    """A driver of laser diodes, whose current is set, with a limit of its own."""
+
+    unit = "a"
+
+    def _identified(self, maker: str, models: tuple[str, ...], what: str) -> LaserIdentity:
+        """Vendor, model and serial number; raises LaserRefused for none of these models, of `what`."""
+        fields = [field.strip() for field in self.ask("*IDN?").split(",")]
+        if len(fields) < 3 or maker not in fields[0].upper() or not fields[1].upper().startswith(models):
+            raise LaserRefused(f"{self.name}: {','.join(fields)!r} is not {what}; check the port")
+        return LaserIdentity(fields[0], fields[1], fields[2].removeprefix("s/n"))
+
+    def _check_limit(self, applied_a: float) -> None:
+        """Raise LaserRefused where the device has not taken max_current_a as its limit."""
+        limit_a = self._settings.max_current_a
+        if applied_a > limit_a + 1e-6:
+            raise LaserRefused(
+                f"{self.name}: the current limit was set to {limit_a:g} A and is {applied_a:g} A;"
+                " set it on the instrument's panel"
+            )
+
+
 def rounded_down(value: float, digits: int) -> str:
     """Fixed-point text, rounded down so that a limit is not exceeded (except by binary rounding)."""
     scale = 10**digits
