@@ -56,7 +56,7 @@ class Controller:
     ) -> None:
         self._settings = settings
         self._laser_max_w = laser_max_w
-        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud, write_timeout_s=1.0))
+        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud))
         self._line: SerialLine | None = None
         self._link: Link | None = None
         self._limit_w = 0.0

@@ -3,6 +3,7 @@
 import re
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 
 from serial.tools import list_ports
@@ -199,7 +200,7 @@ def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) ->
     pattern = re.compile(settings.pattern)
     last = ""
     try:
-        with SerialPort(settings.port, settings.baud) as port:
+        with closing(SerialPort(settings.port, settings.baud)) as port:
             reader = LineReader(port)
             deadline_s = time.monotonic() + patience_s
             while not reader.finds_line_start(min(time.monotonic() + _SILENT_S, deadline_s)):

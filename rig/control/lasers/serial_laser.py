@@ -75,7 +75,7 @@ class SerialLaser(ABC):
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
         self._settings = settings
-        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud, write_timeout_s=1.0))
+        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud))
         self._line: SerialLine | None = None
         self._reader: LineReader | None = None
 
