@@ -21,6 +21,10 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 _QUANTISATION_DN2 = 1.0 / 12.0  # variance of rounding to whole numbers
 _RESOLVED_DN = 0.24
 """EMVA 1288: temporal noise in the dark below this cannot be measured because of rounding to integers."""
+_BRIGHTER_U, _BRIGHTER_DN = 5.0, 0.02
+"""A level is lit if its mean lies above the dark frames' by more than these."""
+_GROWS_U = 5.0
+"""A slope is known from so many standard uncertainties on: a gain to 20 %."""
 _FEWEST_LEVELS = 4
 """A straight line, and two degrees of freedom that show whether the sensor is linear."""
 _FIT_TO = 0.7
@@ -97,7 +101,8 @@ def photon_transfer(
     ------
     DataError
         Fewer than two dark frames, fewer than four usable levels (the message lists the reasons for which
-        others were rejected: saturated, unstable lamp), or a noise that does not grow with the signal.
+        others were rejected: saturated, unstable lamp, no light), or a noise that does not grow with the
+        signal.
     """
     if len(darks) < 2:
         raise DataError(
@@ -131,6 +136,11 @@ def photon_transfer(
         difference = a - b
         shift = float(difference.mean())
         noise = float(difference.std())
+        by_chance_dn = np.sqrt((0.25 * noise**2 + dark_variance / len(darks)) / len(a))
+        if noise == 0.0 or signal <= max(_BRIGHTER_U * by_chance_dn, _BRIGHTER_DN):
+            why = "its two frames are equal" if noise == 0.0 else "not brighter than the dark frames"
+            rejected.append(f"{name}: {why} (signal {signal:.3g} DN)")
+            continue
         if abs(shift) > max(0.01 * signal, 5.0 * noise / np.sqrt(len(a)), 0.002 * signal + 0.02):
             rejected.append(
                 f"{name}: the means of the two frames differ by {100 * abs(shift) / max(signal, 1e-9):.2g} % "
@@ -295,14 +305,16 @@ def _line(
     dof = len(x) - 2
     chi2_per_dof = float(np.sum((design @ values - y / u) ** 2)) / dof
     covariance = np.linalg.inv(design.T @ design) * birge_ratio(chi2_per_dof * dof, dof) ** 2
-    if values[1] <= 0:
+    u_slope = float(np.sqrt(covariance[1, 1]))
+    if not values[1] > _GROWS_U * u_slope:
         raise DataError(
-            f"sensor: the noise does not grow with the signal (slope {values[1]:.3g} DN); "
-            "the two frames of each pair must be of the same constant light"
+            f"sensor: the noise does not grow with the signal (slope {values[1]:.3g} ± {u_slope:.2g} DN); "
+            "the two frames of each pair must be of the same constant light, and the levels reach to half of "
+            "full scale or more"
         )
     return (
         float(values[1]),
-        float(np.sqrt(covariance[1, 1])),
+        u_slope,
         float(values[0]),
         float(np.sqrt(covariance[0, 0])),
         chi2_per_dof,

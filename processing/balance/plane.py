@@ -155,7 +155,7 @@ def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> Pla
     period_s = float(np.median([one.period_s for one in known]))
     u = _with_motion_across(part, angle, u, size)
     knots, degree = _chosen(part, angle, u)
-    coefficients, covariance, left = _fitted(part, angle, u, knots, degree)
+    coefficients, covariance, left = _fitted(_design(part, knots, degree), angle, u)
     dof = len(angle) - len(coefficients)
     chi2_per_dof = float(left @ left) / dof
     plane = PlaneOfSwing(
@@ -219,10 +219,11 @@ def _with_motion_across(part: Floats, angle: Floats, u: Floats, size: Floats) ->
     Its size follows from the scatter about the most flexible curve, and so does which directions are far off.
     """
     knots, degree = _candidates(len(angle))[-1]
-    dof = len(angle) - (len(knots) - degree - 1)
+    design = _design(part, knots, degree)
+    dof = len(angle) - design.shape[1]
     enlarged = u
     for _ in range(_ROUNDS):
-        _, _, left = _fitted(part, angle, enlarged, knots, degree)
+        _, _, left = _fitted(design, angle, enlarged)
         usual = max(1.0, _MEDIAN * float(np.median(np.abs(left))))
         far = np.maximum(np.abs(left) / (_OUTLYING * usual), 1.0)
         left2 = (left * enlarged / far) ** 2
@@ -255,9 +256,10 @@ def _chosen(part: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
     candidates = _candidates(len(angle))
     chi2, terms = [], []
     for knots, degree in candidates:
-        _, _, left = _fitted(part, angle, u, knots, degree)
+        design = _design(part, knots, degree)
+        _, _, left = _fitted(design, angle, u)
         chi2.append(float(left @ left))
-        terms.append(len(knots) - degree - 1)
+        terms.append(design.shape[1])
     noise2 = max(1.0, chi2[-1] / (len(angle) - terms[-1]))
     independent = len(angle) / _OVERLAP
     criterion = [
@@ -267,11 +269,9 @@ def _chosen(part: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
     return candidates[int(np.argmin(criterion))]
 
 
-def _fitted(
-    part: Floats, angle: Floats, u: Floats, knots: Floats, degree: int
-) -> tuple[Floats, Floats, Floats]:
+def _fitted(design: Floats, angle: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
     """Coefficients, their covariance and the residuals in uncertainties, of a weighted least-squares fit."""
-    design = _design(part, knots, degree) / u[:, None]
+    design = design / u[:, None]
     directions, sizes, turns = np.linalg.svd(design, full_matrices=False)
     inverse = np.where(sizes > 1e-10 * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
     coefficients = turns.T @ (inverse * (directions.T @ (angle / u)))

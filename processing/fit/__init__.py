@@ -3,7 +3,6 @@
 from processing.estimate import FitMethod
 from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.changes import DRIFTS, drift_term, drifts_of, with_changes
-from processing.fit.checks import domain_warnings
 from processing.fit.determination import Determination, identifiability
 from processing.fit.drag import (
     Drag,
@@ -14,6 +13,7 @@ from processing.fit.drag import (
 )
 from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, sine_covariance, waveform_of
 from processing.fit.exact import fit_exact
+from processing.fit.exact_result import domain_warnings
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
 from processing.fit.known_drive import LEAST_LEFT, Signals
 from processing.fit.law_comparison import (

@@ -30,8 +30,8 @@ from processing.decay_summary import (
 )
 from processing.errors import DataError
 from processing.estimate import Estimate, FitMethod
-from processing.fit.checks import OUTLIER, check_turning_points, data_warnings
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_result import OUTLIER, check_turning_points, data_warnings
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian, Loss, Solution, propagate, solve
 from processing.swing import TurningPoints
@@ -160,13 +160,15 @@ def fit_asymptotic(
         loss=loss,
         cost=decay.cost + period.cost,
         outliers=tuple(int(i) for i in points.index[outlying]),
-        warnings=data_warnings(
-            points,
-            pendulum,
-            {
-                "the amplitudes (Eq. 5)": decay.chi2 / decay.dof,
-                "the periods (Eq. 6)": period.chi2 / period.dof,
-            },
+        warnings=tuple(
+            data_warnings(
+                points,
+                pendulum,
+                {
+                    "the amplitudes (Eq. 5)": decay.chi2 / decay.dof,
+                    "the periods (Eq. 6)": period.chi2 / period.dof,
+                },
+            )
         ),
         half_cycles=len(points),
         bias=None if exact is None else _bias(exact, points, pendulum, printed_curvature),

@@ -17,8 +17,8 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Determinacy, FitMethod
-from processing.fit.checks import impossible
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_result import impossible
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian, Solution, solve
 from processing.number_text import plain, with_uncertainty

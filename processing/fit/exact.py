@@ -14,14 +14,9 @@ from processing.contact.laws import DEFAULT_LAW, DRAG, Law
 from processing.decay_summary import mean_period
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.checks import (
-    FEWEST_HALF_CYCLES,
-    OUTLIER,
-    check_turning_points,
-)
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact_model import ExactModel
-from processing.fit.exact_result import result_of
+from processing.fit.exact_result import FEWEST_HALF_CYCLES, OUTLIER, check_turning_points, result_of
 from processing.fit.ground import AT_REST, GROUND_SEEN, GroundFit, Noise, density_of_step
 from processing.fit.noise_estimate import LikeliestNoise, NoiseSearch
 from processing.fit.result import FitResult

@@ -1,34 +1,123 @@
-"""The result of an exact fit: physical values, their uncertainties, and what is to be said of them.
+"""Checks of turning points before a fit, the result of an exact one, and what is said beside its values.
 
 A chi-square near its number of degrees of freedom says nothing of the order in which the residuals come. A
 model that does not describe the data leaves neighbours alike: that is tested, and widens uncertainties.
 """
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import nan
 
 import numpy as np
 
 from processing.arrays import Floats
+from processing.contact import PendulumOnBall
 from processing.contact.laws import AMPLITUDE, DRAG, TIME
 from processing.decay_summary import full_periods, mean_period_estimate
+from processing.errors import DataError
 from processing.estimate import FitMethod
-from processing.fit.checks import (
-    OUTLIER,
-    correlation_warnings,
-    data_warnings,
-    ground_warnings,
-    limit_warnings,
-    overstated_u_warnings,
-)
 from processing.fit.evidence import AIR, WAVEFORM
 from processing.fit.exact_model import ExactModel
-from processing.fit.ground import AT_REST, GroundFit
+from processing.fit.ground import AT_REST, Ground, GroundFit
 from processing.fit.result import READING, FitResult, Whiteness, changes_of
 from processing.least_squares import FactoredJacobian, Loss, Solution, covariance_of, propagate
+from processing.number_text import plain
+from processing.swing import TurningPoints
 
+FEWEST_HALF_CYCLES = 10
+"""Twenty amplitudes and times, for the eight columns of the paper's law and the noise."""
+_QUIET, _ENOUGH = 0.5, 60
+"""Reduced chi-square below which uncertainties are called overstated, of at least so many degrees of freedom:
+its chance there is 1e-4."""
+OUTLIER = 5.0
+"""Residual in standard uncertainties above which a half-cycle is listed as an outlier."""
+_SMALL_RAD = 0.03
+"""Amplitude up to which gravity's moment is taken as proportional: A^2/16 of the period is 6e-5 there."""
+_SIGNIFICANT = 3.0
+"""Standard uncertainties below zero from which on a sign is a wrong one."""
+_AT_LIMIT = "{} is at the limit of its range: the data do not determine it"
 _LAGS = 20
 """Box and Jenkins' usual number; of a short run a fifth of its length, since far lags have few pairs."""
+
+
+def check_turning_points(points: TurningPoints) -> None:
+    """Raise `DataError` for turning points that cannot be fitted.
+
+    They are too few, out of order or not finite, have uncertainties that are not positive, or the amplitudes
+    do not fall.
+    """
+    count = len(points)
+    if count < FEWEST_HALF_CYCLES:
+        raise DataError(
+            f"{count} usable half-cycles, and a fit needs at least {FEWEST_HALF_CYCLES}: "
+            "record for longer or see which were flagged"
+        )
+    columns = {
+        "time_s": points.time_s,
+        "u_time_s": points.u_time_s,
+        "amplitude": points.amplitude,
+        "u_amplitude": points.u_amplitude,
+    }
+    for name, values in columns.items():
+        if len(values) != count:
+            raise DataError(f"{name} has {len(values)} values for {count} half-cycles")
+        bad = np.nonzero(~np.isfinite(values))[0]
+        if len(bad):
+            raise DataError(
+                f"{name} of half-cycle {points.index[bad[0]]} is {values[bad[0]]}: flag it or leave it out"
+            )
+    for name in ("u_time_s", "u_amplitude", "amplitude"):
+        bad = np.nonzero(columns[name] <= 0)[0]
+        if len(bad):
+            raise DataError(
+                f"{name} of half-cycle {points.index[bad[0]]} is {columns[name][bad[0]]:g}: "
+                "it must be positive"
+            )
+    for name, steps in (("index", np.diff(points.index)), ("time_s", np.diff(points.time_s))):
+        bad = np.nonzero(steps <= 0)[0]
+        if len(bad):
+            raise DataError(
+                f"swings out of order: {name} does not rise after half-cycle {points.index[bad[0]]}; "
+                "sort them by time"
+            )
+    third = max(count // 3, 3)
+    first = float(np.median(points.amplitude[:third]))
+    last = float(np.median(points.amplitude[-third:]))
+    if last >= first:
+        raise DataError(
+            f"the amplitude does not fall (median {first:.4g} of the first third, {last:.4g} of the last): "
+            "this is not a free decay"
+        )
+
+
+def data_warnings(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    chi2_per_dof: Mapping[str, float],
+    drive_step: float = 0.0,
+) -> Iterator[str]:
+    """Warnings about the data that do not depend on the fitted parameters.
+
+    `chi2_per_dof` is that of every part of the fit, by the name of its data. `drive_step` is the standard
+    deviation by which the ground moves an amplitude in a half-swing.
+    """
+    if pendulum is None:
+        yield (
+            "no calibration: b, c and kappa are in the unit of the amplitudes; neither gamma nor a surface "
+            "energy follows from them"
+        )
+    step = np.diff(points.amplitude)
+    noise = np.hypot(np.hypot(points.u_amplitude[1:], points.u_amplitude[:-1]), drive_step)
+    kicked = points.index[1:][(step > 6 * noise) & (step > 0.01 * points.amplitude[:-1])]
+    if len(kicked):
+        listed = ", ".join(map(str, kicked[:5])) + (", ..." if len(kicked) > 5 else "")
+        yield f"the amplitude jumps up at half-cycle {listed}: a kick or a vibration"
+    part, worst = max(chi2_per_dof.items(), key=lambda item: item[1])
+    if worst > 2:
+        yield (
+            f"χ²/dof of {part} = {plain(worst, 3)}: the data scatter more than their uncertainties say or "
+            "the model does not describe them; uncertainties are scaled up by its root"
+        )
 
 
 def result_of(
@@ -92,10 +181,8 @@ def result_of(
         outliers=tuple(int(i) for i in points.index[outlying]),
         warnings=(
             *data_warnings(points, pendulum, {"amplitudes and times": chi2_per_dof}, ground.noise.step),
-            *overstated_u_warnings(chi2_per_dof, solution.dof),
-            *ground_warnings(ground, points),
-            *correlation_warnings(white),
-            *limit_warnings(model.columns.at_limit(solution.values)),
+            *_remarks(points, ground, solution, white),
+            *map(_AT_LIMIT.format, model.columns.at_limit(solution.values)),
         ),
         half_cycles=count,
         ground=ground,
@@ -105,6 +192,33 @@ def result_of(
         evidence=model.evidence_at(solution.values, scatter),
         worth=_worth(model, solution, to_physical),
     )
+
+
+def _remarks(points: TurningPoints, ground: Ground, solution: Solution, white: Whiteness) -> Iterator[str]:
+    """What the residuals and the ground say of the uncertainties; `points` are those fitted."""
+    chi2_per_dof = solution.chi2 / solution.dof
+    if solution.dof >= _ENOUGH and 0 < chi2_per_dof < _QUIET:
+        # it hides a drive, and widens everything
+        yield (
+            f"χ²/dof = {plain(chi2_per_dof, 2)}: the uncertainties of the turning points are "
+            f"{chi2_per_dof**-0.5:.2g} times too large for their scatter; so are those of the parameters, "
+            "and a weaker drive of the ground is not seen: check sensor noise (rig calibrate sensor) and "
+            "beam profile"
+        )
+    if ground.left_out_half_cycles:
+        yield (
+            f"{ground.left_out_half_cycles} half-cycles at the end are left out: below "
+            f"{plain(points.amplitude[-1], 3)} rad the ground moves the pendulum in one "
+            "half-swing by more than a tenth of its amplitude"
+        )
+    if white.correlated:
+        wider = f"widened by up to {white.widened:.2g}" if white.widened >= 1.05 else "hardly wider"
+        chance = plain(min(white.p_amplitude, white.p_time), 1)
+        yield (
+            f"the residuals of neighbouring half-cycles are correlated (chance {chance}): "
+            "the model does not describe all of the motion, or the "
+            f"point of rest wanders (pointing of the beam, air); uncertainties are {wider} for it"
+        )
 
 
 def _rows_beside(model: ExactModel) -> dict[str, slice]:
@@ -248,3 +362,42 @@ def neighbours_covariance(found: Whiteness, jacobian: Floats, covariance: Floats
             part = rows[1:].T @ rows[:-1]
             both += alike * (part + part.T)
     return np.asarray(covariance + covariance @ both @ covariance)
+
+
+def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Iterator[str]:
+    """What is said of a fit outside of the range in which its law has a meaning.
+
+    A ball that rolls by more than the radius of its contact has left the spot on which it stood, and with it
+    what Eqs. 1 and 3 are about; beyond pi/2 of it the moment of Eq. 3 has the other sign.
+    """
+    if pendulum is None:
+        return
+    first_rad = float(points.amplitude[0])
+    contact_rad = pendulum.contact_radius_m / pendulum.ball_radius_m
+    if first_rad > contact_rad:
+        yield (
+            f"the first amplitude, {plain(first_rad, 3)} rad, is {plain(first_rad / contact_rad, 3)} times "
+            f"the contact's angle a/R = {plain(contact_rad, 3)} rad: the laws of the contact hold only below "
+            "it; start lower, or check lever and unit of the angles"
+        )
+    if first_rad > _SMALL_RAD:
+        yield (
+            f"the first amplitude, {plain(first_rad, 3)} rad, is not a small angle: gravity alone lengthens "
+            f"the period by {plain(first_rad**2 / 16, 1)} there, which the laws neglect; start below "
+            f"{_SMALL_RAD:g} rad"
+        )
+    for name, below in impossible(fit).items():
+        yield (
+            f"{name} = {plain(fit.estimate(name).value, 3)} is negative by {plain(below, 2)} u, which it "
+            "cannot be: the law is not that of this motion"
+        )
+
+
+def impossible(fit: FitResult) -> dict[str, float]:
+    """By how many standard uncertainties parameters lie below zero that cannot, where it is no chance."""
+    found = {}
+    for name in fit.contact_names:
+        value, u = fit.estimate(name)
+        if fit.law.parameter(name).lower == 0 and value < -_SIGNIFICANT * u:
+            found[name] = -value / u
+    return found

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.fit.checks import OUTLIER
 from processing.fit.exact_model import ExactModel, Filtered
+from processing.fit.exact_result import OUTLIER
 from processing.fit.ground import Noise
 from processing.least_squares import Loss
 

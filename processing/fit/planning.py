@@ -16,9 +16,9 @@ from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, Pendulum
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.changes import by_drifts
-from processing.fit.checks import FEWEST_HALF_CYCLES
 from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
+from processing.fit.exact_result import FEWEST_HALF_CYCLES
 from processing.fit.ground import Noise, step_of_density
 from processing.fit.known_drive import LEAST_LEFT
 from processing.fit.result import FitResult

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -184,8 +184,6 @@ class FixedLight:
 
 def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     """What stays in pictures of a spot that moves; None where nothing does, or nothing that matters."""
-    from scipy.ndimage import gaussian_filter
-
     pairs = [(image, spot) for image, spot in pictures if not spot.flags & SpotFlag.LOST]
     if len(pairs) < 2 * _FEWEST:
         return None
@@ -196,9 +194,11 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     shape = pairs[0][0].shape
     total, count = np.zeros(shape), np.zeros(shape)
     for image, spot in pairs:
-        away = _distance(shape, spot) > _AWAY_SIGMAS * sigma
-        total += np.where(away, image, 0.0)
-        count += away
+        box, by_spot = _around(shape, spot, _AWAY_SIGMAS * sigma)
+        total += image
+        total[box] -= np.where(by_spot, image[box], 0.0)
+        count += 1.0
+        count[box] -= by_spot
     known = count >= _FEWEST
     if not known.any():
         return None
@@ -208,16 +208,27 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     shift_px = float(np.abs(shifts).max())
     if shift_px < max(_WORTH * u_px, _CLEAR * u_px / np.sqrt(float(np.median(count[known])))):
         return None
+    # here, because it would slow down fits of records without any
+    from scipy.ndimage import gaussian_filter
+
     # of light as wide as the spot half the height is left
     smooth = 2.0 * gaussian_filter(light, sigma)
-    near = reduce(np.minimum, (_distance(shape, spot) for spot in found)) < 4.0 * sigma
+    near = np.zeros(shape, dtype=np.bool_)
+    for spot in found:
+        box, by_spot = _around(shape, spot, 4.0 * sigma)
+        near[box] |= by_spot
     y, x = np.unravel_index(int(np.argmax(np.where(near, smooth, -np.inf))), shape)
     return FixedLight(light, sigma, int(x), int(y), float(smooth[y, x]) / height, shift_px, shift_px / u_px)
 
 
-def _distance(shape: tuple[int, ...], spot: Spot) -> Floats:
+def _around(shape: tuple[int, ...], spot: Spot, reach_px: float) -> tuple[tuple[slice, slice], Flags]:
+    """The part of a picture that has all pixels within a distance of a spot, and which of it are."""
+    rows, columns = (
+        slice(max(math.floor(at - reach_px), 0), max(math.ceil(at + reach_px) + 1, 0))
+        for at in (spot.y_px, spot.x_px)
+    )
     y, x = np.ogrid[: shape[0], : shape[1]]
-    return np.asarray(np.hypot(x - spot.x_px, y - spot.y_px))
+    return (rows, columns), np.hypot(x[:, columns] - spot.x_px, y[rows] - spot.y_px) <= reach_px
 
 
 def _shift(light: Floats, spot: Spot, sigma: float, height: float) -> float:

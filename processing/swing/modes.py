@@ -153,36 +153,27 @@ def separate_modes(
 
 
 def _ellipse(parts: Floats) -> Floats:
-    """Semi-axes, direction, amplitudes in x and y; from x cosine, x sine, y cosine, y sine."""
-    x, y = complex(parts[0], -parts[1]), complex(parts[2], -parts[3])
+    """Semi-axes, direction, amplitudes in x and y (5, n); from x cosine, x sine, y cosine, y sine (4, n)."""
+    x, y = parts[0] - 1j * parts[1], parts[2] - 1j * parts[3]
     # An ellipse is the sum of two circular motions of y + i x in opposite senses, with these amplitudes. Its
     # semi-axes are the sum and the difference of their moduli.
-    forward, backward = (y + 1j * x) / 2.0, (y.conjugate() + 1j * x.conjugate()) / 2.0
-    one, other = np.angle(forward), np.angle(backward)
-    return np.array(
-        [
-            abs(forward) + abs(backward),
-            abs(forward) - abs(backward),
-            (one + other) / 2.0,
-            abs(x),
-            abs(y),
-        ]
-    )
+    forward, backward = (y + 1j * x) / 2.0, (y.conj() + 1j * x.conj()) / 2.0
+    larger, smaller = np.abs(forward), np.abs(backward)
+    direction = (np.angle(forward) + np.angle(backward)) / 2.0
+    return np.array([larger + smaller, larger - smaller, direction, np.abs(x), np.abs(y)])
 
 
 def _mode(p: Floats, covariance: Floats, rate_place: int, offset: int) -> Mode:
     places = [X + offset, X + offset + 1, Y + offset, Y + offset + 1]
     parts, part_covariance = p[places], covariance[np.ix_(places, places)]
-    values = _ellipse(parts)
     size = max(float(np.abs(parts).max()), 1e-300)
-    slopes = np.empty((len(values), 4))
-    for k in range(4):
-        change = np.zeros(4)
-        change[k] = 1e-6 * size
-        difference = _ellipse(parts + change) - _ellipse(parts - change)
-        # the angle is defined modulo pi: remove jumps
-        difference[2] = (difference[2] + math.pi / 2.0) % math.pi - math.pi / 2.0
-        slopes[:, k] = difference / (2e-6 * size)
+    change = 1e-6 * size * np.eye(4)
+    # the motion itself, and with each part larger, and smaller
+    found = _ellipse(np.column_stack([parts, parts[:, None] + change, parts[:, None] - change]))
+    values, differences = found[:, 0], found[:, 1:5] - found[:, 5:]
+    # the angle is defined modulo pi: remove jumps
+    differences[2] = (differences[2] + math.pi / 2.0) % math.pi - math.pi / 2.0
+    slopes = differences / (2e-6 * size)
     u = np.sqrt(np.maximum(np.diag(slopes @ part_covariance @ slopes.T), 0.0))
     turn = round(values[2] / math.pi) if abs(values[2]) > math.pi / 2.0 else 0
     period = 2.0 * math.pi / p[rate_place]

@@ -10,14 +10,14 @@ from rig.analysis.air import (
 from rig.analysis.compared_laws import Curves, ModelCurve, chosen_laws, curves_of, model_curves, with_laws
 from rig.analysis.contact_fits import loss_of, settled_swings
 from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, ModelFreeMoments
-from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, contact_values
+from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, with_contact
 from rig.analysis.decay_values import INSTRUMENT, InstrumentResults, InstrumentSeries
 from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table, waveform_table
 from rig.analysis.half_cycle_fits import clock_rate_of
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.record_fit import analyse_record, analyse_run
-from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named
+from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named, plain_row
 from rig.analysis.results import (
     AveragedCurves,
     PositionErrors,

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import nan
 from typing import Final
 
@@ -66,7 +66,7 @@ def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
 
 def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws | None:
     """Fit the laws to the turning points of a fitted run; None where it has no fit."""
-    exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
+    exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
         return None
     like = dict(zip(exact.names, exact.values.tolist(), strict=True))
@@ -92,7 +92,7 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
 
 def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     """The run with these laws compared."""
-    return replace(run, results=replace(run.results, laws=laws_of(run, laws)))
+    return replace(run, laws=laws_of(run, laws))
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
@@ -129,12 +129,7 @@ def _without_law(
             moments = free.moments_of_law(trial.fit, found.phi_rad)
             same[trial.law.name] = LawMoments(moments.friction_n_m, moments.elastic_n_m)
     return ModelFreeMoments(
-        phi_rad=found.phi_rad,
-        friction_n_m=found.friction_n_m,
-        u_friction_n_m=found.u_friction_n_m,
-        elastic_n_m=found.elastic_n_m,
-        u_elastic_n_m=found.u_elastic_n_m,
-        reference_rad=found.reference_rad,
+        **{column.name: getattr(found, column.name) for column in fields(found)},
         ground_rad_per_s2_rthz=free.fit.ground.density_rad_per_s2_rthz.value,
         laws=same,
     )
@@ -147,9 +142,8 @@ def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str
         fit, law = trial.fit, trial.law
         one = LawFit(title=law.title, source=law.source, problem=trial.problem)
         if fit is not None and fit.ground is not None and fit.whiteness is not None:
-            one = LawFit(
-                title=law.title,
-                source=law.source,
+            one = replace(
+                one,
                 parameters={name: fit.estimate(name) for name in fit.names},
                 bic_above_best=compared.above_best(trial),
                 aic_above_best=trial.aic - min(one.aic for one in compared.trials),
@@ -198,9 +192,9 @@ def _harmonics(values: NDArray[np.complex128]) -> Harmonics:
     return Harmonics(values.real.copy(), -values.imag)
 
 
-Array = NDArray[np.float64]
 _FEWEST = 8
 """Periods for a smooth curve."""
+_FEWEST_POINTS = 3
 
 
 @dataclass(frozen=True)
@@ -212,22 +206,22 @@ class Curves:
     model-free one.
     """
 
-    asymptotic_rad: Array
-    exact_rad: Array
-    exact_time_s: Array
-    period_rad: Array
-    period_time_s: Array
-    period_s: Array
-    u_period_s: Array
-    asymptotic_period_s: Array
-    exact_period_s: Array
-    smooth_s: Array
+    asymptotic_rad: Floats
+    exact_rad: Floats
+    exact_time_s: Floats
+    period_rad: Floats
+    period_time_s: Floats
+    period_s: Floats
+    u_period_s: Floats
+    asymptotic_period_s: Floats
+    exact_period_s: Floats
+    smooth_s: Floats
 
 
-def curves_of(points: TurningPoints, run: RunResults) -> Curves | None:
+def curves_of(run: RunResults) -> Curves | None:
     """The curves of one run; None where it was not fitted."""
-    pendulum, fits = run.pendulum, run.fits
-    if pendulum is None or not set(FitMethod) <= set(fits):
+    pendulum, fits, points = run.pendulum, run.fits, run.points
+    if pendulum is None or not set(FitMethod) <= set(fits) or len(points) < _FEWEST_POINTS:
         return None
     exact_rad, exact_time_s = _exact(points, fits[FitMethod.EXACT], pendulum)
     periods = full_periods(points)
@@ -249,7 +243,7 @@ def curves_of(points: TurningPoints, run: RunResults) -> Curves | None:
     )
 
 
-def _smooth(amplitude: Array, periods: Periods) -> Array:
+def _smooth(amplitude: Floats, periods: Periods) -> Floats:
     """A cubic smoothing spline of the periods over ln A by generalised cross-validation."""
     # not at import: most commands draw no curves
     from scipy.interpolate import make_smoothing_spline
@@ -261,7 +255,7 @@ def _smooth(amplitude: Array, periods: Periods) -> Array:
     return np.asarray(spline(np.log(amplitude)))
 
 
-def _exact(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[Array, Array]:
+def _exact(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[Floats, Floats]:
     """Amplitude and time of the half-swing map at the half-cycles of the data."""
     index = points.index - points.index[0]
     start = fit.estimate(AMPLITUDE.key).value
@@ -269,7 +263,7 @@ def _exact(points: TurningPoints, fit: Fit, pendulum: PendulumOnBall) -> tuple[A
     return amplitude[index], time[index] + fit.estimate(TIME.key).value
 
 
-def _asymptotic(points: TurningPoints, fit: Fit) -> Array:
+def _asymptotic(points: TurningPoints, fit: Fit) -> Floats:
     """Eq. 5 (with its linear term where one was fitted) at the times of the data."""
     known = fit.contact()
     mean = fit.mean_period_s.value
@@ -314,13 +308,11 @@ def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[st
 
     Raises DataError: the run was not fitted, or not with the law that is stated.
     """
-    stored = run.turning_points
-    curves = None if stored is None else curves_of(stored.points(), run)
-    if stored is None or curves is None or run.pendulum is None:
+    curves, points = curves_of(run), run.points
+    if curves is None or run.pendulum is None:
         raise DataError(
             f"{run.record}: has no fit of the contact's laws: {run.problem or 'no pendulum is stated'}"
         )
-    points = stored.points()
     unknown = np.full(len(points.index), np.nan)
 
     def curve(amplitude_rad: Floats, time_s: Floats) -> ModelCurve:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
@@ -50,6 +50,7 @@ from processing.units import ARCSEC_RAD
 from rig.analysis.air import limit_sentence
 from rig.analysis.contact_results import Correlation, Fit
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row, result_rows, withheld
+from rig.analysis.series import AnalysedRun
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
@@ -105,25 +106,20 @@ def rig_quantities(
     )
 
 
-def contact_values(
-    name: str,
-    points: TurningPoints,
+def with_contact(
+    run: AnalysedRun,
     pendulum: PendulumOnBall,
-    fits: Mapping[str, FitResult],
-    rig: RigQuantities | None,
     plane_errors: Floats | None = None,
     of_air: ExpectedDrag | None = None,
     *,
     stated: PendulumSettings | None = None,
-) -> dict[str, Any]:
-    """Fields of `RunResults`: the fits, the rows made of them, and all else that is said about the exact one.
+) -> AnalysedRun:
+    """A run with the numbers of its fits, the rows made of them, and all else that is said of the exact one.
 
     Parameters
     ----------
-    name
-        Of the run, in its rows.
-    rig
-        None without [pendulum]: there is no budget then.
+    run
+        With its fits and, where there is a [pendulum], its apparatus: else there is no budget.
     plane_errors : (points, terms)
         Independent errors of the amplitudes by what is not known of the plane of swing; None: there are none.
     of_air
@@ -136,6 +132,7 @@ def contact_values(
     What cannot be had (a comparison fit that does not converge, a parameter that the data leave
     open) is said in `notes`; nothing is raised for it.
     """
+    points, fits, rig, name = run.points, run.fitted, run.rig, Path(run.record).stem
     exact = fits[FitMethod.EXACT]
     notes: list[str] = []
     drag: Drag | None = None
@@ -181,18 +178,19 @@ def contact_values(
         for key, found in fit.estimates().items()
         if key not in left_open
     ]
-    return {
-        "fits": {method: fit_results(fit, stated) for method, fit in fits.items()},
-        "pendulum": pendulum,
-        "adhesion": adhesion,
-        "drag": drag,
-        "table": (*rows, *spots, *others),
-        "budget": withheld(tables, rows),
-        "work_per_cycle": tuple(
+    return replace(
+        run,
+        fits={method: fit_results(fit, stated) for method, fit in fits.items()},
+        pendulum=pendulum,
+        adhesion=adhesion,
+        drag=drag,
+        table=(*rows, *spots, *others, *run.table),
+        budget=withheld(tables, rows),
+        work_per_cycle=tuple(
             _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)
         ),
-        "notes": notes,
-    }
+        notes=(*notes, *run.notes),
+    )
 
 
 def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit:

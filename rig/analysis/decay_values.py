@@ -84,21 +84,21 @@ class DecayValues(NamedTuple):
     quality_factor: Estimate | None
     damping: AmplitudeDamping | None
 
-    def rows(self, run: str) -> tuple[ResultRow, ...]:
-        """The rows of the table of results."""
-        found = [(name, getattr(self, name)) for name in self._fields[:3]]
-        return tuple(plain_row(name, one, run, DECAY) for name, one in found if one is not None)
-
 
 DECAY: Final = "decay"
 """Of a row that no law was needed for."""
 
 
-def amplitude_rows(points: TurningPoints, unit: str, unit_size: float, run: str) -> tuple[ResultRow, ...]:
-    """The rows of the first and the last amplitude."""
+def decay_rows(
+    points: TurningPoints, values: DecayValues | None, unit: str, unit_size: float, run: str
+) -> tuple[ResultRow, ...]:
+    """The rows of period, decrement, quality factor, as far as there are any, and of both end amplitudes."""
+    found = {} if values is None else {name: getattr(values, name) for name in DecayValues._fields[:3]}
+    rows = [plain_row(name, one, run, DECAY) for name, one in found.items() if one is not None]
     ends = points.amplitude[[0, -1]] / unit_size if len(points) else np.full(2, np.nan)
     names = ("initial_amplitude", "final_amplitude")
-    return tuple(plain_row(name, float(end), run, DECAY, unit) for name, end in zip(names, ends, strict=True))
+    rows += [plain_row(name, float(end), run, DECAY, unit) for name, end in zip(names, ends, strict=True)]
+    return tuple(rows)
 
 
 def decay_values(

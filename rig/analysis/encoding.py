@@ -60,12 +60,8 @@ def _as_stored(schema: Any) -> Any:
         return core_schema.no_info_before_validator_function(_null_to_nan, schema, serialization=written)
     found = {key: _as_stored(value) for key, value in schema.items()}
     if schema.get("type") == "dataclass-field" and schema["schema"].get("default", "") is None:
-        found["serialization_exclude_if"] = _is_none
+        found["serialization_exclude_if"] = lambda value: value is None
     return found
-
-
-def _is_none(value: object) -> bool:
-    return value is None
 
 
 class _Array:

@@ -26,11 +26,11 @@ from processing.instruments import SharedError
 from processing.swing import HalfCycle, TurningPoints
 from rig.analysis.air import OPEN_DRAG, believed_drifts, evidence_of, known_drag
 from rig.analysis.contact_fits import fit_decay, settled_swings
-from rig.analysis.contact_verdicts import contact_values, rig_quantities
-from rig.analysis.decay_values import amplitude_rows, values_of_points
+from rig.analysis.contact_verdicts import rig_quantities, with_contact
+from rig.analysis.decay_values import decay_rows, values_of_points
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import PositionErrors, RunResults, StoredTurningPoints
+from rig.analysis.results import PositionErrors, StoredTurningPoints
 from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
@@ -117,22 +117,12 @@ def analyse_swings(
             plane_of_swing_rad=InputQuantity(0.0, followed.u_rad),
             **drifting,
         )
-    contact: dict[str, Any] = {}
     if of_ground is not None and witness is not None:
         of_ground = replace(of_ground, source=witness[0].name, understood=witness[0].understood)
-    if fits and pendulum is not None:
-        plane_errors = followed.amplitude_errors(points)
-        contact = contact_values(
-            path.stem, points, pendulum, fits, rig, plane_errors, of_air, stated=config.pendulum
-        )
-    said = [*contact.pop("notes", ()), followed.text, "" if errors is None else errors.text]
     values = values_of_points(points, unit.shown_size, _u_second(config, u_clock))
-    rows = () if values is None else values.rows(path.stem)
-    rows = (*contact.pop("table", ()), *rows, *amplitude_rows(points, unit.shown, unit.shown_size, path.stem))
-    results = RunResults(
+    run = AnalysedRun(
         **_head(path, points, unit),
-        **contact,
-        table=rows,
+        table=decay_rows(points, values, unit.shown, unit.shown_size, path.stem),
         damping=None if values is None else values.damping,
         measured_again_on=settled.motion,
         position_errors=errors,
@@ -141,18 +131,16 @@ def analyse_swings(
         settings=config.fit.model_dump(),
         turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
         witness=of_ground,
-        notes=tuple(filter(None, said)),
-    )
-    return AnalysedRun(
-        path,
-        results,
-        points,
-        fits,
-        rig,
+        notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
+        fitted=fits,
+        rig=rig,
         harmonics=settled.harmonics,
         decay_balances=followed.balances,
         plane=followed.plane,
     )
+    if not fits or pendulum is None:
+        return run
+    return with_contact(run, pendulum, followed.amplitude_errors(points), of_air, stated=config.pendulum)
 
 
 def _witness_beside(
@@ -176,18 +164,19 @@ def _reduced(
     """A run of a pendulum that is not described by the contact's laws."""
     clock_rate, unit = clock_rate_of(config), DeflectionUnit.RAD
     reduction = reduce_run(config.instrument, followed, air, errors, clock_rate, path.stem)
-    results = RunResults(
+    return AnalysedRun(
         **_head(path, reduction.points, unit),
         table=(
             *reduction.rows,
-            *amplitude_rows(reduction.points, unit.shown, unit.shown_size, path.stem),
+            *decay_rows(reduction.points, None, unit.shown, unit.shown_size, path.stem),
         ),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
         instrument=reduction.values,
         turning_points=StoredTurningPoints.of(reduction.points, reduction.swings, unit, clock_rate),
+        reduction=reduction,
+        plane=followed.plane,
     )
-    return AnalysedRun(path, results, reduction.points, {}, reduction=reduction, plane=followed.plane)
 
 
 def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -> list[SharedError]:
@@ -208,6 +197,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, 
     """Which file the results are of, and how many half-cycles were used."""
     pixels = pixels_beside(path)
     return dict[str, Any](
+        path=path,
         record=path.name,
         sha256=_sha256_if_readable(path),
         inputs_sha256={pixels.name: _sha256_if_readable(pixels)} if pixels.is_file() else {},

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
 from processing.ambient import AmbientConditions
-from processing.arrays import Floats as Array
+from processing.arrays import Floats
 from processing.contact import measured_losses
 from processing.decay_summary import mean_period
 from processing.deflections import Deflections, DeflectionUnit, joined
@@ -37,7 +37,7 @@ from processing.instruments import (
     with_release,
     with_shared,
 )
-from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints
+from processing.swing import HalfCycle, HalfCycleFlag, TurningPoints, turning_points
 from processing.units import seconds
 from rig.analysis.decay_values import INSTRUMENT, InstrumentResults
 from rig.analysis.result_rows import ResultRow, plain_row
@@ -48,14 +48,34 @@ from rig.settings import InstrumentSettings
 Found = TypeVar("Found", bound=NamedTuple)
 
 
-class Report:
-    """What is found of one run, while it is found: rows, curves, lines of text."""
+class Reduction:
+    """One run as its kind of pendulum is reported, to which is added what is found: rows, curves, lines.
 
-    def __init__(self, description: Description, run: str) -> None:
-        self.kind, self._run = description.kind, run
-        self.lines = [f"{description.kind}: {description.sentence}"]
+    `problem` is the one line that says what could not be had. `points` were made of `swings`; `errors` are
+    those that they have alike. `readings` are what a series compares, empty where there is none.
+    """
+
+    def __init__(self, settings: InstrumentSettings, run: str, swings: Sequence[HalfCycle]) -> None:
+        self.settings, self.swings, self._run = settings, swings, run
+        self.points = turning_points(swings)
+        self.errors: Sequence[SharedError] = ()
+        self.lines = [f"{self.description.kind}: {self.description.sentence}"]
         self.rows: list[ResultRow] = []
-        self.curves: dict[str, dict[str, Array]] = {}
+        self.curves: dict[str, dict[str, Floats]] = {}
+        self.checks: list[Check] = []
+        self.problem = ""
+        self.readings: Mapping[str, ValueWithSharedErrors] = {}
+
+    @property
+    def description(self) -> Description:
+        """What the standard says of this kind."""
+        return self.settings.description()
+
+    def evaluated(
+        self, reduce: Callable[[TurningPoints], Found]
+    ) -> tuple[Found, Mapping[str, ValueWithSharedErrors]]:
+        """With what the ground, the scale and the clock add to every uncertainty."""
+        return with_shared(reduce, self.points, self.errors, with_drive(reduce, self.points))
 
     def add(self, part: str = "", **numbers: Estimate | float | None) -> None:
         """Add rows, of a part of the decay where one is named; None is no row."""
@@ -66,39 +86,21 @@ class Report:
             if value is not None
         ]
 
-    def results(self, checks: Sequence[Check]) -> InstrumentResults:
+    @property
+    def values(self) -> InstrumentResults:
         """As results.json has it beside the rows."""
         return InstrumentResults(
-            kind=self.kind, curves=self.curves, checks=tuple(checks), text=tuple(self.lines)
+            kind=self.description.kind, curves=self.curves, checks=tuple(self.checks), text=tuple(self.lines)
         )
 
 
-def report_of_kind(
-    description: Description,
-    settings: InstrumentSettings,
-    points: TurningPoints,
-    report: Report,
-    errors: Sequence[SharedError],
-) -> Mapping[str, ValueWithSharedErrors]:
-    """Add what this kind reports; returns what a series takes of it.
-
-    `errors` are those that runs may share. Raises DataError where a report cannot be had.
-    """
-    if description.report == "hardness":
-        _hardness(settings, points, report, errors)
-        return {}
-    if description.report == "circular":
-        _circular(points, report, errors)
-        return {}
-    if description.report == "rolling":
-        _rolling(description, settings, points, report, errors)
-        return {}
+def _damping(report: Reduction) -> None:
+    """The only one of which a series takes something."""
+    description = report.description
     if description.report == "decay":
-        _decrements(points, report)
-    found, readings = _evaluated(
-        lambda at: damping(at, description.start_amplitude_rad, description.end_amplitude_rad),
-        points,
-        errors,
+        _decrements(report)
+    found, report.readings = report.evaluated(
+        lambda at: damping(at, description.start_amplitude_rad, description.end_amplitude_rad)
     )
     start_deg, end_deg = found.start_rad / DEGREE_RAD, found.end_rad / DEGREE_RAD
     report.lines.append(
@@ -113,27 +115,18 @@ def report_of_kind(
         damping_start_deg=start_deg,
         damping_end_deg=end_deg,
     )
-    return readings
 
 
-def _evaluated(
-    reduce: Callable[[TurningPoints], Found], points: TurningPoints, errors: Sequence[SharedError]
-) -> tuple[Found, Mapping[str, ValueWithSharedErrors]]:
-    """With what the ground, the scale and the clock add to every uncertainty."""
-    return with_shared(reduce, points, errors, with_drive(reduce, points))
-
-
-def _hardness(
-    settings: InstrumentSettings, points: TurningPoints, report: Report, errors: Sequence[SharedError]
-) -> None:
-    hardness, _ = _evaluated(lambda at: herbert_hardness(at, settings.scale_divisions), points, errors)
+def _hardness(report: Reduction) -> None:
+    divisions = report.settings.scale_divisions
+    hardness, _ = report.evaluated(lambda at: herbert_hardness(at, divisions))
     if hardness.ten_swings_s is not None:
         report.lines.append(f"time hardness (ten single swings) {with_uncertainty(*hardness.ten_swings_s)} s")
     else:
         report.lines.append(hardness.missing)
     report.lines.append(
         f"time hardness (first swing x 10) {with_uncertainty(*hardness.first_swing_times_ten_s)} s, "
-        f"scale hardness {with_uncertainty(*hardness.scale_hardness)} of {settings.scale_divisions:g}"
+        f"scale hardness {with_uncertainty(*hardness.scale_hardness)} of {divisions:g}"
     )
     report.add(
         time_hardness_s=hardness.ten_swings_s,
@@ -143,8 +136,8 @@ def _hardness(
     )
 
 
-def _circular(points: TurningPoints, report: Report, errors: Sequence[SharedError]) -> None:
-    law, _ = _evaluated(circular_error, points, errors)
+def _circular(report: Reduction) -> None:
+    law, _ = report.evaluated(circular_error)
     report.lines += [f"period at vanishing amplitude {with_uncertainty(*law.period0_s)} s", law.sentence]
     report.add(period0_s=law.period0_s, circular_factor=law.factor, chi2_per_dof=law.chi2_per_dof)
     report.curves["period"] = {
@@ -156,18 +149,13 @@ def _circular(points: TurningPoints, report: Report, errors: Sequence[SharedErro
     }
 
 
-def _rolling(
-    description: Description,
-    settings: InstrumentSettings,
-    points: TurningPoints,
-    report: Report,
-    errors: Sequence[SharedError],
-) -> None:
+def _rolling(report: Reduction) -> None:
+    description, settings = report.description, report.settings
     lever = description.lever_m and Estimate(description.lever_m, settings.u_lever_m)
     radius = description.support_radius_m and Estimate(
         description.support_radius_m, settings.u_support_radius_m
     )
-    found, _ = _evaluated(lambda at: rolling_friction(at, lever or None, radius or None), points, errors)
+    found, _ = report.evaluated(lambda at: rolling_friction(at, lever or None, radius or None))
     at = found.law.reference_rad / DEGREE_RAD
     report.lines.append(f"log decrement at {at:.4g} degrees {with_uncertainty(*found.decrement)}")
     if found.coefficient is not None:
@@ -180,7 +168,7 @@ def _rolling(
             "no rolling-friction coefficient: state instrument.lever_m and instrument.support_radius_m"
         )
     report.lines += found.sentences
-    _law(found.law, found.decrement, points, report)
+    _law(found.law, found.decrement, report)
 
 
 class _Friction(NamedTuple):
@@ -195,24 +183,24 @@ def _friction(points: TurningPoints) -> _Friction:
     return _Friction(law.decrement(law.reference_rad), law.moment, law.exponent, law)
 
 
-def _decrements(points: TurningPoints, report: Report) -> None:
-    decrement, moment, exponent, law = with_drive(_friction, points)
+def _decrements(report: Reduction) -> None:
+    decrement, moment, exponent, law = with_drive(_friction, report.points)
     law = replace(law, moment=moment, exponent=exponent)
     report.lines.append(
         f"log decrement at {law.reference_rad / DEGREE_RAD:.4g} degrees {with_uncertainty(*decrement)}, "
         f"friction goes as amplitude^({with_uncertainty(*law.exponent)})"
     )
-    _law(law, decrement, points, report)
+    _law(law, decrement, report)
 
 
-def _law(law: FrictionLaw, decrement: Estimate, points: TurningPoints, report: Report) -> None:
+def _law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:
     """Decrement at the reference amplitude and against amplitude, moment and power of the friction."""
     report.add(
         f"at {law.reference_rad / DEGREE_RAD:.3g}°", log_decrement=decrement, friction_moment=law.moment
     )
     report.add(friction_exponent=law.exponent, chi2_per_dof=law.chi2_per_dof)
-    cycles = max(1, int(points.index[-1] - points.index[0]) // 40)
-    losses = measured_losses(points, cycles=cycles)
+    index = report.points.index
+    losses = measured_losses(report.points, cycles=max(1, int(index[-1] - index[0]) // 40))
     report.curves["decrement"] = {
         "amplitude_deg": losses.amplitude_rad / DEGREE_RAD,
         "log_decrement": losses.log_decrement,
@@ -220,8 +208,13 @@ def _law(law: FrictionLaw, decrement: Estimate, points: TurningPoints, report: R
     }
 
 
-def range_and_period(points: TurningPoints, report: Report) -> None:
+_OF_KIND: Final = {"hardness": _hardness, "circular": _circular, "rolling": _rolling}
+"""What adds the rows of a kind; of all others `_damping`."""
+
+
+def _range_and_period(report: Reduction) -> None:
     """Range and period, which may be had where the quantity asked for cannot."""
+    points = report.points
     if len(points) < 2:
         return
     first, last = (float(points.amplitude[at]) / DEGREE_RAD for at in (0, -1))
@@ -234,23 +227,6 @@ def range_and_period(points: TurningPoints, report: Report) -> None:
 
 _FELT: Final = 0.01
 """Error of an amplitude, in its uncertainties, below which it changes nothing that is reported."""
-
-
-@dataclass(frozen=True, slots=True)
-class Reduction:
-    """One run as its kind of pendulum is reported.
-
-    `problem` is the one line that says what could not be had; `values` holds what could, its text in lines.
-    `points` were made of `swings`. `readings` are what a series compares, empty where there is none.
-    """
-
-    settings: InstrumentSettings
-    values: InstrumentResults
-    rows: Sequence[ResultRow]
-    points: TurningPoints
-    swings: Sequence[HalfCycle]
-    problem: str = ""
-    readings: Mapping[str, ValueWithSharedErrors] = field(default_factory=dict)
 
 
 def reduce_run(
@@ -275,13 +251,11 @@ def reduce_run(
     run
         The name of the run in its rows.
     """
-    description = settings.description()
-    report = Report(description, run)
-    lines = report.lines
+    report = Reduction(settings, run, followed.swings)
+    description, lines, swings = report.description, report.lines, report.swings
     problems = [followed.problem] if followed.problem else []
     if description.turning_plane or followed.is_turned:
         _swing_plane(followed, report)
-    swings = followed.swings
     deflections = joined(followed.deflections, DeflectionUnit.RAD)
     if len(deflections):
         if len(swings) > 1:
@@ -290,22 +264,21 @@ def reduce_run(
         report.add(inferred_half_cycles=inferred)
         if description.report == "hardness":
             swings = _from_the_release(swings, deflections, lines)
-    points = points_in_true_time(swings, clock_rate)
-    errors = [*errors, *_errors_of_plane(followed, points)]
-    readings: Mapping[str, ValueWithSharedErrors] = {}
+    report.swings, report.points = swings, points_in_true_time(swings, clock_rate)
+    report.errors = [*errors, *_errors_of_plane(followed, report.points)]
     try:
         if followed.problem:
             raise DataError(followed.problem)
-        readings = report_of_kind(description, settings, points, report, errors)
+        _OF_KIND.get(description.report, _damping)(report)
     except DataError as error:
         problems.append(str(error))
-        range_and_period(points, report)
-    checks = [*_held_against_air(description, air, lines), *_check_mass(settings, lines)]
-    problem = "; ".join(dict.fromkeys(problems))
-    return Reduction(settings, report.results(checks), report.rows, points, swings, problem, readings)
+        _range_and_period(report)
+    report.checks = [*_held_against_air(description, air, lines), *_check_mass(settings, lines)]
+    report.problem = "; ".join(dict.fromkeys(problems))
+    return report
 
 
-def _swing_plane(followed: FollowedPlane, report: Report) -> None:
+def _swing_plane(followed: FollowedPlane, report: Reduction) -> None:
     plane = followed.plane
     if plane is None:
         report.lines.append("the plane of swing is not known: too few periods were seen along both axes")

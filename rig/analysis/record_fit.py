@@ -110,14 +110,11 @@ def analyse_run(
     spots say, and `dropped` tells how many frames are missing between the first and the last, from how many
     there were. What a reference spot shares with the pendulum's is taken off.
     """
-    less = less_beam_motion(reader, config)
-    if less is not None and less.used:
-        blocks = Changed(blocks, less.change)
-        swings = swings_of_blocks(blocks)
-    pulled = without_fixed_light(reader, config)
-    if pulled is not None and pulled.used:
-        blocks = Changed(blocks, pulled.change)
-        swings = swings_of_blocks(blocks)
+    less, pulled = less_beam_motion(reader, config), without_fixed_light(reader, config)
+    for one in (less, pulled):
+        if one is not None and one.used:
+            blocks = Changed(blocks, one.change)
+            swings = swings_of_blocks(blocks)
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
@@ -134,25 +131,25 @@ def analyse_run(
     run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    warnings = [*run.results.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
+    warnings = [*run.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
     end = end_of(reader.events())
     frames, judged = deflections.frames, Beam.of(beam, noise_is_known=config.sensor is not None)
-    dropped_frames, exact = dropped(frames), run.results.fits.get(FitMethod.EXACT)
+    dropped_frames, exact = dropped(frames), run.fits.get(FitMethod.EXACT)
     if pulled is not None and judged.poor_fit_frames:
         judged = replace(judged, likely_cause=pulled.verdict.reason, remedy=pulled.verdict.remedy)
     of_contact = config.instrument.description().report == "contact"
-    results = replace(
-        run.results,
+    return replace(
+        run,
         frames=frames,
         dropped_frames=dropped_frames,
         simulated=RecordedCamera.of(reader.metadata).simulated,
         losses=reader.losses(),
         beam=judged,
         warnings=tuple(warnings),
-        notes=(*run.results.notes, *([] if less is None else [less.text])),
+        notes=(*run.notes, *([] if less is None else [less.text])),
         calibration=calibration,
         ended=None if end is None else end.text,
-        inputs_sha256={**inputs_sha256(reader), **run.results.inputs_sha256},
+        inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},
         surroundings=surroundings,
         clock=clock,
         conditions=run_conditions(
@@ -162,7 +159,7 @@ def analyse_run(
             dropped_frames,
             config.preflight,
             None if exact is None else exact.ground,
-            run.results.half_cycles,
+            run.half_cycles,
             judged,
             clock,
             (
@@ -175,4 +172,3 @@ def analyse_run(
             ),
         ),
     )
-    return replace(run, results=results)

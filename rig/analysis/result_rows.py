@@ -1,9 +1,9 @@
 """The table of results: what is known of every quantity, made once, and read by every output."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, floor, hypot, inf, isfinite, log, log10, nan
-from typing import Annotated, Final, NamedTuple
+from typing import Annotated, Any, Final
 
 from processing.contact import DRAG, PendulumOnBall, surface_energy
 from processing.errors import ConfigurationError
@@ -111,22 +111,19 @@ def named(key: str) -> str:
     return f"surface energy {label}" if key in ENERGIES else label
 
 
-def plain_row(name: str, found: Estimate | float, run: str, fit: str, unit: str = "") -> ResultRow:
-    """The row of a number, or of a value with its standard uncertainty as it is."""
+def plain_row(
+    name: str,
+    found: Estimate | float,
+    run: str,
+    fit: str = FitMethod.EXACT.value,
+    unit: str = "",
+    **known: Any,
+) -> ResultRow:
+    """The row of a number, or of a value with its standard uncertainty as it is; `known` is what else is."""
     value, u = found if isinstance(found, Estimate) else (found, nan)
-    return ResultRow(quantity=name, fit=fit, value=value, u=u, u_total=u, unit=unit or unit_of(name), run=run)
-
-
-class _OfSwings(NamedTuple):
-    """What the swings alone say of a quantity: value, u, and both ends of the interval."""
-
-    name: str
-    value: float
-    u: float
-    lower: float
-    upper: float
-    verdict: Determinacy = Determinacy.DETERMINED
-    by_profile: bool = False
+    return ResultRow(
+        quantity=name, fit=fit, value=value, u=u, u_total=u, unit=unit or unit_of(name), run=run, **known
+    )
 
 
 def result_rows(
@@ -142,7 +139,7 @@ def result_rows(
     uncertainty is so small that it needs none.
     """
     known = {one.name: one for one in determinations}
-    swings = []
+    rows = []
     for name in fit.contact_names:
         value, u = fit.estimate(name)
         if (found := known.get(name)) is not None:
@@ -152,15 +149,16 @@ def result_rows(
         else:
             ends, verdict = (nan, nan), Determinacy.UNDETERMINED
         by_profile = found is not None and found.profile_likelihood
-        swings.append(_OfSwings(name, value, u, *ends, verdict, by_profile))
-    return _rows(run, swings, budget, pendulum)
+        more = dict[str, Any](lower=ends[0], upper=ends[1], verdict=verdict, by_profile=by_profile)
+        rows.append(plain_row(name, Estimate(value, u), run, **more))
+    return _with_apparatus(run, rows, budget, pendulum)
 
 
 def series_rows(
     combined: Mapping[str, Combined], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
     """The rows of several runs together, each quantity by the interval of their mean."""
-    swings = []
+    rows = []
     for name, item in combined.items():
         half = item.expanded_uncertainty_95
         lower, upper = item.value - half, item.value + half
@@ -169,49 +167,45 @@ def series_rows(
             verdict = Determinacy.INTERVAL
             if lower <= 0 and law_parameters()[name].lower == 0:
                 verdict, lower = Determinacy.UPPER_BOUND, 0.0
-        swings.append(_OfSwings(name, item.value, item.standard_uncertainty, lower, upper, verdict))
-    return _rows("series", swings, budget, pendulum)
+        found = Estimate(item.value, item.standard_uncertainty)
+        rows.append(plain_row(name, found, "series", lower=lower, upper=upper, verdict=verdict))
+    return _with_apparatus("series", rows, budget, pendulum)
 
 
-def _rows(
-    run: str, swings: list[_OfSwings], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+def _with_apparatus(
+    run: str, rows: list[ResultRow], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
-    """The rows of what was fitted, of the surface energies, and of what the apparatus alone gives."""
-    for c in [one for one in swings if one.name == "c"]:
+    """The rows of what was fitted, of the surface energies, and of what the apparatus alone gives.
+
+    The apparatus adds to the uncertainty, and to both sides of the interval. Value and uncertainty are left
+    out where they would not describe what is known.
+    """
+    for c in [row for row in rows if row.quantity == "c"]:
         # each surface energy is c times what is known of the apparatus
         per_c = surface_energy(Estimate(1.0, 0.0), pendulum)
         for name, factor in zip(ENERGIES, (per_c.table2.value, per_c.eq2.value), strict=True):
-            scaled = {key: factor * getattr(c, key) for key in ("value", "u", "lower", "upper")}
-            swings.append(c._replace(name=name, **scaled))
-    names = {one.name for one in swings}
-    swings += [
-        _OfSwings(name, item.value, 0.0, item.value, item.value)
+            scaled = {key: factor * getattr(c, key) for key in ("value", "u", "u_total", "lower", "upper")}
+            rows.append(replace(c, quantity=name, unit=unit_of(name), **scaled))
+    names = {row.quantity for row in rows}
+    rows += [
+        plain_row(name, Estimate(item.value, 0.0), run, lower=item.value, upper=item.value)
         for name, item in budget.items()
         if name not in names
     ]
-    return tuple(_with_apparatus(run, one, budget.get(one.name)) for one in swings)
+    found = []
+    for row in rows:
+        item = budget.get(row.quantity)
+        if item is not None and (part := item.apparatus_u) > 0:
+            lower, upper = _wider_ends(row, item.coverage_factor_95 * part)
+            row = replace(row, u_total=hypot(row.u, part), lower=lower, upper=upper)
+        found.append(row if row.determined else replace(row, value=nan, u=nan, u_total=nan))
+    return tuple(found)
 
 
-def _with_apparatus(run: str, known: _OfSwings, item: Budget | None) -> ResultRow:
-    """With what the apparatus adds to the uncertainty, and to both sides of the interval.
-
-    Without value and uncertainty where they would not describe what is known.
-    """
-    numbers, ends = (known.value, known.u, known.u), (known.lower, known.upper)
-    if item is not None and (part := item.apparatus_u) > 0:
-        ends = _wider_ends(known, item.coverage_factor_95 * part)
-        numbers = (known.value, known.u, hypot(known.u, part))
-    value, u, u_total = numbers if known.verdict is Determinacy.DETERMINED else (nan, nan, nan)
-    return ResultRow(
-        quantity=known.name, value=value, u=u, u_total=u_total, lower=ends[0], upper=ends[1],
-        verdict=known.verdict, unit=unit_of(known.name), run=run, by_profile=known.by_profile,
-    )  # fmt: skip
-
-
-def _wider_ends(known: _OfSwings, expanded: float) -> tuple[float, float]:
+def _wider_ends(row: ResultRow, expanded: float) -> tuple[float, float]:
     """The ends of an interval with what the apparatus adds to both sides of it."""
-    value, ends = known.value, (known.lower, known.upper)
-    parameter = law_parameters().get(known.name)
+    value, ends = row.value, (row.lower, row.upper)
+    parameter = law_parameters().get(row.quantity)
     logarithmic = parameter is not None and parameter.logarithmic and ends[0] > 0
     relative = expanded / value if value > 0 else inf
     if logarithmic and relative < _TANGENT:

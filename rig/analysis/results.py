@@ -5,7 +5,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from math import isfinite, nan
 from pathlib import Path
@@ -86,21 +86,13 @@ class StoredTurningPoints:
         return cls(
             first_ns=first_ns,
             unit=unit,
-            index=points.index,
-            time_s=points.time_s,
-            u_time_s=points.u_time_s,
-            amplitude=points.amplitude,
-            u_amplitude=points.u_amplitude,
+            **{column.name: getattr(points, column.name) for column in fields(points)},
             left_out_time_s=np.array(
                 [seconds(swing.turn_time_ns - first_ns) * clock_rate for swing in left_out]
             ),
             left_out_amplitude=np.array([swing.amplitude for swing in left_out]),
             left_out_flags=np.array([swing.flags for swing in left_out], dtype=np.int64),
         )
-
-    def points(self) -> TurningPoints:
-        """As the fits take them."""
-        return TurningPoints(self.index, self.time_s, self.u_time_s, self.amplitude, self.u_amplitude)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,6 +223,16 @@ class RunResults(RowsByName):
     witness: SeismometerUse | None = None
     damping: Annotated[AmplitudeDamping | None, _IN_AMPLITUDE_UNIT] = None
     decay: TableDecay | None = None
+
+    @property
+    def stored(self) -> StoredTurningPoints:
+        """The turning points, none where there are none."""
+        return self.turning_points or StoredTurningPoints()
+
+    @property
+    def points(self) -> TurningPoints:
+        """The turning points as the fits took them."""
+        return TurningPoints(*(getattr(self.stored, column.name) for column in fields(TurningPoints)))
 
     @property
     def amplitudes(self) -> tuple[float, float]:

@@ -27,7 +27,8 @@ def _codec(kind: Any) -> Codec:
 
 def encoded(values: object) -> JsonObject:
     """Results, or a part of them, as they stand in the file."""
-    kind: Any = type(values)
+    # of an analysed run what the file holds
+    kind: Any = RunResults if isinstance(values, RunResults) else type(values)
     tree: JsonObject = _codec(kind).write(values)
     return tree
 

@@ -70,19 +70,15 @@ class Beam:
         """`Beam: learned profile since frame 147; POOR_FIT 147 (before it was learned).`"""
         if not self.model:
             return "Beam: no spot was found."
+        only_at_first = self.choosing_frames > 0 and not self.poor_fit_frames
         flagged = [
-            f"{name} {count}"
-            + (" (while it was learned)" if name == "POOR_FIT" and self._only_at_first else "")
+            f"{name} {count}" + (" (while it was learned)" if name == "POOR_FIT" and only_at_first else "")
             for name, count in self.flags.items()
             if not SpotFlag[name] & _EASED
         ]
         changed = f", after {self.changes} changes" if self.changes else ""
         flags = f"spots with {', '.join(flagged)}" if flagged else "no spot is flagged as faulty"
         return f"Beam: {self.model} since frame {self.since_frame}{changed}; {flags}."
-
-    @property
-    def _only_at_first(self) -> bool:
-        return self.choosing_frames > 0 and not self.poor_fit_frames
 
     def verdict(self, most: float) -> Verdict:
         """A warning where more than the fraction `most` of the judged spots have the flag POOR_FIT."""

@@ -227,8 +227,7 @@ def _of_run(run: RunResults) -> Iterator[Remark]:
     """Conditions that were not met or are doubtful, and warnings."""
     for one in run.conditions:
         if not one.ok or one.remedy:
-            text = f"{one.name.upper()}: {one.measured} (limit {one.limit}); {one.reason}"
-            yield Remark(one.name, RemarkLevel.CONDITION, text, one.remedy)
+            yield Remark(one.name, RemarkLevel.CONDITION, f"{one.name.upper()}: {one.found}", one.remedy)
     for warning in run.warnings:
         of_other = warning.startswith(f"{FitMethod.ASYMPTOTIC} fit: ")
         yield Remark("warning", RemarkLevel.OF_OTHER_FIT if of_other else RemarkLevel.WARNING, warning)

@@ -1,7 +1,7 @@
 """Runs together: a series of one contact pair, places on a sample against a reference, what is written."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -245,20 +245,19 @@ def _acceptance(description: Description, glass: _Readings, lines: list[str]) ->
     return tuple(checks)
 
 
-@dataclass(frozen=True)
-class AnalysedRun:
-    """The results of one run, and what a series of runs needs beyond them.
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class AnalysedRun(RunResults):
+    """The results of one run, and what a series of runs needs beyond them, which no file holds.
 
-    `points` are the turning points that were fitted. `reduction` is there for a pendulum that is not
+    `path` is the file that was analysed. `fitted` are the fits, of which results have the numbers.
+    `reduction` is there for a pendulum that is not
     described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
     `decay_balances` are those of its decay, `plane` how the plane of swing turned, None where unknown.
     `watched` is the configuration of which keys were changed.
     """
 
-    record: Path
-    results: RunResults
-    points: TurningPoints
-    fits: Mapping[str, FitResult]
+    path: Path
+    fitted: Mapping[str, FitResult] = field(default_factory=dict)
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
     harmonics: SwingHarmonics | None = None
@@ -273,7 +272,7 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
     Raises ConfigurationError for a key that was changed and that nothing has used.
     """
     results = SessionResults(
-        runs=tuple(replace(run.results, record=relative_record(run.record, folder)) for run in runs),
+        runs=tuple(replace(run, record=relative_record(run.path, folder)) for run in runs),
         series=_series(runs),
     )
     refuse_unread(runs)
@@ -283,10 +282,11 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
 def instrument_series(runs: Sequence[AnalysedRun], numbers: Sequence[int] = ()) -> Series | None:
     """What runs of another instrument say together: places on the sample, the reference.
 
-    None where there is no such thing. `numbers` are as `reduce_series` has them.
+    None where there is no such thing. `numbers` are as `reduce_series` has them, of all runs.
     """
     reductions = [run.reduction for run in runs if run.reduction is not None]
-    found = reduce_series(reductions, numbers)
+    kept = [number for number, run in zip(numbers, runs, strict=False) if run.reduction is not None]
+    found = reduce_series(reductions, kept)
     return None if found is None else Series(runs=len(reductions), instrument=found)
 
 
@@ -294,7 +294,7 @@ def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
     """Raise ConfigurationError for a changed key that the fits of none of the runs have used."""
     changed = [run.watched for run in runs if run.watched is not None]
     # where nothing could be fitted, that is what is to be said
-    if changed and not any(run.results.problem for run in runs):
+    if changed and not any(run.problem for run in runs):
         changed[0].refuse_unread(changed)
 
 
@@ -302,18 +302,18 @@ def _series(runs: Sequence[AnalysedRun]) -> Series | None:
     """Parameters of a series, None for fewer than two fitted runs; or that of other instruments."""
     if any(run.reduction is not None for run in runs):
         return instrument_series(runs)
-    numbers = [number for number, run in enumerate(runs, start=1) if run.fits]
+    numbers = [number for number, run in enumerate(runs, start=1) if run.fitted]
     fitted = [runs[number - 1] for number in numbers]
-    pendulum = fitted[0].results.pendulum if fitted else None
+    pendulum = fitted[0].pendulum if fitted else None
     if len(fitted) < 2 or pendulum is None:
         return None
     joint = combined_series(
-        {name: [run.fits[name] for run in fitted] for name in fitted[0].fits},
+        {name: [run.fitted[name] for run in fitted] for name in fitted[0].fitted},
         [run.points for run in fitted],
         pendulum,
         fitted[0].rig,
-        printed_curvature=bool(fitted[0].results.settings.get("printed_055")),
-        of_runs=[run.results.budget for run in fitted],
+        printed_curvature=bool(fitted[0].settings.get("printed_055")),
+        of_runs=[run.budget for run in fitted],
     )
     apart = tuple(replace(each, run=numbers[each.run - 1]) for each in joint.disagreements)
     return replace(joint, combined_runs=tuple(numbers), disagreements=apart)

@@ -30,7 +30,7 @@ from processing.swing import (
 from processing.units import ARCSEC_RAD, seconds
 from rig.analysis.air import doubts_of, stated_surroundings, surroundings_of_table
 from rig.analysis.compared_laws import with_laws
-from rig.analysis.decay_values import DECAY, amplitude_damping, amplitude_rows, decay_values
+from rig.analysis.decay_values import DECAY, amplitude_damping, decay_rows, decay_values
 from rig.analysis.half_cycle_fits import SeismometerBeside, analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import (
@@ -77,14 +77,11 @@ them grow."""
 
 @dataclass(frozen=True)
 class FoundDecay:
-    """One decay of a table: its half-cycles with their means, and its results; `fitted` where a pendulum is
-    described.
-    """
+    """One decay of a table: its half-cycles with their means, and its results."""
 
     swings: Sequence[HalfCycle]
     summary: DecaySummary
-    results: RunResults
-    fitted: AnalysedRun | None = None
+    results: AnalysedRun
 
 
 @dataclass(frozen=True)
@@ -168,8 +165,8 @@ def analyse_trajectory(
 
 def _series(decays: Sequence[FoundDecay], run: str) -> Series | None:
     """Decays of one run against each other, by their places; where the run has a number, all have that."""
-    fitted = [decay.fitted for decay in decays if decay.fitted is not None]
-    return instrument_series(fitted, [int(run)] * len(fitted) if run.isdecimal() else ())
+    runs = [decay.results for decay in decays]
+    return instrument_series(runs, [int(run)] * len(runs) if run.isdecimal() else ())
 
 
 def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionResults | None:
@@ -182,9 +179,8 @@ def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionRe
     runs: list[AnalysedRun] = []
     numbers: list[int] = []
     for place, (name, table) in enumerate(tables.items(), start=1):
-        found = [decay.fitted for decay in table.decays if decay.fitted is not None]
-        runs += found
-        numbers += [int(name) if by_name else place] * len(found)
+        runs += [decay.results for decay in table.decays]
+        numbers += [int(name) if by_name else place] * len(table.decays)
     series = instrument_series(runs, numbers)
     if series is None:
         return None
@@ -258,9 +254,8 @@ def _analyse(
     points = turning_points(swings)
     summary = summarise_decay(points)
     problem = why_no_laws(trajectory, config)
-    fitted: AnalysedRun | None = None
-    run = RunResults(
-        record=relative_record(path, Path.cwd()), sha256=known_sha256_of_any(path), problem=problem
+    run = AnalysedRun(
+        path=path, record=relative_record(path, Path.cwd()), sha256=known_sha256_of_any(path), problem=problem
     )
     if config is not None and not problem:
         zero_ns, absolute = trajectory.first_ns, seconds(trajectory.first_ns) > FIRST_UTC_S
@@ -268,7 +263,7 @@ def _analyse(
         if witness is not None:
             beside = witness, lambda ns: FitStart(ns + zero_ns, ns + zero_ns if absolute else None)
         air = stated_surroundings(config)
-        fitted = analyse_swings(
+        run = analyse_swings(
             path,
             as_detected,
             config,
@@ -278,7 +273,7 @@ def _analyse(
             u_common_rad=u_common,
             followed=followed,
         )
-        run = (with_laws(fitted, laws) if laws else fitted).results
+        run = with_laws(run, laws) if laws else run
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
     # while the pendulum is held or pushed it does not swing
@@ -319,8 +314,7 @@ def _analyse(
         run,
         table=(
             *(row for row in run.table if row.fit != DECAY),
-            *decay.rows(name),
-            *amplitude_rows(points, trajectory.unit, scale, name),
+            *decay_rows(points, decay, trajectory.unit, scale, name),
         ),
         frames=int(np.count_nonzero(inside)),
         half_cycles=run.half_cycles or summary.half_cycles,
@@ -336,7 +330,7 @@ def _analyse(
             session=session,
         ),
     )
-    return FoundDecay(swings, summary, results, fitted)
+    return FoundDecay(swings, summary, results)
 
 
 def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:

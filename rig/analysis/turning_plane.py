@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration import Axes
+from processing.arrays import Floats
 from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of_swing, square, turned
 from processing.decay_summary import mean_period
 from processing.deflections import Deflections
@@ -17,7 +18,6 @@ from processing.units import seconds
 from rig.analysis.passing_deflections import Changed, PassingDeflections
 from rig.presentation import with_uncertainty
 
-Array = NDArray[np.float64]
 DEGREE_RAD: Final = math.pi / 180.0
 _SQUARE: Final = Axes()
 MATTERS: Final = 0.05
@@ -48,7 +48,7 @@ class FollowedPlane:
     axes: Axes = _SQUARE
     problem: str = ""
 
-    def amplitude_errors(self, points: TurningPoints) -> Array | None:
+    def amplitude_errors(self, points: TurningPoints) -> Floats | None:
         """Independent errors of the amplitudes (points, terms) by what is not known of the plane.
 
         None if they were not turned.
@@ -194,12 +194,12 @@ def _matters(
 def _errors(
     plane: PlaneOfSwing,
     times_ns: NDArray[np.int64],
-    amplitude: Array,
+    amplitude: Floats,
     across: float,
     axes: Axes,
     *,
     along_line: bool,
-) -> Array:
+) -> Floats:
     """Errors of amplitudes (n, terms), each for one standard uncertainty: of the curve, and of the axes.
 
     An angle that is wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it. Where the

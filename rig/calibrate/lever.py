@@ -174,9 +174,9 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     for number, listed in enumerate(table.run, 1):
         record = vanes.parent / listed.record
         run = analyse_record(record, air_known=False)
-        fit, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
+        fit, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
         if fit is None or pendulum is None:
-            raise DataError(f"run {number}, {record}: {run.results.problem}")
+            raise DataError(f"run {number}, {record}: {run.problem}")
         if fit.evidence.waveform is None:
             raise DataError(
                 f"run {number}, {record}: it is too short for the waveform, without which drag and friction "
@@ -185,7 +185,7 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         with RecordReader(record) as reader:
             config, at = recorded_configuration(reader), reader.utc(int(reader.spots()["time_ns"][0]))
         began = at if began is None else max(began, at)
-        shown = shown or _shown(run.results.surroundings, pendulum, config, fit.mean_period_s.value)
+        shown = shown or _shown(run.surroundings, pendulum, config, fit.mean_period_s.value)
         exposure = listed.exposure
         if table.by_pressure:
             exposure = _drag_at(exposure, pendulum, config, fit.mean_period_s.value)

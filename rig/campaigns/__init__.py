@@ -3,5 +3,6 @@
 from rig.campaigns.answer import Campaign, answer_of
 from rig.campaigns.campaign_file import StatedCampaign, read_campaign
 from rig.campaigns.likelihoods import FoundRun
-from rig.campaigns.page import campaign_tables, save_campaign
+from rig.campaigns.page import save_campaign
 from rig.campaigns.sources import NamedRuns, runs_of_folders
+from rig.campaigns.tables import campaign_tables

@@ -224,8 +224,8 @@ def _covariates(run: RunResults, fit: Fit, u: Mapping[str, float], duration_s: f
 
 
 def _duration_s(run: RunResults) -> float:
-    points = run.turning_points
-    return 0.0 if points is None or len(points.time_s) < 2 else float(points.time_s[-1] - points.time_s[0])
+    time_s = run.stored.time_s
+    return 0.0 if len(time_s) < 2 else float(time_s[-1] - time_s[0])
 
 
 SCHEMA = 1

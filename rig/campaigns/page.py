@@ -1,12 +1,11 @@
 """What a campaign leaves in its folder: campaign.json, page, figures, CSV, LaTeX."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from acquisition import atomic_write
@@ -15,9 +14,9 @@ from processing.arrays import Floats
 from processing.series import ORDER, POSITIVE, CompressedRun, Effect, Form, LatentNumber
 from rig.analysis import encoded
 from rig.campaigns.answer import Campaign
-from rig.campaigns.tables import contacts_table, covariate_words, scaled, tables_of
+from rig.campaigns.tables import campaign_tables, contacts_table, covariate_words, scaled
 from rig.presentation import Table, latex_table, palette, plain_values, quantity, written
-from rig.report import INK, ReportFigure, canvas, html, save_figures, save_tables, styled
+from rig.report import INK, ReportFigure, canvas, html, save_figures, save_tables, styled, three_columns
 
 _POINTS = 60
 _BAD = 0.5
@@ -37,24 +36,6 @@ def _shown(name: str, values: Floats, middle: float) -> Floats:
     return values - middle if name in POSITIVE else values * quantity(name).factor
 
 
-def _grid(panels: int, height_in: float) -> tuple[Figure, list[Axes]]:
-    columns = min(panels, 3)
-    rows = (panels + columns - 1) // columns
-    whole_in = 0.6 + height_in * rows
-    figure = canvas(whole_in)
-    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
-    figure.subplots_adjust(
-        left=0.1, right=0.985, bottom=0.5 / whole_in, top=1 - 0.35 / whole_in, wspace=0.42, hspace=0.5
-    )
-    for spare in axes[panels:]:
-        spare.set_visible(False)
-    return figure, axes[:panels]
-
-
-def _colours(contacts: Sequence[str]) -> dict[str, str]:
-    return {name: palette.SEQUENCE[place % len(palette.SEQUENCE)] for place, name in enumerate(contacts)}
-
-
 def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
     """Each coordinate with an effect over its covariate: runs, and the model's 68 and 95 % bands."""
     found, results = campaign.posterior, campaign.results
@@ -67,9 +48,10 @@ def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
     ]
     if not wanted:
         return None
-    figure, panels = _grid(len(wanted), 2.3)
+    margins = {"left": 0.1, "wspace": 0.42, "hspace": 0.5}
+    figure, panels = three_columns(len(wanted), lambda rows: 0.6 + 2.3 * rows, **margins)
     contacts = list(results.contacts)
-    colours = _colours(contacts)
+    colours = dict(zip(contacts, palette.SEQUENCE * len(contacts), strict=False))
     for axes, (effect, name) in zip(panels, wanted, strict=True):
         place = found.model.names.index(name)
         label, factor = covariate_words(effect.covariate)[1:]
@@ -101,7 +83,8 @@ def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
             axes.set_xscale("log")
         axes.set_xlabel(label)
         _title(axes, name, results.reference_arcsec)
-    figure.subplots_adjust(top=1 - 0.6 / figure.get_figheight())
+    whole_in = figure.get_figheight()
+    figure.subplots_adjust(bottom=0.5 / whole_in, top=1 - 0.6 / whole_in)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
     return ReportFigure(
         "covariates",
@@ -139,8 +122,7 @@ def _residual_figure(campaign: Campaign) -> ReportFigure:
         if run.bad > _BAD:
             axes.axvspan(at - 0.4, at + 0.4, color=palette.VERMILLION, alpha=0.25, lw=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xlabel("run")
-    axes.set_ylabel("deviation / u")
+    axes.set(xlabel="run", ylabel="deviation / u")
     axes.set_yscale("symlog", linthresh=4)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return ReportFigure(
@@ -150,20 +132,7 @@ def _residual_figure(campaign: Campaign) -> ReportFigure:
     )  # fmt: skip
 
 
-def figures_of(campaign: Campaign) -> list[ReportFigure]:
-    """All of them, in the page's order."""
-    over = _covariate_figure(campaign)
-    return [
-        *([] if over is None else [over]), _residual_figure(campaign),
-    ]  # fmt: skip
-
-
 _NAME = "campaign.json"
-
-
-def campaign_tables(campaign: Campaign) -> list[Table]:
-    """The tables, as terminal and page have them."""
-    return tables_of(campaign.results, campaign.posterior.model, campaign.stated.prior)
 
 
 def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
@@ -180,12 +149,13 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
         save_tables(tables, files)
         atomic_write.replace(files / "contacts.tex", latex_table(contacts_table(campaign.results)).encode())
         with styled():
-            figures = save_figures(figures_of(campaign), files)
+            over, residuals = _covariate_figure(campaign), _residual_figure(campaign)
+            figures = save_figures([residuals] if over is None else [over, residuals], files)
         atomic_write.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
     return [path, target]
 
 
-def _page(campaign: Campaign, tables: list[Table], figures: list[str], sha256: str) -> str:
+def _page(campaign: Campaign, tables: list[Table], figures: Mapping[str, str], sha256: str) -> str:
     results, sampler = campaign.results, campaign.results.sampler
     count = len(results.runs)
     words = f"{count} run{'s' if count != 1 else ''} of {', '.join(results.contacts)}"
@@ -205,6 +175,6 @@ def _page(campaign: Campaign, tables: list[Table], figures: list[str], sha256: s
         f"sha256 of {_NAME}: {sha256}."
     )
     body = [f'<div class="warn">{html.escape(line)}</div>' for line in warnings]
-    body += [html.notes(results.left_out), first, *figures, *others, html.paragraph(note, "note")]
+    body += [html.notes(results.left_out), first, *figures.values(), *others, html.paragraph(note, "note")]
     title = "SIMULATED: Campaign" if results.simulated else "Campaign"
     return html.page(title, words, body, results_sha256=sha256)

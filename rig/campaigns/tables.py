@@ -4,9 +4,9 @@ from math import isfinite, nan
 from typing import Final
 
 from processing.estimate import Estimate
-from processing.series import ALIKE, POSITIVE, SeriesModel
+from processing.series import ALIKE, POSITIVE
 from processing.units import ARCSEC_RAD
-from rig.campaigns.campaign_file import StatedLevel
+from rig.campaigns.answer import Campaign
 from rig.campaigns.likelihoods import CampaignEffect, CampaignResults
 from rig.presentation import SOURCES, Cell, Table, TableRow, plain, quantity, with_uncertainty
 
@@ -214,9 +214,9 @@ def _changes_table(results: CampaignResults) -> Table | None:
     )  # fmt: skip
 
 
-def _priors_table(results: CampaignResults, model: SeriesModel, stated: dict[str, StatedLevel]) -> Table:
+def _priors_table(campaign: Campaign) -> Table:
     """What was believed beforehand beside what is believed now."""
-    rows = []
+    results, model, rows = campaign.results, campaign.posterior.model, []
     for name in model.names:
         size, now = model.size(name), results.between_runs.get(name)
         label, factor = scaled(name)
@@ -225,7 +225,7 @@ def _priors_table(results: CampaignResults, model: SeriesModel, stated: dict[str
         rows.append(TableRow([name, size, *(now or (nan, nan))], [f"scatter of {label}", before, after]))
     for source, found in results.shared.items():
         rows.append(TableRow([source, 1.0, *found], [source_words(source), "0 ± 1 of its u", _text(found)]))
-    for key, one in stated.items():
+    for key, one in campaign.stated.prior.items():
         shown = [quantity(key).label, quantity(key).text(one.value, one.u), "see Contacts"]
         rows.append(TableRow([key, one.value, one.u, nan], shown))
     return Table.of(
@@ -234,10 +234,11 @@ def _priors_table(results: CampaignResults, model: SeriesModel, stated: dict[str
     )  # fmt: skip
 
 
-def tables_of(results: CampaignResults, model: SeriesModel, stated: dict[str, StatedLevel]) -> list[Table]:
-    """All of them, in the page's order."""
+def campaign_tables(campaign: Campaign) -> list[Table]:
+    """All of them, as terminal and page have them."""
+    results = campaign.results
     found = [
         contacts_table(results), _differences_table(results), effects_table(results), _changes_table(results),
-        _budget_table(results), _runs_table(results), _priors_table(results, model, stated),
+        _budget_table(results), _runs_table(results), _priors_table(campaign),
     ]  # fmt: skip
     return [one for one in found if one is not None]

@@ -94,14 +94,14 @@ def plan(
             "smaller one, or a larger --first"
         )
 
-    from rig.presentation import say
+    from rig.presentation import print_tables, say
     from rig.report import (
         ageing_table,
         expected_of_run,
         expected_of_table,
         plan_expected,
+        plan_table,
         planned_expectation,
-        print_plan,
         save_plan,
     )
 
@@ -128,6 +128,6 @@ def plan(
     planned = plan_expected(expected, firsts, lasts, ground, counts, witness)
     waits_s = [60.0 * minutes for minutes in ([0.0, 60.0] if wait is None else wait)]
     ageing = ageing_table(planned, waits_s)
-    print_plan(planned, ageing)
+    print_tables([plan_table(planned), ageing])
     if output is not None:
         save_plan(planned, output, ageing)

@@ -1,7 +1,6 @@
 """The alarms at the head of every page with the list that unfolds, and the dialogs that they open."""
 
 import html
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,6 +10,7 @@ from nicegui import run, ui
 from rig.control import LatchedTrip
 from rig.desk.alarm_list import AlarmKey, AlarmRow, AlarmState
 from rig.desk.desk import Desk
+from rig.desk.following import clock
 from rig.desk.tab import DELIBERATE, Tab, at_once
 
 
@@ -113,11 +113,7 @@ def _times(row: AlarmRow) -> str:
         ("cleared", row.cleared_s),
         ("seen", row.acknowledged_s),
     )
-    return ", ".join(f"{word} {_clock(at)}" for word, at in told if at is not None)
-
-
-def _clock(at_s: float) -> str:
-    return time.strftime("%H:%M:%S", time.localtime(at_s))
+    return ", ".join(f"{word} {clock(at)}" for word, at in told if at is not None)
 
 
 class TripDialog:

@@ -1,27 +1,14 @@
 """Calibrations at the desk: what each kind needs, what is being recorded for it, and what was filed."""
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from acquisition import atomic_write
 from processing.errors import ConfigurationError, DataError, RecordError, RigError
-from rig.calibrate import (
-    CalibrationReport,
-    Filing,
-    calibrate_air,
-    calibrate_axes,
-    calibrate_clock,
-    calibrate_lever,
-    calibrate_pointing,
-    calibrate_sensor,
-    calibrate_shutter,
-    check_known_angle,
-    filed,
-    next_free,
-)
+from rig.calibrate import CalibrationReport, Filing, filed, next_free
 from rig.desk.jobs import Job
 
 if TYPE_CHECKING:
@@ -30,7 +17,8 @@ if TYPE_CHECKING:
 FOLDER = Path("calibrations")
 Stated = Mapping[str, str]
 """What was typed into the fields of a kind, by their names."""
-_SIDES = ("unknown", "+", "-")
+_UNKNOWN = "unknown"
+_SIDES = (_UNKNOWN, "+", "-")
 
 
 @dataclass(frozen=True)
@@ -43,19 +31,16 @@ class CalibrationKind:
         What it measures.
     do
         What is to be done at the rig, for a person.
-    make
-        Makes the calibration from its input file and the typed fields; returns the calibration file.
     seconds
         Length of a record that it needs; None: it needs whole frames.
     list_text
         The list of measured values (TOML) to begin with; empty where the input is one record.
     fields
-        Further fields by name: what is asked for, and the choices, if there are any.
+        Further options of the command by name: what is asked for, and the choices, if there are any.
     """
 
     title: str
     do: str
-    make: Callable[[Path, Filing, Stated], Path]
     seconds: float | None = None
     list_text: str = ""
     fields: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
@@ -68,7 +53,6 @@ def kinds() -> dict[str, CalibrationKind]:
             "Lever: from px to radians",
             "Measure both lengths with a tape or a rod; 1 mm in 1 m is 0.1 % of every angle. Or clamp the "
             'pendulum, set known tilts, and list them: kind = "tilt", then [[step]] for each.',
-            lambda path, filing, _: calibrate_lever(path, filing),
             20.0,
             "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n",
         ),
@@ -76,13 +60,10 @@ def kinds() -> dict[str, CalibrationKind]:
             "Axes: directions of both modes on the sensor",
             "Decide which end and which side of the pendulum, moving down, count as positive. Push it gently "
             "in both directions, so that both modes swing, remember to which sides, and record from then on.",
-            lambda path, filing, stated: calibrate_axes(
-                path, filing, _side(stated["slow mode"]), _side(stated["fast mode"])
-            ),
             60.0,
             fields={
-                "slow mode": ("sign of the slow mode's tilt in the first frame", _SIDES),
-                "fast mode": ("sign of the fast mode's tilt in the first frame", _SIDES),
+                "slow-began": ("sign of the slow mode's tilt in the first frame", _SIDES),
+                "fast-began": ("sign of the fast mode's tilt in the first frame", _SIDES),
             },
         ),
         "sensor": CalibrationKind(
@@ -90,29 +71,25 @@ def kinds() -> dict[str, CalibrationKind]:
             "Laser off, lamp off, lens cap on: record dark frames. Then cap off, a lamp behind a diffuser, "
             "a metre away, and two frames or more at each of five exposures or more, from almost dark to "
             "almost saturated.",
-            lambda path, filing, _: calibrate_sensor(path, filing),
             None,
             'darks = "records/sensor-001"\n\n[[level]]\nframes = "records/sensor-002"\nexposure_us = 50.0\n',
         ),
         "clock": CalibrationKind(
             "Clock: the camera's against the computer's",
             "Any long run of a real camera will do; half an hour gives a few parts in 10⁷.",
-            lambda path, filing, stated: calibrate_clock(path, filing, _bits(stated["counter bits"])),
             1800.0,
-            fields={"counter bits": ("width of the camera's nanosecond counter, if it rolls over", ())},
+            fields={"counter-bits": ("width of the camera's nanosecond counter, if it rolls over", ())},
         ),
         "shutter": CalibrationKind(
             "Rolling shutter: the time from row to row",
             "Let the spot swing across the rows by a large part of the picture, without [shutter] in the "
             "configuration.",
-            lambda path, filing, _: calibrate_shutter(path, filing),
             120.0,
         ),
         "air": CalibrationKind(
             "Drag of the air: vanes on the pendulum, or several pressures",
             "Make two runs without vanes, two with the smaller and two with the larger ones, in turn, from "
             "one start, without lifting the ball off its place. rig calibrate air says which to cut.",
-            lambda path, filing, _: calibrate_air(path, filing),
             1500.0,
             '[[run]]\nrecord = "records/air-001.mcap"\narea_m2 = 0.0\n\n'
             '[[run]]\nrecord = "records/air-002.mcap"\narea_m2 = 0.067\n',
@@ -120,13 +97,11 @@ def kinds() -> dict[str, CalibrationKind]:
         "pointing": CalibrationKind(
             "Pointing: noise and drift of the spot",
             "Clamp the pendulum, close the cover, and let nobody walk around during the recording.",
-            lambda path, filing, _: calibrate_pointing(path, filing),
             120.0,
         ),
         "check": CalibrationKind(
             "Check of the lever against known tilts",
             "Clamp the pendulum and set known tilts of both signs, before and after a series.",
-            lambda path, filing, stated: check_known_angle(path, Path(stated["lever"]), filing),
             20.0,
             'kind = "tilt"\nunit = "arcsec"\npixel_pitch_m = 4.8e-6\nu_reference = 0.05\n\n'
             "[[step]]\nreference = -60.0\nx_px = 160.02\ny_px = 441.21\nu_px = 0.02\n",
@@ -150,7 +125,7 @@ class Calibrating:
         self.recorded: dict[str, Path] = {}
         self.problems: dict[str, str] = {}
 
-    def record(self, kind: str, amount: str, exposure_us: str = "") -> None:
+    def record(self, kind: str, amount: str, exposure_us: object = "") -> None:
         """Record by `rig camera record` or `frames`, into a new file; may wait until the camera is free.
 
         `amount` is the length in s, or the number of frames. Raises ConfigurationError while another one is
@@ -163,11 +138,10 @@ class Calibrating:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.problems.pop(kind, None)
         if form.seconds is None:
-            words, values = ["camera frames", "-o", str(path), "-n", amount], {}
-            if exposure_us.strip():
-                values["camera.exposure_us"] = _number("exposure / us", exposure_us)
+            words = ["camera frames", "-o", str(path), "-n", amount]
         else:
-            words, values = ["camera record", "-o", str(path), "--seconds", amount], {}
+            words = ["camera record", "-o", str(path), "--seconds", amount]
+        values = {} if exposure_us == "" else {"camera.exposure_us": exposure_us}
         self._recording = kind, path, self._desk.start(*words, values=values)
 
     def stop(self) -> None:
@@ -183,25 +157,35 @@ class Calibrating:
         if job.status is None:
             return f"{path} is recorded{f': {job.said[-1]}' if job.said else ''}"
         self._recording = None
-        if job.status == 0 and not job.ending:
-            self.recorded[kind] = path
-        elif job.ending:
+        if job.ending:
             self.problems[kind] = "the recording was stopped"
+        elif job.status:
+            self.problems[kind] = job.problem
         else:
-            self.problems[kind] = job.said[-1].removeprefix("rig: ") if job.said else "it was not recorded"
+            self.recorded[kind] = path
         return ""
 
     def file(self, kind: str, given: str, stated: Stated, filing: Filing) -> None:
-        """Make the calibration and file it; takes seconds.
+        """Make the calibration by `rig calibrate KIND` and file it; takes seconds.
 
         `given` is the name of a record, or the text of a list, which is first written to a file.
         Raises RigError where the measurement does not serve.
         """
-        form = self.kinds[kind]
+        options = {"output": str(filing.folder), "valid-days": str(filing.valid_days), "by": filing.made_by}
         self.problems.pop(kind, None)
         try:
-            path = _written(kind, given) if form.list_text else _record(given)
-            self.made[kind] = filed(form.make(path, filing, stated))
+            path = _written(kind, given) if self.kinds[kind].list_text else _record(given)
+            words = [
+                f"--{name}={text.strip()}"
+                for name, text in {**options, **stated}.items()
+                if text.strip() and (name in options or text != _UNKNOWN)
+            ]
+            name = f"calibrate {kind}"
+            job = self._desk.jobs.begin(name, str(path), *words, "--json", uses_camera=False)
+            job.wait()
+            if job.status:
+                raise RigError(job.problem)
+            self.made[kind] = filed(Path(job.lines[-1]["written"][0]))
         except RigError as error:
             self.problems[kind] = str(error)
             raise
@@ -234,27 +218,6 @@ def _record(text: str) -> Path:
     if path.suffix != ".mcap" or not path.is_file():
         raise DataError(f"{text or 'record'}: there is no such record; name an MCAP file, or record one")
     return path
-
-
-def _number(what: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigurationError(f"{what}: {text!r} is no number") from None
-
-
-def _side(text: str) -> Literal["+", "-"] | None:
-    if text == "+":
-        return "+"
-    return "-" if text == "-" else None
-
-
-def _bits(text: str) -> int | None:
-    if not text.strip():
-        return None
-    if not text.strip().isdecimal() or not 16 <= int(text) <= 62:
-        raise ConfigurationError(f"counter bits: {text!r} should be a whole number from 16 to 62")
-    return int(text)
 
 
 def _from_anywhere(stated: object) -> object:

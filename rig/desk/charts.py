@@ -104,13 +104,7 @@ def chart_options(
                 "nameGap": 8,
                 **({} if ends is None else _from_to(ends[1])),
                 # where rows lie close the ends of one meet those of the next
-                "axisLabel": {
-                    **_TEXT,
-                    ":formatter": _number(""),
-                    "hideOverlap": True,
-                    "showMinLabel": alone,
-                    "showMaxLabel": alone,
-                },
+                "axisLabel": {**labels, "showMinLabel": alone, "showMaxLabel": alone},
                 "axisLine": {"lineStyle": {"color": "var(--edge)"}},
                 "splitLine": _LINES,
                 "splitNumber": 5 if alone else 2,
@@ -151,15 +145,7 @@ def chart_options(
             {"type": "inside", "xAxisIndex": every, "filterMode": "none"},
             {"type": "inside", "yAxisIndex": every, "filterMode": "none", "zoomOnMouseWheel": "shift"},
         ],
-        "graphic": [
-            {
-                "type": "text",
-                "left": "center",
-                "top": "middle",
-                "silent": True,
-                "style": {"text": empty if nothing else "", "fill": "var(--dim)", "fontSize": 15},
-            }
-        ],
+        "graphic": [_words(empty if nothing else "", "middle", 15)],
     }
 
 
@@ -167,13 +153,12 @@ def in_last_row(curves: Sequence[ChartCurve], words: str) -> dict[str, Any]:
     """Words in the middle of the last row."""
     rows = max((curve.row for curve in curves), default=0) + 1
     part = (100.0 - _BELOW_PERCENT) / rows
-    return {
-        "type": "text",
-        "left": "center",
-        "top": f"{100.0 - _BELOW_PERCENT - 0.5 * (part - _NAME_PERCENT):.1f}%",
-        "silent": True,
-        "style": {"text": words, "fill": "var(--dim)", "fontSize": 13},
-    }
+    return _words(words, f"{100.0 - _BELOW_PERCENT - 0.5 * (part - _NAME_PERCENT):.1f}%", 13)
+
+
+def _words(text: str, top: str, size: int) -> dict[str, Any]:
+    style = {"text": text, "fill": "var(--dim)", "fontSize": size}
+    return {"type": "text", "left": "center", "top": top, "silent": True, "style": style}
 
 
 def _whole(points: Sequence[Points]) -> dict[str, float]:
@@ -216,7 +201,7 @@ def _series(curve: ChartCurve, points: Points, unit: str) -> list[dict[str, Any]
             "tooltip": {"show": False},
         }
         edge["lineStyle"] = {"opacity": 0}
-        low = [(x, _plus(y, u, -1)) for x, y, u in points]
+        low = [(x, None if y is None else y - (u or 0.0)) for x, y, u in points]
         wide = [(x, 2 * (u or 0.0)) for x, _, u in points]
         return [
             {**edge, "data": low},
@@ -224,10 +209,6 @@ def _series(curve: ChartCurve, points: Points, unit: str) -> list[dict[str, Any]
             {**common, "data": [(x, y) for x, y, _ in points]},
         ]
     return [{**common, "data": list(points)}]
-
-
-def _plus(y: float | None, u: float | None, sign: int) -> float | None:
-    return None if y is None else y + sign * (u or 0.0)
 
 
 def _number(unit: str) -> str:
@@ -251,7 +232,7 @@ class Chart:
         square: bool = False,
         height: str = "",
     ) -> None:
-        self._title, self._x, self._square = title, x, square
+        self._x = x
         self._curves: Sequence[ChartCurve] = curves
         self._shown: object = None
         self._small = bool(height)

@@ -18,9 +18,9 @@ from rig.desk.alarming import Alarming
 from rig.desk.aligner import Aligner
 from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
-from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, start_session
+from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, start_session
 from rig.desk.lighting import Lighting, Safety
-from rig.desk.sessions import LookingAgain, SessionIndex
+from rig.desk.sessions import SessionIndex
 from rig.desk.store import DeskStore
 from rig.devices import NoSession
 from rig.measure import HandOver, hand_over, session_folder
@@ -47,7 +47,8 @@ class Desk:
 
     `kept` are settings that were made at the desk (exposure, region), by key: they hold as long as it does.
     `place` is what is kept on disk, `lighting` takes light and gives it, `rig` is the rig's own safety state.
-    `archive` is the file whose runs are listed, too.
+    `archive` is the file whose runs are listed, too; `started` the process and the folder of the session that
+    was started here last.
     """
 
     def __init__(self, source: Path, overrides: tuple[str, ...] = (), archive: Path = Path()) -> None:
@@ -63,10 +64,9 @@ class Desk:
         by = "board" if self.config.laser.kind == "controller" else "laser"
         self.safety = Safety(self.rig, self.following, lambda: self.aligner, by)
         self.aligner: Aligner | None = None
-        self.jobs: dict[str, Job] = {}
-        self.looking_again = LookingAgain()
+        self.jobs = Jobs()
         self.sessions = SessionIndex(self.config.session.output)
-        self._session: tuple[subprocess.Popen[bytes], Path] | None = None
+        self.started: tuple[subprocess.Popen[bytes], Path] | None = None
         self._handed_over: tuple[tuple[object, ...], HandOver | None] | None = None
         self.place = DeskStore(source)
         self.alarming = Alarming(self)
@@ -100,19 +100,15 @@ class Desk:
     # -- what is started --------------------------------------------------------
 
     def start(self, name: str, *words: str, values: Mapping[str, object] | None = None) -> Job:
-        """Start a command of this configuration that ends with the desk; one of a name at a time.
+        """Start a command of this configuration that uses the camera, and ends with the desk.
 
         Raises ConfigurationError where the camera is in use, or a trip is not acknowledged. May wait.
         """
         self._needs_leave(name)
         self.needs_camera(name)
         self.checked(values)
-        before = self.jobs.get(name)
-        if before is not None and before.running:
-            raise ConfigurationError(f"rig {name} is running already; end it first")
         sets = [word for one in self.overridden(values) for word in ("--set", one)]
-        self.jobs[name] = Job([*name.split(), str(self.source), *words, *sets])
-        return self.jobs[name]
+        return self.jobs.begin(name, str(self.source), *words, *sets, uses_camera=True)
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
@@ -123,7 +119,7 @@ class Desk:
             folder, _ = session_folder(config, self.source, None)
             sets = [word for one in self.overridden(values) for word in ("--set", one)]
             words = ["run", str(self.source), "-o", str(folder), *sets, *(["--force"] if force else [])]
-            self._session = start_session(words, folder), folder
+            self.started = start_session(words, folder), folder
         self.following.look_now(folder)
         return folder
 
@@ -132,7 +128,7 @@ class Desk:
         with self._lock:
             self._needs_leave("run")
             self.needs_camera("run")
-            self._session = start_session(["run", "--resume", str(folder)], folder), folder
+            self.started = start_session(["run", "--resume", str(folder)], folder), folder
         self.following.look_now(folder)
 
     def stop_session(self, wakes_within_s: float = _WAKES_WITHIN_S) -> str:
@@ -167,10 +163,10 @@ class Desk:
         """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""
         if self.following.running or (self.session_state is StartState.RUNNING and not self._has_ended()):
             raise ConfigurationError(f"rig {who} needs the camera, which a session has; wait, or stop it")
-        for name, job in self.jobs.items():
+        for name, job in self.jobs.running(uses_camera=True):
             # what has reported its result, or was asked to end, is about to end
             about_to = job.ending or "preflight" in job.newest
-            if job.running and not (about_to and job.wait(_ENDS_WITHIN_S)):
+            if not (about_to and job.wait(_ENDS_WITHIN_S)):
                 raise ConfigurationError(f"rig {who} needs the camera, which rig {name} has; end that first")
         self.end_aligning()
 
@@ -180,7 +176,7 @@ class Desk:
         One that was stopped answers no more, and its runs are on the page, before it has closed its devices.
         One that is still to be heard of, or whose report is being made, does not end.
         """
-        if self._session is None or self.following.last_folder != self._session[1]:
+        if self.started is None or self.following.last_folder != self.started[1]:
             return False
         deadline_s = time.monotonic() + _ENDS_WITHIN_S
         while self.session_state is StartState.RUNNING:
@@ -226,26 +222,21 @@ class Desk:
     @property
     def session_state(self) -> StartState | None:
         """Of the session that this desk has started; None if none was."""
-        if self._session is None:
+        if self.started is None:
             return None
-        status = self._session[0].poll()
+        status = self.started[0].poll()
         return StartState.RUNNING if status is None else StartState.DONE if status == 0 else StartState.FAILED
 
     @property
     def starting(self) -> bool:
         """Whether the session that this desk has started last has still to be heard of."""
-        begun = self._session
+        begun = self.started
         return begun is not None and begun[0].poll() is None and self.following.last_folder != begun[1]
-
-    @property
-    def started(self) -> "tuple[subprocess.Popen[bytes], Path] | None":
-        """The process and the folder of the session that this desk has started last."""
-        return self._session
 
     @property
     def session_folder(self) -> Path | None:
         """Folder of the running session, else of the last one that this desk has seen or started."""
-        return self.following.last_folder or (self._session[1] if self._session is not None else None)
+        return self.following.last_folder or (self.started[1] if self.started is not None else None)
 
     def resumable(self) -> Path | None:
         """The newest session, where it was interrupted and none runs: its missing runs can be made."""
@@ -279,13 +270,6 @@ class Desk:
             return []
         return text.splitlines()[-12:]
 
-    def hold(self) -> None:
-        """Be the only desk of this configuration and its sessions' folder.
-
-        Raises ConfigurationError where another one is.
-        """
-        self.place.hold(self.config.session.output)
-
     def close(self) -> None:
         """End what ends with the desk; a session goes on."""
         self.alarming.stop()
@@ -294,7 +278,6 @@ class Desk:
         self.end_aligning()
         for job in self.jobs.values():
             job.end()
-        self.looking_again.end()
         self.sessions.stop()
         self.place.close()
 

@@ -267,15 +267,19 @@ class Following:
 
 def _event_fields(reader: RecordFollower, elapsed_s: float, event: Event, run: str) -> dict[str, Any]:
     """An event of a record as the session tells its own."""
-    at = time.localtime(time.time() - time.monotonic() + reader.began_s + elapsed_s)
     return {
         "run": run,
         "elapsed_s": elapsed_s,
         "kind": event.kind,
         "level": event.level,
         "text": event.text,
-        "at": time.strftime("%H:%M:%S", at),
+        "at": clock(time.time() - time.monotonic() + reader.began_s + elapsed_s),
     }
+
+
+def clock(at_s: float) -> str:
+    """Time of the day of this computer."""
+    return time.strftime("%H:%M:%S", time.localtime(at_s))
 
 
 def doing(state: Mapping[str, Any] | None) -> str:

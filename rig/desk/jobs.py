@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _LAST_LINES = 200
 _OBJECTS = 2000
 """A measured balance has its whole way in them."""
+_READ_WITHIN_S = 2.0
 MESSAGES_NAME = "messages.txt"
 
 
@@ -35,23 +36,26 @@ def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
 class Job:
     """A command that ends with the desk, because its pipes do; it answers in JSON lines.
 
-    `lines` are the last objects it has printed, `said` its other words; `count` numbers the objects.
-    `ending`: it was asked to end, and will in a moment.
+    `lines` are the last objects it has printed, `said` its other words. `ending`: it was asked to end, and
+    will in a moment. `uses_camera`: while it runs nothing else has the camera, and LIGHT OFF ends it.
     """
 
-    def __init__(self, words: list[str]) -> None:
+    def __init__(self, words: list[str], *, uses_camera: bool) -> None:
         pipe = subprocess.PIPE
         self._process = start_python(
             "-m", "rig", *words, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8"
         )
-        self.name = words[0]
+        self.uses_camera = uses_camera
         self.ending = False
         self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
         self.newest: dict[str, dict[str, Any]] = {}
         self.said: deque[str] = deque(maxlen=_LAST_LINES)
-        self.count = 0
-        for target in (self._read, self._listen):
-            threading.Thread(target=target, name=f"job-{self.name}", daemon=True).start()
+        self._readers = [
+            threading.Thread(target=target, name=f"job-{words[0]}", daemon=True)
+            for target in (self._read, self._listen)
+        ]
+        for reader in self._readers:
+            reader.start()
 
     @property
     def running(self) -> bool:
@@ -62,12 +66,19 @@ class Job:
         """Its exit status; None while it runs."""
         return self._process.poll()
 
-    def wait(self, limit_s: float) -> bool:
-        """Whether it ends within the limit."""
+    @property
+    def problem(self) -> str:
+        """What it has said last, as the reason of its failure."""
+        return self.said[-1].removeprefix("rig: ") if self.said else f"ended with status {self.status}"
+
+    def wait(self, limit_s: float | None = None) -> bool:
+        """Whether it ends within the limit; what it has printed is read by then."""
         try:
             self._process.wait(limit_s)
         except subprocess.TimeoutExpired:
             return False
+        for reader in self._readers:
+            reader.join(_READ_WITHIN_S)
         return True
 
     def answer(self, text: str) -> None:
@@ -95,7 +106,6 @@ class Job:
                 if isinstance(found, dict):
                     self.lines.append(found)
                     self.newest[str(found.get("kind"))] = found
-                    self.count += 1
         with suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.close()
@@ -105,6 +115,24 @@ class Job:
         with self._process.stderr as lines:
             for line in lines:
                 self.said.append(line.rstrip())
+
+
+class Jobs(dict[str, Job]):
+    """The commands that a desk has started, the last one of each name."""
+
+    def begin(self, name: str, *words: str, uses_camera: bool) -> Job:
+        """Start `rig NAME`; raises ConfigurationError while the last one of this name runs."""
+        before = self.get(name)
+        if before is not None and before.running:
+            raise ConfigurationError(f"rig {name} still runs; wait, or end it first")
+        self[name] = Job([*name.split(), *words], uses_camera=uses_camera)
+        return self[name]
+
+    def running(self, *, uses_camera: bool) -> list[tuple[str, Job]]:
+        """Those that run and use the camera, or those that do not."""
+        return [
+            (name, job) for name, job in tuple(self.items()) if job.uses_camera is uses_camera and job.running
+        ]
 
 
 _NAME = "balance"

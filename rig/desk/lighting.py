@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 from processing.errors import ConfigurationError, DeviceError, RigError
 from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause, darken_beside
 from rig.desk.aligner import Aligner
-from rig.desk.following import Following
+from rig.desk.following import Following, clock
 from rig.devices import NOT_OURS, ORDERS_NAME, Devices, NoSession, OrderConnection, SessionBusy
 
 if TYPE_CHECKING:
@@ -91,10 +91,9 @@ class Lighting:
         orders = [_Order(_order_dark, folder) for folder in folders]
         # in a thread of its own: a disk that hangs holds nothing else up
         orders.append(_Order(self._holder_dark, folders))
-        for job in tuple(desk.jobs.values()):
-            if job.running:
-                job.end()
-                heard = True
+        for _, job in desk.jobs.running(uses_camera=True):
+            job.end()
+            heard = True
         end_s = time.monotonic() + _HEARD_WITHIN_S
         heard = any(order.heard(end_s) for order in orders) or heard
         unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
@@ -147,9 +146,8 @@ class Lighting:
             return aligner.acknowledge(number)
         if desk.following.running:
             return desk.following.order(f"acknowledge {number}")
-        for name, job in desk.jobs.items():
-            if job.running:
-                raise ConfigurationError(f"rig {name} has the devices; end it, then acknowledge")
+        for name, _ in desk.jobs.running(uses_camera=True):
+            raise ConfigurationError(f"rig {name} has the devices; end it, then acknowledge")
         with Devices(desk.config, desk.config.session.output, "the desk", desk.safety.unfiled) as devices:
             devices.wait_until_heard()
             return devices.acknowledge(number, "the desk")
@@ -350,18 +348,14 @@ def _lamp(text: str, kind: str, age_s: float) -> Mapping[str, object]:
 
 def _last_loop(confirmed: ConfirmedState | None) -> Mapping[str, object]:
     """`closed at 05:48:36`."""
-    return {} if confirmed is None else {"last": f"{confirmed.state} at {_clock(confirmed.at_s)}"}
-
-
-def _clock(at_s: float) -> str:
-    return time.strftime("%H:%M:%S", time.localtime(at_s))
+    return {} if confirmed is None else {"last": f"{confirmed.state} at {clock(confirmed.at_s)}"}
 
 
 def _last(confirmed: ConfirmedState | None) -> Mapping[str, object]:
     """`off, confirmed 05:48:36 by board and camera`; light that was on may be off by now."""
     if confirmed is None:
         return {}
-    said = f"confirmed {_clock(confirmed.at_s)} by {confirmed.by}"
+    said = f"confirmed {clock(confirmed.at_s)} by {confirmed.by}"
     is_on = confirmed.state is Light.ON
     text = f"unknown; on, {said}" if is_on else f"{confirmed.state}, {said}"
     return {"last": text, "last_age_s": round(time.time() - confirmed.at_s, 1)}

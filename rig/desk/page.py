@@ -5,7 +5,7 @@ import time
 from functools import partial
 from pathlib import Path
 
-from nicegui import run, ui
+from nicegui import ui
 from nicegui.events import KeyEventArguments
 
 from rig.control import STALE_S, LatchedTrip, TripCause
@@ -16,7 +16,7 @@ from rig.desk.following import doing
 from rig.desk.lighting import lamps, refusal
 from rig.desk.panels import PANELS
 from rig.desk.sessions import last_state
-from rig.desk.tab import DELIBERATE, Tab, at_once
+from rig.desk.tab import DELIBERATE, Tab, apart, at_once
 from rig.desk.theme import named_colours
 from rig.instrument import Phase
 from rig.presentation import loud
@@ -71,7 +71,7 @@ class PageHeader:
             with ui.element("div").classes("waits") as self._waits:
                 self._why_dark = ui.label()
                 self._acknowledge = tab.button("Acknowledge …", asking.ask).props('color="negative"')
-                self._again = tab.button("Light again", self._light)
+                self._again = tab.button("Light again", apart(desk.lighting.again))
                 self._again.props(f'color="positive" {DELIBERATE}')
             self._instruction = ui.label().classes("instruction").props('role="alert"')
             tab.errors = ui.element("div").classes("errors full-width")
@@ -95,9 +95,6 @@ class PageHeader:
         self._instruction.set_text(loud(asked_for))
         self._instruction.set_visibility(bool(asked_for))
         return self.alarms.refresh(refused)
-
-    async def _light(self) -> None:
-        ui.notify(await run.io_bound(self._desk.lighting.again))
 
 
 def _build_panels(desk: Desk, tab: Tab) -> None:
@@ -172,7 +169,7 @@ def _state(desk: Desk) -> str:
         return f"last session {how}{more}: {desk.session_folder.name}"
     if desk.session_folder is not None:
         return f"last session: {desk.session_folder.name}"
-    running = [name for name, job in desk.jobs.items() if job.running and "preflight" not in job.newest]
+    running = [name for name, job in desk.jobs.running(uses_camera=True) if "preflight" not in job.newest]
     return f"rig {', '.join(running)} runs" if running else f"ready · {desk.source.name}"
 
 
@@ -181,7 +178,7 @@ def _recording(desk: Desk) -> str:
     news = desk.following.news
     if desk.following.running:
         return str(news.get("run") or "") if (news.get("state") or {}).get("phase") == Phase.MEASURING else ""
-    return next((name for name, job in desk.jobs.items() if job.running and name.startswith("camera")), "")
+    return next((name for name, _ in desk.jobs.running(uses_camera=True) if name.startswith("camera")), "")
 
 
 def _keys() -> list[tuple[str, str]]:

@@ -202,7 +202,7 @@ def open_desk(
     configuration is open already.
     """
     desk = Desk(source, overrides, archive)
-    desk.hold()
+    desk.place.hold(desk.config.session.output)
     try:
         check_wiring(desk.config.laser, desk.config.controller)
         return _serve(desk, port, browser=browser)

@@ -1,9 +1,8 @@
-"""The sessions of a folder as the desk lists and finds them, and the commands that look at them again."""
+"""The sessions of a folder as the desk lists and finds them."""
 
 import json
 import math
 import os
-import re
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -13,10 +12,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from processing.errors import ConfigurationError, RigError
+from processing.errors import RigError
 from processing.fit import FitMethod
-from rig.calibrate import next_free
-from rig.desk.jobs import Job
 from rig.instrument import BALANCE_CONDITIONS
 from rig.measure import STATE_NAME, RunState, read_session, state_of
 from rig.presentation import quantity, with_uncertainty
@@ -24,10 +21,8 @@ from rig.presentation import quantity, with_uncertainty
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
-_STATE = "session.json"
 _LEAST_WAIT_S, _WAIT_OF_WORK = 1.0, 15.0
 """A large folder is looked through less often: one part in fifteen of a core at most."""
-_LAST_LINES = 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +99,7 @@ class SessionIndex:
         with suppress(OSError), os.scandir(self._output) as entries:
             for entry in entries:
                 with suppress(OSError):
-                    files.append((os.stat(f"{entry.path}/{_STATE}").st_mtime_ns, entry.path))
+                    files.append((os.stat(f"{entry.path}/{STATE_NAME}").st_mtime_ns, entry.path))
         files.sort(reverse=True)
         there = {path for _, path in files}
         for gone in self._known.keys() - there:
@@ -221,54 +216,3 @@ def served_file(output: Path, name: str) -> Path | None:
         # no name that a file can have: too long, or with a zero in it
         return None
     return path if shown else None
-
-
-class LookingAgain:
-    """Commands about closed sessions; they need no camera. One of each name runs at a time."""
-
-    def __init__(self) -> None:
-        self.jobs: dict[str, Job] = {}
-
-    def _start(self, name: str, *words: str) -> None:
-        before = self.jobs.get(name)
-        if before is not None and before.running:
-            raise ConfigurationError(f"rig {name} still runs; wait, or end it")
-        self.jobs[name] = Job([name, *words])
-
-    def report(self, folder: Path) -> None:
-        """Make the report of a session; as all of these, refused while the last one of its name runs."""
-        self._start("report", str(folder))
-
-    def view(self, folder: Path) -> None:
-        """Show a session in Rerun."""
-        self._start("view", str(folder), "--view", "web")
-
-    def fit(self, folder: Path) -> None:
-        """Fit the runs of a session again, into a folder of their own."""
-        self._start("fit", str(folder), "-o", str(next_free(folder, "fit")))
-
-    def end(self) -> None:
-        """End what runs."""
-        for job in self.jobs.values():
-            if job.running:
-                job.end()
-
-    @property
-    def running(self) -> bool:
-        """Whether one of them runs."""
-        return any(job.running for job in self.jobs.values())
-
-    def said(self) -> list[str]:
-        """How each command stands, and its last lines."""
-        lines: list[str] = []
-        for name, job in self.jobs.items():
-            state = "runs" if job.running else "done" if job.status == 0 else "failed"
-            lines += [f"rig {name}: {state}", *list(job.said)[-_LAST_LINES:]]
-        return lines
-
-    def address(self, name: str) -> str:
-        """The address that a command has printed, for a page that it serves; empty without one."""
-        job = self.jobs.get(name)
-        said = [] if job is None or not job.running else list(job.said)
-        found = [match[0] for line in said if (match := re.search(r"http://127\.0\.0\.1:\d+\S*", line))]
-        return found[-1] if found else ""

@@ -1,6 +1,7 @@
 """One tab of the browser: which panel it shows, what its buttons and keys do, where errors stand."""
 
 import asyncio
+import html
 import inspect
 import json
 import logging
@@ -8,7 +9,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
-from nicegui import context, ui
+from nicegui import context, run, ui
 from nicegui.elements.mixins.value_element import ValueElement
 
 from processing.errors import RigError
@@ -29,6 +30,14 @@ def at_once(element: E) -> E:
     shown = f"mounted_app.elements[{element.id}].props['{element.VALUE_PROP}']"
     element.on(f"update:{element.VALUE_PROP}", js_handler=f"value => {{ {shown} = value; }}")
     return element
+
+
+def box(title: str, classes: str = "", *, head: str = "title", region: str = "") -> ui.column:
+    """A box of a panel, below its title if it has one; a `region` has this name, and scrolls by keys."""
+    with ui.column().classes(f"box {classes}") as found:
+        if title:
+            ui.html(html.escape(title), tag="h3", sanitize=False).classes(head)
+    return found.props(f'role="region" aria-label="{region}" tabindex="0"') if region else found
 
 
 DELIBERATE = 'data-deliberate="true"'
@@ -151,6 +160,16 @@ class Tab:
         """Await it as a part of this tab: a task of its own does not know where its messages belong."""
         with self._client:
             await done
+
+
+def apart(do: Callable[..., object], *given: object) -> Handler:
+    """A handler that does it in a thread, since it may wait, and shows the words that it returns."""
+
+    async def done() -> None:
+        if isinstance(said := await run.io_bound(do, *given), str):
+            ui.notify(said)
+
+    return done
 
 
 _running: set["asyncio.Future[None]"] = set()

@@ -76,6 +76,7 @@ _GROWTH = 1.04
 """So many times more half-cycles are worth another fit: u falls by a tenth where it falls fastest."""
 _SHARE = 0.02
 """Largest part of a core that fits may have."""
+_WAITING_S = 1.0
 _EARLY_NS = 120_000_000_000
 """Deflections that are kept until the first half-cycles are found in them."""
 
@@ -145,8 +146,16 @@ class LivePosterior:
             self._due_half_cycles = FIRST_HALF_CYCLES
             self._latest = Posterior()
 
-    def take(self, swings: Sequence[HalfCycle], deflections: Deflections) -> None:
-        """Deflections that follow, and the half-cycles that end with them."""
+    def take(
+        self,
+        swings: Sequence[HalfCycle],
+        deflections: Deflections,
+        waiting: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Deflections that follow, and the half-cycles that end with them.
+
+        `waiting` is called every second while frames on demand wait for a fit, which is no stall.
+        """
         good = [swing for swing in swings if not swing.flags]
         if self._over:
             return
@@ -163,7 +172,8 @@ class LivePosterior:
                 self._thread.start()
             self._changed.notify_all()
             while self._in_step and not self._over and len(self._swings) >= self._due_half_cycles:
-                self._changed.wait()
+                waiting()
+                self._changed.wait(_WAITING_S)
 
     def _keep(self, deflections: Deflections) -> None:
         if not len(deflections):

@@ -341,6 +341,6 @@ def _wants_fit() -> bool:
 def _paths(folder: Path, runs: list[AnalysedRun], path: Path) -> list[tuple[str, Path]]:
     paths = []
     for run in runs:
-        paths.append(("record", run.record))
-        paths += [("Rerun file", rrd) for rrd in sorted(folder.glob(f"{run.record.stem}*.rrd"))]
+        paths.append(("record", run.path))
+        paths += [("Rerun file", rrd) for rrd in sorted(folder.glob(f"{run.path.stem}*.rrd"))]
     return [*paths, ("results", path)]

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from rig.presentation.printing import folded
 
@@ -47,6 +48,12 @@ class Verdict:
         return f"{self.name}: {self.said}"
 
     @property
+    def found(self) -> str:
+        """Value with its limit, and the reason; what there is of them."""
+        value = f"{self.measured} (limit {self.limit})" if self.limit else self.measured
+        return "; ".join(text for text in (value, self.reason) if text)
+
+    @property
     def said(self) -> str:
         """The line without its name."""
         judged = (
@@ -58,7 +65,7 @@ class Verdict:
 
 def failures(verdicts: Sequence[Verdict]) -> str:
     """The failed checks in one line; empty if all passed."""
-    bad = [f"{v.name}: {v.measured} (limit {v.limit}); {v.remedy}" for v in verdicts if not v.ok]
+    bad = [f"{v.name}: {'; '.join(filter(None, (v.found, v.remedy)))}" for v in verdicts if not v.ok]
     return "; ".join(bad)
 
 
@@ -76,7 +83,8 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
         table.add_column(name, overflow="fold")
     for verdict in verdicts:
         cells = [verdict.name, verdict.measured or verdict.reason]
-        table.add_row(_mark(verdict), *cells, *([verdict.limit] if limited else []))
+        # a remedy may name an extra in brackets, which a cell of text would take for a style
+        table.add_row(_mark(verdict), *map(Text, [*cells, *([verdict.limit] if limited else [])]))
     console.print(table, highlight=False)
     for verdict in verdicts:
         if verdict.remedy:

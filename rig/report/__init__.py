@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.comparison import compare
-from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg
+from rig.report.drawing import INK, ReportFigure, canvas, png, styled, svg, three_columns
 from rig.report.html import check_report
 from rig.report.session_report import (
     draw_run,
@@ -20,7 +20,7 @@ from rig.report.tables import instrument_table, series_table
 
 if TYPE_CHECKING:
     from rig.report.paper_tables import reproduce_paper
-    from rig.report.plan import ageing_table, plan_expected, plan_figure, plan_table, print_plan, save_plan
+    from rig.report.plan import ageing_table, plan_expected, plan_figure, plan_table, save_plan
     from rig.report.planned_run import (
         PlannedContact,
         expected_of,
@@ -31,19 +31,14 @@ if TYPE_CHECKING:
     from rig.report.session_export import export_session
 
 _LATER = {
-    "export_session": "session_export",
-    "PlannedContact": "planned_run",
-    "expected_of": "planned_run",
-    "expected_of_run": "planned_run",
-    "expected_of_table": "planned_run",
-    "planned_expectation": "planned_run",
-    "ageing_table": "plan",
-    "plan_expected": "plan",
-    "plan_figure": "plan",
-    "plan_table": "plan",
-    "print_plan": "plan",
-    "save_plan": "plan",
-    "reproduce_paper": "paper_tables",
+    name: module
+    for module, names in {
+        "session_export": "export_session",
+        "planned_run": "PlannedContact expected_of expected_of_run expected_of_table planned_expectation",
+        "plan": "ageing_table plan_expected plan_figure plan_table save_plan",
+        "paper_tables": "reproduce_paper",
+    }.items()
+    for name in names.split()
 }
 """What is imported when it is asked for, by module."""
 

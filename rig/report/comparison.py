@@ -181,7 +181,8 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     sessions = {}
     for folder in folders:
         found = read_results(folder)
-        sessions[_label(folder, folders) + _origin_text(found)] = found
+        origin = " (SIMULATED)" if any(run.simulated for run in found.runs) else ""
+        sessions[_label(folder, folders) + origin] = found
     fitted = any(_combined_of(found) or any(run.fits for run in found.runs) for found in sessions.values())
     series = {
         label: (series_of if fitted else decays_of)(found, folder)
@@ -202,9 +203,8 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
             with styled():
                 drawings = [comparison_figure(names, rows), *([against_figure(seen, over)] if over else [])]
                 figures = save_figures(drawings, files)
-            body = [*figures, *(html.table(content) for content in tables)]
+            body = [*figures.values(), *(html.table(content) for content in tables)]
             page = html.page("Series compared", ", ".join(series), body)
-            atomic_write.take_away_leftovers(output.parent, output.name)
             atomic_write.write_new(output, page.encode())
     return tables
 
@@ -215,10 +215,6 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
         raise ConfigurationError(f"{folder}: named twice; a comparison needs different sessions")
     name = folder.resolve().name
     return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
-
-
-def _origin_text(session: SessionResults) -> str:
-    return " (SIMULATED)" if any(run.simulated for run in session.runs) else ""
 
 
 def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
@@ -352,9 +348,9 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
     if tested:
         differ = sum(line.cells[-1] == "differ" for line in lines)
         said.append(
-            f"{differ} of {tested} comparisons differ; the others are in the CSV. Welch's t test; chance: "
-            "the probability of a difference at least as large between identical series, the 5 % level "
-            "being shared by all rows."
+            f"{differ} of {tested} comparisons differ (-o FILE.html writes all of them). Welch's t test; "
+            "chance: the probability of a difference at least as large between identical series, the 5 % "
+            "level being shared by all rows."
         )
     if untested:
         said.append(

@@ -15,9 +15,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from processing.arrays import Floats
 from rig.presentation import palette
 
-Array = NDArray[np.float64]
 WIDTH_IN: Final = 7.1
 DATA: Final = palette.BLUE
 """Measured points: darker than on the view's dark ground, so that single dots read on paper."""
@@ -113,16 +113,15 @@ def one_axes(
     figure = canvas(height_in)
     axes = figure.subplots()
     figure.subplots_adjust(left=left, right=right, bottom=bottom, top=0.95)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
+    axes.set(xlabel=x_label, ylabel=y_label)
     return figure, axes
 
 
 def three_columns(count: int, rows_in: Callable[[int], float], **margins: float) -> tuple[Figure, list[Axes]]:
-    """A figure with `count` panels, three in a row; `rows_in` is its height by the number of rows."""
+    """A figure with `count` panels, up to three in a row; `rows_in` is its height by the number of rows."""
     rows = (count + 2) // 3
     figure = canvas(rows_in(rows))
-    panels = list(figure.subplots(rows, 3, squeeze=False).flat)
+    panels = list(figure.subplots(rows, min(count, 3), squeeze=False).flat)
     figure.subplots_adjust(right=0.985, **margins)
     for spare in panels[count:]:
         spare.set_visible(False)
@@ -189,7 +188,7 @@ def _make_room(figure: Figure) -> None:
         )
 
 
-def dots(axes: Axes, x: NDArray[Any], y: Array, colour: str) -> None:
+def dots(axes: Axes, x: NDArray[Any], y: Floats, colour: str) -> None:
     """Small dots as one line with round ends, of no length at each: a mark each makes a large file."""
     gap = np.full(len(x), np.nan)
     beside = x + 1e-6 * (float(np.ptp(x)) or 1.0)
@@ -197,7 +196,7 @@ def dots(axes: Axes, x: NDArray[Any], y: Array, colour: str) -> None:
     axes.plot(*ends, "-", color=colour, lw=2.0, solid_capstyle="round", snap=False)
 
 
-def envelope(x: Array, y: Array, columns: int = 900) -> tuple[Array, Array, Array]:
+def envelope(x: Floats, y: Floats, columns: int = 900) -> tuple[Floats, Floats, Floats]:
     """Least and largest y in each of some even stretches of x: a long oscillation as a band.
 
     Returns x, low, high; stretches without a finite y are left out. x must rise.
@@ -212,7 +211,7 @@ def envelope(x: Array, y: Array, columns: int = 900) -> tuple[Array, Array, Arra
     return x[starts], np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
 
 
-def broken(x: Array, *columns: Array) -> tuple[Array, ...]:
+def broken(x: Floats, *columns: Floats) -> tuple[Floats, ...]:
     """The same with NaN amid every step of x that is five times the usual one, so that lines end there."""
     if len(x) < 3:
         return x, *columns
@@ -229,7 +228,7 @@ def thinned(count: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.rint(np.linspace(0, count - 1, most)).astype(np.int64))
 
 
-def span(axes: Axes, values: Array, weight_share: float = 0.0, margin: float = 0.07) -> None:
+def span(axes: Axes, values: Floats, weight_share: float = 0.0, margin: float = 0.07) -> None:
     """Set the y range to the finite values, without the outermost share on either side."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
@@ -239,7 +238,7 @@ def span(axes: Axes, values: Array, weight_share: float = 0.0, margin: float = 0
     axes.set_ylim(low - pad, high + pad)
 
 
-def from_data(values: Array, margin: float = 0.02) -> tuple[float, float]:
+def from_data(values: Floats, margin: float = 0.02) -> tuple[float, float]:
     """Limits of an axis of what is never negative: from zero where the values come near it, else theirs."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:

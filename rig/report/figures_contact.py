@@ -6,6 +6,7 @@ from dataclasses import asdict
 import numpy as np
 from matplotlib.axes import Axes
 
+from processing.arrays import Floats
 from processing.contact import ContactParameters, PendulumOnBall, cycle_work, moment_loop, weight_moment
 from processing.fit import FitMethod
 from processing.instruments import DEGREE_RAD
@@ -19,7 +20,6 @@ from rig.report.drawing import (
     EXACT,
     INK,
     SMOOTH,
-    Array,
     ReportFigure,
     canvas,
     one_axes,
@@ -54,8 +54,7 @@ def loop_figure(
             axes.fill(closed, moment, color=palette.SKY_BLUE, alpha=0.25, lw=0)
         axes.axhline(0, color=INK, lw=0.5)
         axes.axvline(0, color=INK, lw=0.5)
-        axes.set_title(title)
-        axes.set_xlabel("φ / arcsec")
+        axes.set(title=title, xlabel="φ / arcsec")
     said = [(0.96, f"4A = {plain(work.dissipated_j * 1e15)} fJ")]
     if sees_c:
         adhesive = weight_moment(pendulum) * parameters.c * 1e9
@@ -132,8 +131,7 @@ def comparison_figure(names: Sequence[str], series: Mapping[str, Mapping[str, Re
             ends = [row.lower * scale, row.upper * scale]
             axes.plot([position, position], ends, "_-", color=colour, lw=0.9, ms=5)
         axes.set_xticks(x, list(series), rotation=25, ha="right")
-        axes.set_xlim(-0.5, len(series) - 0.5)
-        axes.set_title(quantity(name).label)
+        axes.set(xlim=(-0.5, len(series) - 0.5), title=quantity(name).label)
         axes.tick_params(axis="y", labelsize=7)
     return ReportFigure("comparison", "Series compared", "Bars are 95 % intervals of each series.", figure)
 
@@ -203,7 +201,7 @@ def _ten_swings(hardness: ResultRow | None, points: TurningPoints) -> ReportFigu
     )
 
 
-def _decrement(table: Mapping[str, Array]) -> ReportFigure:
+def _decrement(table: Mapping[str, Floats]) -> ReportFigure:
     figure, axes = one_axes(2.8, "amplitude / degrees", "log decrement of a whole swing", bottom=0.17)
     bars = _dots(axes, table["amplitude_deg"], table["log_decrement"], table["u_log_decrement"])
     axes.set_xscale("log")
@@ -217,7 +215,7 @@ def _decrement(table: Mapping[str, Array]) -> ReportFigure:
     )
 
 
-def _period(table: Mapping[str, Array]) -> ReportFigure:
+def _period(table: Mapping[str, Floats]) -> ReportFigure:
     figure, axes = one_axes(3.2, "amplitude / degrees", "period / s", bottom=0.15)
     amplitude = table["amplitude_deg"]
     order = np.argsort(amplitude)
@@ -239,7 +237,7 @@ def _period(table: Mapping[str, Array]) -> ReportFigure:
     )
 
 
-def _plane(table: Mapping[str, Array]) -> ReportFigure:
+def _plane(table: Mapping[str, Floats]) -> ReportFigure:
     figure, axes = one_axes(2.6, "time / s", "direction / degrees", bottom=0.18)
     axes.plot(table["time_s"], table["direction_deg"], "o", color=DATA)
     return ReportFigure(
@@ -250,7 +248,7 @@ def _plane(table: Mapping[str, Array]) -> ReportFigure:
     )
 
 
-def _dots(axes: Axes, x: Array, y: Array, u: Array, label: str | None = None) -> str:
+def _dots(axes: Axes, x: Floats, y: Floats, u: Floats, label: str | None = None) -> str:
     """Draw points with their standard uncertainties; returns what is said of the bars."""
     hidden = bool(np.max(u) < _SEEN * np.ptp(y))
     caps = 0 if hidden else 2.5

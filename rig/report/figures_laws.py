@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 
+from processing.arrays import Floats
 from processing.contact import ContactParameters, PendulumOnBall, measured_losses, model_losses
 from processing.errors import DataError
 from processing.fit import FitMethod
@@ -50,19 +52,16 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
         dots(bottom, time, exact_residual[shown], EXACT)
         bottom.axhline(0, color=INK, lw=0.6)
         span(bottom, np.concatenate([residual, exact_residual]), 0.002, 0.1)
-        bottom.set_xlabel("t / s")
-        bottom.set_ylabel(f"data − fit / 10⁻³ {unit.shown}")
-    rings = thinned(len(points), _RINGS)
-    top.plot(
-        points.time_s[rings], points.amplitude[rings] / size, "o", mfc="none", mec=DATA, mew=0.8,
-        ms=4.0, label="turning points" + (" (some)" if len(points) > _RINGS else ""), zorder=5,
-    )  # fmt: skip
+        bottom.set(xlabel="t / s", ylabel=f"data − fit / 10⁻³ {unit.shown}")
+    _rings(top, points.time_s, points.amplitude / size, "turning points")
     if curves is not None:
         top.plot(points.time_s, curves.asymptotic_rad / size, color=ASYMPTOTIC, lw=2.0, label="Eq. 5")
         top.plot(points.time_s, curves.exact_rad / size, color=EXACT, lw=0.9, label=FitMethod.EXACT)
-    top.set_ylabel(f"α / {unit.shown}")
-    top.set_xlim(0, points.time_s[-1] * 1.005)
-    top.set_ylim(*from_data(points.amplitude / size, 0.04))
+    top.set(
+        ylabel=f"α / {unit.shown}",
+        xlim=(0, points.time_s[-1] * 1.005),
+        ylim=from_data(points.amplitude / size, 0.04),
+    )
     top.legend(loc="upper right")
     return ReportFigure(
         "fig12-decay",
@@ -71,6 +70,13 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
         + (" with Eq. 5 and the exact half-swing map; residuals below." if curves else "."),
         figure,
     )
+
+
+def _rings(axes: Axes, x: Floats, y: Floats, label: str) -> None:
+    """Some of the data, over the curves."""
+    some = thinned(len(x), _RINGS)
+    label += " (some)" if len(x) > _RINGS else ""
+    axes.plot(x[some], y[some], "o", mfc="none", mec=DATA, mew=0.8, ms=4.0, label=label, zorder=5)
 
 
 def period_figure(curves: Curves) -> ReportFigure:
@@ -89,11 +95,7 @@ def period_figure(curves: Curves) -> ReportFigure:
     shown = thinned(len(order), _DOTS)
     bars = thinned(len(order), _BARS)
     top.errorbar(alpha[bars], period[bars], u[bars], fmt="none", ecolor=palette.SKY_BLUE, elinewidth=0.5)
-    rings = thinned(len(order), _RINGS)
-    top.plot(
-        alpha[rings], period[rings], "o", mfc="none", mec=DATA, mew=0.8, ms=4.0, zorder=5,
-        label="measured" + (" (some)" if len(order) > _RINGS else ""),
-    )  # fmt: skip
+    _rings(top, alpha, period, "measured")
     # the curve sets the range, and the data where they are worth something
     rough = u > 4 * np.median(u)
     for label, (values, colour, width) in models.items():
@@ -103,9 +105,7 @@ def period_figure(curves: Curves) -> ReportFigure:
     residuals = [(period - values[order])[~rough] * 1e3 for values, _, _ in models.values()]
     span(bottom, np.concatenate(residuals), 0.005, 0.25)
     bottom.axhline(0, color=INK, lw=0.6)
-    bottom.set_xlabel("α / arcsec")
-    bottom.set_xlim(*from_data(alpha))
-    bottom.set_ylabel("data − curve / ms")
+    bottom.set(xlabel="α / arcsec", xlim=from_data(alpha), ylabel="data − curve / ms")
     top.set_ylabel("T / s")
     top.ticklabel_format(axis="y", useOffset=False)
     top.legend(loc="best")
@@ -138,9 +138,7 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
         dots(left, points.index[shown], values[shown], DATA)
         left.plot(points.index[outlying], np.clip(values[outlying], -4.4, 4.4), "x", color=EXACT, ms=4)
         left.axhline(0, color=INK, lw=0.6)
-        left.set_ylim(-4.5, 4.5)
-        left.set_ylabel(f"{name}, (data − fit)/u")
-        left.set_xlim(points.index[0], points.index[-1])
+        left.set(ylim=(-4.5, 4.5), ylabel=f"{name}, (data − fit)/u", xlim=(points.index[0], points.index[-1]))
         right.hist(
             np.clip(values, -4.4, 4.4), bins=36, range=(-4.5, 4.5), orientation="horizontal", density=True,
             color=palette.SKY_BLUE,
@@ -227,13 +225,11 @@ def moments_figure(laws: ComparedLaws, free: ModelFreeMoments) -> ReportFigure:
         for name, law, colour in zip(shown, of_laws, _SEVERAL * len(shown), strict=False):
             top.plot(phi, law * 1e9, color=colour, lw=0.9, label=name)
             bottom.plot(phi, (law - values) / u, color=colour, lw=0.9)
-        top.set_title(title)
-        top.set_ylabel("M / nN m")
+        top.set(title=title, ylabel="M / nN m")
         bottom.set_ylabel("(law − no law)/u", fontsize=7.5)
         bottom.set_ylim(-5, 5)
         amplitude_axis(bottom, float(phi[0]), float(phi[-1]))
-        bottom.set_xlabel("φ / arcsec")
-        bottom.set_xlim(phi[0], phi[-1])
+        bottom.set(xlabel="φ / arcsec", xlim=(phi[0], phi[-1]))
     panels[0, 0].legend(loc="upper left")
     return ReportFigure(
         "moments",

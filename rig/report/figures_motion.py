@@ -7,18 +7,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from processing.arrays import Floats
 from processing.damping import amplitude_at
 from processing.fit import BaseMotion, Ground, SeismometerSpectra
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.swing import ResidualSpectrum
-from rig.analysis import PositionErrors, RunResults, StoredTurningPoints
+from rig.analysis import PositionErrors, RunResults
 from rig.presentation import palette
 from rig.report.drawing import (
     ASYMPTOTIC,
     DATA,
     EXACT,
     INK,
-    Array,
     ReportFigure,
     broken,
     canvas,
@@ -95,8 +95,7 @@ def frame_figure(picture: RecordedPicture) -> ReportFigure:
     left.set_title(f"frame {picture.frame.sequence}")
     right.set_title(f"spot at ({picture.x_px:.3f}, {picture.y_px:.3f}) px; circle 2σ")
     for axes in (left, right):
-        axes.set_xlabel("x / px")
-        axes.set_ylabel("y / px")
+        axes.set(xlabel="x / px", ylabel="y / px")
         axes.tick_params(color="white", labelcolor=INK)
     return ReportFigure(
         "fig00-frame",
@@ -128,7 +127,7 @@ def fast_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
 
 
 def _motion_figure(
-    time_s: Array, values: Array, name: str, unit: str, colour: str, period_s: float
+    time_s: Floats, values: Floats, name: str, unit: str, colour: str, period_s: float
 ) -> Figure:
     figure = canvas(3.5)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.25, 1.0])
@@ -153,7 +152,7 @@ def _motion_figure(
     return figure
 
 
-def _zoom(axes: Axes, time_s: Array, values: Array, start_s: float, length_s: float, colour: str) -> None:
+def _zoom(axes: Axes, time_s: Floats, values: Floats, start_s: float, length_s: float, colour: str) -> None:
     inside = np.nonzero((time_s >= start_s) & (time_s <= start_s + length_s))[0]
     inside = inside[thinned(len(inside), _LINE_POINTS)]
     axes.plot(*broken(time_s[inside], values[inside]), color=colour, lw=0.8)
@@ -182,8 +181,7 @@ def trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
     left.set_title("one scale")
     right.set_title("X stretched")
     for axes in (left, right):
-        axes.set_xlabel(f"X / {motion.unit.shown}")
-        axes.set_ylabel(f"Y / {motion.unit.shown}")
+        axes.set(xlabel=f"X / {motion.unit.shown}", ylabel=f"Y / {motion.unit.shown}")
     right.legend(loc="lower right", handlelength=1.2)
     return ReportFigure(
         "fig11-trajectory",
@@ -193,11 +191,11 @@ def trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
     )
 
 
-def damped_figure(stored: StoredTurningPoints, results: RunResults, unit: ShownUnit) -> ReportFigure:
+def damped_figure(results: RunResults, unit: ShownUnit) -> ReportFigure:
     """Amplitude against time with its residuals and what was left out, period, and time constant against
     amplitude.
     """
-    points = stored.points()
+    points, stored = results.points, results.stored
     amplitude, u_amplitude = points.amplitude / unit.shown_size, points.u_amplitude / unit.shown_size
     figure = canvas(4.6)
     ((top, tau), (below, period)) = figure.subplots(2, 2, height_ratios=[1.5, 1.0])
@@ -210,8 +208,7 @@ def damped_figure(stored: StoredTurningPoints, results: RunResults, unit: ShownU
         left_out = np.abs(stored.left_out_amplitude) / unit.shown_size
         top.plot(stored.left_out_time_s, left_out, "x", color=INK, ms=4, lw=0, label="flagged, left out")
         top.legend(loc="upper right")
-    top.set_yscale("log")
-    top.set_ylabel(f"amplitude / {unit.shown}")
+    top.set(yscale="log", ylabel=f"amplitude / {unit.shown}")
     found = results.damping
     if found is not None and found.curve:
         parts = [part.value for part in (found.constant, found.linear, found.quadratic)]
@@ -226,15 +223,12 @@ def damped_figure(stored: StoredTurningPoints, results: RunResults, unit: ShownU
         tau.fill_between(at, value - u, value + u, color=EXACT, alpha=0.3, lw=0)
         tau.plot(at, value, color=EXACT)
     below.axhline(0.0, color=INK, lw=0.6)
-    below.set_xlabel("t / s")
-    below.set_ylabel(f"data − fit / {unit.shown}")
-    tau.set_xlabel(f"amplitude / {unit.shown}")
-    tau.set_ylabel("time constant / s")
+    below.set(xlabel="t / s", ylabel=f"data − fit / {unit.shown}")
+    tau.set(xlabel=f"amplitude / {unit.shown}", ylabel="time constant / s")
     steps = np.diff(points.index)
     half_s = np.diff(points.time_s) / steps
     dots(period, points.time_s[1:], 2.0 * half_s, DATA)
-    period.set_xlabel("t / s")
-    period.set_ylabel("2 × half-period / s")
+    period.set(xlabel="t / s", ylabel="2 × half-period / s")
     return ReportFigure(
         "damping",
         "Damping",
@@ -287,8 +281,8 @@ def spectrum_figure(
 def _as_acceleration(
     axes: Axes,
     spectrum: ResidualSpectrum,
-    frequency_hz: Array,
-    density: Array,
+    frequency_hz: Floats,
+    density: Floats,
     ground: Ground,
     base: BaseMotion,
 ) -> None:
@@ -324,13 +318,12 @@ def _as_acceleration(
 
 def _frequency_axis(axes: Axes, spectrum: ResidualSpectrum) -> None:
     axes.axvline(spectrum.pendulum_hz, color=INK, lw=0.7, ls=":")
-    axes.set_xlim(0.5 * spectrum.pendulum_hz, float(spectrum.frequency_hz[-1]))
-    axes.set_xlabel("frequency / Hz")
+    axes.set(xlim=(0.5 * spectrum.pendulum_hz, float(spectrum.frequency_hz[-1])), xlabel="frequency / Hz")
 
 
 def _binned(
     spectrum: ResidualSpectrum,
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Means over bins of equal width in log frequency: a line that can be read on a logarithmic scale."""
     bins = np.round(np.log10(spectrum.frequency_hz) * _BINS_A_DECADE)
     _, start = np.unique(bins, return_index=True)
@@ -359,8 +352,7 @@ def witness_figure(spectra: SeismometerSpectra) -> ReportFigure:
     left.legend(loc="best")
     right.plot(frequency_hz, spectra.coherence, color=DATA, lw=1.0)
     right.axhline(1 / spectra.stretches, color=INK, lw=0.7, ls="--")
-    right.set_ylim(0.0, 1.02)
-    right.set_ylabel("squared coherence")
+    right.set(ylim=(0.0, 1.02), ylabel="squared coherence")
     for axes in (left, right):
         axes.set_xlim(frequency_hz[0], frequency_hz[-1])
         axes.axvline(0.5 * (frequency_hz[0] + frequency_hz[-1]), color=INK, lw=0.7, ls=":")

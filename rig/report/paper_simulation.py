@@ -4,8 +4,8 @@
 2023, 11(2), 88.
 """
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Final
 
 from acquisition.simulation.settings import (
@@ -18,9 +18,17 @@ from acquisition.simulation.true_path import noisy, true_path, true_turning_poin
 from processing.contact import MATERIALS, ContactParameters, PendulumOnBall, pendulum_on_ball
 from processing.deflections import slow_deflections
 from processing.fit import FitMethod, FitResult, InputQuantity, RigQuantities, fit_asymptotic, fit_exact
-from processing.swing import TurningPoints, swings_of_blocks, turning_points
+from processing.swing import swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, seconds
-from rig.analysis import RunResults, Series, combined_series, contact_values, settled_swings
+from rig.analysis import (
+    AnalysedRun,
+    RunResults,
+    Series,
+    StoredTurningPoints,
+    combined_series,
+    settled_swings,
+    with_contact,
+)
 from rig.report.source import ShownTrajectory, ShownUnit
 from rig.settings import FitSettings
 
@@ -108,13 +116,12 @@ PAIRS: Final = (
 class PairSeries:
     """One contact pair, simulated and analysed.
 
-    `points` are the turning points of all runs; `motion` and `run` belong to the first run, `series` to all.
+    `motion` and `run` belong to the first run, `series` to all.
     """
 
     pair: PrintedPair
     parameters: ContactParameters
     pendulum: PendulumOnBall
-    points: Sequence[TurningPoints]
     motion: ShownTrajectory
     run: RunResults
     series: Series
@@ -132,13 +139,14 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
     pendulum, settings = pair.pendulum, pair.settings(b_exponent)
     motion = true_path(settings, _end_s(settings) + 0.6 * pair.period0_s)
     noise_rad = NOISE_ARCSEC * ARCSEC_RAD
-    runs, exact, shown = [], [], []
+    runs, exact, shown, stored = [], [], [], []
     for number in range(_RUNS):
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
         deflections = slow_deflections(seen.times_ns, seen.y_rad, noise_rad)
         swings = swings_of_blocks([deflections])
         settled = settled_swings(swings, [deflections], deflections.unit, pendulum, FitSettings())
         runs.append(turning_points(settled.swings))
+        stored.append(StoredTurningPoints.of(runs[-1], settled.swings, deflections.unit, 1.0))
         exact.append(settled.exact or fit_exact(runs[-1], pendulum))
         time_s = seconds(seen.times_ns - next(swing.turn_time_ns for swing in swings if swing.flags == 0))
         unit = ShownUnit("arcsec", ARCSEC_RAD)
@@ -154,6 +162,7 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         InputQuantity(1.0), InputQuantity(1.0),
     )  # fmt: skip
     of_first = {name: found[0] for name, found in fits.items()}
-    run = RunResults(record="", **contact_values("", runs[0], pendulum, of_first, rig))
+    first = AnalysedRun(path=Path(), record="", turning_points=stored[0], fitted=of_first, rig=rig)
+    run = with_contact(first, pendulum)
     series = combined_series(fits, runs, pendulum, rig)
-    return PairSeries(pair, pair.parameters(b_exponent), pendulum, runs, shown[0], run, series)
+    return PairSeries(pair, pair.parameters(b_exponent), pendulum, shown[0], run, series)

@@ -21,8 +21,8 @@ from processing.fit import FitMethod
 from processing.units import ARCSEC_RAD
 from rig.analysis import curves_of
 from rig.presentation import (
-    Cell,
     Table,
+    TableRow,
     answer,
     plain,
     power,
@@ -99,8 +99,7 @@ def reproduce_paper(output: Path | None, b_exponent: int) -> None:
 
 def table1() -> Table:
     """Contact according to Hertz, calculated from the materials, without simulation."""
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     load_n = MASS_KG * STANDARD_GRAVITY_M_PER_S2
     for pair in PAIRS:
         contact = hertz_contact(load_n, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[pair.flat])
@@ -112,13 +111,13 @@ def table1() -> Table:
         )):  # fmt: skip
             verdict = _agreement(found - printed, 0.0, last_digit) or "differs"
             difference = found / printed - 1
-            rows.append([pair.name, what, unit, printed, found, difference, verdict])
             label, name = f"{what} / {unit}", "" if place else pair.flat_name
-            shown.append([name, label, f"{printed:g}", plain(found, 4), _percent(difference), verdict])
-    return Table(
+            texts = [name, label, f"{printed:g}", plain(found, 4), _percent(difference), verdict]
+            lines.append(TableRow([pair.name, what, unit, printed, found, difference, verdict], texts))
+    return Table.of(
         "table1", "Table 1: contact after Hertz",
-        ("pair", "quantity", "unit", "printed", "calculated", "relative_difference", "verdict"), rows,
-        ("", "", "printed", "calculated", "difference", "verdict"), shown,
+        ("pair", "quantity", "unit", "printed", "calculated", "relative_difference", "verdict"),
+        ("", "", "printed", "calculated", "difference", "verdict"), lines,
     )  # fmt: skip
 
 
@@ -158,8 +157,7 @@ def table3(found: Sequence[PairSeries]) -> Table:
 
 def table4(found: Sequence[PairSeries]) -> Table:
     """Work over one cycle, with the printed and with the fitted parameters."""
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     for series in found:
         fits = [series.series.fits[method] for method in (_EXACT, _ASYMPTOTIC)]
         contacts = [ContactParameters(**{name: fit[name].value for name in PAPER.names()}) for fit in fits]
@@ -170,17 +168,15 @@ def table4(found: Sequence[PairSeries]) -> Table:
         for what, attribute in (("4A", "dissipated_j"), ("4Aₜ", "adhesive_j")):
             expected, exact, way = (getattr(work, attribute) * 1e15 for work in works)
             off = exact / expected - 1, way / expected - 1
-            rows.append([series.pair.name, what, "fJ", expected, exact, way, *off])
-            shown.append(
-                [
-                    series.pair.flat_name if what == "4A" else "", f"{what} / fJ", plain(expected),
-                    plain(exact), _percent(off[0]), plain(way), _percent(off[1]), "no printed number",
-                ]
-            )  # fmt: skip
-    return Table(
+            texts = [
+                series.pair.flat_name if what == "4A" else "", f"{what} / fJ", plain(expected),
+                plain(exact), _percent(off[0]), plain(way), _percent(off[1]), "no printed number",
+            ]  # fmt: skip
+            lines.append(TableRow([series.pair.name, what, "fJ", expected, exact, way, *off], texts))
+    return Table.of(
         "table4", f"Table 4: work over one cycle at {_LOOP_AMPLITUDE_ARCSEC:g} arcsec",
-        ("pair", "quantity", "unit", "of_printed_parameters", _EXACT, _ASYMPTOTIC, *_DIFFERENCES), rows,
-        ("", "", "of printed parameters", *_FITS_HEAD), shown,
+        ("pair", "quantity", "unit", "of_printed_parameters", _EXACT, _ASYMPTOTIC, *_DIFFERENCES),
+        ("", "", "of printed parameters", *_FITS_HEAD), lines,
     )  # fmt: skip
 
 
@@ -258,26 +254,24 @@ def _arae(series: PairSeries, key: str, label: str) -> _PrintedRow:
 
 
 def _compared(name: str, title: str, rows: Sequence[_PrintedRow]) -> Table:
-    shown = []
+    lines = []
     before: PrintedPair | None = None
     for row in rows:
         without_u, off = math.isnan(row.u), [_percent(one) for one in row.differences]
-        shown.append(
-            [
-                row.pair.flat_name if row.pair is not before else "",
-                f"{row.label} / {row.unit.removeprefix(' × ')}" if row.unit != "1" else row.label,
-                f"{row.printed:.6g}",
-                plain(row.exact, 2) if without_u else with_uncertainty(row.exact, row.u),
-                off[0], plain(row.other, 2 if without_u else 5), off[1], f"{row.verdict}{row.remark}",
-            ]
-        )  # fmt: skip
+        texts = [
+            row.pair.flat_name if row.pair is not before else "",
+            f"{row.label} / {row.unit.removeprefix(' × ')}" if row.unit != "1" else row.label,
+            f"{row.printed:.6g}",
+            plain(row.exact, 2) if without_u else with_uncertainty(row.exact, row.u),
+            off[0], plain(row.other, 2 if without_u else 5), off[1], f"{row.verdict}{row.remark}",
+        ]  # fmt: skip
+        lines.append(TableRow([row.pair.name, *row[1:-3], *row.differences, row.verdict], texts))
         before = row.pair
     notes = dict.fromkeys(f"{row.label}: {row.note}. " for row in rows if row.note)
-    cells: list[list[Cell]] = [[row.pair.name, *row[1:-3], *row.differences, row.verdict] for row in rows]
-    return Table(
+    return Table.of(
         name, title,
         ("pair", "quantity", "unit", "printed", _EXACT, f"u_{_EXACT}", _ASYMPTOTIC, *_DIFFERENCES, "verdict"),
-        cells, ("", "", "printed", *_FITS_HEAD), shown, "".join(notes).rstrip(),
+        ("", "", "printed", *_FITS_HEAD), lines, "".join(notes).rstrip(),
     )  # fmt: skip
 
 
@@ -314,16 +308,15 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
             body.append(html.heading(series.pair.name[0].upper() + series.pair.name[1:]))
             body.append(html.table(combined))
             with styled():
-                body += save_figures(_drawings(series), folder)
+                body += save_figures(_drawings(series), folder).values()
         page = html.page("Tables and figures of Lubricants 2023, 11(2), 88", "made again", body)
-        atomic_write.take_away_leftovers(target.parent, target.name)
         atomic_write.write_new(target, page.encode())
     return target
 
 
 def _drawings(series: PairSeries) -> list[ReportFigure]:
-    points, motion = series.points[0], series.motion
-    curves, exact = curves_of(points, series.run), series.run.fits[_EXACT]
+    points, motion = series.run.points, series.motion
+    curves, exact = curves_of(series.run), series.run.fits[_EXACT]
     period_s = exact.mean_period_s.value
     drawings = [
         figures_motion.slow_figure(motion, period_s),

@@ -15,7 +15,7 @@ from processing.contact import DRAG
 from processing.errors import DataError
 from processing.fit import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.units import ARCSEC_RAD
-from rig.presentation import Cell, Table, answer, palette, percent, plain, print_tables, quantity
+from rig.presentation import Table, TableRow, answer, palette, percent, plain, quantity
 from rig.report.planned_run import PlannedContact
 
 if TYPE_CHECKING:
@@ -88,16 +88,15 @@ def _share(u: float, value: float, unit: str) -> str:
 def plan_table(plan: Plan) -> Table:
     """A row for every run or series: time of all runs, and the relative uncertainty of every parameter."""
     names, scales, conditions = list(plan.runs[0].u), plan.scales, plan.conditions
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     for run, count in product(plan.runs, plan.counts):
         first, last = run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD
         all_s, u = count * run.duration_s, [run.u[name] / math.sqrt(count) for name in names]
-        rows.append([first, last, run.duration_s, run.half_cycles, count, all_s, *u])
         drowned = "" if run.complete else " (the ground ends it earlier)"
         drowned += "" if run.duration_s <= plan.longest_s else " *"
         shares = [_share(one, scales[name], quantity(name).unit) for name, one in zip(names, u, strict=True)]
-        shown.append([f"{first:g} to {last:g}{drowned}", f"{count}", f"{all_s / 60:.1f}", *shares])
+        texts = [f"{first:g} to {last:g}{drowned}", f"{count}", f"{all_s / 60:.1f}", *shares]
+        lines.append(TableRow([first, last, run.duration_s, run.half_cycles, count, all_s, *u], texts))
     note = (
         "Standard uncertainties from the swings alone, in per cent of the value where no unit is given; "
         "total time of all runs. One amplitude is measured to "
@@ -111,9 +110,9 @@ def plan_table(plan: Plan) -> Table:
         note += f" * session.max_duration_s = {plan.longest_s:g} would end it earlier: raise it for this."
     columns = ("first_arcsec", "last_arcsec", "duration_s", "half_cycles", "runs", "rig_time_s")
     symbols = [f"u({quantity(name).symbol})" for name in names]
-    return Table(
-        "plan", "Expected uncertainties", (*columns, *(f"u_{name}" for name in names)), rows,
-        ("amplitudes, arcsec", "runs", "min", *symbols), shown, note,
+    return Table.of(
+        "plan", "Expected uncertainties", (*columns, *(f"u_{name}" for name in names)),
+        ("amplitudes, arcsec", "runs", "min", *symbols), lines, note,
     )  # fmt: skip
 
 
@@ -140,36 +139,29 @@ def _percent(share: float) -> str:
 
 def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
     """A row for the run by itself and for every pair: time, and the uncertainties of b and of the ageing."""
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     series, proposed = plan_ageing(plan, waits_s)
     for one in series:
         between = [(run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD) for run in one.runs]
         second, waiting = (between[1][0], f"{one.waiting_s / 60:g}") if len(between) > 1 else (math.nan, "")
         u_b, per_h = (one.u_steady["b"], one.u["b"]), 3600.0 * one.u_ageing_per_s
-        rows.append([*between[0], second, one.waiting_s, one.duration_s, *u_b, one.u_ageing_per_s])
+        cells = [*between[0], second, one.waiting_s, one.duration_s, *u_b, one.u_ageing_per_s]
         words = ", then ".join(f"{first:g} to {last:g}" for first, last in between)
         words += " <- proposed" if one is proposed else ""
         relative = [_percent(u / abs(plan.values["b"])) for u in u_b]
         rate = _percent(per_h) + (" per h" if per_h < 10 else "")
-        shown.append([words, waiting, f"{one.duration_s / 60:.1f}", *relative, rate])
+        lines.append(TableRow(cells, [words, waiting, f"{one.duration_s / 60:.1f}", *relative, rate]))
     symbol = quantity("b").symbol
-    return Table(
+    return Table.of(
         "plan_ageing", "Runs that reveal ageing of the contact",
         ("first_arcsec", "last_arcsec", "second_first_arcsec", "waiting_s", "elapsed_s", "u_b_steady",
          "u_b", "u_ageing_per_s"),
-        rows,
         ("amplitudes, arcsec", "waiting, min", "elapsed, min", f"u({symbol}), no ageing",
          f"u({symbol}), unknown ageing", "u(ageing)"),
-        shown,
+        lines,
         "For friction that changes linearly with time at an unknown rate; the period of each run is free. "
         f"{symbol} refers to the middle of the elapsed time. A change of the air looks like ageing.",
     )  # fmt: skip
-
-
-def print_plan(plan: Plan, ageing: Table) -> None:
-    """The tables on the terminal."""
-    print_tables([plan_table(plan), ageing])
 
 
 def save_plan(plan: Plan, folder: Path, ageing: Table) -> None:
@@ -211,8 +203,7 @@ def plan_figure(plan: Plan) -> "ReportFigure":
                 minutes = [count * run.duration_s / 60 for run in runs]
                 faint = 1.0 if rank == 0 else 0.45
                 by_time.plot(minutes, u_percent / np.sqrt(count), line, color=colour, marker=".", alpha=faint)
-    by_amplitude.set_xscale("log")
-    by_amplitude.set_yscale("log")
+    by_amplitude.set(xscale="log", yscale="log")
     by_amplitude.invert_xaxis()
     lasts = sorted({run.last_rad / ARCSEC_RAD for run in plan.runs})
     by_amplitude.set_xticks(lasts, [f"{last:g}" for last in lasts])

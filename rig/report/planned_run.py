@@ -83,9 +83,9 @@ def planned_expectation(
 
 def expected_of_run(run: AnalysedRun) -> PlannedContact:
     """Contact, noise and ground of a run that was made. Raises DataError where it has no fit."""
-    exact, pendulum = run.fits.get(FitMethod.EXACT), run.results.pendulum
+    exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
-        raise DataError(f"{run.record}: a plan needs a fitted run: {run.results.problem or 'it has no fit'}")
+        raise DataError(f"{run.path}: a plan needs a fitted run: {run.problem or 'it has no fit'}")
     values = {name: exact.estimate(name).value for name in exact.contact_names}
     return PlannedContact(values, pendulum, Conditions.of(exact, run.points))
 
@@ -95,21 +95,21 @@ def expected_of_table(results: Path) -> PlannedContact:
 
     Raises DataError: no decay in it has a fit of the contact.
     """
-    exact, pendulum, stored = max(
+    exact, pendulum, points = max(
         (
-            (run.fits[FitMethod.EXACT], run.pendulum, run.turning_points)
+            (run.fits[FitMethod.EXACT], run.pendulum, run.points)
             for run in read_results(results).runs
-            if FitMethod.EXACT in run.fits and run.pendulum is not None and run.turning_points is not None
+            if FitMethod.EXACT in run.fits and run.pendulum is not None
         ),
-        key=lambda found: len(found[2].time_s),
+        key=lambda found: len(found[2]),
         default=(None, None, None),
     )
-    if exact is None or pendulum is None or stored is None:
+    if exact is None or pendulum is None or points is None:
         raise DataError(
             f"{results}: no decay in it has a fit of the contact; rig fit TABLE --unit arcsec --config "
             "CONFIG makes one"
         )
-    points, ground = stored.points(), exact.ground
+    ground = exact.ground
     scale = 1.0 if ground is None else ground.measurement_scale
     conditions = Conditions(
         scale * float(np.median(points.u_amplitude)),

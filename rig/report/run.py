@@ -23,7 +23,6 @@ from rig.analysis import (
     RunResults,
     Series,
     SessionResults,
-    StoredTurningPoints,
     TableDecay,
     encoded,
     read_results,
@@ -60,27 +59,22 @@ class Exported:
         return self.own_units.get(column) or unit_of_name(column)
 
 
-def runs_in(source: Path) -> list[tuple[str, Path, RunResults | None]]:
+def runs_in(source: Path) -> tuple[list[tuple[str, Path, RunResults | None]], Series | None]:
     """Names and records with their results: of a folder with results.json or such a file, or one record with
-    those next to it, if any.
+    those next to it, if any; and what the runs say together, None for one record.
     """
     if source.is_dir() or source.suffix == ".json":
-        folder = source if source.is_dir() else source.parent
-        runs = read_results(source).runs
+        folder, results = source if source.is_dir() else source.parent, read_results(source)
+        alone = len(results.runs) == 1
         return [
-            (_name(run, k if len(runs) > 1 else None), folder / run.record, run)
-            for k, run in enumerate(runs, start=1)
-        ]
-    results = None
+            (_name(run, None if alone else k), folder / run.record, run)
+            for k, run in enumerate(results.runs, start=1)
+        ], results.series
+    found = None
     if (source.parent / RESULTS_NAME).exists():
         runs = read_results(source.parent).runs
-        results = next((run for run in runs if run.record == source.name), None)
-    return [(source.stem, source, results)]
-
-
-def series_in(source: Path) -> Series | None:
-    """What the runs of a results file, or of its folder, say together; None for one record."""
-    return read_results(source).series if source.is_dir() or source.suffix == ".json" else None
+        found = next((run for run in runs if run.record == source.name), None)
+    return [(source.stem, source, found)], None
 
 
 def _name(run: RunResults, decay: int | None) -> str:
@@ -152,7 +146,7 @@ def read_table_decay(folder: Path, decay: RunResults, name: str) -> Exported:
 
     Raises RecordError where the positions beside the results cannot be read.
     """
-    stored, place = decay.turning_points or StoredTurningPoints(), decay.decay or TableDecay()
+    stored, place = decay.stored, decay.decay or TableDecay()
     own = decay.amplitude_unit or "unit"
     of_angle = stored.unit is DeflectionUnit.RAD
     unit, size = ("rad", conversion(own, "rad")) if of_angle else (own, 1.0)

@@ -21,7 +21,6 @@ from rig.report.run import (
     read_run,
     read_table_decay,
     runs_in,
-    series_in,
 )
 from rig.report.session_report import latex_tables
 
@@ -39,9 +38,8 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """
     if kind == "latex":
         return _export_latex(source, output)
-    found = runs_in(source)
+    found, series = runs_in(source)
     suffix = "csv" if kind == "csv" else "parquet"
-    series = series_in(source)
     names = [name for name, _, _ in found]
     made = [table_path(output, name, what, suffix) for name in names for what in TABLES]
     if series is not None:

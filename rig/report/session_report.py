@@ -41,7 +41,6 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     files = target.parent / target.stem
     with written(target):
         files.mkdir(parents=True, exist_ok=True)
-        atomic_write.take_away_leftovers(target.parent, target.name)
         series = [] if source.series is None else _series(source, source.series, files)
         alone = len(source.runs) == 1
         runs = [_run(run, files / f"run-{k}", alone=alone) for k, run in enumerate(source.runs, start=1)]
@@ -67,7 +66,7 @@ def draw_run(source: Path | SessionResults, number: int) -> list[ReportFigure]:
         named = source if isinstance(source, Path) else "results"
         raise RecordError(f"{named}: run {number} is not there; it has runs 1 to {len(runs)}")
     run = runs[number - 1]
-    return _drawings(run, _curves(run))
+    return _drawings(run, curves_of(run.results))
 
 
 def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
@@ -90,7 +89,7 @@ def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
     body.append(html.notes(apart))
     if series.fits:
         with styled():
-            body += save_figures([figures_contact.series_figure(series)], files)
+            body += save_figures([figures_contact.series_figure(series)], files).values()
     body += [html.table(table) for table in tables[1:]]
     save_tables(tables, files)
     return body
@@ -111,12 +110,12 @@ _ORDER = (
 def _run(run: RunData, files: Path, *, alone: bool) -> dict[str, str]:
     """The parts of a run in their order, figures and tables by their names."""
     files.mkdir(parents=True, exist_ok=True)
-    curves = _curves(run)
+    curves = curves_of(run.results)
     tables = run_tables(run, curves)
     save_tables(tables, files)
     tables_shown = {table.name: html.table(table) for table in tables if table.shown}
     with styled():
-        figures = {d.name: text for d, text in _pictures(_drawings(run, curves), files)}
+        figures = save_figures(_drawings(run, curves), files)
     body = {"heading": html.heading(run.title)}
     if not alone:
         body["said"] = html.paragraph(sentence(run)) + html.notes(notes_of(run))
@@ -135,12 +134,8 @@ def _taken(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
     return "\n".join(found.pop(name) for found in (tables, figures) if name in found)
 
 
-def _curves(run: RunData) -> Curves | None:
-    return curves_of(run.points, run.results) if len(run.points) >= 3 else None
-
-
 def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
-    motion, points = run.motion, run.points
+    motion, points = run.motion, run.results.points
     fit = run.results.fits.get(FitMethod.EXACT)
     period_s = _period(run) if fit is None else fit.mean_period_s.value
     drawings = [figures_motion.frame_figure(run.picture)] if run.picture else []
@@ -154,7 +149,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     if len(points) >= 3:
         drawings.append(figures_laws.decay_figure(points, curves, motion.unit))
     if run.results.damping is not None and not run.results.fits:
-        drawings.append(damped_figure(run.stored, run.results, motion.unit))
+        drawings.append(damped_figure(run.results, motion.unit))
     if run.results.position_errors is not None:
         drawings.append(place_figure(run.results.position_errors))
     if run.results.instrument is not None or run.is_table:
@@ -192,27 +187,22 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
 
 def _period(run: RunData) -> float:
     """Mean period of the turning points, for the length of the detail views."""
-    points = run.points
+    points = run.results.points
     if len(points) < 2:
         return _DEFAULT_PERIOD_S
     return float(2 * (points.time_s[-1] - points.time_s[0]) / (points.index[-1] - points.index[0]))
 
 
-def _pictures(drawings: Sequence[ReportFigure], files: Path) -> list[tuple[ReportFigure, str]]:
-    """Write every figure, drawn once, and its HTML: a frame is pixels, and PNG, all else lines, and SVG."""
+def save_figures(drawings: Sequence[ReportFigure], files: Path) -> dict[str, str]:
+    """Write every figure as a file: a frame is pixels, and PNG, all else lines, and SVG. Its HTML by name."""
     atomic_write.take_away_leftovers(files)
-    found = []
+    found = {}
     for drawing in drawings:
         is_frame = drawing.name.endswith("frame")
         data = png(drawing) if is_frame else svg(drawing)
         atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
-        found.append((drawing, html.picture(drawing, data, "image/png" if is_frame else "image/svg+xml")))
+        found[drawing.name] = html.picture(drawing, data, "image/png" if is_frame else "image/svg+xml")
     return found
-
-
-def save_figures(drawings: Sequence[ReportFigure], files: Path) -> list[str]:
-    """Write figures as files; returns their HTML in order."""
-    return [text for _, text in _pictures(drawings, files)]
 
 
 def save_tables(tables: Sequence[Table], files: Path) -> None:

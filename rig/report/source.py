@@ -14,25 +14,23 @@ from acquisition.camera import Frame
 from acquisition.record.digest import RecordedCamera, known_sha256_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import RecordedNote
+from processing.arrays import Floats
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
 from processing.instruments import DEGREE_RAD
-from processing.swing import ResidualSpectrum, TurningPoints, residual_spectrum
+from processing.swing import ResidualSpectrum, residual_spectrum
 from processing.units import NS_PER_S, conversion
 from rig.analysis import (
     JsonObject,
     RunResults,
     Series,
     SessionResults,
-    StoredTurningPoints,
     TableDecay,
     read_results,
     results_path,
 )
 from rig.instrument import CONFIGURATION_NAME, recorded_configuration
 from rig.intake import along_and_across, read_positions
-
-Array = NDArray[np.float64]
 
 
 class ShownUnit(NamedTuple):
@@ -46,9 +44,9 @@ class ShownUnit(NamedTuple):
 class ShownTrajectory:
     """Deflection of every frame as shown, so in `unit.shown`; NaN where the spot was lost."""
 
-    time_s: Array
-    x: Array
-    y: Array
+    time_s: Floats
+    x: Floats
+    y: Floats
     unit: ShownUnit
 
 
@@ -64,15 +62,14 @@ class RecordedPicture:
 
 @dataclass(frozen=True)
 class RunData:
-    """One run: its results, the turning points that were fitted, its motion.
+    """One run: its results, with the turning points that were fitted, and its motion.
 
-    `motion` counts time from the first turning point, as `stored` does. `provenance` is text by section
+    `motion` counts time from the first turning point, as they do. `provenance` is text by section
     and key. `spectrum`, of what the samples hold besides the swing, is None for runs too short for one.
     """
 
     title: str
     results: RunResults
-    stored: StoredTurningPoints
     motion: ShownTrajectory
     picture: RecordedPicture | None
     provenance: Mapping[str, Mapping[str, str]]
@@ -80,19 +77,9 @@ class RunData:
     notes: Sequence[str] = ()
 
     @property
-    def simulated(self) -> bool:
-        """Whether the frames are those of the simulated rig."""
-        return bool(self.results.simulated)
-
-    @property
     def is_table(self) -> bool:
         """Whether it is a decay of a table or a film, which knows nothing of frames and cameras."""
         return self.results.decay is not None
-
-    @property
-    def points(self) -> TurningPoints:
-        """The turning points as the fits took them."""
-        return self.stored.points()
 
 
 @dataclass(frozen=True)
@@ -142,16 +129,11 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
         picture = _picture(reader, spots, notes)
         deflections = reader.deflections(spots)
         provenance: dict[str, Mapping[str, str]] = {
-            "file": {
-                "record": path.name,
-                "sha256": results.sha256,
-                **{f"sha256 of {name}": value for name, value in results.inputs_sha256.items()},
-            },
+            "file": {"record": path.name, **_hashes(results)},
             **reader.metadata,
         }
         configuration = reader.attachments.get(CONFIGURATION_NAME)
         rate = _clock_rate(reader, notes)
-        stored = results.turning_points or StoredTurningPoints()
         spectrum = _spectrum(reader, deflections) if results.fits else None
         if len(spots):
             provenance["file"] = {
@@ -165,7 +147,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     if configuration is not None:
         simulated = RecordedCamera.of(provenance).simulated
         provenance["configuration"] = shown_configuration(json.loads(configuration), simulated=simulated)
-    first_ns = stored.first_ns or (int(spots["time_ns"][0]) if len(spots) else 0)
+    first_ns = results.stored.first_ns or (int(spots["time_ns"][0]) if len(spots) else 0)
     unit = ShownUnit(deflections.unit.shown, deflections.unit.shown_size)
     if results.instrument is not None and deflections.unit is DeflectionUnit.RAD:
         unit = ShownUnit("deg", DEGREE_RAD)
@@ -177,7 +159,12 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
     )
     if results.calibration:
         provenance["calibration"] = _flat(results.calibration)
-    return RunData(f"Run {number}", results, stored, motion, picture, provenance, spectrum, notes)
+    return RunData(f"Run {number}", results, motion, picture, provenance, spectrum, notes)
+
+
+def _hashes(run: RunResults) -> dict[str, str]:
+    """Of its record or table, and of what belongs to it."""
+    return {"sha256": run.sha256, **{f"sha256 of {name}": one for name, one in run.inputs_sha256.items()}}
 
 
 def _as_line(note: RecordedNote, rate: float, spots: NDArray[Any]) -> str:
@@ -245,8 +232,7 @@ def decay_of_table(folder: Path, table: SessionResults, decay: RunResults, numbe
 
     Its motion is that of positions.csv in the folder; empty where that is not there, with a note.
     """
-    place = decay.decay or TableDecay()
-    stored = decay.turning_points or StoredTurningPoints()
+    place, stored = decay.decay or TableDecay(), decay.stored
     of_angle = stored.unit is DeflectionUnit.RAD
     unit = ShownUnit(table.unit, conversion(table.unit, "rad") if of_angle else 1.0)
     notes = [*table.understood]
@@ -255,13 +241,9 @@ def decay_of_table(folder: Path, table: SessionResults, decay: RunResults, numbe
     except RigError as error:
         notes.append(f"no motion is drawn: {error}")
         motion = ShownTrajectory(np.empty(0), np.empty(0), np.empty(0), unit)
-    file = {
-        "table": decay.record,
-        "sha256": decay.sha256,
-        **{f"sha256 of {name}": value for name, value in decay.inputs_sha256.items()},
-    }
+    file = {"table": decay.record, **_hashes(decay)}
     title = f"Decay {number}" if len(table.runs) > 1 else "Decay"
-    return RunData(title, decay, stored, motion, None, {"file": file, "session": place.session}, None, notes)
+    return RunData(title, decay, motion, None, {"file": file, "session": place.session}, None, notes)
 
 
 def _motion(folder: Path, decay: TableDecay, zero_s: float, unit: ShownUnit) -> ShownTrajectory:

@@ -39,7 +39,7 @@ def title_of(source: ReportSource) -> tuple[str, str]:
     if session.get("operator"):
         words.append(f"operator {session['operator']}")
     words += [word for word in (session.get("contact_history"), session.get("notes")) if word]
-    if any(run.simulated for run in source.runs):
+    if any(run.results.simulated for run in source.runs):
         title = f"SIMULATED: {title}"
     results = first.results
     what = "Free decay of a pendulum on one ball" if results.fits else "Free decay of a pendulum"
@@ -52,7 +52,7 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
     """The verdict with the parameters beside the first decay; below it how all this was measured."""
     run, series = source.runs[0].results, source.series
     body = []
-    if any(data.simulated for data in source.runs):
+    if any(data.results.simulated for data in source.runs):
         body.append(
             '<div class="warn">SIMULATED: every number comes from the simulated rig; '
             "nothing was measured.</div>"
@@ -129,13 +129,13 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
     else:
         driver = first.provenance.get("camera", {}).get("driver", "")
         stored = "a film or a folder of images" if driver == "files" else "a camera"
-        rows.append(("frames from", "the simulated rig" if first.simulated else stored))
+        rows.append(("frames from", "the simulated rig" if first.results.simulated else stored))
     rows += [("laws of the contact", _PAPER)] if first.results.fits else []
     return [(name, text) for name, text in rows if text]
 
 
 def _lasted(run: RunData) -> str:
-    time_s = run.motion.time_s if len(run.motion.time_s) else run.points.time_s
+    time_s = run.motion.time_s if len(run.motion.time_s) else run.results.points.time_s
     length_s = time_s[-1] - time_s[0] if len(time_s) else 0.0
     return f"{length_s / 60:.1f} min"
 
@@ -169,7 +169,7 @@ def _to_copy(source: ReportSource, found: RowsByName) -> list[str]:
     several = f"{len(source.runs)} runs" if len(source.runs) > 1 else "one run"
     half_cycles = sum(data.results.half_cycles for data in source.runs)
     version = first.provenance.get("versions", {}).get("optical-pendulum-rig", "")
-    simulated = "SIMULATED: " if any(data.simulated for data in source.runs) else ""
+    simulated = "SIMULATED: " if any(data.results.simulated for data in source.runs) else ""
     values = ", ".join(row.equation for row in rows)
     text = (
         f"{simulated}From {several} with {half_cycles} half-cycles: {values} (standard uncertainties of "
@@ -187,7 +187,7 @@ def _to_copy(source: ReportSource, found: RowsByName) -> list[str]:
 def sentence(run: RunData) -> str:
     """How much was measured in a run, in one sentence."""
     results, unit = run.results, run.motion.unit.shown
-    left_out = len(run.stored.left_out_flags)
+    left_out = len(run.results.stored.left_out_flags)
     taken = (
         f"{results.frames} rows"
         if run.is_table

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Final
 
 from processing.contact import weight_moment
@@ -21,6 +21,7 @@ from rig.analysis import (
     law_table,
     moments_table,
     parameter_table,
+    plain_row,
     quality_table,
     waveform_table,
 )
@@ -92,8 +93,7 @@ def _part(contribution: float) -> str:
 
 def series_table(series: Series) -> Table:
     """A series combined: exact, asymptotic, and the paper's way."""
-    rows: list[list[Cell]] = []
-    shown = []
+    lines = []
     exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
     average = series.averaged_curves or AveragedCurves()
     for name in exact or asymptotic:
@@ -105,25 +105,22 @@ def series_table(series: Series) -> Table:
             average.parameters.get(name, NOT_DETERMINED),
         ]
         known = (row.value, row.u_total, row.lower, row.upper) if row is not None else [math.nan] * 4
-        rows.append([name, *known, *cells, *others[0], *others[1]])
         between = cells[1] * shown_as.factor
         told = row is None or row.determined
-        shown.append(
-            [
-                shown_as.label,
-                "" if row is None else row.text,
-                "" if row is None else row.interval_text,
-                plain(between, 2) if between else "none seen",
-                *(shown_as.text(value, u) if told else "" for value, u in others),
-            ]
-        )  # fmt: skip
-    return Table(
+        texts = [
+            shown_as.label,
+            "" if row is None else row.text,
+            "" if row is None else row.interval_text,
+            plain(between, 2) if between else "none seen",
+            *(shown_as.text(value, u) if told else "" for value, u in others),
+        ]
+        lines.append(TableRow([name, *known, *cells, *others[0], *others[1]], texts))
+    return Table.of(
         "series", "The series",
         ("parameter", "value", "u_total", "lower_95", "upper_95", *_SERIES_KEYS, "asymptotic_value",
          "asymptotic_u", "averaged_curves_value", "averaged_curves_u"),
-        rows,
         ("", FitMethod.EXACT, "95 % interval", "between runs", FitMethod.ASYMPTOTIC.heading,
-         "curves averaged first"), shown,
+         "curves averaged first"), lines,
         "Runs combined with their own and the between-run scatter, Student's t for the 95 % interval, and "
         "with the apparatus as far as stated; beside it, of the swings alone, Eqs. 5 and 6, and the paper's "
         "way: the runs' curves averaged, then Eqs. 5 and 6 fitted.",
@@ -183,13 +180,7 @@ _THEORIES = ("JKR", "Maugis-Dugdale", "DMT")
 def adhesion_table(results: RunResults) -> Table:
     """The contact with adhesion, where c is determined; Hertz's is in the table of results."""
     rows = [row for row in results.table if row.fit in _THEORIES]
-    lines = [
-        TableRow(
-            [f"{row.quantity} ({row.fit})", *row],
-            [f"{row.shown.symbol}, {row.fit}", row.text, row.shown.unit],
-        )
-        for row in rows
-    ]
+    lines = [_line(f"{row.quantity} ({row.fit})", f"{row.shown.symbol}, {row.fit}", row) for row in rows]
     note = (
         "With adhesion the spot is larger than Hertz's and the surface energy smaller. The Tabor parameter "
         f"of {results.number('tabor').value:.2g} (equilibrium separation 0.3 nm) selects {results.adhesion}; "
@@ -236,7 +227,7 @@ def correlation_table(results: RunResults) -> Table:
 
 def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
     """Every half-cycle that was fitted, with the models beside it, for the file."""
-    points, unit = run.points, run.motion.unit
+    points, unit = run.results.points, run.motion.unit
     size = unit.shown_size
     columns = ["index", "time_s", "u_time_s", f"amplitude_{unit.shown}", f"u_amplitude_{unit.shown}"]
     arrays = [
@@ -270,30 +261,24 @@ def _name(row: ResultRow) -> str:
     return f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}"
 
 
-def _labelled(name: str, unit: str) -> str:
-    return f"{name} / ({unit})" if "/" in unit else " / ".join(filter(None, (name, unit)))
-
-
 def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple[str, str]]:
     """Labels and texts of what is looked for first.
 
     They are those of the series where it has several places, else of the run; the ratio to a reference is the
     series'.
     """
-    found = [(_labelled(_name(row), row.shown.unit), row.text) for row in _rows(results)]
+    found = [(_name(row), row) for row in _rows(results)]
     if series is not None:
         many = series.time_s is not None and series.time_s.places > 1
-        of_series = [*_ratios(series), *(_place_rows(series) if many else ())]
-        of_series_text = [(_labelled(name, row.shown.unit), row.text) for name, row in of_series]
-        found = [*of_series_text, *([] if many else found)]
-    return found[:_MOST_FIRST]
+        found = [*_series_rows(series, with_places=many), *([] if many else found)]
+    return [(replace(row.shown, symbol=name).label, row.text) for name, row in found[:_MOST_FIRST]]
 
 
 def instrument_table(results: RunResults) -> Table:
     """Every number with its unit, and what the standard wants of environment and apparatus."""
     checks = () if results.instrument is None else results.instrument.checks
     more = [""] if checks else []
-    lines = [_line(row.quantity, _name(row), row, more) for row in _rows(results)]
+    lines = [_line(row.quantity, _name(row), row, *more) for row in _rows(results)]
     for check in checks:
         limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
         cells: list[Cell] = [check.name, check.value, check.standard_uncertainty]
@@ -305,31 +290,27 @@ def instrument_table(results: RunResults) -> Table:
 _VALUE_COLUMNS = "quantity value standard_uncertainty"
 
 
-def _line(key: str, name: str, row: ResultRow, more: list[str]) -> TableRow:
+def _line(key: str, name: str, row: ResultRow, *more: str) -> TableRow:
     return TableRow([key, *row], [name, row.text, row.shown.unit, *more])
 
 
 def instrument_series_table(series: InstrumentSeries) -> Table:
     """What the places of a sample say together, and their ratio to a reference."""
-    found = [*_ratios(series), *_place_rows(series)]
+    found = [*_series_rows(series, with_places=True)]
     if series.reference_time_s is not None:
-        value, u = series.reference_time_s
-        row = ResultRow(quantity="damping_time_s", value=value, u_total=u)
+        row = plain_row("damping_time_s", series.reference_time_s, "")
         found.append(("damping time of the reference", row))
-    lines = [_line(name, name, row, []) for name, row in found]
+    lines = [_line(name, name, row) for name, row in found]
     return Table.of("series", "The series", _VALUE_COLUMNS, ("", "value ± u", "unit"), lines)
 
 
-def _place_rows(series: InstrumentSeries) -> Iterator[tuple[str, ResultRow]]:
-    for key, found in (("damping_time_s", series.time_s), ("damping_swings", series.swings)):
-        if found is not None:
-            row = ResultRow(quantity=key, value=found.value, u_total=found.standard_uncertainty)
-            yield f"{row.shown.name}, mean of {found.places} places", row
-
-
-def _ratios(series: InstrumentSeries) -> Iterator[tuple[str, ResultRow]]:
-    for name, found in (("damping times", series.ratio), ("swings", series.ratio_of_swings)):
-        value, u = found or (math.nan, math.nan)
-        if found is not None:
-            row = ResultRow(quantity="damping_swings", value=value, u_total=u)
-            yield f"ratio of {name}, sample to reference", row
+def _series_rows(series: InstrumentSeries, *, with_places: bool) -> Iterator[tuple[str, ResultRow]]:
+    """Ratios to a reference, and the means over places, each with its name in words."""
+    for name, ratio in (("damping times", series.ratio), ("swings", series.ratio_of_swings)):
+        if ratio is not None:
+            yield f"ratio of {name}, sample to reference", plain_row("damping_swings", ratio, "")
+    means = (("damping_time_s", series.time_s), ("damping_swings", series.swings))
+    for key, mean in means if with_places else ():
+        if mean is not None:
+            row = plain_row(key, Estimate(mean.value, mean.standard_uncertainty), "")
+            yield f"{row.shown.name}, mean of {mean.places} places", row

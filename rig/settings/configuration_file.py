@@ -55,7 +55,9 @@ def _hint(said: str, text: str) -> str:
     place = re.search(r"at line (\d+)", said)
     line = text.splitlines()[int(place[1]) - 1] if place and int(place[1]) <= text.count("\n") + 1 else ""
     if said.startswith(_TWICE):
-        return "; this is stated twice"
+        return "; this is stated twice, as a section or with its name before a point: state it once"
+    if number := re.match(r"\s*([\w.]+)\s*=\s*[+-]?\d[\d.eE+-]*\s+[^\W\d]", line):
+        return f"; {number[1]} is a number alone, in the unit that its name ends with"
     if number := re.search(r"=\s*([+-]?\d+),(\d+)", line):
         return f"; a decimal point is meant: {number[1]}.{number[2]}"
     if re.fullmatch(r"\s*[\w.]+\s*=\s*[A-Za-z_].*", line):

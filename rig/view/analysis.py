@@ -5,7 +5,7 @@ Its XY plots are drawn in Spatial2DViews with their own axes.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import rerun as rr
@@ -13,10 +13,8 @@ import rerun as rr
 from acquisition.record.digest import sha256_of
 from processing.deflections import DeflectionUnit
 from processing.fit import FitMethod
-from processing.swing import TurningPoints
 from rig.analysis import (
     RunResults,
-    StoredTurningPoints,
     analyse_record,
     curves_of,
     parameter_table,
@@ -45,25 +43,13 @@ BARS_AT_MOST: Final = 400
 """Largest number of error bars of one curve."""
 
 
-class RunAnalysis(NamedTuple):
-    """The results of one record, and the turning points that were fitted."""
-
-    record: Path
-    results: RunResults
-    points: TurningPoints
-    unit: DeflectionUnit
-
-
-def run_analysis(record: Path) -> RunAnalysis:
+def run_analysis(record: Path) -> RunResults:
     """The results next to the record if they were made from this file, else a new fit."""
     _, known = recorded_results(record, sha256_of(record))
-    results = analyse_record(record).results if known is None else known
-    stored = results.turning_points or StoredTurningPoints()
-    # of a record, so never a table's
-    return RunAnalysis(record, results, stored.points(), DeflectionUnit(stored.unit))
+    return analyse_record(record) if known is None else known
 
 
-def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[AnalysisCurve]:
+def analysis_curves(runs: Mapping[str, RunResults]) -> list[AnalysisCurve]:
     """Decay and T(alpha) with both fits and their residuals; only the data of a run without fits.
 
     Of several runs, in common axes, the data and the exact fit's residuals, named by the run.
@@ -71,11 +57,12 @@ def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[AnalysisCurve]:
     drawn: list[AnalysisCurve] = []
     alone = len(runs) == 1
     for name, run in runs.items():
-        points, size = run.points, run.unit.shown_size
+        # of a record, so never a table's own unit
+        points, size = run.points, DeflectionUnit(run.stored.unit).shown_size
         amplitude, u = points.amplitude / size, points.u_amplitude / size
         data = "measured" if alone else name
         drawn.append(AnalysisCurve("decay", data, points.time_s, amplitude, u if alone else None, "points"))
-        curves = curves_of(points, run.results)
+        curves = curves_of(run)
         if curves is None:
             continue
         at, u_period_s = curves.period_rad / size, curves.u_period_s
@@ -105,15 +92,14 @@ def analysis_curves(runs: Mapping[str, RunAnalysis]) -> list[AnalysisCurve]:
     return drawn
 
 
-def report_text(runs: Mapping[str, RunAnalysis]) -> str:
+def report_text(runs: Mapping[str, RunResults]) -> str:
     """Results of the fits in Markdown, one run after another."""
     from rig.report import instrument_table
 
     parts: list[str] = []
-    for run in runs.values():
-        results = run.results
-        parts.append(f"## {run.record.stem}")
-        parts.append(results.half_cycles_text(run.unit.shown))
+    for results in runs.values():
+        parts.append(f"## {Path(results.record).stem}")
+        parts.append(results.half_cycles_text(DeflectionUnit(results.stored.unit).shown))
         if results.problem:
             parts.append(f"no fit: {results.problem}")
         if results.fits:

@@ -176,7 +176,7 @@ def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
         return
     by_name = {change.name: change for change in changes}
     asymptotic = [change for name, change in by_name.items() if name.startswith(_ASYMPTOTIC)]
-    head = ("", source, "change / u", *(["of the asymptotic fit"] if asymptotic else []))
+    head = ("", f"{source}, u: swings", "change / u", *(["of the asymptotic fit"] if asymptotic else []))
     rows: list[list[str]] = []
     for name, change in by_name.items():
         if name.startswith(_ASYMPTOTIC):
@@ -284,8 +284,7 @@ def replay_record(
         if partial:
             part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
             # the record's end is not that of the part
-            found = replace(run.results, ended=None, warnings=(part, *run.results.warnings))
-            run = replace(run, results=found)
+            run = replace(run, ended=None, warnings=(part, *run.warnings))
     results = session_results([run], output or record.parent)
     _say_differences(record, replay, result, run, partial=partial, retracked=retrack)
     print_results(results, [])
@@ -297,7 +296,7 @@ def replay_record(
     if rrd is not None:
         answer(written=[rrd])
         print(f"Rerun file   {rrd}")
-    return 1 if run.results.problem and config.lever is not None and not partial else 0
+    return 1 if run.problem and config.lever is not None and not partial else 0
 
 
 def _stay(keys: Keys) -> None:
@@ -350,10 +349,10 @@ def _say_differences(
     print_comparison(result.comparison, partial=partial, retracked=retracked)
     if partial:
         return
-    source, known = recorded_results(record, run.results.sha256)
+    source, known = recorded_results(record, run.sha256)
     if known is None and not result.comparison.identical:
-        source, known = "fitted", analyse_record(record).results
+        source, known = "fitted", analyse_record(record)
     if known is not None:
-        changes = parameter_changes(known, run.results)
+        changes = parameter_changes(known, run)
         answer(changes=changes)
         print_changes(changes, source)

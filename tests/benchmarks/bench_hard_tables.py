@@ -1,7 +1,7 @@
 """Tables that are hard to judge: short runs, a contact that ages, times that jitter; do the intervals hold?
 
 Run as ``python -m tests.benchmarks hard_tables [--quick]``. Decays come from an
-integration of the tests' own (`tests.processing.fit.changing`), on quiet ground and in air, seen 25 times a
+integration of the tests' own (`tests.processing.fit.driven`), on quiet ground and in air, seen 25 times a
 second with 0.005 arcsec, written as a table and fitted as `rig fit TABLE` does. Counted are values and 95 %
 intervals that are shown; a parameter that is only bounded counts where its interval holds the truth.
 """
@@ -16,8 +16,8 @@ from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit
 from tests.benchmarks.cases import run_cases
 from tests.benchmarks.coverage import coverage, named
-from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import World, changing_path
 from tests.rig.analysis.spinning import analysed_table, configuration, held_by
 
 FRAMES_PER_S, NOISE_ARCSEC, Q = 25.0, 0.005, 1e-9

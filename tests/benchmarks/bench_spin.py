@@ -67,7 +67,7 @@ def results(case: Case, seed: int, folder: Path) -> RunResults:
         length = float(np.hypot(1.0, case.spin.leakage))
         seen = replace(seen, x=seen.x / length, y=seen.y / length)
         return analysed_table(seen, config.model_copy(update={"lever": None, "axes": None}), folder / "t.csv")
-    return analysed(seen, config, folder / "run-1.mcap").results
+    return analysed(seen, config, folder / "run-1.mcap")
 
 
 def measure(case: Case, seeds: int, first: int) -> dict[str, Any]:

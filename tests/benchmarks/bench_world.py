@@ -1,7 +1,7 @@
 """Worlds that no law of the registry describes, or that change during a run: is b right, withheld, or wrong?
 
 Run as ``python -m tests.benchmarks world [--quick]``. Paths
-come from an integration of the tests' own (`tests.processing.fit.changing`), in air, on moving ground, seen
+come from an integration of the tests' own (`tests.processing.fit.driven`), in air, on moving ground, seen
 25 times a second with 0.005 arcsec; they go through detector, second measurement and fit as a session's do.
 The air is known as it is by default, to a factor of two.
 
@@ -22,8 +22,8 @@ from rig.analysis.contact_fits import fit_decay
 from rig.settings import FitSettings
 from tests.benchmarks.cases import each_seed, run_cases
 from tests.benchmarks.coverage import FRAMES_PER_S, in_frames, rms
-from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
+from tests.processing.fit.driven import World, changing_path
 
 NOISE_ARCSEC = 0.005
 DRAG_S, FLAT = 1.7e-3, "glass_k8"

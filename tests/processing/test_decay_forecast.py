@@ -64,6 +64,27 @@ def test_the_stated_uncertainty_is_that_of_forecasts_on_moving_ground() -> None:
     assert 0.7 < math.sqrt(np.mean(np.square(deviations))) < 1.5
 
 
+def test_a_decay_far_from_what_is_expected_of_friction() -> None:
+    """An exponent of 0.6 is 4.5 uncertainties from the prior's, and half a decay determines it no better.
+
+    With either sign of the prior turned the forecasts are wrong by more than a tenth.
+    """
+    p, d, final, end_s, u = 0.6, 0.25, 2.0, 1200.0, 0.3
+    fall = np.geomspace(120.0, final, 20_001)
+    pace = 1.0 / (fall**p + d * final**p)
+    passed = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * (fall[:-1] - fall[1:]))])
+    times_s = np.arange(0.0, 0.6 * end_s, 2.04)
+    amplitudes = np.interp(times_s, passed * end_s / passed[-1], fall)
+    left_s = end_s - times_s[-1]
+    wrong = []
+    for seed in range(10):
+        noise = u * np.random.default_rng(seed).standard_normal(len(times_s))
+        found = forecast(times_s, amplitudes + noise, np.full(len(times_s), u), final)
+        assert abs(found.remaining_s - left_s) < 3 * found.u_remaining_s
+        wrong.append(found.remaining_s / left_s - 1.0)
+    assert math.sqrt(np.mean(np.square(wrong))) < 0.07
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     walk=st.floats(0.0, 1.5),

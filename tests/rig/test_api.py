@@ -25,6 +25,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("figures")
 def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blocks = re.findall(
@@ -55,6 +56,7 @@ def test_every_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert reread.runs[0].fits["exact"].parameters == names["again"].runs[0].fits["exact"].parameters
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("figures")
 def test_a_session_is_a_series(folder: Path) -> None:
     session = rig.open_session(folder / "runs" / "first")

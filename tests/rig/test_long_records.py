@@ -36,6 +36,7 @@ def bytes_per_spot(command: Callable[[Path], object], records: tuple[Path, Path]
     return (peaks[1] - peaks[0]) / (LONG - SHORT)
 
 
+@pytest.mark.slow
 def test_a_fit_keeps_the_coordinates_and_one_copy_of_one_of_them(
     records: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

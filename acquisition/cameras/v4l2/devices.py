@@ -186,7 +186,10 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
                 f"no video device has the serial number {serial!r}; there are: {listed or 'none'}"
             )
     if not chosen:
-        raise DeviceError("no video device was found; is the camera plugged in, and does lsusb show it?")
+        raise DeviceError(
+            "camera.driver = 'v4l2': no video device (/dev/video*) was found; is the camera plugged in, and "
+            "does lsusb show it? rig doctor lists the cameras of all drivers"
+        )
     usable = [device for device in chosen if _is_readable(list(device.formats))] or chosen
     if len(usable) > 1:
         raise DeviceError(f"several video devices: {listed}; set camera.v4l2.device to one of them")

@@ -66,7 +66,10 @@ class LaserSettings(BaseModel, frozen=True, extra="forbid"):
         if self.kind in LASERS and not self.port:
             raise ValueError("port is missing; name the laser's serial port (or usbtmc), or see `rig doctor`")
         if self.power_w > self.max_power_w:
-            raise ValueError(f"power_w {self.power_w:g} is above max_power_w {self.max_power_w:g}")
+            raise ValueError(
+                f"power_w = {self.power_w:g} W is above max_power_w = {self.max_power_w:g} W; lower it, or "
+                "raise the limit if the laser's class allows it"
+            )
         if self.current_a > self.max_current_a:
             raise ValueError(f"current_a {self.current_a:g} is above max_current_a {self.max_current_a:g}")
         if self.pulse_us and self.kind != "controller":

@@ -11,7 +11,7 @@ from processing.errors import RigError
 from rig.balance import HEAD, BalanceStage
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
-from rig.desk.tab import DELIBERATE, Tab, at_once
+from rig.desk.tab import DELIBERATE, Tab, apart, at_once, box
 from rig.instrument import WEIGHTS
 from rig.presentation import judged_number
 
@@ -22,9 +22,6 @@ def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
     balancing = desk.balancing
     advised: Mapping[str, Any] | None = None
-
-    async def measure() -> None:
-        await run.io_bound(balancing.measure)
 
     def turned() -> None:
         balancing.turned(str(weight.value), str(turns.value or ""))
@@ -51,7 +48,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 advice = ui.label().classes("advice").props('role="status" aria-live="polite"')
                 detail = ui.label().classes("dim")
                 with ui.row().classes("items-center"):
-                    begin = tab.button("Measure", measure).props(
+                    begin = tab.button("Measure", apart(balancing.measure)).props(
                         f'color="positive" size="lg" aria-label="Measure the balance" {DELIBERATE}'
                     )
                     weight = at_once(ui.select(list(WEIGHTS), value=WEIGHTS[0], label="weight"))
@@ -67,9 +64,7 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.element("div").classes("grid halves"):
             with ui.column().classes("box"):
                 way = charts.TrajectoryChart()
-            judged = ui.column().classes("box scrolls")
-            with judged.props('role="region" aria-label="faults and history" tabindex="0"'):
-                ui.html("faults against their limits", tag="h3", sanitize=False).classes("title")
+            with box("faults against their limits", "scrolls", region="faults and history"):
                 faults = ui.html(sanitize=False).classes("full-width")
                 with ui.row().classes("items-center"):
                     ui.label("history").classes("title")

@@ -1,14 +1,15 @@
 """Between sessions: how the last one went and what comes next; the form of the next one, and its fields."""
 
 import html
+from contextlib import suppress
 
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError
 from rig.desk import tables
 from rig.desk.desk import Desk
-from rig.desk.panels.runs import open_served
-from rig.desk.tab import DELIBERATE, Tab, at_once
+from rig.desk.panels.runs import fit_again, open_served
+from rig.desk.tab import DELIBERATE, Tab, at_once, box
 from rig.measure import HandOver, RunState
 from rig.settings import SessionSettings
 
@@ -28,17 +29,13 @@ def setting_field(desk: Desk, key: str, label: str, value: object, *, is_number:
 
 def as_typed(text: str | None, is_number: bool) -> object:
     """A number where one was typed; anything else as text, which the model judges."""
-    text = (text or "").strip() if is_number else (text or "")
     if not is_number:
-        return text
-    try:
-        return int(text)
-    except ValueError:
-        pass
-    try:
-        return float(text)
-    except ValueError:
-        return text
+        return text or ""
+    text = (text or "").strip()
+    for read in (int, float):
+        with suppress(ValueError):
+            return read(text)
+    return text
 
 
 _ASKED = {
@@ -99,14 +96,12 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
             ui.button("Not now", on_click=begin.close).props("outline")
     with ui.element("div").classes("grid thirds") as form:
         for title, asked in _ASKED.items():
-            with ui.column().classes("box"):
-                ui.html(title, tag="h3", sanitize=False).classes("middle")
+            with box(title, head="middle"):
                 for name, label, is_number in asked:
                     key = f"session.{name}"
                     field = setting_field(desk, key, label, getattr(session, name), is_number=is_number)
                     fields[key] = field.classes("full-width"), is_number
-        with ui.column().classes("box"):
-            ui.html("3 · Start", tag="h3", sanitize=False).classes("middle")
+        with box("3 · Start", head="middle"):
             ui.label(f"Release {desk.config.start.way}: {_RELEASE[desk.config.start.way]}.")
             ui.label("A dialog asks once more before the laser is lit.").classes("dim")
             tab.button("Start …", ask).props(
@@ -136,8 +131,7 @@ class RunResult:
         self._desk = desk
         self._drawn: HandOver | None = None
         with ui.element("div").classes("grid wide-left") as self.frame:
-            with ui.column().classes("box"):
-                ui.html("the last session", tag="h3", sanitize=False).classes("title")
+            with box("the last session"):
                 with ui.row().classes("items-baseline"):
                     self._verdict = ui.label().classes("advice").props('role="status"')
                     self._went = ui.label().classes("dim")
@@ -151,8 +145,7 @@ class RunResult:
                 self._others = ui.html(sanitize=False).classes("full-width")
                 with at_once(ui.expansion("its last words")).classes("full-width"):
                     self._words = ui.html(sanitize=False).classes("dim")
-            with ui.column().classes("box") as self._found:
-                ui.html("what limits it", tag="h3", sanitize=False).classes("title")
+            with box("what limits it") as self._found:
                 self._limits = ui.html(sanitize=False).classes("full-width")
         self.frame.set_visibility(False)
         tab.every(1.0, self._refresh)
@@ -189,7 +182,7 @@ class RunResult:
 
     def _fit(self) -> None:
         if self._drawn is not None:
-            self._desk.looking_again.fit(self._drawn.folder)
+            fit_again(self._desk, self._drawn.folder)
             ui.notify(f"rig fit {self._drawn.folder.name} runs; what it says is below the list of sessions")
 
     def _open(self) -> None:

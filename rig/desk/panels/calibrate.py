@@ -10,7 +10,8 @@ from rig.calibrate import CalibrationReport, Filing
 from rig.desk import tables
 from rig.desk.calibrating import FOLDER, Calibrating
 from rig.desk.desk import Desk
-from rig.desk.tab import DELIBERATE, Tab, at_once
+from rig.desk.panels.between_runs import as_typed
+from rig.desk.tab import DELIBERATE, Tab, at_once, box
 from rig.settings import number
 
 _DAYS, _DARK_FRAMES = 90.0, 16
@@ -51,8 +52,7 @@ class CalibrationForm:
         self._offered: object = None
         self._drawn: CalibrationReport | None = None
         kind = self._kind
-        with ui.column().classes("box full-width") as self.box:
-            ui.html(html.escape(kind.title), tag="h3", sanitize=False).classes("middle")
+        with box(kind.title, "full-width", head="middle") as self.box:
             ui.label(kind.do)
             with ui.row().classes("items-center"):
                 amount = f"{_DARK_FRAMES}" if kind.seconds is None else f"{kind.seconds:g}"
@@ -113,7 +113,7 @@ class CalibrationForm:
             self._result.set_content(_result(made))
 
     async def _record(self) -> None:
-        exposure = self._exposure.value if self._kind.seconds is None else ""
+        exposure = as_typed(self._exposure.value, True) if self._kind.seconds is None else ""
         await run.io_bound(self._calibrating.record, self._name, str(self._amount.value or ""), exposure)
 
     async def _file(self) -> None:

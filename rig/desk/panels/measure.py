@@ -15,7 +15,7 @@ from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, RunResult, build_form
 from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.panels.run_words import first_fit
-from rig.desk.tab import Tab, at_once
+from rig.desk.tab import Tab, at_once, box
 from rig.instrument import Phase
 from rig.presentation import quantity
 
@@ -142,16 +142,10 @@ class RunFacts:
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
-        with (
-            ui.column()
-            .classes("box shrinks old-with-session")
-            .props('role="region" aria-label="state of the run" tabindex="0"')
-        ):
-            ui.html("state of the run", tag="h3", sanitize=False).classes("title")
+        with box("state of the run", "shrinks old-with-session", region="state of the run"):
             self._learned = ui.html(sanitize=False).classes("full-width")
             self._state = ui.html(sanitize=False).classes("full-width")
-        with ui.column().classes("box grows"):
-            ui.html("events", tag="h3", sanitize=False).classes("title")
+        with box("events", "grows"):
             with ui.row().classes("full-width no-wrap items-center"):
                 self._noting = ui.input("note").props('dense outlined data-key="note" maxlength=2000')
                 self._noting.classes("full-width").on("keydown.enter", tab.act(self._note))

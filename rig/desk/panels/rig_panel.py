@@ -19,7 +19,7 @@ from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.panels.between_runs import as_typed, setting_field
 from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
-from rig.desk.tab import DELIBERATE, Handler, Tab, at_once
+from rig.desk.tab import DELIBERATE, Handler, Tab, apart, at_once, box
 from rig.presentation import Verdict
 
 KEYS = (("z", "rig: zoom 1, 4, 16"),)
@@ -58,9 +58,9 @@ class AlignPicture:
         with ui.column().classes("box"):
             self._picture = LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk), self._mouse)
             with ui.row():
-                self._begin = tab.button("Live picture", self._start)
+                self._begin = tab.button("Live picture", apart(desk.begin_aligning))
                 self._begin.props(f'color="positive" {DELIBERATE}')
-                self._end = tab.button("Stop", self._stop).props("outline")
+                self._end = tab.button("Stop", apart(desk.end_aligning)).props("outline")
                 self._zooming = ui.button("Zoom 1", on_click=self.zoom)
                 self._zooming.props('outline aria-label="Zoom to the spot, key z"')
                 # it begins the picture anew, and with it the light
@@ -108,12 +108,6 @@ class AlignPicture:
         self._picture.element.content = ""
         await run.io_bound(self._desk.align_whole_sensor)
 
-    async def _start(self) -> None:
-        await run.io_bound(self._desk.begin_aligning)
-
-    async def _stop(self) -> None:
-        await run.io_bound(self._desk.end_aligning)
-
 
 class CameraControls:
     """Lamps of the beam, exposure and gain, histogram, focus and figures of the picture."""
@@ -123,11 +117,7 @@ class CameraControls:
         self._fields: dict[str, ui.input] = {}
         self._needing: list[ui.button] = []
         # on a low screen it scrolls by itself: picture and buttons stay
-        with (
-            ui.column()
-            .classes("box scrolls")
-            .props('role="region" aria-label="lamps and settings" tabindex="0"')
-        ):
+        with box("", "scrolls", region="lamps and settings"):
             self._lamps = ui.html(sanitize=False).classes("full-width")
             self._lamps.props('role="status" aria-label="lamps"')
             self._note = ui.label().props('role="status"')
@@ -279,7 +269,8 @@ class PreflightChecks:
         self._desk = desk
         with ui.column().classes("box"):
             with ui.row().classes("items-center"):
-                self._button = tab.button("Run preflight", self._start)
+                check = apart(desk.start, "doctor", "--preflight", "--json")
+                self._button = tab.button("Run preflight", check)
                 self._button.props(f'color="positive" size="lg" {DELIBERATE}')
                 self._ending = tab.button("End", self._end).props("outline")
                 self._verdict = ui.label().classes("advice").props('role="status" aria-live="polite"')
@@ -314,9 +305,6 @@ class PreflightChecks:
         self._passing.set_content(lights(passed))
         self._folded.set_text(f"{len(passed)} of {len(found)} checks passed")
         self._folded.set_visibility(bool(passed))
-
-    async def _start(self) -> None:
-        await run.io_bound(self._desk.start, "doctor", "--preflight", "--json")
 
     def _end(self) -> None:
         if "doctor" in self._desk.jobs:

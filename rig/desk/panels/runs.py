@@ -1,15 +1,20 @@
 """Runs: the sessions made so far and the archive; find, report, show in Rerun, fit again, resume."""
 
 import json
+import re
 import time
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from nicegui import run, ui
 
 from processing.errors import ConfigurationError, RigError
 from rig.archive import find_runs
+from rig.calibrate import next_free
 from rig.desk.alarm_bar import resume_dialog
 from rig.desk.desk import Desk
 from rig.desk.sessions import NUMBERS, SERVED, LastRun, SessionRow, last_run
@@ -21,7 +26,7 @@ _COLUMNS = ("begun", "name", "sample", "runs", "state", *LastRun._fields, "condi
 _STATED = ("begun", "sample", "runs", "state", "conditions", "operator")
 _LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
   <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
-_ON_A_PAGE = 15
+_ON_A_PAGE, _LAST_LINES = 15, 14
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${props.row.folder}`" />'
 
 
@@ -59,7 +64,38 @@ def build(desk: Desk, tab: Tab) -> None:
     tab.every(1.0, refresh)
 
 
-class SessionList:
+class PagedTable(ABC):
+    """A table that is shown page by page; `rows` is what its buttons call them. Built where it is made."""
+
+    def __init__(self, label: str, rows: str = "", **how: Any) -> None:
+        self._first = 0
+        with ui.column().classes("full-width box") as self.frame:
+            self._table = ui.table(columns=[], rows=[], pagination=0, **how).classes("full-width")
+            self._table.props(f'dense flat hide-pagination aria-label="{label}"')
+            with ui.row().classes("items-center"):
+                self._newer = ui.button(f"Newer{rows}", on_click=partial(self._turn, -1))
+                self._place = ui.label().props('role="status"')
+                self._older = ui.button(f"Older{rows}", on_click=partial(self._turn, 1))
+        for button in (self._newer, self._older):
+            button.props("outline dense")
+
+    @abstractmethod
+    async def refresh(self) -> None:
+        """Show what is found now."""
+
+    async def _turn(self, pages: int) -> None:
+        self._first = max(0, self._first + pages * _ON_A_PAGE)
+        await self.refresh()
+
+    def _show_place(self, shown: int, found: int, every: int, where: str, nothing: str) -> None:
+        last = self._first + shown
+        of = f"{found:,}" if found == every else f"{found:,} found, of {every:,}"
+        self._place.set_text(f"{self._first + 1} to {last} of {of}{where}" if shown else nothing)
+        self._newer.set_enabled(self._first > 0)
+        self._older.set_enabled(last < found)
+
+
+class SessionList(PagedTable):
     """The sessions that are found, page by page; the one that is marked stays so on other pages."""
 
     def __init__(
@@ -69,24 +105,13 @@ class SessionList:
         self._rows: dict[str, SessionRow] = {}
         self._last_runs: dict[SessionRow, LastRun] = {}
         self._marked = ""
-        self._first = 0
-        with ui.column().classes("full-width box") as self.frame:
-            columns = [
-                {"name": name, "label": _head(name), "field": name, "align": "left"} for name in _COLUMNS
-            ]
-            self._table = ui.table(
-                columns=columns, rows=[], row_key="folder", selection="multiple", pagination=0
-            )
-            self._table.classes("full-width")
-            self._table.props('dense flat hide-pagination hide-selected-banner aria-label="sessions"')
-            self._table.add_slot("header-selection", "<span class='unseen'>marked</span>")
-            self._table.add_slot("body-selection", _MARK)
-            self._table.add_slot("body-cell-balance", _LAMP)
-            self._table.on_select(self._mark)
-            with ui.row().classes("items-center"):
-                self._newer = ui.button("Newer", on_click=lambda: self._turn(-1)).props("outline dense")
-                self._place = ui.label().props('role="status"')
-                self._older = ui.button("Older", on_click=lambda: self._turn(1)).props("outline dense")
+        super().__init__("sessions", row_key="folder", selection="multiple")
+        self._table.columns = _columns({name: _head(name) for name in _COLUMNS})
+        self._table.props("hide-selected-banner")
+        self._table.add_slot("header-selection", "<span class='unseen'>marked</span>")
+        self._table.add_slot("body-selection", _MARK)
+        self._table.add_slot("body-cell-balance", _LAMP)
+        self._table.on_select(self._mark)
 
     async def find_anew(self) -> None:
         """Other words are searched for."""
@@ -95,8 +120,8 @@ class SessionList:
 
     async def refresh(self) -> None:
         """Show what is found now."""
-        desk, first = self._desk, self._first
-        page = desk.sessions.page(desk.following.folder, self._words(), first, _ON_A_PAGE)
+        desk = self._desk
+        page = desk.sessions.page(desk.following.folder, self._words(), self._first, _ON_A_PAGE)
         self._rows = {str(row.folder): row for row in page.rows}
         if self._marked in self._rows:
             self._on_mark(self._rows[self._marked])
@@ -108,12 +133,8 @@ class SessionList:
             self._table.rows = listed
             self._table.selected = [row for row in listed if row["folder"] == self._marked]
             self._table.update()
-        last = first + len(page.rows)
-        of = f"{page.found:,}" if page.found == page.all else f"{page.found:,} found, of {page.all:,}"
         nothing = f"no session in {desk.config.session.output} is found"
-        self._place.set_text(f"{first + 1} to {last} of {of}" if page.rows else nothing)
-        self._newer.set_enabled(first > 0)
-        self._older.set_enabled(last < page.found)
+        self._show_place(len(page.rows), page.found, page.all, "", nothing)
 
     def _cells(self, row: SessionRow) -> dict[str, str]:
         stated = {name: str(getattr(row, name)) for name in _STATED}
@@ -126,10 +147,6 @@ class SessionList:
         self._marked = next((name for name in names if name != self._marked), names[0] if names else "")
         self._table.selected = [row for row in self._table.rows if row["folder"] == self._marked]
         self._on_mark(self._rows.get(self._marked))
-
-    async def _turn(self, pages: int) -> None:
-        self._first = max(0, self._first + pages * _ON_A_PAGE)
-        await self.refresh()
 
 
 class Actions:
@@ -150,7 +167,7 @@ class Actions:
             )
         ]
         self._wanted = ui.label().classes("dim")
-        self._ending = tab.button("End it", desk.looking_again.end).props("flat")
+        self._ending = tab.button("End it", self._end).props("flat")
         self.elements = (*self._buttons, self._wanted)
         self.mark(None)
 
@@ -163,23 +180,28 @@ class Actions:
 
     def refresh(self) -> None:
         """Show whether a command runs."""
-        self._ending.set_visibility(self._desk.looking_again.running)
+        self._ending.set_visibility(bool(self._desk.jobs.running(uses_camera=False)))
 
     def report(self) -> None:
         """Open the report, or have it made."""
         row = self._chosen()
         if row.report is None:
-            self._desk.looking_again.report(row.folder)
+            self._desk.jobs.begin("report", str(row.folder), uses_camera=False)
             ui.notify("the report is being written; open it when it is finished")
         else:
             open_served(self._desk, row.report)
 
     def view(self) -> None:
         """Show the session in Rerun."""
-        self._desk.looking_again.view(self._chosen().folder)
+        words = str(self._chosen().folder), "--view", "web"
+        self._desk.jobs.begin("view", *words, uses_camera=False)
 
     def _fit(self) -> None:
-        self._desk.looking_again.fit(self._chosen().folder)
+        fit_again(self._desk, self._chosen().folder)
+
+    def _end(self) -> None:
+        for _, job in self._desk.jobs.running(uses_camera=False):
+            job.end()
 
     def _ask_resume(self) -> None:
         row = self._chosen()
@@ -196,10 +218,10 @@ class Actions:
 
 
 class CommandOutput:
-    """The last words of the commands that look at sessions again, and the address of what Rerun shows."""
+    """The last words of the commands that need no camera, and the address of what Rerun shows."""
 
     def __init__(self, desk: Desk) -> None:
-        self._again = desk.looking_again
+        self._jobs = desk.jobs
         with ui.column().classes("full-width box q-mt-sm"):
             ui.label("output of the commands").classes("title")
             self._link = ui.link("open what rig view shows", "", new_tab=True)
@@ -207,17 +229,34 @@ class CommandOutput:
             self._words.style("white-space: pre; overflow: auto; max-height: 300px; font: 13px monospace")
 
     def refresh(self) -> None:
-        """Show what they have said by now."""
-        self._words.set_text("\n".join(self._again.said()))
-        address = self._again.address("view")
+        """Show how each of them stands, and what they have said by now."""
+        lines: list[str] = []
+        address = ""
+        for name, job in tuple(self._jobs.items()):
+            if not job.uses_camera:
+                state = "runs" if job.running else "done" if job.status == 0 else "failed"
+                lines += [f"rig {name}: {state}", *list(job.said)[-_LAST_LINES:]]
+        view = self._jobs.get("view")
+        for line in list(view.said) if view is not None and view.running else ():
+            address = match[0] if (match := re.search(r"http://127\.0\.0\.1:\d+\S*", line)) else address
+        self._words.set_text("\n".join(lines))
         self._link.props(f'href="{address}"')
         self._link.set_visibility(bool(address))
+
+
+def fit_again(desk: Desk, folder: Path) -> None:
+    """Fit the runs of a session again, into a folder of their own."""
+    desk.jobs.begin("fit", str(folder), "-o", str(next_free(folder, "fit")), uses_camera=False)
 
 
 def open_served(desk: Desk, page: Path) -> None:
     """Open a file of the sessions' folder in a tab of its own."""
     name = page.absolute().relative_to(desk.config.session.output.absolute()).as_posix()
     ui.run_javascript(f"window.open({json.dumps(f'{SERVED}/{quote(name)}')}, '_blank')")
+
+
+def _columns(labels: Mapping[str, str]) -> list[dict[str, str]]:
+    return [{"name": name, "label": label, "field": name, "align": "left"} for name, label in labels.items()]
 
 
 def _head(column: str) -> str:
@@ -233,26 +272,16 @@ _AGAIN_S = 30.0
 """After so long what others may have added is looked for."""
 
 
-class ArchivedRuns:
-    """The list; `words` says what is searched, `wanted` whether it is to be seen. Built where it is made."""
+class ArchivedRuns(PagedTable):
+    """The runs of the archive; `words` says what is searched, `wanted` whether it is to be seen."""
 
     def __init__(self, desk: Desk, tab: Tab, words: Callable[[], str], wanted: Callable[[], bool]) -> None:
         self._desk, self._words, self._wanted = desk, words, wanted
-        self._first = 0
         self._asked: tuple[str, int] | None = None
         self._asked_s = 0.0
-        with ui.column().classes("full-width box") as self.frame:
-            self._table = ui.table(columns=[], rows=[], pagination=0).classes("full-width")
-            self._table.props('dense flat hide-pagination hide-no-data aria-label="runs of the archive"')
-            with ui.row().classes("items-center"):
-                self._newer = ui.button("Newer runs", on_click=lambda: self._turn(-1)).props("outline dense")
-                self._place = ui.label().props('role="status"')
-                self._older = ui.button("Older runs", on_click=lambda: self._turn(1)).props("outline dense")
+        super().__init__("runs of the archive", " runs")
+        self._table.props("hide-no-data")
         tab.every(1.0, self.refresh)
-
-    async def _turn(self, pages: int) -> None:
-        self._first = max(0, self._first + pages * _ON_A_PAGE)
-        await self.refresh()
 
     async def refresh(self) -> None:
         """Show what is found now; the archive is read again only for other words, or after a while."""
@@ -277,17 +306,7 @@ class ArchivedRuns:
             # typed on meanwhile
             return
         listed, count, every = found
-        self._table.columns = [
-            {"name": name, "label": name, "field": name, "align": "left"} for name in listed.head
-        ]
+        self._table.columns = _columns({name: name for name in listed.head})
         self._table.rows = [dict(zip(listed.head, row, strict=True)) for row in listed.shown]
         self._table.update()
-        last = self._first + len(listed.shown)
-        of = f"{count:,}" if count == every else f"{count:,} found, of {every:,}"
-        self._place.set_text(
-            f"{self._first + 1} to {last} of {of} in {archive}"
-            if listed.shown
-            else f"no run in {archive} is found"
-        )
-        self._newer.set_enabled(self._first > 0)
-        self._older.set_enabled(last < count)
+        self._show_place(len(listed.shown), count, every, f" in {archive}", f"no run in {archive} is found")

@@ -1,7 +1,13 @@
-"""A pendulum that the ground drives, integrated step by step: no half-swing map, no quadrature, no filter."""
+"""A pendulum that the ground drives, in a world of one's choice, integrated step by step.
+
+Eq. 4 with Eqs. 1 and 3 and the air, and beside them whatever a `World` adds. Nothing is shared with the
+analysis: no half-swing map, no quadrature, no filter.
+"""
 
 import math
 from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -15,31 +21,79 @@ Floats = NDArray[np.float64]
 
 STEPS = 500
 """Steps a half-swing; halving them moves no turning point by a thousandth of 0.005 arcsec."""
+RELAXATIONS_S = np.geomspace(0.02, 2000.0, 11)
+"""Times of the elements whose sum creeps with the logarithm of time: few are enough to be smooth."""
+
+
+class World(NamedTuple):
+    """What is added to the paper's law, or changes while the pendulum swings.
+
+    `drag32` (s^1.5) is a moment that grows with the 3/2 power of the velocity. `b2`, `p2` are a second power
+    of the angle in the friction. b grows by `ageing` from the first turning point to the last of a run of
+    `lasting_s`, evenly, and is the stated one in the middle; period and drag grow likewise by `slower` and
+    `drag_drift`. At
+    `event_s` b grows by the factor 1 + `slip`, the period by 1 + `shifted`, and the velocity by
+    `knock_rad_per_s`. `loss_angle` is that of an elastic after-effect, the same at every frequency, in a part
+    of the stiffness that relaxes with the logarithm of time.
+    """
+
+    drag32: float = 0.0
+    b2: float = 0.0
+    p2: float = 1.0
+    ageing: float = 0.0
+    slower: float = 0.0
+    lasting_s: float = 1000.0
+    event_s: float = math.inf
+    slip: float = 0.0
+    shifted: float = 0.0
+    knock_rad_per_s: float = 0.0
+    loss_angle: float = 0.0
+    drag_drift: float = 0.0
+
+
+UNCHANGED = World()
 
 
 @njit(cache=True)
-def _acceleration(x: float, v: float, direction: float, law: Floats, push: float) -> float:
-    """Eq. 4 with Eqs. 1 and 3 and the air: law = w0^2, b, p, c, n, kappa, R/a, drag, drag32; and a push."""
+def _derivative(
+    y: Floats, t: float, direction: float, law: Floats, world: Floats, push: float, out: Floats
+) -> None:
+    """Of deflection, velocity and the elements' moments, with a push: an angular acceleration."""
+    x, v = y[0], y[1]
     size = abs(x)
+    aged = t / world[4] - 0.5
+    b = law[1] * (1.0 + world[2] * aged)
+    w2 = law[0] * (1.0 - 2.0 * world[3] * aged)
+    if t >= world[5]:
+        b *= 1.0 + world[6]
+        w2 *= 1.0 - 2.0 * world[7]
     elastic = law[5] * size ** (law[4] + 1.0) * (0.5 * math.pi - law[6] * size)
-    air = (law[7] + law[8] * math.sqrt(abs(v))) * v
-    friction = direction * (law[3] + law[1] * size ** law[2])
-    return push + law[0] * (-x + math.copysign(elastic, x) - friction - air)
+    air = (law[7] * (1.0 + law[9] * aged) + law[8] * math.sqrt(abs(v))) * v
+    friction = law[3] + b * size ** law[2]
+    if world[0] != 0.0:
+        friction += world[0] * size ** world[1]
+    late = 0.0
+    for i in range(2, len(y)):
+        # an element of Maxwell: its moment follows the deflection and forgets
+        out[i] = world[8] * v - y[i] / world[8 + i - 1]
+        late += y[i]
+    out[0] = v
+    restoring = -x + math.copysign(elastic, x) - direction * friction - late
+    out[1] = push + w2 * restoring - law[0] * air
 
 
 @njit(cache=True)
 def _advance(
-    x: float, v: float, direction: float, dt: float, law: Floats, push: float
-) -> tuple[float, float]:
+    y: Floats, t: float, direction: float, dt: float, law: Floats, world: Floats, push: float, out: Floats
+) -> None:
     """One step of Runge and Kutta."""
-    a1 = _acceleration(x, v, direction, law, push)
-    v2 = v + 0.5 * dt * a1
-    a2 = _acceleration(x + 0.5 * dt * v, v2, direction, law, push)
-    v3 = v + 0.5 * dt * a2
-    a3 = _acceleration(x + 0.5 * dt * v2, v3, direction, law, push)
-    v4 = v + dt * a3
-    a4 = _acceleration(x + dt * v3, v4, direction, law, push)
-    return x + dt * (v + 2 * v2 + 2 * v3 + v4) / 6, v + dt * (a1 + 2 * a2 + 2 * a3 + a4) / 6
+    n = len(y)
+    k1, k2, k3, k4 = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    _derivative(y, t, direction, law, world, push, k1)
+    _derivative(y + 0.5 * dt * k1, t + 0.5 * dt, direction, law, world, push, k2)
+    _derivative(y + 0.5 * dt * k2, t + 0.5 * dt, direction, law, world, push, k3)
+    _derivative(y + dt * k3, t + dt, direction, law, world, push, k4)
+    out[:] = y + dt * (k1 + 2 * k2 + 2 * k3 + k4) / 6
 
 
 @njit(cache=True)
@@ -47,6 +101,8 @@ def _integrate(
     first: float,
     last: float,
     law: Floats,
+    world: Floats,
+    elements: int,
     dt: float,
     kick: float,
     rng: np.random.Generator,
@@ -60,56 +116,70 @@ def _integrate(
     """
     turns, times = np.empty(20_000), np.empty(20_000)
     turns[0], times[0], found = first, 0.0, 1
-    x, v, direction, t, steps = first, 0.0, -math.copysign(1.0, first), 0.0, 0
-    path[0] = x
+    y, new = np.zeros(2 + elements), np.zeros(2 + elements)
+    y[0] = first
+    direction, t, steps, knocked = -math.copysign(1.0, first), 0.0, 0, False
+    path[0] = first
     while found < len(turns):
         left = dt
         push = forcing[steps] if steps < len(forcing) else 0.0
         while left > 0.0:
-            new_x, new_v = _advance(x, v, direction, left, law, push)
-            # friction turns with the velocity: a step ends there; one that crosses zero, where |phi|^p has a
-            # kink, ends there too
-            if new_v * direction < 0.0:
-                part = left * min(max(v / (v - new_v), 0.0), 1.0) if v != new_v else left
-                for _ in range(4):
-                    mid_x, mid_v = _advance(x, v, direction, part, law, push)
-                    part = min(
-                        max(part - mid_v / _acceleration(mid_x, mid_v, direction, law, push), 0.0), left
-                    )
-                x, _ = _advance(x, v, direction, part, law, push)
-                v, direction = 0.0, -direction
+            _advance(y, t, direction, left, law, world, push, new)
+            if new[1] * direction < 0.0:
+                # the velocity turns over within the step, which ends there
+                low, high = 0.0, left
+                for _ in range(50):
+                    part = 0.5 * (low + high)
+                    _advance(y, t, direction, part, law, world, push, new)
+                    if new[1] * direction < 0.0:
+                        high = part
+                    else:
+                        low = part
+                part = 0.5 * (low + high)
+                _advance(y, t, direction, part, law, world, push, new)
+                y[:] = new
+                y[1], direction = 0.0, -direction
                 t, left = t + part, left - part
-                if x * turns[found - 1] < 0.0:
-                    turns[found], times[found] = x, t
+                if y[0] * turns[found - 1] < 0.0:
+                    turns[found], times[found] = y[0], t
                     found += 1
-            elif x * new_x < 0.0:
-                part = left * x / (x - new_x)
+                if part < 1e-9 * dt:
+                    left = left - 1e-9 * dt
+            elif y[0] * new[0] < 0.0:
+                # so does one that crosses zero, where |phi|^p has a kink
+                part = left * y[0] / (y[0] - new[0])
                 for _ in range(3):
-                    mid_x, mid_v = _advance(x, v, direction, part, law, push)
-                    part = min(max(part - mid_x / mid_v, 0.0), left)
-                x, v = _advance(x, v, direction, part, law, push)
-                x = math.copysign(1e-300, new_x)
+                    _advance(y, t, direction, part, law, world, push, new)
+                    part = min(max(part - new[0] / new[1], 0.0), left)
+                sign = math.copysign(1e-300, -y[0])
+                _advance(y, t, direction, part, law, world, push, new)
+                y[:] = new
+                y[0] = sign
                 t, left = t + part, left - part
             else:
-                x, v, t, left = new_x, new_v, t + left, 0.0
-        v += kick * rng.standard_normal()
-        if v * direction < 0.0:
-            # a kick may turn a pendulum that has nearly stopped
+                y[:] = new
+                t, left = t + left, 0.0
+        y[1] += kick * rng.standard_normal()
+        if not knocked and t >= world[5]:
+            y[1] += world[len(world) - 1]
+            knocked = True
+        if y[1] * direction < 0.0:
             direction = -direction
-            if x * turns[found - 1] < 0.0:
-                turns[found], times[found] = x, t
+            if y[0] * turns[found - 1] < 0.0:
+                turns[found], times[found] = y[0], t
                 found += 1
         if abs(turns[found - 1]) < last:
             break
         steps += 1
         if steps % keep == 0 and steps // keep < len(path):
-            path[steps // keep] = x
+            path[steps // keep] = y[0]
     return times[:found], turns[:found]
 
 
 def driven_path(
     parameters: ContactParameters,
     pendulum: PendulumOnBall,
+    world: World = UNCHANGED,
     *,
     q: float,
     seed: int,
@@ -117,40 +187,48 @@ def driven_path(
     last_arcsec: float = 2.0,
     frames_per_s: float | None = None,
     steps: int = STEPS,
-    drag32: float = 0.0,
     forcing: Callable[[Floats], Floats] | None = None,
 ) -> tuple[Floats, Floats, Floats]:
     """True turning times (s) and deflections (rad), and the deflections at so many frames a second from 0.
 
-    `q` is the one-sided density of the white angular acceleration in rad/s^2/sqrt(Hz); `drag32` (s^1.5) that
-    of a moment that grows with the 3/2 power of the velocity, ``-m g R drag32 |phi'|^0.5 phi'``. `forcing` is
-    another acceleration, in rad/s^2 at times in s.
+    `q` is the one-sided density of the white angular acceleration in rad/s^2/sqrt(Hz). `forcing` is another
+    acceleration, in rad/s^2 at times in s.
     """
-    kappa = (
-        2
-        * parameters.gamma_pa
-        * pendulum.contact_radius_m**2
-        / (pendulum.mass_kg * pendulum.gravity_m_per_s2)
-    )
+    weight = pendulum.mass_kg * pendulum.gravity_m_per_s2
     law = np.array(
         [
-            (2 * np.pi / parameters.period0_s) ** 2, parameters.b, parameters.p, parameters.c,
-            parameters.n, kappa, pendulum.ball_radius_m / pendulum.contact_radius_m,
-            parameters.drag_s, drag32,
+            (2 * np.pi / parameters.period0_s) ** 2, parameters.b, parameters.p, parameters.c, parameters.n,
+            2 * parameters.gamma_pa * pendulum.contact_radius_m**2 / weight,
+            pendulum.ball_radius_m / pendulum.contact_radius_m, parameters.drag_s, world.drag32,
+            world.drag_drift,
+        ]
+    )  # fmt: skip
+    elements = len(RELAXATIONS_S) if world.loss_angle else 0
+    # a flat spectrum H of relaxation times has the loss angle pi H / 2, and an element H times their spacing
+    spacing = math.log(RELAXATIONS_S[1] / RELAXATIONS_S[0])
+    stiffness = world.loss_angle * 2 / math.pi * spacing
+    added = np.array(
+        [
+            world.b2, world.p2, world.ageing, world.slower, world.lasting_s, world.event_s, world.slip,
+            world.shifted, stiffness, *RELAXATIONS_S, world.knock_rad_per_s,
         ]
     )  # fmt: skip
     dt, keep, path = 0.5 * parameters.period0_s / steps, 1, np.empty(1)
     if frames_per_s is not None:
         keep = math.ceil(1 / (frames_per_s * dt))
         dt = 1 / (frames_per_s * keep)
-        path = np.full(round(5_000 * frames_per_s), np.nan)
+        path = np.full(round(6_000 * frames_per_s), np.nan)
     kick = q * math.sqrt(0.5 * dt)
     rng = np.random.default_rng(seed)
     steady = np.empty(0) if forcing is None else forcing((np.arange(round(5_000 / dt)) + 0.5) * dt)
     times, turns = _integrate(
-        first_arcsec * ARCSEC, last_arcsec * ARCSEC, law, dt, kick, rng, steady, keep, path
+        first_arcsec * ARCSEC, last_arcsec * ARCSEC, law, added, elements, dt, kick, rng, steady, keep, path
     )
     return times, turns, path[np.isfinite(path)]
+
+
+changing_path = partial(driven_path, frames_per_s=25.0, steps=400)
+"""Of worlds that change, as the tests and benchmarks of them see it: the steps fix the noise of a seed."""
 
 
 def driven_decay(

@@ -10,8 +10,8 @@ from processing.fit import Conditions, PlannedSeries, planned_run, planned_serie
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise
 from processing.fit.planning import by_relative_values, by_shared_and_ageing
-from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth, with_noise
+from tests.processing.fit.driven import World, changing_path
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
 NAMES = LAWS["paper"].names()

@@ -9,9 +9,8 @@ from processing.estimate import Estimate
 from processing.fit import Evidence, LinearisedFit, drift_term, fit_exact, waveform_of
 from processing.fit.evidence import Waveform
 from processing.swing import SwingHarmonics, TurningPoints
-from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair
-from tests.processing.fit.driven import driven_path
+from tests.processing.fit.driven import World, changing_path, driven_path
 from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
 
 RATE, U, DRAG_S = 25.0, 0.005 * ARCSEC, 1.7e-3

@@ -26,9 +26,8 @@ from processing.fit import (
 )
 from processing.series import combine_runs
 from processing.swing import TurningPoints
-from tests.processing.fit.changing import World, changing_path
 from tests.processing.fit.decays import ARCSEC, paper_pair, with_noise
-from tests.processing.fit.driven import driven_path
+from tests.processing.fit.driven import World, changing_path
 
 DRAG_S, Q = 1.7e-3, 1e-9
 PARAMETERS, PENDULUM = paper_pair("glass_k8", DRAG_S)
@@ -66,15 +65,6 @@ def against_law_of(points: TurningPoints, fit: FitResult) -> float:
 
 def changes_of(points: TurningPoints, fit: FitResult, explained: float = 0.0) -> tuple[Change, ...]:
     return with_changes(LinearisedFit.of(points, PENDULUM, fit), 0.0, explained).changes
-
-
-def test_two_integrations_agree() -> None:
-    """That of worlds that change, with nothing that does, and the other one."""
-    one = changing_path(PARAMETERS, PENDULUM, World(), q=0.0, seed=1)
-    other = driven_path(PARAMETERS, PENDULUM, q=0.0, seed=1, frames_per_s=25.0)
-    assert len(one[0]) == len(other[0])
-    assert np.max(np.abs(one[0] - other[0])) < 1e-6
-    assert np.max(np.abs(one[1] - other[1])) < 1e-5 * ARCSEC
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from processing.fit import (
 )
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, paper_pair
-from tests.processing.fit.driven import driven_path
+from tests.processing.fit.driven import World, driven_path
 from tests.processing.fit.frames import points_and_harmonics, seen_in_frames
 
 RATE, DRAG_S, SHARE = 25.0, 1.7e-3, 0.1
@@ -27,7 +27,7 @@ STEEPER = SHARE * DRAG_S / sqrt(124 * ARCSEC * 2 * pi / PARAMETERS.period0_s) * 
 
 def seen(steeper: float, seed: int) -> tuple[TurningPoints, FitResult]:
     """Integrated on moving ground, seen by frames, fitted with a linear drag of which nothing is known."""
-    path = driven_path(PARAMETERS, PENDULUM, q=8e-9, seed=seed, frames_per_s=RATE, drag32=steeper)[2]
+    path = driven_path(PARAMETERS, PENDULUM, World(drag32=steeper), q=8e-9, seed=seed, frames_per_s=RATE)[2]
     points, harmonics = points_and_harmonics(seen_in_frames(path, 0.005 * ARCSEC, [2, seed], RATE))
     return points, fit_exact(points, PENDULUM, drag=True, evidence=Evidence(waveform_of(harmonics)))
 

@@ -17,7 +17,7 @@ def runs(measured_series: Path) -> list[AnalysedRun]:
 
 @pytest.mark.slow
 def test_results_say_what_the_record_holds(runs: list[AnalysedRun], measured_series: Path) -> None:
-    run = runs[0].results
+    run = runs[0]
     with RecordReader(measured_series / "run-1.mcap") as reader:
         spots, swings = reader.spots(), reader.swings()
     assert run.frames == len(spots)
@@ -36,17 +36,17 @@ def test_results_say_what_the_record_holds(runs: list[AnalysedRun], measured_ser
 
 @pytest.mark.slow
 def test_a_clock_that_is_slow_makes_the_period_longer(runs: list[AnalysedRun]) -> None:
-    slow = analyse_record(runs[0].record, ["timebase.camera_rate=1.001", "timebase.u_camera_rate=1e-6"])
-    before, after = (run.results.fits["exact"].estimate("period0_s") for run in (runs[0], slow))
+    slow = analyse_record(runs[0].path, ["timebase.camera_rate=1.001", "timebase.u_camera_rate=1e-6"])
+    before, after = (run.fits["exact"].estimate("period0_s") for run in (runs[0], slow))
     # what is known of the air stands in s and does not become longer with the clock
     assert after.value / 1.001 == pytest.approx(before.value, abs=0.05 * before.standard_uncertainty)
-    assert slow.results.half_cycles == runs[0].results.half_cycles
+    assert slow.half_cycles == runs[0].half_cycles
 
 
 def test_what_all_fits_warn_of_is_said_once_and_what_one_does_with_its_name(runs: list[AnalysedRun]) -> None:
     from rig.analysis.half_cycle_fits import _fit_warnings
 
-    fits = runs[0].fits
+    fits = runs[0].fitted
     names = list(fits)
     assert len(names) > 1
     both = {name: replace(fit, warnings=("few half-cycles",)) for name, fit in fits.items()}
@@ -60,7 +60,7 @@ def test_a_series_needs_two_fitted_runs(runs: list[AnalysedRun], measured_series
     assert [run.record for run in both.runs] == ["run-1.mcap", "run-2.mcap"]
     assert both.series is not None
     assert both.series.runs == 2
-    unfitted = replace(runs[1], fits={})
+    unfitted = replace(runs[1], fitted={})
     for fewer in (runs[:1], [runs[0], unfitted], [unfitted, unfitted]):
         assert session_results(fewer, measured_series).series is None
     third = session_results([*runs, unfitted], measured_series).series
@@ -69,7 +69,7 @@ def test_a_series_needs_two_fitted_runs(runs: list[AnalysedRun], measured_series
 
 
 def test_where_the_pendulum_rests_is_where_its_good_swings_do(runs: list[AnalysedRun]) -> None:
-    with RecordReader(runs[0].record) as reader:
+    with RecordReader(runs[0].path) as reader:
         centres = [swing.centre for swing in reader.swings() if not swing.flags]
     rig = runs[0].rig
     assert rig is not None

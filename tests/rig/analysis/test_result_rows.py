@@ -51,6 +51,7 @@ def bounded(fit: FitResult, name: str, lower: float, upper: float, verdict: Dete
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 0.1])
 def test_a_short_run_has_the_profile_s_interval_in_every_output(scale: float) -> None:
     """b of 75 s: the budget said 2.7e-5 to 2.4e-3, the profile 7.2e-5 to 0.02; the truth is 3.7e-3."""
@@ -171,7 +172,7 @@ def test_rows_are_found_by_name_and_by_symbol() -> None:
 
 def test_with_adhesion_the_whole_uncertainty_is_that_of_the_apparatus_too() -> None:
     """Each theory takes c, the load and the radius of the spot from the same run, and no other input."""
-    table = analyse_record(SERIES / "run-1.mcap").results.table
+    table = analyse_record(SERIES / "run-1.mcap").table
     rows = {(row.quantity, row.fit): row for row in table}
     for name in ("surface_energy_table2_j_per_m2", "contact_radius_m"):
         hertz = rows[name, "exact"]

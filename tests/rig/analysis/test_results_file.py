@@ -36,9 +36,7 @@ def test_what_is_read_is_written_the_same(measured_series: Path, tmp_path: Path)
 
 def test_the_fitted_turning_points_are_stored(measured_series: Path) -> None:
     run = read_results(measured_series).runs[0]
-    stored = run.turning_points
-    assert stored is not None
-    points = stored.points()
+    stored, points = run.stored, run.points
     assert len(points) == run.half_cycles
     assert points.time_s[0] == 0.0
     assert np.all(points.u_amplitude > 0)

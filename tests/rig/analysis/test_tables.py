@@ -295,6 +295,7 @@ def test_a_note_on_growth_states_it(tmp_path: Path) -> None:
     assert said.startswith("the amplitude grows, its log decrement is −0.0400 in the mean")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scale", "is_said"), [(1.0, False), (1.0 / 206.265, True)])
 def test_amplitudes_that_the_rig_does_not_have_are_said(tmp_path: Path, scale: float, is_said: bool) -> None:
     """A table in mrad, whose header says arcsec."""

@@ -46,7 +46,7 @@ def test_its_results_are_those_of_runs(fitted: Path) -> None:
         stored = run.turning_points
         assert stored is not None
         assert stored.unit == "own"
-        assert len(stored.points()) == run.half_cycles
+        assert len(run.points) == run.half_cycles
         # a turning point stands every half period; the swing begins at zero, so a quarter after its start
         turns_s = stored.first_ns * 1e-9 + stored.time_s
         assert np.allclose((turns_s - start_s) % 1.0, 0.5, atol=0.1)

@@ -72,27 +72,29 @@ def pulls(run: RunResults) -> dict[str, float]:
 )
 def test_a_decay_whose_plane_turns_is_followed(spin: Spin) -> None:
     run = run_of(spin)
-    assert max(pulls(run.results).values()) < 3
-    assert run.results.half_cycles > 280
-    (said,) = [note for note in run.results.notes if "plane of swing" in note]
+    assert max(pulls(run).values()) < 3
+    assert run.half_cycles > 280
+    (said,) = [note for note in run.notes if "plane of swing" in note]
     assert "turned back" in said
-    sources = {line.source for line in run.results.budget["b"].sources}
+    sources = {line.source for line in run.budget["b"].sources}
     assert "plane_of_swing_rad" in sources
 
 
+@pytest.mark.slow
 def test_an_angle_between_the_axes_that_is_not_known_is_a_line_of_the_budget(tmp_path: Path) -> None:
     config = configuration("axes.u_non_orthogonality_rad=2e-3")
     seen, run = positions(Spin(FAST), seed=3), run_of(Spin(FAST), u_axes=2e-3)
-    (line,) = [one for one in run.results.budget["c"].sources if one.source == "plane_of_swing_rad"]
+    (line,) = [one for one in run.budget["c"].sources if one.source == "plane_of_swing_rad"]
     assert line.u_source == pytest.approx(2e-3, rel=1e-3)
     assert line.share > 0.05
     # the true axes are as much askew as is stated
     askew = replace(seen, y=seen.y + 2e-3 * seen.x)
-    off = analysed(askew, config, tmp_path / "run-1.mcap").results.budget["c"]
-    moved = abs(off.value - run.results.budget["c"].value)
+    off = analysed(askew, config, tmp_path / "run-1.mcap").budget["c"]
+    moved = abs(off.value - run.budget["c"].value)
     assert moved == pytest.approx(line.contribution, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("u_axes", "power"), [(0.0, 2), (2e-3, 1)], ids=["own", "common"])
 def test_the_mean_of_a_series_has_a_line_for_the_plane(u_axes: float, power: int, tmp_path: Path) -> None:
     """The first run does not turn. What is not known of a plane falls in the mean, the axes do not."""
@@ -101,8 +103,7 @@ def test_the_mean_of_a_series_has_a_line_for_the_plane(u_axes: float, power: int
     assert series is not None
     for name in ("b", "c"):
         of_runs = [
-            sum(one.contribution for one in run.results.budget[name].sources if one.source == PLANE)
-            for run in runs
+            sum(one.contribution for one in run.budget[name].sources if one.source == PLANE) for run in runs
         ]
         (line,) = [one for one in series.budget[name].sources if one.source == PLANE]
         expected = sum(one**power for one in of_runs) ** (1 / power) / 3
@@ -111,14 +112,14 @@ def test_the_mean_of_a_series_has_a_line_for_the_plane(u_axes: float, power: int
 
 def test_without_a_rotation_nothing_is_turned() -> None:
     run = run_of(Spin(), 5)
-    assert max(pulls(run.results).values()) < 3
-    assert not any("plane" in note for note in run.results.notes)
-    assert "plane_of_swing_rad" not in {line.source for line in run.results.budget["b"].sources}
+    assert max(pulls(run).values()) < 3
+    assert not any("plane" in note for note in run.notes)
+    assert "plane_of_swing_rad" not in {line.source for line in run.budget["b"].sources}
 
 
 @pytest.mark.parametrize("rate_deg_per_min", [0.003, 0.1])
 def test_there_is_no_step_where_a_rotation_begins_to_matter(rate_deg_per_min: float) -> None:
-    still, found = (run_of(Spin(rate * DEG_PER_MIN), 5).results.budget for rate in (0.0, rate_deg_per_min))
+    still, found = (run_of(Spin(rate * DEG_PER_MIN), 5).budget for rate in (0.0, rate_deg_per_min))
     for name in ("b", "p", "c", "n", "period0_s", "gamma_pa"):
         # noise along one axis becomes noise along another
         assert abs(found[name].value - still[name].value) < 0.1 * still[name].standard_uncertainty
@@ -134,13 +135,14 @@ def test_what_cannot_be_followed_is_withheld(spoiled: str, said: str, tmp_path: 
     if spoiled == "gap":
         lost = (seen.times_s > 80.0) & (seen.times_s < 120.0)
         seen = replace(seen, x=np.where(lost, np.nan, seen.x))
-    run = analysed(seen, configuration(), tmp_path / "run-1.mcap").results
+    run = analysed(seen, configuration(), tmp_path / "run-1.mcap")
     assert run.problem.startswith("withheld: the plane of swing turns")
     assert said in run.problem
     assert not run.fits
     assert not run.budget
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spin", "largest_u_b"),
     [

@@ -151,8 +151,8 @@ def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the
     path.write_text("\n".join(["time_s,z", *(f"{time:.1f},{k % 7}" for k, time in enumerate(times))]))
     record = measured_series / "run-1.mcap"
     alone, found = analyse_record(record), analyse_record(record, witness=SeismometerSource(path).read())
-    assert found.results.witness is not None
-    assert found.results.witness.verdict is SeismometerVerdict.ABSENT
+    assert found.witness is not None
+    assert found.witness.verdict is SeismometerVerdict.ABSENT
     results = [session_results([run], tmp_path) for run in (alone, found)]
     without = [replace(one, runs=(replace(one.runs[0], witness=None),)) for one in results]
     assert encoded(without[0]) == encoded(without[1])

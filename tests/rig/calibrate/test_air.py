@@ -71,7 +71,7 @@ def test_the_drag_is_measured_filed_and_used(
     with pytest.raises(ConfigurationError, match="leave one of them out"):
         complete(configuration(0.0, calibration={"air": str(path)}, fit=other))
     measured = [f"fit.drag_s={drag_s}", f"fit.u_drag_s={u_drag_s}"]
-    results = analyse_record(vanes.parent / "0.mcap", measured).results
+    results = analyse_record(vanes.parent / "0.mcap", measured)
     assert results.drag is not None
     assert results.drag.known_s is not None
     assert results.drag.known_s.value == drag_s
@@ -112,9 +112,9 @@ def test_a_run_too_short_for_the_waveform_is_refused(
 
     def short(record: Path, *, air_known: bool) -> AnalysedRun:
         run = fitted_once(record, air_known=air_known)
-        fit = run.fits["exact"]
+        fit = run.fitted["exact"]
         without = replace(fit, evidence=replace(fit.evidence, waveform=None))
-        return replace(run, fits={**run.fits, "exact": without})
+        return replace(run, fitted={**run.fitted, "exact": without})
 
     monkeypatch.setattr("rig.calibrate.lever.analyse_record", short)
     with pytest.raises(DataError, match="too short for the waveform"):

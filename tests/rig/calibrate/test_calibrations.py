@@ -150,7 +150,7 @@ def test_a_record_carries_its_calibration_and_says_whether_it_held(tmp_path: Pat
         assert simulate_record(validate_configuration(tree, "test"), tmp_path / "none.toml", record) == 0
         with RecordReader(record) as reader:
             assert reader.attachments["calibration/lever.toml"] == path.read_bytes()
-        result = analyse_record(record).results
+        result = analyse_record(record)
         assert result.calibration["lever"]["validity"] == validity
         assert any("expired" in line for line in result.warnings) is (validity == "expired")
 

@@ -20,10 +20,10 @@ REFERENCE_RAD = 60 * ARCSEC_RAD
 @pytest.mark.usefixtures("verdicts")
 def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     run = analyse_record(measured_series / "run-1.mcap", ["fit.u_ageing=0.01"])
-    fit, pendulum = run.fits["exact"], run.results.pendulum
+    fit, pendulum = run.fitted["exact"], run.pendulum
     assert pendulum is not None
     found, problem = compressed(
-        FoundRun(label="run-1", contact="glass", results_sha256="", run=run.results), REFERENCE_RAD, {}
+        FoundRun(label="run-1", contact="glass", results_sha256="", run=run), REFERENCE_RAD, {}
     )
     assert found is not None, problem
     names = found.names

@@ -101,6 +101,16 @@ class Page:
         self.wait(f"{IN_DIALOG} != null")
         self.point_at(IN_DIALOG)
 
+    def mark(self, folder: str) -> None:
+        """Mark a session of the list, or take its mark away."""
+        box = (
+            "[...document.querySelectorAll('.q-table tbody tr')]"
+            f".find(row => row.innerText.includes({folder!r})).querySelector('.q-checkbox')"
+        )
+        before = self.wait(f"{box}.getAttribute('aria-checked')")
+        self.ask(f"{box}.click()")
+        self.wait(f"{box}.getAttribute('aria-checked') !== {before!r}")
+
     def acknowledge(self) -> None:
         """Acknowledge what is latched, again and again while that is refused."""
         button = (

@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -47,46 +48,49 @@ def axe(request: pytest.FixtureRequest) -> str:
     return script.read_text("utf-8")
 
 
-def violations(page: Page, axe: str) -> list[Any]:
-    """What axe finds wrong with the page as it is."""
-    if not page.ask("typeof axe === 'object'"):
-        page.ask(axe + "; true")
-        page.ask(STILL)
-    page.wait("!document.querySelector('[class*=enter-active], [class*=leave-active]')")
-    found: list[Any] = json.loads(page.ask(RUN))
-    return found
-
-
-@pytest.mark.parametrize("theme", THEMES)
-def test_no_panel_at_rest_has_a_violation(shown: Shown, axe: str, theme: str) -> None:
+@pytest.fixture
+def judge(shown: Shown, axe: str) -> Iterator[Callable[[str], None]]:
+    """Has axe look at the page as it is, in every theme; what it finds fails the test at its end."""
     _, page = shown
-    page.prefer(theme)
-    inks = {"#light-off": "off-ink", "#lamp-recording": "bar-ink"}
-    for place, ink in inks.items():
-        red, green, blue = (int(THEMES[theme][ink][k : k + 2], 16) for k in (1, 3, 5))
-        # a lamp is dim until it was told of
-        colour = f"rgb({red}, {green}, {blue})"
-        page.wait(f"getComputedStyle(document.querySelector({place!r})).color === {colour!r}")
-    wrong = {}
-    for key, name in PANELS.items():
-        page.key(key)
-        page.wait(f"document.querySelector('.q-tab--active').innerText.toLowerCase() === {name.lower()!r}")
-        if found := violations(page, axe):
-            wrong[name] = found
+    wrong: dict[str, Any] = {}
+
+    def judged(what: str) -> None:
+        if not page.ask("typeof axe === 'object'"):
+            page.ask(axe + "; true")
+            page.ask(STILL)
+        for theme, colours in THEMES.items():
+            page.prefer(theme)
+            for place, ink in {"#light-off": "off-ink", "#lamp-recording": "bar-ink"}.items():
+                red, green, blue = (int(colours[ink][k : k + 2], 16) for k in (1, 3, 5))
+                # a lamp is dim until it was told of
+                colour = f"rgb({red}, {green}, {blue})"
+                page.wait(f"getComputedStyle(document.querySelector({place!r})).color === {colour!r}")
+            page.wait("!document.querySelector('[class*=enter-active], [class*=leave-active]')")
+            if found := json.loads(page.ask(RUN)):
+                wrong[f"{what}, {theme}"] = found
+
+    yield judged
     page.prefer("dark")
     assert wrong == {}, json.dumps(wrong, indent=1)
 
 
-@pytest.mark.parametrize("theme", THEMES)
-def test_no_state_of_a_session_has_a_violation(shown: Shown, axe: str, theme: str, desk_output: Path) -> None:
+def test_no_panel_at_rest_has_a_violation(shown: Shown, judge: Callable[[str], None]) -> None:
     _, page = shown
-    page.prefer(theme)
+    for key, name in PANELS.items():
+        page.key(key)
+        page.wait(f"document.querySelector('.q-tab--active').innerText.toLowerCase() === {name.lower()!r}")
+        judge(name)
+
+
+def test_no_state_of_a_session_has_a_violation(
+    shown: Shown, judge: Callable[[str], None], desk_output: Path
+) -> None:
+    _, page = shown
     page.key("3")
     session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     session_news.begin_run("run 1", 255, None)
-    folder = desk_output / f"axe-{theme}"
+    folder = desk_output / "axe"
     folder.mkdir(parents=True)
-    wrong = {}
     with OrderSocket(folder, session_news, {}):
         for state in (
             {"phase": "rest", "progress": "spread 3 px"},
@@ -96,32 +100,20 @@ def test_no_state_of_a_session_has_a_violation(shown: Shown, axe: str, theme: st
             session_news.state(state, [("elapsed", "0:01")])
             words = str(state.get("instruction") or state.get("alarm") or state["progress"])
             page.wait(f"document.body.innerText.toLowerCase().includes({words!r})")
-            if found := violations(page, axe):
-                wrong[state["phase"]] = found
+            judge(state["phase"])
         page.key("?")
         page.wait("document.querySelector('.q-dialog .rows') !== null")
-        if found := violations(page, axe):
-            wrong["keys"] = found
+        judge("keys")
         page.type("\x1b")
         page.ask("document.querySelector('.q-dialog__backdrop')?.click()")
         page.wait("document.querySelector('.q-dialog .rows') === null")
     page.wait("document.getElementById('amplitude').offsetParent === null")
-    page.prefer("dark")
-    assert wrong == {}, json.dumps(wrong, indent=1)
 
 
-@pytest.mark.parametrize("theme", THEMES)
 def test_no_form_error_list_picture_or_hand_over_has_a_violation(
-    shown: Shown, axe: str, theme: str, desk_output: Path
+    shown: Shown, judge: Callable[[str], None], desk_output: Path
 ) -> None:
     _, page = shown
-    page.prefer(theme)
-    wrong: dict[str, Any] = {}
-
-    def judge(what: str) -> None:
-        if found := violations(page, axe):
-            wrong[what] = found
-
     page.key("4")
     page.click("lever")
     page.wait_text("Lever: from px to radians")
@@ -149,9 +141,9 @@ def test_no_form_error_list_picture_or_hand_over_has_a_violation(
     page.click("Stop")
     page.wait_text("No live picture yet")
     page.key("5")
-    folder = finished(desk_output, theme)
+    folder = finished(desk_output)
     page.wait_text(folder.name)
-    mark(page, folder.name)
+    page.mark(folder.name)
     judge("a session that is marked")
     page.click("archive")
     page.wait_text("1 to 3 of 3")
@@ -170,27 +162,12 @@ def test_no_form_error_list_picture_or_hand_over_has_a_violation(
     page.wait_text("THE LAST SESSION")
     page.wait_text(" ± ")
     judge("the page of the end")
-    page.prefer("dark")
-    assert wrong == {}, json.dumps(wrong, indent=1)
 
 
-def finished(output: Path, name: str) -> Path:
+def finished(output: Path) -> Path:
     """A session that has ended, with results and a report, in the archive of the desk, too."""
-    archive = output.parent / "archive.duckdb"
-    if not archive.exists():
-        add_folders(archive, [SAMPLES / "series", SAMPLES / "uncalibrated"])
-    folder = output / f"over-{name}"
+    add_folders(output.parent / "archive.duckdb", [SAMPLES / "series", SAMPLES / "uncalibrated"])
+    folder = output / "over"
     shutil.copytree(SAMPLES / "series", folder)
     (folder / "report.html").write_text("<html lang='en'><head><title>r</title></head></html>", "utf-8")
     return folder
-
-
-def mark(page: Page, folder: str) -> None:
-    """Mark a session, or take its mark away."""
-    box = (
-        "[...document.querySelectorAll('.q-table tbody tr')]"
-        f".find(row => row.innerText.includes({folder!r})).querySelector('.q-checkbox')"
-    )
-    before = page.wait(f"{box}.getAttribute('aria-checked')")
-    page.ask(f"{box}.click()")
-    page.wait(f"{box}.getAttribute('aria-checked') !== {before!r}")

@@ -88,14 +88,6 @@ def test_a_session_that_is_frozen_and_one_that_is_killed(
 
 
 @pytest.mark.slow
-def test_stop_ends_a_session_that_is_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
-    os.kill(session.pid, signal.SIGSTOP)
-    until(lambda: desk.following.frozen)
-    assert "its process ends" in desk.stop_session()
-    assert session.wait(30.0) == -signal.SIGTERM
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("session", [IGNORES], indirect=True)
 def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess.Popen[str]") -> None:
     assert session.stdin is not None
@@ -125,25 +117,19 @@ def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -
         go_on.set()
 
 
-@pytest.mark.slow
-def test_a_session_that_has_failed_says_why(
-    desk: Desk, session: "subprocess.Popen[str]", config: Path
+def test_a_session_that_ends_as_it_should_is_no_alarm_and_one_that_has_failed_says_why(
+    desk: Desk, config: Path
 ) -> None:
-    file = SessionFile.made(
-        config.parent / "runs" / "session", config, 1, stored_configuration(load_configuration(config))
-    )
-    file.note(1, "run-1.mcap", RunState.FAILED, "no space left on device")
-    file.close()
-    assert session.stdin is not None
-    session.stdin.close()
-    assert wait_for(desk, AlarmKey.SESSION_FAILED) == "session: no space left on device"
-
-
-@pytest.mark.slow
-def test_a_session_that_ends_as_it_should_is_no_alarm(desk: Desk, session: "subprocess.Popen[str]") -> None:
-    assert session.stdin is not None
-    session.stdin.close()
+    folder, stored = config.parent / "runs" / "session", load_configuration(config)
+    with OrderSocket(folder, SessionNews(stored), {}):
+        until(lambda: desk.following.running)
     until(lambda: not desk.following.running and not desk.following.ended)
     # a busy machine may have held it up for a moment
     found = {row.key for row in desk.alarming.alarms.rows()}
     assert not found & {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED}
+    with OrderSocket(folder, SessionNews(stored), {}):
+        until(lambda: desk.following.running)
+        file = SessionFile.made(folder, config, 1, stored_configuration(stored))
+        file.note(1, "run-1.mcap", RunState.FAILED, "no space left on device")
+        file.close()
+    assert wait_for(desk, AlarmKey.SESSION_FAILED) == "session: no space left on device"

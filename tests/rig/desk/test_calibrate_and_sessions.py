@@ -120,7 +120,7 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.wait_text("mark a session")
     page.key("o")
     page.wait_text("no session is marked; mark one in the list")
-    mark(page, "broken")
+    page.mark("broken")
     page.click("Resume")
     page.wait_text("The laser will be lit")
     page.in_dialog()
@@ -132,7 +132,7 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     )
     assert "sandbox" in policy, "a report that came from elsewhere runs no script at the desk"
     assert page.ask("fetch('/sessions/broken/run-1.mcap').then(r => r.status)") == 404
-    mark(page, "older")
+    page.mark("older")
     page.wait_text("older is marked")
     page.click("Report")
     page.wait_text("rig report: ")
@@ -141,17 +141,6 @@ def test_sessions_are_listed_reported_and_resumed(page: Page, place: Path) -> No
     page.browser.open(str(page.ask("location.origin")) + "/sessions/broken/report.html")
     page.wait("document.images.length > 0 && [...document.images].every(image => image.naturalWidth > 0)")
     photograph(page, "report")
-
-
-def mark(page: Page, folder: str) -> None:
-    """Mark a session, or take its mark away."""
-    box = (
-        "[...document.querySelectorAll('.q-table tbody tr')]"
-        f".find(row => row.innerText.includes({folder!r})).querySelector('.q-checkbox')"
-    )
-    before = page.wait(f"{box}.getAttribute('aria-checked')")
-    page.ask(f"{box}.click()")
-    page.wait(f"{box}.getAttribute('aria-checked') !== {before!r}")
 
 
 def test_only_reports_below_the_folder_are_served(tmp_path: Path) -> None:
@@ -190,7 +179,9 @@ def test_only_reports_below_the_folder_are_served(tmp_path: Path) -> None:
         (["complete", "complete"], "complete"),
     ],
 )
-def test_only_what_was_killed_is_called_interrupted(tmp_path: Path, states: list[Any], shown: str) -> None:
+def test_only_what_was_killed_is_called_interrupted_and_whatever_lacks_runs_is_resumed(
+    tmp_path: Path, states: list[Any], shown: str
+) -> None:
     folder = tmp_path / "session"
     folder.mkdir()
     file = SessionFile.made(folder, tmp_path / "rig.toml", 2, {})
@@ -201,6 +192,8 @@ def test_only_what_was_killed_is_called_interrupted(tmp_path: Path, states: list
     index.look()
     (row,) = index.page(None).rows
     assert row.state == shown
+    # as rig run --resume does; one that was frozen and then stopped, too
+    assert row.resumable is (shown not in ("no run made", "complete"))
     (row,) = index.page(folder).rows
     assert row.state == "running"
 

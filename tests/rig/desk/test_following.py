@@ -38,19 +38,6 @@ def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follo
     follower.stop()
 
 
-def test_a_session_that_runs_already_is_known_when_it_has_started(tmp_path: Path) -> None:
-    """The desk's first page is built then, and shows the panel of a session."""
-    folder = tmp_path / "session"
-    folder.mkdir()
-    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
-    follower = Following(tmp_path)
-    with OrderSocket(folder, told, {}):
-        follower.start()
-        assert follower.folder == folder
-        assert follower.news
-    follower.stop()
-
-
 def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tmp_path: Path) -> None:
     folder = tmp_path / "session"
     told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
@@ -88,6 +75,9 @@ def test_the_camera_of_a_new_run_has_nothing_to_do_with_the_last_one(tmp_path: P
         told.begin_run("run 1", 255, None)
         told.note("camera lost", "unplugged", "warning")
         follower.start()
+        # known at once: the desk's first page is built then, and shows the panel of a session
+        assert follower.folder == folder
+        assert follower.news
         assert follower.camera_event is not None
         told.begin_run("run 2", 255, None)
         until(lambda: follower.news["run"] == "run 2" and follower.camera_event is None)

@@ -12,18 +12,41 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
+
 from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError
 from processing.spot import Spot
 from rig.control import ControlState, DevicesNow, LaserNow, Light
+from rig.desk.alarm_bar import sentence
+from rig.desk.alarm_list import CATALOGUE, AlarmKey
 from rig.devices import OrderSocket, SessionNews
+from rig.presentation import Verdict
 from rig.settings import Configuration
 from tests.rig.control.test_states import status
 from tests.rig.desk.desk_page import DeskProcess, Page
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(240)]
 Shown = tuple[DeskProcess, Page]
+FRAME = Frame(np.full((64, 32), 40, np.uint8), 1, 1, 1)
+SPOT = Spot(16.0, 32.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, 0)
+OF = "getElement(Number(document.querySelector('[aria-label=\"trajectory\"]').id.slice(1))).chart"
+RECORD = """
+window.told = [];
+window.Notification = class {
+  constructor(title, how) { window.told.push([title, how.body, how.tag, how.requireInteraction]); }
+};
+window.Notification.permission = 'granted';
+"""
+"""A browser without windows grants no notifications: what is asked of it is kept."""
+
+
+def news() -> SessionNews:
+    """Of a session in its first run."""
+    found = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    found.begin_run("run 1", 255, None)
+    return found
 
 
 def asked(address: str, path: str, headers: dict[str, str]) -> int:
@@ -133,10 +156,10 @@ HOLD = "{}.forEach(b => {{ b.rigHeld = true; b.click(); b.rigHeld = false; }})"
 """Press buttons as a key does that was held on them."""
 
 
-def feed(news: SessionNews, frame: Frame, spot: Spot, none: Deflections, ended: threading.Event) -> None:
+def feed(session_news: SessionNews, none: Deflections, ended: threading.Event) -> None:
     """Frames, as long as a session gets them."""
     while not ended.wait(0.2):
-        news.before_record([frame], [spot], none)
+        session_news.before_record([FRAME], [SPOT], none)
 
 
 def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_heard(
@@ -146,10 +169,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
     taken = []
     lit = DevicesNow(LaserNow(Light.ON), ControlState.OPEN, status())
     now = {"devices": asdict(lit)}
-    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
-    session_news.begin_run("run 1", 255, None)
-    frame = Frame(np.full((64, 32), 40, np.uint8), 1, 1, 1)
-    spot = Spot(16.0, 32.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, 0)
+    session_news = news()
     empty = np.zeros(0)
     none = Deflections(np.zeros(0, np.int64), empty, empty, empty, empty, DeflectionUnit.PX)
 
@@ -176,7 +196,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.wait_text("no frame yet: rest: spread 3 px")
         page.wait_while(
             "!document.body.innerText.includes('no frame yet')",
-            lambda: session_news.before_record([frame], [spot], none),
+            lambda: session_news.before_record([FRAME], [SPOT], none),
         )
         session_news.state({"phase": "release", "instruction": "release by hand now"}, [])
         page.wait_text("RELEASE BY HAND NOW")
@@ -193,7 +213,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.wait(f"{field}.value === ''")
         assert noted == ["a door slammed"]
         fed = threading.Event()
-        feeding = threading.Thread(target=feed, args=(session_news, frame, spot, none, fed))
+        feeding = threading.Thread(target=feed, args=(session_news, none, fed))
         feeding.start()
         session_news.state({"phase": "measuring", "temperature_c": 20.0, "alarm": "the laser is dark"}, [])
         page.wait_text("Run in trouble: the laser is dark")
@@ -217,6 +237,65 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         feeding.join()
         assert "nothing recorded yet" not in page.text()
     page.wait("document.getElementById('amplitude').offsetParent === null")
+
+
+def test_a_trajectory_is_drawn_and_a_zoom_outlives_new_points(shown: Shown, desk_output: Path) -> None:
+    _, page = shown
+    session_news = news()
+    y = np.linspace(-10.0, 10.0, 100)
+    none = np.zeros_like(y)
+    way = Deflections(np.arange(100) * 10**7, y, y, none, none, DeflectionUnit.PX)
+    folder = desk_output / "of-charts"
+    folder.mkdir(parents=True)
+    page.key("3")
+    with OrderSocket(folder, session_news, {}):
+        session_news.before_record([FRAME], [SPOT], way)
+        page.wait(f"{OF}.getOption().series[0].data.length > 90")
+        page.ask(f"{OF}.dispatchAction({{type: 'dataZoom', dataZoomIndex: 0, start: 0, end: 75}})")
+        page.wait(f"{OF}.getOption().dataZoom[0].end === 75")
+        more = Deflections(way.times_ns + 10**9, 0.5 * y, y, none, none, DeflectionUnit.PX)
+        session_news.before_record([FRAME], [SPOT], more)
+        page.wait(f"{OF}.getOption().series[0].data.length > 190")
+        assert page.ask(f"{OF}.getOption().dataZoom[0].end") == 75
+        assert page.ask("rigNumber(-1.23456789, 'px')") == "−1.23457 px"
+    page.wait("document.getElementById('amplitude').offsetParent === null")
+
+
+def test_an_alarm_is_told_to_the_browser_once_with_its_remedy(shown: Shown, desk_output: Path) -> None:
+    _, page = shown
+    page.ask(RECORD)
+    session_news = news()
+    folder = desk_output / "told"
+    folder.mkdir(parents=True)
+    alarm = CATALOGUE[AlarmKey.PREFLIGHT]
+    session_news.preflight([Verdict("spot", False, "it is lost", "look for it")])
+    of_preflight = f"window.told.filter(one => one[2] === {str(AlarmKey.PREFLIGHT)!r})"
+    with OrderSocket(folder, session_news, {}):
+        session_news.state({"phase": "preflight"}, [])
+        page.wait(f"{of_preflight}.length")
+        ((title, text, _, stays),) = page.ask(of_preflight)
+        assert (title, stays) == (AlarmKey.PREFLIGHT, True)
+        assert alarm.remedy in text
+        # the page is told four times a second what cries
+        page.wait_text(sentence(alarm.remedy))
+        page.wait("(window.looks = (window.looks || 0) + 1) > 15")
+        assert page.ask(f"{of_preflight}.length") == 1
+
+
+def test_a_panel_that_cannot_be_drawn_says_so_once_and_holds_nothing_up(
+    shown: Shown, desk_output: Path
+) -> None:
+    _, page = shown
+    page.key("1")
+    folder = desk_output / "older"
+    folder.mkdir(parents=True)
+    # a row without the keys of this version
+    with OrderSocket(folder, news(), {}, lambda: {"preflight": [{"name": "spot", "ok": False}]}):
+        page.wait_text("Rig is not brought up to date: KeyError")
+        page.ask("document.querySelectorAll('.errors button').forEach(one => one.click())")
+        page.wait("(window.looks = (window.looks || 0) + 1) > 15")
+        assert page.ask("document.querySelectorAll('.errors > *').length") == 0
+        assert page.ask("document.documentElement.classList.contains('dead')") is False
 
 
 def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:

@@ -1,5 +1,6 @@
 """What panels ask of the desk: settings of the camera to keep, answers to the balance, looking again."""
 
+import inspect
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +12,14 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError, RigError
 from rig.balance import BalanceStage
+from rig.cli import app
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
+from rig.desk.calibrating import kinds
 from rig.desk.charts import ChartCurve, in_last_row
 from rig.desk.desk import Desk
 from rig.desk.lighting import refusal
 from rig.desk.panels.balance import net_of
-from rig.desk.sessions import session_row
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
 from rig.terminal import start_python
@@ -73,14 +75,14 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(jobs, "start_python", lambda *_, **how: start_python("-c", ECHO, **how))
-    job = desk.jobs["balance"] = jobs.Job(["balance"])
+    job = desk.jobs["balance"] = jobs.Job(["balance"], uses_camera=True)
     until(lambda: bool(job.lines))
     with pytest.raises(ConfigurationError, match="first measure"):
         desk.balancing.turned("x", "0.5")
     with pytest.raises(ConfigurationError, match="wait for the end"):
         desk.balancing.forget()
     job.answer("the measurement is over")
-    until(lambda: job.count == 2)
+    until(lambda: len(job.lines) == 2)
     for count, do in enumerate(
         (
             lambda: desk.balancing.turned("x", " +0.5 "),
@@ -91,7 +93,7 @@ def test_a_turn_is_refused_while_it_is_measured_and_answered_when_it_is_asked_fo
         start=3,
     ):
         do()
-        until(lambda count=count: job.count == count)
+        until(lambda count=count: len(job.lines) == count)
     assert [line["heard"] for line in list(job.lines)[2:]] == ["x +0.5", "", "f", "q"]
     assert job.ending
     job.end()
@@ -131,6 +133,21 @@ def test_a_trip_is_not_to_be_acknowledged_while_the_interlock_is_open() -> None:
     assert not refusal(replace(is_open, interlock_age_s=60.0))
 
 
+def test_every_form_of_a_calibration_has_the_options_of_its_command() -> None:
+    group = next(one for one in app.registered_groups if one.name == "calibrate").typer_instance
+    assert group is not None
+    options = {
+        str(one.callback.__name__): {
+            name.replace("_", "-") for name in inspect.signature(one.callback).parameters
+        }
+        for one in group.registered_commands
+        if one.callback is not None
+    }
+    assert options.keys() == kinds().keys()
+    for name, kind in kinds().items():
+        assert {"output", "valid-days", "by", "as-json", *kind.fields} <= options[name]
+
+
 def test_turns_in_two_parts_are_summed_in_words() -> None:
     assert net_of([0.5]) == ""
     assert net_of([0.61, -0.5]) == "net +0.11 (the second turn takes up the play)"
@@ -155,22 +172,3 @@ def test_the_newest_session_is_resumed_where_it_was_interrupted(desk: Desk, tmp_
     file.close()
     desk.sessions.look()
     assert desk.resumable() is None
-
-
-@pytest.mark.parametrize(
-    ("state", "resumed"),
-    [
-        (RunState.RECORDING, True),
-        (RunState.STOPPED, True),
-        (RunState.FAILED, True),
-        (RunState.COMPLETE, False),
-    ],
-)
-def test_whatever_lacks_runs_can_be_resumed_from_the_list(
-    tmp_path: Path, state: RunState, resumed: bool
-) -> None:
-    """As `rig run --resume` does; one that was frozen and then stopped, too."""
-    file = SessionFile.made(tmp_path, tmp_path / "rig.toml", 1, {})
-    file.note(1, "run-1.mcap", state)
-    file.close()
-    assert session_row(tmp_path).resumable is resumed

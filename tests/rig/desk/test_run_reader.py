@@ -1,7 +1,7 @@
 """What a desk shows of a run is read from its record, while it grows."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +14,9 @@ from processing.spot import Spot
 from processing.swing import HalfCycle
 from processing.units import nanoseconds
 from rig.desk.run_reader import RecordFollower, decimated
+from tests.waiting import until
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
-
-
-def until(state: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 30.0
-    while not state():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.rig.desk.desk_page import SIZE, DeskProcess, Page, desk_page
+from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 INTERLOCK = """
@@ -97,15 +97,6 @@ def tab_to(page: Page, words: str) -> None:
                 "Input.dispatchKeyEvent", type=kind, key="Tab", code="Tab", windowsVirtualKeyCode=9
             )
     raise AssertionError(f"no Tab leads to {words!r}")
-
-
-def fits_a_phone(page: Page) -> None:
-    """What is shown is no wider than a phone, where it is shown as wide as that."""
-    page.browser.call(
-        "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True
-    )
-    page.wait("document.documentElement.scrollWidth <= 391", 10.0)
-    page.browser.call("Emulation.setDeviceMetricsOverride", **SIZE)
 
 
 def hold_enter(page: Page, until: str) -> None:

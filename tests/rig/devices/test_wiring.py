@@ -23,6 +23,8 @@ from tests.rig.control.wires import FirmwareBoard
 from tests.rig.known_rig import known
 from tests.waiting import until
 
+# a port that nobody answers is waited for
+pytestmark = pytest.mark.timeout(120)
 LIVE = CONFIGS / "live.toml"
 WITHOUT = "--set controller.kind=none --set laser.kind=none"
 SHORT = {**SMALL, "session.max_duration_s": "2", "view.file": "false"}

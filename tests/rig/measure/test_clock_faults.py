@@ -50,7 +50,7 @@ def test_wrong_times_steps_and_a_short_counter_cost_one_frame(tmp_path: Path) ->
     assert np.abs(times_s - line).max() < 3e-4
     assert len(steps) == 1
     assert abs(steps[0].step_ns - 130_000_000) < 200_000
-    results = analyse_record(record).results
+    results = analyse_record(record)
     assert results.clock is not None
     assert results.clock.steps == 1
     verdict = next(one for one in results.conditions if one.name == "camera's clock")

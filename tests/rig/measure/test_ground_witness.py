@@ -72,10 +72,10 @@ def test_the_run_itself_is_fitted_with_it_and_so_is_its_record(vault: Path) -> N
     # it is late by 0.05 s, which is in the response's phase; so short a run bounds it
     delay_s, u_s = run.witness.delay_s
     assert abs(delay_s + 0.05) < 4 * u_s < 2.0
-    again = fitted_once(vault / "run-1.mcap").results
+    again = fitted_once(vault / "run-1.mcap")
     assert again.witness == run.witness
     assert again.fits["exact"].estimate("b") == run.fits["exact"].estimate("b")
-    alone = analyse_record(vault / "run-1.mcap", ["witness.kind='none'"]).results
+    alone = analyse_record(vault / "run-1.mcap", ["witness.kind='none'"])
     assert alone.witness is None
     exact = alone.fits["exact"]
     assert exact.ground is not None
@@ -97,10 +97,10 @@ def test_a_file_beside_a_record_is_accepted_in_its_place(vault: Path, tmp_path: 
         rows = zip((table["time_ns"] - zero_ns).tolist(), table["first"].tolist(), strict=True)
         lines = [f"{time_ns // 10**9}.{time_ns % 10**9:09d},{value:.9g}" for time_ns, value in rows]
         (tmp_path / name).write_text("\n".join(["time_s,counts", *lines]))
-    own = fitted_once(record).results
+    own = fitted_once(record)
     assert own.witness is not None
     for name in ("utc.csv", "relative.csv"):
-        found = analyse_record(record, witness=SeismometerSource(tmp_path / name).read()).results
+        found = analyse_record(record, witness=SeismometerSource(tmp_path / name).read())
         assert found.witness is not None
         assert found.witness.used, name
         assert [response.name for response in found.witness.responses] == ["counts"]

@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 from acquisition.record.events import EventKind, end_of
@@ -93,18 +94,34 @@ def test_a_run_comes_to_its_end_on_a_terminal_and_says_what_an_uncalibrated_cloc
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", run.screen)
     assert re.search(r"clock +\+(79|80)\.\d+ ± [\d.]+ ppm against", plain), plain[-3000:]
     rows, truth = ({row["quantity"]: row for row in each["table"]} for each in (found, true))
-    shift_s = rows["mean_period_s"]["value"] - truth["mean_period_s"]["value"]
-    assert shift_s / truth["mean_period_s"]["value"] == pytest.approx(1e-6 * DRIFT_PPM, rel=0.15)
-    assert abs(shift_s) < 2.0 * rows["mean_period_s"]["u"]
+    # over the half-cycles of both: a busy machine loses frames, and with them some of the live run's
+    assert slower(run.record, tmp_path / "twin" / "run-1.mcap") == pytest.approx(1e-6 * DRIFT_PPM, rel=0.05)
+    shift_s = 1e-6 * DRIFT_PPM * truth["mean_period_s"]["value"]
+    assert (
+        abs(rows["mean_period_s"]["value"] - truth["mean_period_s"]["value"])
+        < 2.0 * rows["mean_period_s"]["u"]
+    )
     budget = found["budget"]["period0_s"]
     (line,) = [source for source in budget["sources"] if source["source"] == "clock"]
     # no less and not much more than what is there: 50 ppm of the computer's are added
     assert 0.9 * DRIFT_PPM < 1e6 * line["u_source"] < 2.0 * DRIFT_PPM
-    assert 0.9 * abs(shift_s) < line["contribution"] <= budget["standard_uncertainty"]
+    assert 0.9 * shift_s < line["contribution"] <= budget["standard_uncertainty"]
     assert "clock" not in [one["source"] for one in true["budget"]["period0_s"]["sources"]]
     # γ follows from ratios of periods, which no rate changes
     gamma = found["budget"]["gamma_pa"]
     assert abs(gamma["value"] - 28.97e6) < 3.0 * gamma["standard_uncertainty"]
+
+
+def slower(live: Path, twin: Path) -> float:
+    """By what part the times between turning points of one record are longer than those of another."""
+    times_ns = []
+    for record in (live, twin):
+        with RecordReader(record) as reader:
+            times_ns.append({one.index: one.turn_time_ns for one in reader.swings() if not one.flags})
+    both = sorted(times_ns[0].keys() & times_ns[1].keys())
+    assert len(both) > 8
+    of_live, of_twin = (np.array([found[index] - found[both[0]] for index in both]) for found in times_ns)
+    return float(np.polyfit(of_twin, of_live - of_twin, 1)[0])
 
 
 SOONER = {

@@ -106,8 +106,8 @@ def test_fits_and_replays_take_it_off_and_say_so(recorded: Path) -> None:
     (run,) = read_results(recorded.parent).runs
     assert "reference spot: x used, y used" in run.notes
     found = run.fits["exact"].estimate("b")
-    tracked = analyse_replayed(recorded, retrack=True).results
-    for again in (analyse_record(recorded).results, analyse_replayed(recorded, retrack=False).results):
+    tracked = analyse_replayed(recorded, retrack=True)
+    for again in (analyse_record(recorded), analyse_replayed(recorded, retrack=False)):
         assert again.fits["exact"].estimate("b") == found
         assert "reference spot: x used, y used" in again.notes
     assert "reference spot: x used, y used" in tracked.notes

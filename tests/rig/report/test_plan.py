@@ -72,9 +72,7 @@ def test_a_configuration_says_what_its_rig_will_measure(measured_series: Path) -
         conditions = expected_of(recorded_configuration(reader)).conditions
     results = read_results(measured_series / "results.json")
     assert isinstance(results, SessionResults)
-    stored = results.runs[0].turning_points
-    assert stored is not None
-    points = stored.points()
+    points = results.runs[0].points
     u_rad, u_s_rad = np.median(points.u_amplitude), np.median(points.u_time_s * points.amplitude)
     assert conditions.u_amplitude_rad == pytest.approx(u_rad, rel=0.1)
     assert conditions.u_time_amplitude_s_rad == pytest.approx(u_s_rad, rel=0.1)

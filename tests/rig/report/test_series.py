@@ -60,10 +60,10 @@ def test_a_run_without_fit_shifts_no_number(measured_series: Path, tmp_path: Pat
     """The report blamed run 2 where run 3 stood apart, as runs that could not be fitted were not counted."""
     first = analyse_record(measured_series / "run-1.mcap")
     second = analyse_record(measured_series / "run-2.mcap")
-    unfitted = replace(first, fits={}, results=replace(first.results, fits={}, problem="too short"))
-    exact = second.fits[FitMethod.EXACT]
+    unfitted = replace(first, fitted={}, fits={}, problem="too short")
+    exact = second.fitted[FitMethod.EXACT]
     odd = replace(exact, values=exact.values + 50 * exact.standard_uncertainty)
-    apart = replace(second, fits={**second.fits, FitMethod.EXACT: odd})
+    apart = replace(second, fitted={**second.fitted, FitMethod.EXACT: odd})
     results = session_results([unfitted, first, first, apart], tmp_path)
     assert results.series is not None
     assert results.series.combined_runs == (2, 3, 4)

@@ -146,6 +146,7 @@ def test_the_budget_is_sorted_adds_up_and_has_what_is_stated(measured_series: Pa
     assert radius["u_total"] / radius["value"] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("figures")
 def test_a_report_can_be_made_again_elsewhere(measured_series: Path, tmp_path: Path) -> None:
     page = make_report(measured_series, tmp_path / "again.html")

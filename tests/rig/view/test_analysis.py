@@ -46,8 +46,8 @@ def test_the_report_says_what_results_json_says(measured_series: Path) -> None:
     run = run_analysis(measured_series / "run-1.mcap")
     text = report_text({"": run})
     assert text.startswith("## run-1")
-    assert f"{run.results.half_cycles} half-cycles" in text
-    assert f"| γ / MPa | {run.results['gamma'].text} |" in text
+    assert f"{run.half_cycles} half-cycles" in text
+    assert f"| γ / MPa | {run['gamma'].text} |" in text
 
 
 def test_a_record_without_results_is_fitted(tmp_path: Path) -> None:

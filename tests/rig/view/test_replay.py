@@ -127,7 +127,7 @@ def test_what_is_analysed_is_what_the_record_says_itself(
 ) -> None:
     assert replay_record(record, None, retrack=False, overrides=[]) == 0
     said = capsys.readouterr().out
-    run = analyse_record(record).results
+    run = analyse_record(record)
     assert (run.frames, run.dropped_frames) == (FRAMES, 1)
     assert f"{FRAMES} frames, 1 dropped" in said
     assert "equal bit for bit" in said
