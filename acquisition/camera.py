@@ -13,6 +13,8 @@ from pydantic import BaseModel, Field, field_validator
 from processing.errors import DeviceError
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
+_OWN_BYTES: Final = 1024
+"""What a frame takes beside its pixels, about."""
 
 
 class Frame(NamedTuple):
@@ -41,6 +43,11 @@ class Frame(NamedTuple):
     def time_ns(self) -> int:
         """The camera's clock where it has one, else the host's monotonic clock."""
         return self.device_time_ns if self.device_time_ns >= 0 else self.host_time_ns
+
+    @property
+    def memory_bytes(self) -> int:
+        """About what it takes while it waits."""
+        return self.image.nbytes + _OWN_BYTES
 
 
 PixelFormat = Literal["mono8", "mono10", "mono12", "mono14", "mono16"]

@@ -3,17 +3,13 @@
 Names are those of the Standard Feature Naming Convention (SFNC) and of older cameras.
 """
 
-import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from typing import Final, Generic, Literal, TypeVar
+from collections.abc import Iterable
+from typing import Final, Literal, TypeVar
 
 from acquisition.camera import (
     CLOCK_STATES,
-    CameraLost,
     CameraSettings,
-    CameraStatus,
     ColourPlane,
     Edge,
     FeatureValue,
@@ -27,7 +23,7 @@ from acquisition.cameras.pixel_formats import (
     names_by_depth,
     preferred_names,
 )
-from acquisition.frames.losses import BlockNumbers
+from acquisition.cameras.reading import DeviceCamera
 from processing.errors import DeviceError
 
 Quantity = Literal["exposure_us", "gain_db", "frame_rate_hz"]
@@ -396,41 +392,8 @@ def _is_on(value: FeatureValue | None) -> bool:
 _Features = TypeVar("_Features", bound=GenicamFeatures)
 
 
-class GenicamCamera(ABC, Generic[_Features]):
-    """What the drivers' cameras have alike: settings, features by name, counts over a reconnection.
-
-    `_features` are those of the open camera; a driver sets it, `_name` and `_numbers`.
-    """
-
-    _HINT = ""
-    """What a message of the library is followed by."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._lock = threading.RLock()
-        self._features: _Features | None = None
-        self._numbers = BlockNumbers(name, ())
-        self._before = CameraStatus()
-        self._was_lost = False
-
-    @abstractmethod
-    def _is_running(self) -> bool:
-        """Whether frames are delivered."""
-
-    def _library_error(self) -> type[Exception]:
-        """What the library raises."""
-        return DeviceError
-
-    def _is_gone(self) -> bool:
-        """Whether the library says that the camera is no longer connected."""
-        return False
-
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        with self._lock, self._translated():
-            features = self._opened()
-            if self._is_running():
-                raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
-            return features.apply(settings)
+class GenicamCamera(DeviceCamera[_Features]):
+    """A camera whose features can be read by name."""
 
     def feature_values(self) -> dict[str, FeatureValue]:
         with self._lock, self._translated():
@@ -445,40 +408,3 @@ class GenicamCamera(ABC, Generic[_Features]):
             if name in CLOCK_STATES:
                 features.latch_clock_state()
             return features.read(name)
-
-    @property
-    def status(self) -> CameraStatus:
-        """Counts since `start`, continued after a reconnection."""
-        return self._before + self._numbers.status(self._numbers.whole)
-
-    def _begin(self, counters: tuple[int, ...], *, has_clock: bool = False) -> BlockNumbers:
-        """Count anew, or on after a loss of the camera; see `BlockNumbers`."""
-        self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
-        self._numbers = BlockNumbers(self._name, counters, has_clock=has_clock)
-        return self._numbers
-
-    def _opened(self) -> _Features:
-        if self._features is None:
-            raise DeviceError(f"{self._name}: is not open; call open first")
-        return self._features
-
-    def _must_be_idle(self) -> None:
-        if self._is_running():
-            raise DeviceError(f"{self._name}: is running already; stop it first")
-
-    @contextmanager
-    def _translated(self) -> Iterator[None]:
-        """Convert the library's errors into DeviceError, those of an unplugged camera into CameraLost."""
-        try:
-            yield
-        except DeviceError as error:
-            self._was_lost = self._was_lost or isinstance(error, CameraLost)
-            raise
-        except Exception as error:
-            if not isinstance(error, self._library_error()):
-                raise
-            text = " ".join(str(getattr(error, "message", error)).split())
-            if self._is_gone():
-                self._was_lost = True
-                raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
-            raise DeviceError(f"{self._name}: {text}{self._HINT}") from None

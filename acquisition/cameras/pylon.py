@@ -1,6 +1,5 @@
 """Cameras that pylon supports, as a `Camera`."""
 
-import threading
 import time
 import warnings
 from contextlib import suppress
@@ -15,12 +14,12 @@ from acquisition.camera import (
     ColourPlane,
     FeatureValue,
     Frame,
-    FrameTimeout,
     PluggedCamera,
 )
 from acquisition.cameras.drivers import PylonSettings, kept_frames
 from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures, Quantity
 from acquisition.cameras.pixel_formats import Format, plane_of
+from acquisition.cameras.reading import CameraRun
 from processing.errors import DeviceError, MissingPackage
 from processing.units import NS_PER_S
 
@@ -142,7 +141,6 @@ class PylonFeatures(GenicamFeatures):
         return NS_PER_S / float(per_s) if per_s else 1.0
 
 
-_POLL_MS: Final = 100
 _NO_BLOCK: Final = 2**64 - 1
 """A block whose number pylon does not know."""
 _GIGE_BLOCKS: Final = 65535
@@ -162,19 +160,15 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         self._settings = settings or PylonSettings()
         self._camera: Any = None
         self._pylon: Any = None
-        self._emulated = self._started = False
+        self._emulated = False
         self._seen: tuple[Format | None, ColourPlane | None] = (None, None)
         self._tick_ns = 0.0
-        self._halted = threading.Event()
 
     def _library_error(self) -> type[Exception]:
         return Exception
 
     def _is_gone(self) -> bool:
         return self._camera is not None and bool(self._camera.IsCameraDeviceRemoved())
-
-    def _is_running(self) -> bool:
-        return self._camera is not None and bool(self._camera.IsGrabbing())
 
     def open(self) -> CameraInfo:
         self.close()
@@ -217,8 +211,6 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             features, camera = self._opened(), self._camera
             self._must_be_idle()
             self._begin((_GIGE_BLOCKS,))
-            self._halted.clear()
-            self._started = True
             self._seen = (features.present_format(), features.plane)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
             frame_bytes = int(features.node("PayloadSize").Value)
@@ -226,68 +218,44 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
                 self._settings.buffers, features.stated_rate(), frame_bytes, 64, 4096
             )
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+            self._run = CameraRun(self._next, camera.StopGrabbing)
 
-    def read(self, timeout_s: float) -> Frame | None:
-        if not self._started:
-            raise DeviceError(f"{self._name}: is not started; call start before read")
-        deadline_s = time.monotonic() + timeout_s
-        while not self._halted.is_set():
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0:
-                raise FrameTimeout(f"{self._name}: no frame within {timeout_s:g} s; is its trigger on?")
-            camera = self._camera
-            if camera is None:
+    def _next(self, timeout_s: float) -> Frame | None:
+        camera, run = self._camera, self._run
+        if camera is None or run is None:
+            return None
+        result = camera.RetrieveResult(int(timeout_s * 1000) + 1, self._pylon.TimeoutHandling_Return)
+        host_time_ns = time.monotonic_ns()
+        if result is None or not result.IsValid():
+            if not run.stopped and camera.IsCameraDeviceRemoved():
+                raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
+            return None
+        try:
+            if not result.GrabSucceeded():
+                self._numbers.lost_parts += 1
+                self._numbers.faulty += 1
                 return None
-            frame = self._retrieve(camera, min(_POLL_MS, int(left_s * 1000) + 1))
-            if frame is not None:
-                return frame
-        return None
-
-    def _retrieve(self, camera: Any, patience_ms: int) -> Frame | None:
-        with self._translated():
-            try:
-                result = camera.RetrieveResult(patience_ms, self._pylon.TimeoutHandling_Return)
-            except Exception:
-                if self._halted.is_set():
-                    return None
-                raise
-            host_time_ns = time.monotonic_ns()
-            if result is None or not result.IsValid():
-                if not self._halted.is_set() and camera.IsCameraDeviceRemoved():
-                    raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
+            # pylon counts skipped images only where it skips; the numbers of blocks show every loss
+            block = int(result.GetBlockID())
+            number = self._numbers.number(None if block == _NO_BLOCK else block, "dropped_by_bus")
+            if number is None:
                 return None
-            try:
-                if not result.GrabSucceeded():
-                    self._numbers.lost_parts += 1
-                    self._numbers.faulty += 1
-                    return None
-                # pylon counts skipped images only where it skips; the numbers of blocks show every loss
-                block = int(result.GetBlockID())
-                number = self._numbers.number(None if block == _NO_BLOCK else block, "dropped_by_bus")
-                if number is None:
-                    return None
-                image = np.array(result.GetArray(), copy=True)
-                pixel_format, plane = self._seen
-                if pixel_format is not None:
-                    image = plane_of(image, pixel_format.colours, plane)
-                image.flags.writeable = False
-                device_time_ns = round(result.GetTimeStamp() * self._tick_ns) if self._tick_ns else -1
-            finally:
-                result.Release()
-            return Frame(image, number, device_time_ns, host_time_ns)
-
-    def stop(self) -> None:
-        self._halted.set()
-        camera = self._camera
-        if camera is not None and camera.IsGrabbing():
-            camera.StopGrabbing()
+            image = np.array(result.GetArray(), copy=True)
+            pixel_format, plane = self._seen
+            if pixel_format is not None:
+                image = plane_of(image, pixel_format.colours, plane)
+            image.flags.writeable = False
+            device_time_ns = round(result.GetTimeStamp() * self._tick_ns) if self._tick_ns else -1
+        finally:
+            result.Release()
+        return Frame(image, number, device_time_ns, host_time_ns)
 
     def close(self) -> None:
         self.stop()
         with self._lock:
             camera, self._camera, self._features = self._camera, None, None
             if camera is not None:
-                camera.Close()
+                self._when_unread(camera.Close)
 
 
 def load_pylon() -> Any:

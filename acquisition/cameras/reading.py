@@ -1,14 +1,17 @@
-"""One run of a camera, from start to stop, that is read in the thread which asks for its frames."""
+"""What the drivers of devices have alike: life cycle, and frames read in the thread which asks for them."""
 
 import threading
 import time
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import ClassVar, Final, Generic, Protocol, TypeVar
 
-from acquisition.camera import Frame
-from processing.errors import RigError
+from acquisition.camera import CameraLost, CameraSettings, CameraStatus, Frame, FrameTimeout
+from acquisition.frames.losses import BlockNumbers
+from processing.errors import DeviceError, RigError
 
 _POLL_S: Final = 0.05  # longest wait for the camera, after which `read` checks for `stop`
+_STOP_S: Final = 0.4
 
 
 class CameraRun:
@@ -47,7 +50,7 @@ class CameraRun:
             deadline_s = time.monotonic() + timeout_s
             try:
                 if self._error is not None:
-                    raise type(self._error)(str(self._error))
+                    raise self._error
                 while not self._stopping.is_set():
                     left_s = max(deadline_s - time.monotonic(), 0.0)
                     frame = self._step(min(left_s, _POLL_S))
@@ -60,7 +63,8 @@ class CameraRun:
                         raise TimeoutError
                 return None
             except RigError as error:
-                self._error = error
+                # another one, which keeps nothing of the camera as a traceback does
+                self._error = type(error)(str(error))
                 self._stopping.set()
                 raise
             finally:
@@ -101,3 +105,111 @@ class CameraRun:
             self._ended = True
         for action in actions:
             action()
+
+
+class AppliesSettings(Protocol):
+    """An open device."""
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Apply the settings that are not None; return all as read back."""
+        ...
+
+
+_Opened = TypeVar("_Opened", bound=AppliesSettings)
+
+
+class DeviceCamera(Generic[_Opened]):
+    """What the drivers' cameras have alike: settings, frames until a stop, counts over a reconnection.
+
+    `_features` is the open device, `_run` its frames since `start`; a driver sets both, and `_name`.
+    """
+
+    _HINT: ClassVar[str] = ""
+    """What a message of the library is followed by."""
+    _SILENT: ClassVar[str] = "is its trigger on?"
+    """What may be wrong where no frame comes."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._lock = threading.RLock()
+        self._features: _Opened | None = None
+        self._run: CameraRun | None = None
+        self._numbers = BlockNumbers(name, ())
+        self._before = CameraStatus()
+        self._was_lost = False
+
+    def _library_error(self) -> type[Exception]:
+        """What the library raises."""
+        return DeviceError
+
+    def _is_gone(self) -> bool:
+        """Whether the library says that the camera is no longer connected."""
+        return False
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        with self._lock, self._translated():
+            device = self._opened()
+            self._must_be_idle("stop it before settings are changed")
+            return device.apply(settings)
+
+    def read(self, timeout_s: float) -> Frame | None:
+        run = self._run
+        if run is None:
+            raise DeviceError(f"{self._name}: is not started; call start before read")
+        try:
+            with self._translated():
+                return run.read(timeout_s)
+        except TimeoutError:
+            raise FrameTimeout(f"{self._name}: no frame within {timeout_s:g} s; {self._SILENT}") from None
+
+    def stop(self) -> None:
+        if self._run is not None:
+            self._run.stop(_STOP_S)
+
+    @property
+    def status(self) -> CameraStatus:
+        """Counts since `start`, continued after a reconnection."""
+        run = self._run
+        return self._before if run is None else self._before + self._numbers.status(run.delivered)
+
+    def _begin(self, counters: tuple[int, ...] = (), *, has_clock: bool = False) -> BlockNumbers:
+        """Count anew, or on after a loss of the camera; see `BlockNumbers`."""
+        self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+        self._run = None
+        self._numbers = BlockNumbers(self._name, counters, has_clock=has_clock)
+        return self._numbers
+
+    def _when_unread(self, action: Callable[[], None]) -> None:
+        """What must not happen during a read: now, or when the one that is under way has come to its end."""
+        if self._run is None:
+            action()
+        else:
+            self._run.when_ended(action)
+
+    def _opened(self) -> _Opened:
+        if self._features is None:
+            raise DeviceError(f"{self._name}: is not open; call open first")
+        return self._features
+
+    def _must_be_idle(self, remedy: str = "stop it first") -> None:
+        if self._run is not None and not self._run.stopped:
+            raise DeviceError(f"{self._name}: is running; {remedy}")
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Convert the library's errors into DeviceError, those of an unplugged camera into CameraLost."""
+        try:
+            yield
+        except DeviceError as error:
+            self._was_lost = self._was_lost or isinstance(error, CameraLost)
+            raise
+        except TimeoutError:
+            raise
+        except Exception as error:
+            if not isinstance(error, self._library_error()):
+                raise
+            text = " ".join(str(getattr(error, "message", error)).split())
+            if self._is_gone():
+                self._was_lost = True
+                raise CameraLost(f"{self._name}: is no longer connected; plug it in again ({text})") from None
+            raise DeviceError(f"{self._name}: {text}{self._HINT}") from None

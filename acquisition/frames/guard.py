@@ -92,10 +92,6 @@ class CheckedFrames:
                 "and counted in status.wrong_id",
             )
         self._sequence = number
-        self._check_image(image, number)
-        return frame
-
-    def _check_image(self, image: object, number: int) -> None:
         if not isinstance(image, np.ndarray):
             raise _refusal(f"the image of frame {number} is {type(image).__name__}", "make it a numpy array")
         if image.ndim != 2 or image.dtype not in _TYPES or not image.size:
@@ -121,6 +117,7 @@ class CheckedFrames:
                     "image.copy()",
                 )
         self._newest.append(_LastImage(number, image, _some(image).copy()))
+        return frame
 
 
 def checked_info(info: object, driver: str) -> CameraInfo:
@@ -186,7 +183,7 @@ class Counts:
 
     def __init__(self, ask: Callable[[], object]) -> None:
         self._ask = ask
-        self._last = CameraStatus()
+        self._last = self._before = CameraStatus()
         self._remark, self._has_said = "", False
 
     @property
@@ -203,9 +200,16 @@ class Counts:
                     f"cannot be read any more: {in_one_line(error)}; frames that are missing are seen by "
                     "their numbers"
                 )
-            return self._last
+            return self._before + self._last
         self._last = found
-        return found
+        return self._before + found
+
+    def go_on(self, before: CameraStatus) -> None:
+        """The camera was lost, when it had told the counts `before`, and started again: a driver that has
+        noticed the loss counts on, any other begins again.
+        """
+        if self.now.reconnects == before.reconnects:
+            self._before = before
 
     def take_remark(self) -> str:
         """What is to be said since the last call; usually nothing."""

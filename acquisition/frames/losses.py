@@ -27,13 +27,13 @@ class BlockNumbers:
     """Numbers the whole frames of the camera `name` from 0, and counts the others.
 
     `counters` are the numbers of blocks after which a camera may begin again. With a clock a block that came
-    too late is known by its time. `whole` counts the frames that were numbered, `lost_parts` those since the
-    last of them of which a part arrived, `faulty` those of them that the camera called so.
+    too late is known by its time. `lost_parts` counts the frames since the last whole one of which a part
+    arrived, `faulty` those of them that the camera called so.
     """
 
     def __init__(self, name: str, counters: Sequence[int], *, has_clock: bool = False) -> None:
         self._name, self._counters, self._has_clock = name, counters, has_clock
-        self.whole = self.lost_parts = self.faulty = 0
+        self.lost_parts = self.faulty = 0
         self._last_block: int | None = None
         self._last_time = 0
         self._last_number = -1
@@ -78,7 +78,6 @@ class BlockNumbers:
         self.lost_parts = self.faulty = 0
         self._last_block, self._last_time = block, time
         self._last_number += step
-        self.whole += 1
         return self._last_number
 
     def _refuse_restart(self, block: int) -> None:
@@ -143,9 +142,14 @@ class FrameLosses:
         )
 
     @property
+    def counts(self) -> tuple[int, ...]:
+        """All numbers, in their order."""
+        return _counts(self)
+
+    @property
     def total(self) -> int:
         """Frames that are missing."""
-        return sum(_counts(self)) - self.wrong_id
+        return sum(self.counts) - self.wrong_id
 
     @property
     def came(self) -> int:
@@ -161,14 +165,14 @@ class FrameLosses:
 
     def since(self, before: "FrameLosses") -> "FrameLosses":
         """What was lost after `before`."""
-        return FrameLosses(*map(sub, _counts(self), _counts(before)))
+        return FrameLosses(*map(sub, self.counts, before.counts))
 
     def __str__(self) -> str:
         words = (
             *("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged"),
             *("without a right time", "with an error status", "with a number that was before"),
         )
-        named = [f"{count} {word}" for count, word in zip(_counts(self), words, strict=True) if count]
+        named = [f"{count} {word}" for count, word in zip(self.counts, words, strict=True) if count]
         return ", ".join(named) or "none"
 
 

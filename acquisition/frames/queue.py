@@ -1,71 +1,95 @@
-"""Bounded queue of frames between the camera's thread and the one that processes."""
+"""Bounded queue between two threads: of frames behind the camera, of entries before the disk."""
 
+import math
 import threading
 import time
 from collections import deque
-from typing import Literal
-
-from acquisition.camera import Frame
+from typing import Generic, Literal, Protocol, TypeVar
 
 Policy = Literal["wait", "every", "latest"]
 
 
-class FrameQueue:
-    """Passes frames on in blocks, in order, and counts those dropped.
+class HasSize(Protocol):
+    """What may wait in a queue."""
 
-    Policies for a full queue: ``wait`` blocks the camera (simulated time, files: nothing is lost); ``every``
-    rejects the newest frame (measurement: losses form one contiguous gap); ``latest`` drops the oldest frame
-    (alignment: the display shows the present).
+    @property
+    def memory_bytes(self) -> int:
+        """About what it takes while it waits; never 0."""
+
+
+Item = TypeVar("Item", bound=HasSize)
+
+MOST_BYTES = 256 * 1024 * 1024
+"""What waits for a processor that is late: 1.7 s of 500 frames/s of 640 x 480; or for a slow disk: half a
+minute of 800 frames/s with windows of 100 x 100 pixels.
+"""
+_LATE = 0.125
+"""Part of the memory from which on it is said."""
+
+
+class BoundedQueue(Generic[Item]):
+    """Passes items on in blocks, in order, and counts those dropped.
+
+    Policies for a full queue: ``wait`` blocks the one who puts (simulated time, files, entries of a record:
+    nothing is lost); ``every`` rejects the newest item (measurement: losses form one contiguous gap);
+    ``latest`` drops the oldest one (alignment: the display shows the present).
+
+    Parameters
+    ----------
+    most
+        Number of items with which it is full.
+    most_bytes
+        Memory with which it is full, too, unless less than `fewest` items take it.
     """
 
-    def __init__(self, capacity: int, policy: Policy) -> None:
-        self._frames: deque[Frame] = deque()
-        self._capacity = capacity
+    def __init__(self, most: float, policy: Policy, most_bytes: float = math.inf, *, fewest: int = 1) -> None:
+        self._items: deque[Item] = deque()
+        self._most, self._fewest = most, fewest
         self._policy = policy
         self._changed = threading.Condition()
         self._closed = False
-        self._dropped = 0
-
-    @property
-    def dropped(self) -> int:
-        """Frames that were lost here."""
-        return self._dropped
+        self._longest = self._longest_bytes = 0
+        self.most_bytes = most_bytes
+        self.waiting_bytes = 0
+        self.dropped = 0
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return len(self._items)
 
-    def put(self, frame: Frame) -> bool:
-        """Add a frame; False where it (or an older one) was dropped, or the queue is closed."""
+    def put(self, item: Item) -> bool:
+        """Add an item; False where it (or an older one) was dropped, or the queue is closed."""
+        size = item.memory_bytes
         with self._changed:
-            while self._policy == "wait" and len(self._frames) >= self._capacity and not self._closed:
+            while self._policy == "wait" and self._is_full(size) and not self._closed:
                 self._changed.wait()
             if self._closed:
                 return False
-            full = len(self._frames) >= self._capacity
+            full = self._is_full(size)
             if full:
-                self._dropped += 1
+                self.dropped += 1
                 if self._policy == "every":
                     return False
-                self._frames.popleft()
-            self._frames.append(frame)
+                self._pop()
+            self._items.append(item)
+            self.waiting_bytes += size
             self._changed.notify_all()
             return not full
 
-    def take(self, at_most: int, timeout_s: float) -> list[Frame]:
-        """Up to `at_most` frames, as soon as there is one; empty after the timeout or when drained."""
+    def take(self, at_most: int, timeout_s: float) -> list[Item]:
+        """Up to `at_most` items, as soon as there is one; empty after the timeout or when drained."""
         with self._changed:
             deadline_s = time.monotonic() + timeout_s
-            while not self._frames and not self._closed:
+            while not self._items and not self._closed:
                 left_s = deadline_s - time.monotonic()
                 if left_s <= 0 or not self._changed.wait(left_s):
                     break
-            block = [self._frames.popleft() for _ in range(min(at_most, len(self._frames)))]
+            block = [self._pop() for _ in range(min(at_most, len(self._items)))]
             if block:
                 self._changed.notify_all()
             return block
 
     def close(self) -> None:
-        """No more frames: a waiting `put` returns False, `take` hands out what is left."""
+        """No more items: a waiting `put` returns False, `take` hands out what is left."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -74,56 +98,40 @@ class FrameQueue:
     def drained(self) -> bool:
         """Closed and empty."""
         with self._changed:
-            return self._closed and not self._frames
+            return self._closed and not self._items
 
-
-MOST_BYTES = 256 * 1024 * 1024
-"""What waits for a processor that is late: 1.7 s of 500 frames/s of 640 x 480."""
-_OWN_BYTES = 1024
-"""What a frame takes beside its pixels, about."""
-_FEWEST = 8
-_FEWEST_ON_DEMAND = 64
-_LATE = 0.125
-"""Part of the memory from which on it is said."""
-
-
-def most_waiting(frame: Frame, policy: Policy) -> int:
-    """Number of frames for a bounded amount of memory, a few at least.
-
-    Frames on demand are not lost while the queue is full; a short one keeps them in the processor's cache.
-    """
-    most = max(_FEWEST, MOST_BYTES // (frame.image.nbytes + _OWN_BYTES))
-    return min(_FEWEST_ON_DEMAND, most) if policy == "wait" else most
-
-
-class Backlog:
-    """Notices when many frames wait, and when they no longer do.
-
-    Parameters
-    ----------
-    capacity
-        Number of frames for which there is memory.
-    frame_bytes
-        Size of one of them.
-    """
-
-    def __init__(self, capacity: int, frame_bytes: int) -> None:
-        self._capacity = capacity
-        self._frame_mb = frame_bytes / 1e6
-        self._most = 0
-
-    def see(self, waiting: int) -> str:
-        """What is to be said of so many waiting frames; nothing as long as they are few, or still many."""
-        if waiting > max(_LATE * self._capacity, self._most):
-            begins, self._most = not self._most, waiting
+    def remark(self) -> str:
+        """What is to be said of many frames that wait, and once they no longer do; nothing as long as they
+        are few, or still many, or are made on demand.
+        """
+        waiting, size = len(self._items), self.waiting_bytes
+        if size > max(_LATE * self.most_bytes, self._longest_bytes) and self._policy != "wait":
+            begins, self._longest, self._longest_bytes = not self._longest, waiting, size
             if begins:
-                memory_mb = self._capacity * self._frame_mb
+                memory = f"{size / 1e6:.0f} of {self.most_bytes / 1e6:.0f} MB"
                 return (
-                    f"{waiting} frames wait for the processor, {waiting * self._frame_mb:.0f} of "
-                    f"{memory_mb:.0f} MB; once full, frames are lost and counted: close other programs, or "
-                    "set a lower camera.frame_rate_hz or a smaller region"
+                    f"{waiting} frames wait for the processor, {memory}; once full, frames are lost and "
+                    "counted: close other programs, or set a lower camera.frame_rate_hz or a smaller region"
                 )
-        elif self._most and waiting <= 0.1 * _LATE * self._capacity:
-            most, self._most = self._most, 0
-            return f"caught up; at most {most} frames waited, {most * self._frame_mb:.0f} MB"
+        elif self._longest and size <= 0.1 * _LATE * self.most_bytes:
+            said = f"caught up; at most {self._longest} frames waited, {self._longest_bytes / 1e6:.0f} MB"
+            self._longest = self._longest_bytes = 0
+            return said
         return ""
+
+    def _is_full(self, more_bytes: int) -> bool:
+        count, size = len(self._items), self.waiting_bytes + more_bytes
+        return count >= self._most or (count >= self._fewest and size > self.most_bytes)
+
+    def _pop(self) -> Item:
+        item = self._items.popleft()
+        self.waiting_bytes -= item.memory_bytes
+        return item
+
+
+_Any = TypeVar("_Any")
+
+
+def taken_from(waiting: deque[_Any]) -> list[_Any]:
+    """All that waits, oldest first, and is taken out; another thread may add to it meanwhile."""
+    return [waiting.popleft() for _ in range(len(waiting))]

@@ -133,19 +133,7 @@ def encode_swing(kind: MessageType, swing: HalfCycle) -> bytes:
     shown = [2.0 * swing.half_period_s]
     if kind is SWING:
         shown.insert(0, swing.amplitude / ARCSEC_RAD)
-    return kind.encode(
-        swing.index,
-        swing.turn_time_ns,
-        swing.u_turn_time_s,
-        swing.amplitude,
-        swing.u_amplitude,
-        swing.half_period_s,
-        swing.u_half_period_s,
-        swing.centre,
-        swing.side,
-        swing.flags,
-        *shown,
-    )
+    return kind.encode(*[getattr(swing, name) for name in HalfCycle.__dataclass_fields__], *shown)
 
 
 def swings_of(table: NDArray[Any]) -> list[HalfCycle]:
@@ -215,20 +203,3 @@ def decode_log(time_ns: int, data: bytes) -> RecordedLog:
     """Line of the log from a foxglove.Log; `time_ns` is its time on the frames' clock."""
     line = Log.FromString(data)
     return RecordedLog(time_ns, line.level, line.name, line.message)
-
-
-def encode_camera_calibration(
-    utc_ns: int, sensor_shape: tuple[int, int], distance_px: float, reference_px: tuple[float, float]
-) -> bytes:
-    """Encoded foxglove.CameraCalibration without distortion; see `RecordWriter.write_camera_calibration`."""
-    x_px, y_px = reference_px
-    message = CameraCalibration(
-        frame_id=SENSOR_FRAME,
-        width=sensor_shape[1],
-        height=sensor_shape[0],
-        K=[distance_px, 0.0, x_px, 0.0, distance_px, y_px, 0.0, 0.0, 1.0],
-        R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        P=[distance_px, 0.0, x_px, 0.0, 0.0, distance_px, y_px, 0.0, 0.0, 0.0, 1.0, 0.0],
-    )
-    message.timestamp.FromNanoseconds(utc_ns)
-    return message.SerializeToString()

@@ -39,11 +39,9 @@ from acquisition.record.topics import (
     BALANCE,
     EVENT,
     IMAGE,
+    KIND_OF,
     LOG_TOPIC,
-    LOSSES,
     METADATA_COPY,
-    NOTE,
-    PIXEL_KINDS,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SPOT,
@@ -53,7 +51,7 @@ from acquisition.record.topics import (
     RecordedLosses,
     RecordedNote,
     RecordedWindow,
-    number_kinds,
+    TimedMessage,
     number_topics,
 )
 from processing.balance import Balance
@@ -61,7 +59,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.swing import HalfCycle
 
-_Value = TypeVar("_Value")
+_Value = TypeVar("_Value", bound=TimedMessage)
 Piece: TypeAlias = dict[str, list[Message]]
 """Messages of a chunk, by topic."""
 
@@ -95,8 +93,9 @@ class RecordReader:
             self._own = self.metadata["record"]
             self.deflection_unit = DeflectionUnit(self._own["deflection_unit"])
             self.epoch_offset_ns = int(self._own["epoch_offset_ns"])
-            self._kinds = {kind.topic: kind for kind in (*number_kinds(self.deflection_unit), *PIXEL_KINDS)}
-            self._numbers.contents.channels = dict(enumerate(number_topics(self.deflection_unit), start=1))
+            topics = number_topics(self.deflection_unit)
+            self._kinds = {kind.topic: kind for kind in (topics | PIXEL_TOPICS).values() if kind is not None}
+            self._numbers.contents.channels = dict(enumerate(topics, start=1))
             self._open_pixels()
         except OSError as error:
             self.close()
@@ -313,14 +312,12 @@ class RecordReader:
         parts = list(self._tables(kind))
         return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
 
-    def values(
-        self, topic: str, value_class: type[_Value], messages: Iterable[Message] | None = None
-    ) -> list[_Value]:
-        """All messages of a topic, or some of them, as values of the class with which they were written."""
-        kind = self._kinds[topic]
+    def values(self, value_class: type[_Value], messages: Iterable[Message] | None = None) -> list[_Value]:
+        """All values of a class that were written, or those in some messages of their topic."""
+        kind = KIND_OF[value_class]
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in (self.messages(topic) if messages is None else messages)
+            for message in (self.messages(kind.topic) if messages is None else messages)
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -368,11 +365,11 @@ class RecordReader:
 
     def notes(self) -> list[RecordedNote]:
         """What operators have noted during the run."""
-        return self.values(NOTE.topic, RecordedNote)
+        return self.values(RecordedNote)
 
     def losses(self) -> FrameLosses | None:
         """Numbers of lost frames by cause; None in a record that was cut before they were written."""
-        found = self.values(LOSSES.topic, RecordedLosses)
+        found = self.values(RecordedLosses)
         return FrameLosses(*found[-1][1:]) if found else None
 
     def windows(self, start_ns: int | None = None) -> Iterator[RecordedWindow]:

@@ -13,7 +13,8 @@ from acquisition.record.digest import sha256_of
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
-from acquisition.record.writer import number_schemas, pixel_schemas, write_metadata
+from acquisition.record.topics import PIXEL_TOPICS, number_topics
+from acquisition.record.writer import schemas, write_metadata
 from processing.errors import RecordError
 
 RECOVERY = "recovery"
@@ -56,11 +57,11 @@ def recover(source: Path, path: Path) -> Recovery:
         with contextlib.ExitStack() as stack:
             reader = stack.enter_context(RecordReader(source))
             names = [stack.enter_context(being_written(name)) for name in (path, pixels)[: len(reader.files)]]
-            schemas = (number_schemas(reader.deflection_unit), pixel_schemas())
             counts: Counter[str] = Counter()
             copies: list[McapFile] = []
-            for file, name, described in zip(reader.files, names, schemas, strict=False):
-                copy = McapFile(name, described, _RESERVE_BYTES)
+            topics = (number_topics(reader.deflection_unit), PIXEL_TOPICS)
+            for file, name, of_file in zip(reader.files, names, topics, strict=False):
+                copy = McapFile(name, schemas(of_file), _RESERVE_BYTES)
                 # before it is removed, for which it must be closed on Windows
                 stack.callback(copy.abandon)
                 counts += _copied(file, copy)

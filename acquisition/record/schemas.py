@@ -242,15 +242,14 @@ class MessageType:
 
 
 def message_type_of(value_class: type, full_name: str, topic: str) -> MessageType:
-    """Message type of a flat dataclass or NamedTuple whose fields are int, bool, float or str.
+    """Message type of a NamedTuple whose fields are int, bool, float or str.
 
     Texts are placed after the numbers, otherwise the order is kept. Raises TypeError for other fields.
     """
     hints = get_type_hints(value_class)
     numbers: list[tuple[str, Kind]] = []
     tail: list[tuple[str, Kind]] = []
-    for name in _field_names(value_class):
-        kind = hints[name]
+    for name, kind in hints.items():
         if isinstance(kind, type) and issubclass(kind, int):
             numbers.append((name, "int"))
         elif kind is float:
@@ -262,15 +261,6 @@ def message_type_of(value_class: type, full_name: str, topic: str) -> MessageTyp
     return MessageType(
         full_name, topic, tuple(numbers), tuple(tail), " ".join((value_class.__doc__ or "").split())
     )
-
-
-def _field_names(value_class: type) -> Iterable[str]:
-    if dataclasses.is_dataclass(value_class):
-        return [field.name for field in dataclasses.fields(value_class)]
-    names: Iterable[str] | None = getattr(value_class, "_fields", None)
-    if names is None:
-        raise TypeError(f"{value_class.__name__}: only a dataclass or a NamedTuple can be recorded")
-    return names
 
 
 def _varint(value: int) -> bytes:

@@ -337,19 +337,6 @@ IMAGE = _message("Image", "/image", *_PIXELS, tail=(("pixels", "bytes"),))
 EVENT = _message(
     "Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text"), ("level", "text"))
 )
-ENVIRONMENT = message_type_of(Environment, f"{PACKAGE}.Environment", "/environment")
-REFERENCE = message_type_of(RecordedReference, f"{PACKAGE}.RecordedReference", "/reference")
-WITNESS = message_type_of(RecordedWitness, f"{PACKAGE}.RecordedWitness", "/witness")
-NOTE = message_type_of(RecordedNote, f"{PACKAGE}.RecordedNote", "/note")
-LOSSES = message_type_of(RecordedLosses, f"{PACKAGE}.RecordedLosses", "/losses")
-CLOCK = message_type_of(ClockAnchor, f"{PACKAGE}.ClockAnchor", "/clock")
-CAMERA_STEP = message_type_of(RecordedClockStep, f"{PACKAGE}.RecordedClockStep", "/camera_clock_step")
-PHASE = message_type_of(RecordedPhase, f"{PACKAGE}.RecordedPhase", "/phase")
-LIGHT = message_type_of(RecordedLight, f"{PACKAGE}.RecordedLight", "/light")
-HEALTH = message_type_of(RecordedHealth, f"{PACKAGE}.RecordedHealth", "/health")
-ESTIMATE = message_type_of(RecordedEstimate, f"{PACKAGE}.RecordedEstimate", "/estimate")
-FITTED = message_type_of(RecordedFittedPoint, f"{PACKAGE}.RecordedFittedPoint", "/fitted")
-CAMERA_TEMPERATURE = message_type_of(CameraTemperature, f"{PACKAGE}.CameraTemperature", "/camera_temperature")
 
 
 class TimedMessage(Protocol):
@@ -360,35 +347,49 @@ class TimedMessage(Protocol):
         """On the frames' clock."""
 
 
-Recorded: TypeAlias = tuple[MessageType, TimedMessage]
-"""A value with the kind of its message."""
-SESSION_KINDS: Final = (PHASE, LIGHT, HEALTH, ESTIMATE, FITTED)
-"""Kinds of messages by which a session says how it stands while it measures."""
+_MEASURED: Final[dict[str, type[TimedMessage]]] = {
+    "/environment": Environment,
+    "/reference": RecordedReference,
+    "/witness": RecordedWitness,
+    "/note": RecordedNote,
+    "/losses": RecordedLosses,
+    "/clock": ClockAnchor,
+    "/camera_clock_step": RecordedClockStep,
+    "/camera_temperature": CameraTemperature,
+}
+_OF_SESSION: Final[dict[str, type[TimedMessage]]] = {
+    "/phase": RecordedPhase,
+    "/light": RecordedLight,
+    "/health": RecordedHealth,
+    "/estimate": RecordedEstimate,
+    "/fitted": RecordedFittedPoint,
+}
+"""By which a session says how it stands while it measures."""
+KIND_OF: Final[dict[type[TimedMessage], MessageType]] = {
+    value_class: message_type_of(value_class, f"{PACKAGE}.{value_class.__name__}", topic)
+    for topic, value_class in (_MEASURED | _OF_SESSION).items()
+}
+"""Kinds of the messages that hold one value each, by its class."""
+ENVIRONMENT, REFERENCE, WITNESS, CLOCK = (
+    KIND_OF[one] for one in (Environment, RecordedReference, RecordedWitness, ClockAnchor)
+)
+OF_UNIT: Final = {
+    DeflectionUnit.RAD: (SPOT, SWING, BALANCE),
+    DeflectionUnit.PX: (SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED),
+}
+"""Kinds of the messages whose fields have the unit of the deflections, the first ones in every record."""
+Topics: TypeAlias = dict[str, MessageType | None]
+"""Topics of a file in the order of their channels, from 1, with their kinds; None: a type of Foxglove's."""
 
 
-def number_kinds(unit: DeflectionUnit) -> tuple[MessageType, ...]:
-    """Kinds of messages in the file of numbers, in the order of their channels."""
-    return *_measured(unit), *SESSION_KINDS
-
-
-def _measured(unit: DeflectionUnit) -> tuple[MessageType, ...]:
-    calibrated, uncalibrated = (
-        (SPOT, SWING, BALANCE),
-        (SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED),
+def number_topics(unit: DeflectionUnit) -> Topics:
+    """Topics in the file of numbers."""
+    topics: Topics = {kind.topic: kind for kind in (*OF_UNIT[unit], EVENT)}
+    measured, session = (
+        {topic: KIND_OF[value_class] for topic, value_class in of.items()} for of in (_MEASURED, _OF_SESSION)
     )
-    return (
-        *(calibrated if unit is DeflectionUnit.RAD else uncalibrated),
-        *(EVENT, ENVIRONMENT, REFERENCE, WITNESS, NOTE, LOSSES, CLOCK, CAMERA_STEP, CAMERA_TEMPERATURE),
-    )
+    return topics | measured | {LOG_TOPIC: None, CAMERA_TOPIC: None} | session
 
 
-def number_topics(unit: DeflectionUnit) -> tuple[str, ...]:
-    """Topics in the file of numbers, in the order of their channels, from 1."""
-    measured, session = (tuple(kind.topic for kind in kinds) for kinds in (_measured(unit), SESSION_KINDS))
-    return *measured, LOG_TOPIC, CAMERA_TOPIC, *session
-
-
-PIXEL_KINDS: Final = (WINDOW, IMAGE)
-"""Kinds of messages in the file of pixels, in the order of their channels, from 1."""
-PIXEL_TOPICS: Final = (WINDOW.topic, IMAGE.topic, PREVIEW_TOPIC)
-"""Topics in the file of pixels, in the order of their channels, from 1."""
+PIXEL_TOPICS: Final[Topics] = {WINDOW.topic: WINDOW, IMAGE.topic: IMAGE, PREVIEW_TOPIC: None}
+"""Topics in the file of pixels."""

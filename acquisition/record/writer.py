@@ -9,13 +9,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
 from acquisition.camera import Frame, Image
 from acquisition.record import pixels_beside
 from acquisition.record.codec import (
     encode_balance,
-    encode_camera_calibration,
     encode_log,
     encode_preview,
     encode_swing,
@@ -25,23 +26,25 @@ from acquisition.record.codec import (
 )
 from acquisition.record.events import Event, EventKind, Severity
 from acquisition.record.mcap_file import McapFile
-from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     BALANCE,
     CAMERA_TOPIC,
     EVENT,
     IMAGE,
+    KIND_OF,
     LOG_TOPIC,
     METADATA_COPY,
-    NOTE,
-    PIXEL_KINDS,
+    OF_UNIT,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SCHEMA_VERSION,
+    SENSOR_FRAME,
     SWING,
     WINDOW,
     RecordedNote,
-    number_kinds,
+    RecordedReference,
+    TimedMessage,
+    Topics,
     number_topics,
 )
 from processing.balance import Balance
@@ -117,8 +120,7 @@ class RecordWriter:
         self._clock = clock
         self._flushed_s = clock()
         self._unit = DeflectionUnit(deflection_unit)
-        kinds = number_kinds(self._unit)
-        self._spot, self._swing, self._balance, *_ = kinds
+        self._spot, self._swing, self._balance = OF_UNIT[self._unit]
         self._full_scale_dn = int((metadata or {}).get("camera", {}).get("full_scale_dn", "255"))
         self._own = {
             "schema_version": str(SCHEMA_VERSION),
@@ -130,7 +132,7 @@ class RecordWriter:
             raise RecordError(
                 f"{pixels_beside(path)}: exists already and is never overwritten; choose another name"
             )
-        self._numbers = McapFile(path, number_schemas(self._unit), reserve_bytes)
+        self._numbers = McapFile(path, schemas(number_topics(self._unit)), reserve_bytes)
         self._pixels: McapFile | None = None
         with self._ending_after_errors():
             write_metadata(self._numbers, {**(metadata or {}), "record": self._own}, time.time_ns())
@@ -156,10 +158,12 @@ class RecordWriter:
         host_times_ns: Sequence[int],
         spots: Sequence[Spot],
         deflections: Deflections,
+        references: Sequence[Spot] = (),
     ) -> None:
         """Write spots and deflections of n consecutive frames; all arguments have the length n.
 
-        Raises ValueError if the unit of the deflections is not the record's `deflection_unit`.
+        `references` are the spots of the reference, where the frames have one. Raises ValueError if the unit
+        of the deflections is not the record's `deflection_unit`.
         """
         self._check_unit(deflections.unit)
         rows = spot_rows(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
@@ -171,6 +175,10 @@ class RecordWriter:
             ):
                 message = data[place * size : (place + 1) * size]
                 self._numbers.add(self._spot.topic, sequence, self._logged(time_ns), message)
+        for sequence, time_ns, spot in zip(
+            sequences, deflections.times_ns.tolist(), references, strict=bool(references)
+        ):
+            self.write(RecordedReference.of(sequence, time_ns, spot))
         self.flush_if_due()
 
     def write_window(
@@ -198,7 +206,7 @@ class RecordWriter:
         """The file of pixels, made for the first of them."""
         if self._pixels is None:
             try:
-                self._pixels = McapFile(pixels_beside(self.path), pixel_schemas(), self._reserve_bytes)
+                self._pixels = McapFile(pixels_beside(self.path), schemas(PIXEL_TOPICS), self._reserve_bytes)
             except RecordError as error:
                 raise self._end_after(str(error)) from error
             with self._ending_after_errors():
@@ -220,11 +228,6 @@ class RecordWriter:
         self._add(EVENT.topic, time_ns, EVENT.encode(*event, event.level))
         self.write_log(time_ns, _LOG_LEVELS[event.level], "event", event.line)
 
-    def write_note(self, note: RecordedNote) -> None:
-        """Write what an operator has noted, also as a line of the log, which viewers display."""
-        self.write(NOTE, note, note.time_ns)
-        self.write_log(note.time_ns, _LOG_LEVELS[note.event.level], "note", note.event.text)
-
     def write_log(self, time_ns: int, level: int, source: str, text: str) -> None:
         """Write a line of the log; `level` as in foxglove.Log (1 debug ... 5 fatal)."""
         data = encode_log(self._offset_ns + time_ns, level, source, text)
@@ -237,19 +240,34 @@ class RecordWriter:
         distance_px: float,
         reference_px: tuple[float, float],
     ) -> None:
-        """Write the geometry of the sensor, as a foxglove.CameraCalibration.
+        """Write the geometry of the sensor, as a foxglove.CameraCalibration without distortion.
 
         The light lever corresponds to a pinhole camera with the mirror as pinhole. `distance_px` is the arm
         divided by the pixel pitch, `reference_px` the position (x, y) of the spot at zero tilt,
         `sensor_shape` (ny, nx).
         """
-        data = encode_camera_calibration(self._offset_ns + time_ns, sensor_shape, distance_px, reference_px)
-        self._add(CAMERA_TOPIC, time_ns, data)
+        x_px, y_px = reference_px
+        message = CameraCalibration(
+            frame_id=SENSOR_FRAME,
+            width=sensor_shape[1],
+            height=sensor_shape[0],
+            K=[distance_px, 0.0, x_px, 0.0, distance_px, y_px, 0.0, 0.0, 1.0],
+            R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            P=[distance_px, 0.0, x_px, 0.0, 0.0, distance_px, y_px, 0.0, 0.0, 0.0, 1.0, 0.0],
+        )
+        message.timestamp.FromNanoseconds(self._offset_ns + time_ns)
+        self._add(CAMERA_TOPIC, time_ns, message.SerializeToString())
 
-    def write(self, kind: MessageType, value: Any, time_ns: int) -> None:
-        """Write a value with the fields of its kind, one of `number_kinds`."""
+    def write(self, value: TimedMessage) -> None:
+        """Write a value as a message of its own, one of `KIND_OF`.
+
+        What an operator has noted is also a line of the log, which viewers display.
+        """
+        kind = KIND_OF[type(value)]
         data = kind.encode(*[getattr(value, name) for name in kind.names])
-        self._add(kind.topic, time_ns, data)
+        self._add(kind.topic, value.time_ns, data)
+        if isinstance(value, RecordedNote):
+            self.write_log(value.time_ns, _LOG_LEVELS[value.event.level], "note", value.event.text)
 
     def attach(self, name: str, data: bytes) -> None:
         """Add a file to the record, beside those that it began with."""
@@ -359,19 +377,12 @@ class RecordWriter:
         )
 
 
-def number_schemas(unit: DeflectionUnit) -> dict[str, tuple[str, bytes]]:
-    """Schema and descriptor of each topic in the file of numbers."""
-    return _schemas(number_topics(unit), number_kinds(unit))
-
-
-def pixel_schemas() -> dict[str, tuple[str, bytes]]:
-    """The same in the file of pixels."""
-    return _schemas(PIXEL_TOPICS, PIXEL_KINDS)
-
-
-def _schemas(topics: Sequence[str], kinds: Sequence[MessageType]) -> dict[str, tuple[str, bytes]]:
-    own = {kind.topic: (kind.full_name, kind.descriptor) for kind in kinds}
-    return {topic: own.get(topic) or foxglove_schema(topic) for topic in topics}
+def schemas(topics: Topics) -> dict[str, tuple[str, bytes]]:
+    """Schema and descriptor of each topic of a file."""
+    return {
+        topic: foxglove_schema(topic) if kind is None else (kind.full_name, kind.descriptor)
+        for topic, kind in topics.items()
+    }
 
 
 def write_metadata(file: McapFile, metadata: Mapping[str, Mapping[str, str]], time_ns: int) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from acquisition.record.digest import RecordedCamera
 from acquisition.record.events import Event, EventKind, end_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import CAMERA_STEP, CLOCK, ENVIRONMENT, RecordedClockStep
+from acquisition.record.topics import CLOCK, ENVIRONMENT, RecordedClockStep
 from calibration import relate_clocks
 from processing.errors import DataError
 from processing.fit import Ground
@@ -174,7 +174,7 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
         return RunClock(drift_ppm=math.nan, u_drift_ppm=math.nan, u_rate=u_host, synchronised=synchronised)
     table = np.concatenate(blocks)
     sequence, device_ns, host_ns = (table[name].astype(np.int64) for name in _FIELDS)
-    steps = reader.values(CAMERA_STEP.topic, RecordedClockStep)
+    steps = reader.values(RecordedClockStep)
     u_steps_s = seconds(math.sqrt(sum(float(step.u_step_ns) ** 2 for step in steps)))
     every = max(1, len(sequence) // _MOST_FRAMES)
     try:

@@ -9,7 +9,6 @@ from collections.abc import Callable
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, Frame
 from acquisition.frames.guard import CheckedFrames
-from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError, RigError
 from rig.control import LightPermit, LightRefused, SafetyNow, SafetyState, Stage
 from rig.devices import AlignmentFrame, Devices, LightWatch, find_exposure, take_look, watch_latest
@@ -206,7 +205,7 @@ class Aligner:
             if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
                 reference_px = (lever.reference_x_px, lever.reference_y_px)
             while not self._ended.is_set():
-                frames = watch_latest(camera, FrameQueue(1, "latest"), 1, float("inf"), interval_s=_LOOK_S)
+                frames = watch_latest(camera, 1, float("inf"), interval_s=_LOOK_S)
                 with contextlib.closing(frames):
                     for *_, frame in frames:
                         look = take_look(

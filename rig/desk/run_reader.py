@@ -10,7 +10,7 @@ from typing import Any
 
 from acquisition.record.events import Event
 from acquisition.record.reader import Piece, RecordReader
-from acquisition.record.topics import FITTED, SPOT, RecordedEstimate, RecordedFittedPoint
+from acquisition.record.topics import KIND_OF, SPOT, RecordedEstimate, RecordedFittedPoint
 from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
@@ -132,7 +132,7 @@ class RecordFollower:
                 if math.isfinite(row.value) and math.isfinite(row.u_value):
                     kept = self._estimates.setdefault(row.quantity, deque(maxlen=_KEPT))
                     kept.append((seconds(row.time_ns - start_ns), row.value, row.u_value))
-            points = reader.values(FITTED.topic, RecordedFittedPoint, piece.get(FITTED.topic, ()))
+            points = reader.values(RecordedFittedPoint, piece.get(KIND_OF[RecordedFittedPoint].topic, ()))
             if points:
                 # those of an earlier fit are forgotten
                 last_ns = points[-1].time_ns

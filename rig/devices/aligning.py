@@ -15,7 +15,6 @@ from rich.text import Text
 
 from acquisition import atomic_write
 from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
-from acquisition.frames.queue import FrameQueue
 from processing.errors import ConfigurationError, DeviceError
 from processing.spot import Spot, SpotTracker
 from processing.units import nanoseconds
@@ -146,7 +145,7 @@ def align_camera(
         going = True
         while going:
             going, wish = False, None
-            for *_, frame in watch_latest(camera, FrameQueue(1, "latest"), 1, end_s):
+            for *_, frame in watch_latest(camera, 1, end_s):
                 look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied, reference)
                 if view is not None:
                     at_ns = nanoseconds(time.monotonic() - begun_s)

@@ -1,17 +1,19 @@
 """The camera thread: reads frames from the preflight to the end of a run, and reconnects the camera."""
 
 import logging
+import math
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from acquisition.camera import Camera, CameraLost, CameraSettings, CameraStatus, Frame, FrameTimeout
+from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout
 from acquisition.frames.guard import Counts, HangingRead, asking, ended
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.numbering import FrameLine
-from acquisition.frames.queue import Backlog, FrameQueue, Policy, most_waiting
+from acquisition.frames.queue import MOST_BYTES, BoundedQueue, Policy, taken_from
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
@@ -97,6 +99,7 @@ class Standstill:
 _log = logging.getLogger(__name__)
 _LOOK_NS = 250_000_000
 _WAIT_S = 0.05
+_FEWEST, _MOST_ON_DEMAND = 8, 64
 _FIRST_S = 0.5
 """For the first frame a camera is asked again and again, so that a stop is noticed."""
 
@@ -132,18 +135,18 @@ class FrameStream:
         self._reconnect_s = reconnect_s
         self._stop = threading.Event()
         self._closed = False
-        self._counts_before = CameraStatus()
-        self._queue: FrameQueue | None = None
-        self._backlog: Backlog | None = None
+        # frames on demand are not lost while it is full; a short one keeps them in the processor's cache
+        most = _MOST_ON_DEMAND if policy == "wait" else math.inf
+        self._queue = BoundedQueue[Frame](most, policy, MOST_BYTES, fewest=_FEWEST)
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._counts = Counts(lambda: camera.status)
         self._thread: threading.Thread | None = None
         self._begun = threading.Event()
         self._first: Frame | None = None
-        self._events: list[tuple[EventKind, str]] = []
+        self._events: deque[tuple[EventKind, str]] = deque()
         self._standstill = Standstill(lambda text: self._events.append((EventKind.STANDSTILL, text)))
-        self._steps: list[RecordedClockStep] = []
-        self._at_last_look = FrameLosses()
+        self._steps: deque[RecordedClockStep] = deque()
+        self._lost_before = self._at_last_look = FrameLosses()
         self._look_ns = 0
         self._hanging = HangingRead(timeout_s)
         self.ended = ""
@@ -173,9 +176,7 @@ class FrameStream:
     def take(self, at_most: int, timeout_s: float) -> list[Frame]:
         """Up to `at_most` frames in order; empty after the timeout, and if drained."""
         self.permit.moved(Stage.PROCESSING)
-        if self._queue is None:
-            return []
-        if self._backlog is not None and (said := self._backlog.see(len(self._queue))):
+        if said := self._queue.remark():
             self._events.append((EventKind.BACKLOG, said))
         frames = self._queue.take(at_most, timeout_s)
         try:
@@ -186,15 +187,14 @@ class FrameStream:
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of the camera since the last call, as (kind, text)."""
-        taken, self._events = self._events, []
+        taken = taken_from(self._events)
         if remark := self._counts.take_remark():
             taken.append((EventKind.WATCHER_FAILED, f"the camera's counts: {remark}"))
         return taken
 
     def take_clock_steps(self) -> list[RecordedClockStep]:
         """Steps of the camera's clock since the last call, which are taken off the times of the frames."""
-        taken, self._steps = self._steps, []
-        return taken
+        return taken_from(self._steps)
 
     def request_stop(self) -> None:
         """End the stream; may be called from any thread."""
@@ -210,8 +210,7 @@ class FrameStream:
             return
         self._closed = True
         self._standstill.end()
-        if self._queue is not None:
-            self._queue.close()
+        self._queue.close()
         if remark := ended(self._camera.stop, "camera: stop()"):
             _log.warning("%s", remark)
             self._events.append((EventKind.CAMERA_STOP, remark))
@@ -221,22 +220,27 @@ class FrameStream:
     @property
     def drained(self) -> bool:
         """True if the stream has ended and every frame has been taken."""
-        return self._queue is not None and self._queue.drained
+        return self._queue.drained
 
     @property
     def losses(self) -> FrameLosses:
-        """Frames lost since the start, by cause."""
-        unqueued = 0 if self._queue is None else self._queue.dropped
-        status = self._counts_before + self._counts.now
+        """Frames lost since the start, or since `count_losses_anew`, by cause."""
+        return self._lost().since(self._lost_before)
+
+    def count_losses_anew(self) -> None:
+        """Frames that were lost before are none of those that `losses` counts."""
+        self._lost_before = self._lost()
+
+    def _lost(self) -> FrameLosses:
         return FrameLosses.of(
-            status,
-            unqueued=unqueued,
+            self._counts.now,
+            unqueued=self._queue.dropped,
             while_unplugged=self._line.missing,
             wrong_time=self._line.rejected + self._line.waiting,
         )
 
     def __len__(self) -> int:
-        return 0 if self._queue is None else len(self._queue)
+        return len(self._queue)
 
     def _raise_if_it_hangs(self, waited_s: float) -> None:
         # what is made on demand may take as long as it likes
@@ -245,83 +249,75 @@ class FrameStream:
             self._fail(error, hangs)
             raise error
 
-    def _acquire(self) -> None:
-        """Read and hand over, reconnect after an unplugging."""
-        line = self._line
-        silent_s = 0.0
-        opened_again = False
-        try:
-            while not self._stop.is_set():
-                begun = self._queue is not None
-                # a source on demand may be slow; silence of a free-running camera is reported early
-                patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
-                patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
-                self._hanging.begins()
-                try:
-                    read = self._camera.read(patience_s)
-                except (FrameTimeout, CameraLost) as lost:
-                    if isinstance(lost, FrameTimeout):
-                        lost = self._said_with_reasons(lost)
-                        if begun and silent_s == 0.0 and patience_s < self._timeout_s:
-                            self._events.append((EventKind.CAMERA_SILENT, str(lost)))
-                        silent_s += patience_s
-                        if silent_s < self._timeout_s - 1e-6:
-                            continue
-                    # drivers notice an unplugged cable after seconds, or never: one that can be opened
-                    # again was there all the time if it stays silent
-                    stays_silent = self.policy == "wait" or opened_again
-                    if not begun or (isinstance(lost, FrameTimeout) and stays_silent):
-                        raise lost from None
-                    opened_again = opened_again or isinstance(lost, FrameTimeout)
-                    self._events.append((EventKind.CAMERA_LOST, str(lost)))
-                    self._hanging.is_elsewhere()
-                    self._reconnect(lost)
-                    line.begin_again()
-                    silent_s = 0.0
-                    continue
-                if read is None:
-                    self.ended = self.ended or "the camera delivered its last frame"
-                    break
-                if self.policy != "wait":
-                    self._standstill.raise_if_slept()
-                passed = line.take(read)
-                self.permit.frame_read(read.image)
-                if silent_s and begun:
-                    self._events.append(
-                        (EventKind.CAMERA_SPEAKS, f"after more than {silent_s:.2f} s of silence")
-                    )
+    def _read(self) -> Frame | None:
+        """What the camera delivers next, opened again after an unplugging; None at the end."""
+        silent_s, opened_again = 0.0, False
+        begun = self._begun.is_set()
+        while not self._stop.is_set():
+            # a source on demand may be slow; silence of a free-running camera is reported early
+            on_demand = self.policy == "wait"
+            patience_s = self._timeout_s if on_demand else self._line.patience_s(self._timeout_s)
+            patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
+            self._hanging.begins()
+            try:
+                read = self._camera.read(patience_s)
+            except (FrameTimeout, CameraLost) as lost:
+                if isinstance(lost, FrameTimeout):
+                    lost = self._said_with_reasons(lost)
+                    if begun and silent_s == 0.0 and patience_s < self._timeout_s:
+                        self._events.append((EventKind.CAMERA_SILENT, str(lost)))
+                    silent_s += patience_s
+                    if silent_s < self._timeout_s - 1e-6:
+                        continue
+                # drivers notice an unplugged cable after seconds, or never: one that can be opened
+                # again was there all the time if it stays silent
+                if not begun or (isinstance(lost, FrameTimeout) and (on_demand or opened_again)):
+                    raise lost from None
+                opened_again = opened_again or isinstance(lost, FrameTimeout)
+                self._events.append((EventKind.CAMERA_LOST, str(lost)))
+                self._hanging.is_elsewhere()
+                self._reconnect(lost)
+                self._line.begin_again()
                 silent_s = 0.0
-                opened_again = False
+                continue
+            if read is None:
+                self.ended = self.ended or "the camera delivered its last frame"
+            elif not on_demand:
+                self._standstill.raise_if_slept()
+            if silent_s and begun and read is not None:
+                text = f"after more than {silent_s:.2f} s of silence"
+                self._events.append((EventKind.CAMERA_SPEAKS, text))
+            return read
+        return None
+
+    def _acquire(self) -> None:
+        """Read, check, number, and hand over."""
+        try:
+            while (read := self._read()) is not None:
+                passed = self._line.take(read)
+                self.permit.frame_read(read.image)
                 if read.host_time_ns >= self._look_ns:
                     self._look_ns = int(read.host_time_ns) + _LOOK_NS
-                    self._at_last_look = self.losses
+                    self._at_last_look = self._lost()
                 self._events.extend(passed.notes)
                 self._steps.extend(passed.steps)
                 for joined in passed.frames:
-                    queue = self._first_queue(joined) if self._queue is None else self._queue
-                    queue.put(joined)
+                    self._first = self._first or joined
+                    self._queue.put(joined)
                     self._begun.set()
         except FrameTimeout as error:
-            unused = self.losses.since(self._at_last_look)
+            unused = self._lost().since(self._at_last_look)
             why = "the camera has stalled" if not unused.came else f"of those that came {unused.came_text}"
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
             self._fail(error, self._named(error))
         finally:
-            if self._queue is not None:
-                self._queue.close()
+            self._queue.close()
             self._begun.set()
-
-    def _first_queue(self, first: Frame) -> FrameQueue:
-        capacity = most_waiting(first, self.policy)
-        # what is made on demand waits for the thread that takes it
-        self._backlog = None if self.policy == "wait" else Backlog(capacity, first.image.nbytes)
-        self._first, self._queue = first, FrameQueue(capacity, self.policy)
-        return self._queue
 
     def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
         """The same, with the frames that came and could not be used: the trigger is no cause of those."""
-        unused = self.losses.since(self._at_last_look)
+        unused = self._lost().since(self._at_last_look)
         if not unused.came:
             return lost
         name = str(lost).partition(": ")[0]
@@ -344,9 +340,7 @@ class FrameStream:
             except DeviceError:
                 self._stop.wait(0.25)
             else:
-                # a driver that has noticed the loss counts on, any other begins again
-                if self._counts.now.reconnects == before.reconnects:
-                    self._counts_before += before
+                self._counts.go_on(before)
                 if differences:
                     self._events.append((EventKind.CAMERA_BACK, f"with other settings: {differences}"))
                 return

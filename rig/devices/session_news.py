@@ -98,31 +98,17 @@ class SessionNews:
 
     # -- in the run's thread --------------------------------------------------
 
-    def look(self, frames: Sequence[Frame], block: Block) -> None:
-        """Keep the newest frame if it is wanted; the record has the rest."""
-        self._path.clear()
-        self._keep_picture(frames, block.spots, block.references)
-
-    def before_record(
-        self,
-        frames: Sequence[Frame],
-        spots: Sequence[Spot],
-        deflections: Deflections,
-        references: Sequence[Spot] = (),
-    ) -> None:
-        """Keep the trajectory, and the newest frame if it is wanted, of frames that no record has."""
-        if len(deflections):
+    def look(self, frames: Sequence[Frame], block: Block, *, recorded: bool = False) -> None:
+        """Keep the newest frame if it is wanted, and the trajectory of frames that no record has."""
+        spots, deflections, now_s = block.spots, block.deflections, time.monotonic()
+        if recorded:
+            self._path.clear()
+        elif len(deflections):
             with self._lock:
                 path, newest_ns = self._path, deflections.times_ns[-1]
                 path.append(deflections)
                 while newest_ns - path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     path.popleft()
-        self._keep_picture(frames, spots, references)
-
-    def _keep_picture(
-        self, frames: Sequence[Frame], spots: Sequence[Spot], references: Sequence[Spot]
-    ) -> None:
-        now_s = time.monotonic()
         if spots:
             self._frames_s = now_s
             # what was never seen is looked for since the first frame
@@ -134,7 +120,7 @@ class SessionNews:
             image = frames[-1].image
             # a camera's frames are read-only and never written to again; anything else is copied
             held = image.copy() if image.flags.writeable else image
-            reference = references[-1] if references else None
+            reference = block.references[-1] if block.references else None
             self._frame = SessionPicture(held, spots[-1], self._picture_number, reference)
 
     # -- for those that answer -----------------------------------------------

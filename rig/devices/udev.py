@@ -15,7 +15,7 @@ from acquisition.camera import Camera, Frame
 from acquisition.cameras.usb3vision.link import UDEV_RULE
 from acquisition.cameras.usb3vision.node_map import READ_WRITE, WRITE_ONLY, FeatureReading
 from acquisition.frames.guard import CheckedFrames
-from acquisition.frames.queue import FrameQueue
+from acquisition.frames.queue import BoundedQueue
 from processing.errors import ConfigurationError, DeviceError
 from rig.control import udev_board, udev_matches
 
@@ -137,24 +137,24 @@ _TIMEOUT_S = 5.0
 
 def watch_latest(
     camera: Camera,
-    queue: FrameQueue,
     at_least: int,
     end_s: float,
     interval_s: float = _LOOK_S,
 ) -> Generator[list[Frame]]:
-    """Yield blocks of `at_least` frames, at most one per `interval_s`; the queue drops older frames.
+    """Yield blocks of `at_least` frames, at most one per `interval_s`; older frames are dropped.
 
     The camera must be configured and stopped. It runs until the monotonic time `end_s`, but for one block
     at least; until its source ends; or until the caller stops iterating. It is then stopped. Errors of the
     camera, and frames that no camera may deliver, are raised here.
     """
     errors: list[Exception] = []
-    delivered = CheckedFrames()
+    delivered, queue = CheckedFrames(), BoundedQueue[Frame](at_least, "latest")
 
     def acquire() -> None:
         try:
             while (frame := camera.read(_TIMEOUT_S)) is not None:
-                if queue.put(delivered.checked(frame)) is None or ended.is_set():
+                queue.put(delivered.checked(frame))
+                if ended.is_set():
                     break
         except Exception as error:
             errors.append(error)

@@ -11,15 +11,8 @@ from acquisition.record.events import Event
 from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import (
     BALANCE,
-    CAMERA_STEP,
-    ENVIRONMENT,
-    ESTIMATE,
     EVENT,
-    HEALTH,
-    LIGHT,
-    LOSSES,
-    NOTE,
-    PHASE,
+    KIND_OF,
     SWING,
     Environment,
     RecordedClockStep,
@@ -85,16 +78,11 @@ class CameraClock:
 
 
 _Value = TypeVar("_Value")
-_STATES: Final[dict[str, type[TimedMessage]]] = {
-    PHASE.topic: RecordedPhase,
-    LIGHT.topic: RecordedLight,
-    CAMERA_STEP.topic: RecordedClockStep,
-    LOSSES.topic: RecordedLosses,
-    ENVIRONMENT.topic: Environment,
-    HEALTH.topic: RecordedHealth,
-    ESTIMATE.topic: RecordedEstimate,
-}
-"""Topics that change the state of a run, with the values of their messages."""
+_STATES: Final[tuple[type[TimedMessage], ...]] = (
+    *(RecordedPhase, RecordedLight, RecordedClockStep, RecordedLosses, Environment),
+    *(RecordedHealth, RecordedEstimate),
+)
+"""Values that change the state of a run, in the order in which those of one piece do."""
 
 
 class Phase(StrEnum):
@@ -139,7 +127,7 @@ class RecordContents(NamedTuple):
 
 def told_in(reader: RecordReader, piece: Piece, start_ns: int, last_ns: int) -> RecordContents:
     """What a piece of a record tells; notes are among the events."""
-    notes = reader.values(NOTE.topic, RecordedNote, piece.get(NOTE.topic, ()))
+    notes = reader.values(RecordedNote, piece.get(KIND_OF[RecordedNote].topic, ()))
     return RecordContents(
         start_ns,
         last_ns,
@@ -148,9 +136,8 @@ def told_in(reader: RecordReader, piece: Piece, start_ns: int, last_ns: int) -> 
         [*reader.events(piece.get(EVENT.topic, ())), *(note.event for note in notes)],
         [
             value
-            for topic, value_class in _STATES.items()
-            if topic in piece
-            for value in reader.values(topic, value_class, piece[topic])
+            for value_class in _STATES
+            for value in reader.values(value_class, piece.get(KIND_OF[value_class].topic, ()))
         ],
     )
 

@@ -3,29 +3,22 @@
 import math
 import threading
 from collections.abc import Sequence
-from dataclasses import astuple
 from typing import Final
 
 from acquisition.camera import Camera, Frame, HasFeatures
 from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event
 from acquisition.record.topics import (
-    CAMERA_STEP,
-    CAMERA_TEMPERATURE,
-    CLOCK,
-    ENVIRONMENT,
-    LOSSES,
-    WITNESS,
     CameraTemperature,
     ClockAnchor,
     Environment,
-    Recorded,
     RecordedLosses,
     RecordedWitness,
+    TimedMessage,
 )
 from processing.errors import DeviceError
 from processing.units import nanoseconds
-from rig.devices import ClockAnchors, ClockRate, FrameStream
+from rig.devices import ClockAnchors, ClockRate
 from rig.instrument import CameraClock
 from rig.measure.run_parts import RunParts, features_json
 
@@ -78,34 +71,6 @@ class TemperatureWatch:
         return ()
 
 
-class LossLog:
-    """Losses of a stream since a record began; with `from_start` also those before the record."""
-
-    def __init__(self, stream: FrameStream, *, from_start: bool) -> None:
-        self._stream = stream
-        self._before = FrameLosses() if from_start else stream.losses
-        self._written = FrameLosses()
-        self._due_ns = 0
-
-    @property
-    def now(self) -> FrameLosses:
-        """Losses so far."""
-        return self._stream.losses.since(self._before)
-
-    def due(self, time_ns: int) -> RecordedLosses | None:
-        """The losses to be recorded now, if they have changed; at most once per second of frame time."""
-        now = self.now
-        if now == self._written or time_ns < self._due_ns:
-            return None
-        self._due_ns = time_ns + _LOSSES_NS
-        return self.last(time_ns)
-
-    def last(self, time_ns: int) -> RecordedLosses:
-        """The present losses, to be recorded in any case."""
-        self._written = self.now
-        return RecordedLosses(time_ns, *astuple(self._written))
-
-
 class SideReadings:
     """What a record gets beside the frames: air, ground, clocks, losses, the camera's temperature.
 
@@ -113,17 +78,18 @@ class SideReadings:
     no other one says anything.
     """
 
-    def __init__(self, parts: RunParts, losses: LossLog, start_ns: int) -> None:
-        self._parts, self._losses, self._wall, self._start_ns = parts, losses, parts.wall, start_ns
+    def __init__(self, parts: RunParts, start_ns: int) -> None:
+        self._parts, self._wall, self._start_ns = parts, parts.wall, start_ns
         on_demand = parts.stream.policy == "wait"
         self._anchors = None if on_demand else ClockAnchors()
         self._rate = None if on_demand else ClockRate()
         self._temperature = TemperatureWatch(parts.camera.camera)
-        self._environment_due_ns = 0
+        self._environment_due_ns = self._losses_due_ns = 0
+        self._losses_written = FrameLosses()
         self._has_air = False
         self.clock = CameraClock()
 
-    def take(self, frames: Sequence[Frame]) -> tuple[list[Recorded], list[Event]]:
+    def take(self, frames: Sequence[Frame]) -> tuple[list[TimedMessage], list[Event]]:
         """What is to be recorded with these frames, and events."""
         last, wall = frames[-1], self._wall
         nothing: tuple[ClockAnchor | None, list[Event]] = (None, [])
@@ -138,16 +104,11 @@ class SideReadings:
                 "the reading of the camera's clock", self.clock, self._rate.take, frames, steps
             )
         warmth = wall.past(_TEMPERATURE, None, self._temperature.take, last.time_ns)
-        once = (
-            (ENVIRONMENT, self._environment(last.time_ns)),
-            (LOSSES, self._losses.due(last.time_ns)),
-            (CLOCK, anchor),
-            (CAMERA_TEMPERATURE, warmth),
-        )
-        found: list[Recorded] = [
-            *((kind, value) for kind, value in once if value is not None),
-            *((CAMERA_STEP, step) for step in steps),
-            *((WITNESS, one) for one in self._witness(last) if one.time_ns >= self._start_ns),
+        once = (self._environment(last.time_ns), self._losses(last.time_ns), anchor, warmth)
+        found: list[TimedMessage] = [
+            *(value for value in once if value is not None),
+            *steps,
+            *(one for one in self._witness(last) if one.time_ns >= self._start_ns),
         ]
         return found, events
 
@@ -157,6 +118,14 @@ class SideReadings:
         self._wall.past(_TEMPERATURE, None, self._temperature.close)
         features = self._wall.past("the reading of the camera's features", b"", features_json, camera)
         return {"camera-features-end.json": features} if features else {}
+
+    def _losses(self, time_ns: int) -> RecordedLosses | None:
+        """The losses since the record began, if they have changed; at most once per second of frame time."""
+        now = self._parts.stream.losses
+        if now == self._losses_written or time_ns < self._losses_due_ns:
+            return None
+        self._losses_due_ns, self._losses_written = time_ns + _LOSSES_NS, now
+        return RecordedLosses(time_ns, *now.counts)
 
     def _environment(self, time_ns: int) -> Environment | None:
         """A reading of the environment, once per period; None in between and without a sensor.

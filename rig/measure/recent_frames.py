@@ -10,7 +10,6 @@ from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedPhase
 from processing.deflections import Deflections, joined
 from processing.errors import DataError
-from processing.spot import Spot
 from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.devices import FrameStream
 from rig.instrument import Block, Deflector, Optics, Phase
@@ -19,8 +18,8 @@ from rig.measure.preflight import TrialFrames
 
 _BLOCK_FRAMES = 16
 _RING_BYTES = 256 * 1024 * 1024
-Watch = Callable[[Sequence[Frame], Sequence[Spot], Deflections, Sequence[Spot]], None]
-"""Shown a block of frames: with its spots and deflections, and the reference's spots where there are some."""
+Watch = Callable[[Sequence[Frame], Block], None]
+"""Shown some frames, and what was found in them."""
 
 
 class RecentFrames:
@@ -53,23 +52,24 @@ class RecentFrames:
 
     def advance(self) -> bool:
         """Take some frames; False if the stream has ended."""
-        block = self._stream.take(_BLOCK_FRAMES, 0.1)
-        if not block:
+        frames = self._stream.take(_BLOCK_FRAMES, 0.1)
+        if not frames:
             return not self._stream.drained
         if self._deflector is None:
-            self._deflector = self._optics.deflector((block[0].image.shape[0], block[0].image.shape[1]))
-        spots, references = self._both.in_frames(block)
-        times_ns = np.array([frame.time_ns for frame in block], dtype=np.int64)
+            self._deflector = self._optics.deflector((frames[0].image.shape[0], frames[0].image.shape[1]))
+        spots, references = self._both.in_frames(frames)
+        times_ns = np.array([frame.time_ns for frame in frames], dtype=np.int64)
         deflections = self._deflector(times_ns, spots)
-        self._blocks.append(Block(spots, deflections, [], [], references))
+        block = Block(spots, deflections, [], [], references)
+        self._blocks.append(block)
         found_ns = times_ns[deflections.found]
         self._found_ns = int(found_ns[-1]) if len(found_ns) else self._found_ns or int(times_ns[0])
-        self._frames.extend(block)
+        self._frames.extend(frames)
         if self._watch is not None:
-            self._watch(block, spots, deflections, references)
-        self.seen += len(block)
-        newest_ns = block[-1].time_ns
-        most = max(8, _RING_BYTES // max(block[0].image.nbytes, 1))
+            self._watch(frames, block)
+        self.seen += len(frames)
+        newest_ns = frames[-1].time_ns
+        most = max(8, _RING_BYTES // max(frames[0].image.nbytes, 1))
         while newest_ns - self._frames[0].time_ns > self._frames_ns or len(self._frames) > most:
             self._frames.popleft()
         while newest_ns - self._blocks[0].deflections.times_ns[-1] > self._window_ns:

@@ -3,13 +3,19 @@
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from acquisition.camera import Frame, Image
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import LOSSES, Recorded, RecordedHealth, RecordedNote, RecordedPhase
+from acquisition.record.topics import (
+    RecordedHealth,
+    RecordedLosses,
+    RecordedNote,
+    RecordedPhase,
+    TimedMessage,
+)
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
 from processing.slope_uncertainty import KickWatch, StepWatch
@@ -18,7 +24,7 @@ from processing.units import nanoseconds, seconds
 from rig.instrument import BeamCorrection, Block, Phase, Pipeline, RecordContents
 from rig.measure.end_of_run import EndOfRun
 from rig.measure.posterior_worker import Posterior
-from rig.measure.readings import LossLog, SideReadings
+from rig.measure.readings import SideReadings
 from rig.measure.recorder import Entry, Recorder
 from rig.measure.run_parts import RunParts
 from rig.measure.session_orders import StartJudge
@@ -179,14 +185,13 @@ class Recording:
     def __init__(
         self,
         parts: RunParts,
-        losses: LossLog,
         recorder: Recorder,
         judge: StartJudge | None,
         first: Frame,
     ) -> None:
         self._parts, self._stream = parts, parts.stream
         self._stop, self._status, self._wall = parts.stop, parts.status, parts.wall
-        self._losses, self._recorder, self._judge = losses, recorder, judge
+        self._recorder, self._judge = recorder, judge
         self._first = self._last = first
         # frames made on demand wait for what is done beside them: a run of the simulated rig repeats exactly
         self._on_demand = parts.stream.policy == "wait"
@@ -200,7 +205,7 @@ class Recording:
             self._less = BeamCorrection(parts.optics.deflector(shape), gain, beside=beside)
         self._end = EndOfRun(parts.end_limits)
         self._steps = StepEvents(parts.optics.unit)
-        self._readings = SideReadings(parts, losses, first.time_ns)
+        self._readings = SideReadings(parts, first.time_ns)
         self._published_ns = self._half_cycles = 0
 
     def make(self, begun: list[Frame], events: list[Event]) -> str:
@@ -270,11 +275,10 @@ class Recording:
 
     def _take_nothing(self) -> None:
         """Record events without waiting for frames, so that a silent camera is noted immediately."""
-        new, notes = self._device_events(), self._notes()
-        messages = self._state(Phase.MEASURING, math.nan)
-        if new or notes or messages:
-            self._recorder.put(Entry(events=new, notes=notes, messages=messages))
-            self._tell([*new, *(note.event for note in notes)], messages)
+        new, messages = self._device_events(), [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
+        if new or messages:
+            self._recorder.put(Entry(events=new, messages=messages))
+            self._tell(new, messages)
 
     def _take(self, taken: list[Frame], taken_ns: int) -> Block:
         """Process frames that were taken at `taken_ns` and record them; returns the block as it is shown."""
@@ -291,21 +295,22 @@ class Recording:
         self._half_cycles += len(shown.swings)
         entry = counts.entry(taken, block, self._pipeline)
         self._last = taken[-1]
-        notes = self._notes()
         messages, of_clocks = self._readings.take(taken)
+        messages += self._notes()
         stepped: list[Event] = self._wall.past("the watch for steps", [], self._steps.take, block)
-        new = [*entry.events, *said, *stepped, *of_clocks, *self._device_events()]
+        entry.events = [*entry.events, *said, *stepped, *of_clocks, *self._device_events()]
         due = bool(shown.swings) or self._on_demand or taken_ns - self._published_ns > _PUBLISHED_NS
         if due:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - taken[0].host_time_ns)
             messages += self._state(Phase.MEASURING, age_s)
-        self._recorder.put(replace(entry, events=new, messages=messages, notes=notes))
+        entry.messages = messages
+        self._recorder.put(entry)
         if (news := parts.plan.session_news) is not None:
-            self._wall.past(_LOOKING, None, news.look, taken, shown)
-        if due or new or messages or notes or shown.balances:
-            self._tell([*new, *(note.event for note in notes)], messages, shown)
+            self._wall.past(_LOOKING, None, partial(news.look, recorded=True), taken, shown)
+        if due or entry.events or messages or shown.balances:
+            self._tell(entry.events, messages, shown)
         return shown
 
     def _close(self, rejected: str) -> None:
@@ -329,27 +334,26 @@ class Recording:
             swings = self._wall.past(_LESS_BEAM, swings, self._less.finish)
         self._half_cycles += len(swings)
         last = [*self._device_events(), *early, end]
-        messages = [(LOSSES, self._losses.last(counts.last_ns)), *self._state(Phase.CLOSING, math.nan)]
-        notes = self._notes()
-        self._recorder.put(
-            Entry(block=empty, events=last, messages=messages, attachments=attachments, notes=notes)
-        )
+        losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
+        messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
+        self._recorder.put(Entry(block=empty, events=last, messages=messages, attachments=attachments))
         self._tell(last, messages, empty._replace(swings=swings))
 
     def _tell(
-        self, events: Sequence[Event], messages: Sequence[Recorded] = (), block: Block | None = None
+        self, events: Sequence[Event], messages: Sequence[TimedMessage] = (), block: Block | None = None
     ) -> None:
-        """Tell those who watch what the record was told."""
-        values, counts = [value for _, value in messages], self._counts
+        """Tell those who watch what the record was told; they have notes among the events."""
+        counts = self._counts
+        events = [*events, *(one.event for one in messages if isinstance(one, RecordedNote))]
         swings, balances = ([], []) if block is None else (block.swings, block.balances)
-        self._status.tell(RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, values))
+        self._status.tell(RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, messages))
 
-    def _notes(self) -> list[RecordedNote]:
+    def _notes(self) -> list[TimedMessage]:
         """What operators have noted since the last call, on the frames' clock."""
         if self._parts.plan.notes is None:
             return []
         counts, last = self._counts, self._last
-        found = []
+        found = list[TimedMessage]()
         for host_time_ns, author, text in self._parts.plan.notes.take():
             at_ns = last.time_ns + host_time_ns - last.host_time_ns
             # what was typed before the record begins is in it, too, and frames on demand have another clock
@@ -386,7 +390,7 @@ class Recording:
             happened.append((EventKind.POSTERIOR, remark))
         return [Event(self._counts.last_ns, kind, text) for kind, text in happened]
 
-    def _state(self, phase: Phase, age_s: float) -> list[Recorded]:
+    def _state(self, phase: Phase, age_s: float) -> list[TimedMessage]:
         """What the record is told of the session now, as far as it has changed."""
         counts, recorder, clock = self._counts, self._recorder, self._readings.clock
         now_ns = counts.last_ns

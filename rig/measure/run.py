@@ -9,16 +9,16 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from acquisition.camera import Frame
+from acquisition.frames.queue import MOST_BYTES
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import RecordedPhase
+from acquisition.record.topics import RecordedLosses, RecordedPhase
 from processing import decay_summary
 from processing.errors import ConfigurationError, DataError, DeviceError, RecordError
 from rig.devices import Devices, OpenCamera, TypedAcknowledgement
 from rig.instrument import Phase, RecordContents, RunNow, optics_of, prepare_kernels
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
 from rig.measure.posterior import LivePosterior, live_posterior
-from rig.measure.readings import LossLog
-from rig.measure.recorder import MOST_WAITING_BYTES, Recorder
+from rig.measure.recorder import Recorder
 from rig.measure.recording import Recording
 from rig.measure.run_parts import RunOutcome, RunParts, RunPlan, set_aside
 from rig.measure.screen import RunDisplay
@@ -69,7 +69,6 @@ class MeasurementRun:
         self._parts, self._stream = parts, parts.stream
         self._wall, self._status, self._stop = parts.wall, parts.status, parts.stop
         self._done = threading.Event()
-        self._losses = LossLog(parts.stream, from_start=True)
 
     @property
     def now(self) -> RunNow:
@@ -178,19 +177,20 @@ class MeasurementRun:
         # rest and warm-up may take an hour, in which the clock of the day is set; frames made on demand are
         # timed by their first one
         epoch_offset_ns = at_first_ns if self._stream.policy == "wait" else utc_offset_ns(frames[-1])
-        self._losses = LossLog(self._stream, from_start=parts.phases is None)
+        if parts.phases is not None:
+            self._stream.count_losses_anew()
         preflight = () if parts.phases is None else parts.phases.verdicts
         recorder = Recorder(
             parts.open_record(epoch_offset_ns, frames[0], preflight),
             # frames made on demand wait for the disk, and no memory has to hold them
-            MOST_WAITING_BYTES // 16 if self._stream.policy == "wait" else MOST_WAITING_BYTES,
+            MOST_BYTES // 16 if self._stream.policy == "wait" else MOST_BYTES,
             permit=self._stream.permit,
         )
         # of one that is recorded at once any start is accepted
         judge = None if config.start.way == "at once" else StartJudge(config, parts.optics.unit)
         rejected = ""
         try:
-            rejected = Recording(parts, self._losses, recorder, judge, frames[0]).make(frames, events)
+            rejected = Recording(parts, recorder, judge, frames[0]).make(frames, events)
         finally:
             recorder.close()
             if recorder.error is not None:
@@ -229,7 +229,7 @@ class MeasurementRun:
     def _shut_down(self) -> None:
         self._stop.close_stream()
         done = RecordedPhase(0, self.now.elapsed_s, Phase.DONE.value, reason=self._stop.reason)
-        self._status.tell(RecordContents(messages=[self._losses.last(0), done]))
+        self._status.tell(RecordContents(messages=[RecordedLosses(0, *self._stream.losses.counts), done]))
 
 
 def utc_offset_ns(frame: Frame) -> int:
@@ -323,7 +323,7 @@ def _execute(
             plan.record.parent,
             force=plan.force,
             show_table=show_table,
-            watch=None if session_news is None else session_news.before_record,
+            watch=None if session_news is None else session_news.look,
         )
     parts = RunParts(
         plan=plan,

@@ -13,13 +13,7 @@ from rich.text import Text
 
 from acquisition.record.events import EventKind
 from acquisition.record.topics import (
-    ESTIMATE,
-    FITTED,
-    HEALTH,
-    LIGHT,
-    PHASE,
     Environment,
-    Recorded,
     RecordedEstimate,
     RecordedHealth,
     RecordedLight,
@@ -120,29 +114,29 @@ class RunStatus:
 
     def messages(
         self, phase: RecordedPhase, health: RecordedHealth, known: Posterior, *, on_demand: bool
-    ) -> list[Recorded]:
+    ) -> list[TimedMessage]:
         """What the record is to be told of the session now: phase and light where they have changed, each
         new fit, and how the session keeps up once a second and where phase or alarm have changed.
         """
-        time_ns, found = phase.time_ns, list[Recorded]()
+        time_ns, found = phase.time_ns, list[TimedMessage]()
         changed = self._phase is None or phase[2:] != self._phase[2:] or health.alarm != self._alarm
         if self._phase is None or phase[2:] != self._phase[2:]:
-            found.append((PHASE, phase))
+            found.append(phase)
         self._phase, self._alarm = phase, health.alarm
         if self._devices is not None and (light := _light(self._devices)) != self._light:
             self._light = light
-            found.append((LIGHT, light._replace(time_ns=time_ns)))
+            found.append(light._replace(time_ns=time_ns))
         if known.half_cycles and known.estimates is not self._estimates:
             self._estimates = known.estimates
             found += [
-                (ESTIMATE, RecordedEstimate(time_ns, known.half_cycles, value, u, name))
+                RecordedEstimate(time_ns, known.half_cycles, value, u, name)
                 for name, (value, u) in known.estimates.items()
             ]
-            found += [(FITTED, point._replace(time_ns=time_ns)) for point in known.points]
+            found += [point._replace(time_ns=time_ns) for point in known.points]
         now_ns = time_ns if on_demand else time.monotonic_ns()
         if changed or now_ns >= self._health_due_ns:
             self._health_due_ns = now_ns + _HEALTH_NS
-            found.append((HEALTH, health))
+            found.append(health)
         return found
 
 

@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from acquisition.frames.queue import taken_from
 from acquisition.record.events import Severity
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
@@ -69,10 +70,7 @@ class Notes:
 
     def take(self) -> list[OperatorNote]:
         """The notes since the last call, oldest first."""
-        found = []
-        while self._typed:
-            found.append(self._typed.popleft())
-        return found
+        return taken_from(self._typed)
 
 
 _LOOK_S = 0.1

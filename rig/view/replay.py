@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import CAMERA_STEP, WINDOW, RecordedClockStep, RecordedWindow
+from acquisition.record.topics import WINDOW, RecordedClockStep, RecordedWindow
 from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
@@ -112,9 +112,7 @@ class Replay:
             raise RecordError(f"{reader.path}: contains no spots; there is nothing to replay")
         self.start_ns = int(head["time_ns"][0])
         self._last_ns = max(reader.contents.end_ns - reader.epoch_offset_ns, self.start_ns)
-        self._steps = [
-            (one.time_ns, one.step_ns) for one in reader.values(CAMERA_STEP.topic, RecordedClockStep)
-        ]
+        self._steps = [(one.time_ns, one.step_ns) for one in reader.values(RecordedClockStep)]
         if from_s > seconds(self._last_ns - self.start_ns):
             length_s = seconds(self._last_ns - self.start_ns)
             raise RecordError(f"{reader.path}: is {length_s:.1f} s long and cannot start at {from_s:g} s")

@@ -19,7 +19,6 @@ import numpy as np
 from acquisition.camera import Frame
 from acquisition.record import pixels_beside
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import REFERENCE, RecordedReference
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
@@ -224,9 +223,7 @@ class ScratchView:
 
         def write(writer: RecordWriter) -> None:
             if times_ns:
-                writer.write_spots(numbers, times_ns, times_ns, block.spots, found)
-            for number, time_ns, seen in zip(numbers, times_ns, block.references, strict=False):
-                writer.write(REFERENCE, RecordedReference.of(number, time_ns, seen), time_ns)
+                writer.write_spots(numbers, times_ns, times_ns, block.spots, found, block.references)
             for swing in block.swings:
                 writer.write_swing(replace(swing, turn_time_ns=swing.turn_time_ns - shift_ns))
             for balance in block.balances:

@@ -13,7 +13,7 @@ import numpy as np
 from acquisition.record.digest import is_being_written
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import HEALTH, REFERENCE
+from acquisition.record.topics import KIND_OF, REFERENCE, RecordedHealth
 from processing.contact.laws import DEFAULT_LAW
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
@@ -272,7 +272,7 @@ def _parameters(readers: Sequence[RecordReader], config: Configuration | None) -
         and config.instrument.description().report == "contact"
         and pendulum_on_ball(config) is not None
     )
-    if not fitted or (readers[0].contents.whole and HEALTH.topic not in readers[0].counts):
+    if not fitted or (readers[0].contents.whole and KIND_OF[RecordedHealth].topic not in readers[0].counts):
         return ()
     return DEFAULT_LAW.fit_names(calibrated=True, drag=config.fit.fits_drag)[:-2]
 

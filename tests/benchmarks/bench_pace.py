@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from acquisition.camera import CameraSettings
-from acquisition.record.writer import RecordWriter
 from calibration.axes_fit import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
@@ -31,7 +30,7 @@ from rig.devices.session_devices import OpenCamera
 from rig.instrument.pipeline import Optics
 from rig.instrument.provenance import prepare_kernels
 from rig.instrument.run_now import RunNow
-from rig.measure.recorder import Entry
+from rig.measure.recorder import Entry, Recorder
 from rig.measure.run import MeasurementRun, ready_for_frames
 from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.run_status import Watcher
@@ -115,10 +114,10 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
     frames = drawn_frames(case.width, case.height, rate_hz, round(min(2.0 * rate_hz, 600)))
     latencies_ms: list[float] = []
     begin_ms: list[float] = []
-    original = Entry.write
+    original = Recorder._write
 
-    def timed(entry: Entry, writer: RecordWriter) -> None:
-        original(entry, writer)
+    def timed(recorder: Recorder, entry: Entry) -> None:
+        original(recorder, entry)
         now_ns = time.monotonic_ns()
         for number, due_ns in zip(entry.sequences, entry.device_times_ns, strict=True):
             into = begin_ms if number < _BEGIN_S * rate_hz else latencies_ms
@@ -148,14 +147,14 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
                 watchers=company.watchers,
             )
         )
-        Entry.write = timed  # type: ignore[assignment, method-assign]
+        Recorder._write = timed  # type: ignore[assignment, method-assign]
         before = resource.getrusage(resource.RUSAGE_SELF)
         began_s = time.monotonic()
         try:
             with ready_for_frames(live=True):
                 outcome = run.execute(company.show)
         finally:
-            Entry.write = original  # type: ignore[method-assign]
+            Recorder._write = original  # type: ignore[method-assign]
         elapsed_s = time.monotonic() - began_s
         if outcome.failure is not None:
             raise outcome.failure

@@ -19,6 +19,7 @@ from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.devices import OrderSocket, SessionNews
+from rig.instrument import Block
 from rig.settings import Configuration
 
 _EACH_S = 0.1
@@ -60,7 +61,7 @@ def main(folder: Path) -> None:
                 frame = Frame(np.full((64, 32), 40, np.uint8), 1, now_ns, now_ns)
                 flags = SpotFlag.LOST if how["lost"] else SpotFlag(0)
                 spot = Spot(16.0, 32.0, 0.01, 0.01, 2.0, 2.0, 0.0, 100.0, 4.0, 1.0, flags)
-                told.before_record([frame], [spot], none)
+                told.look([frame], Block([spot], none, [], []))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from acquisition.camera import (
     CameraInfo,
     CameraLost,
     Frame,
-    FrameTimeout,
 )
 from acquisition.cameras.aravis.library import (
     SHORT_IDS,
@@ -23,11 +22,11 @@ from acquisition.cameras.aravis.library import (
 )
 from acquisition.cameras.drivers import AravisSettings, kept_frames
 from acquisition.cameras.genicam import GenicamCamera
+from acquisition.cameras.reading import CameraRun
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
-_POLL_US: Final = 50_000
 _PATIENCE_S: Final = 0.4
 _LONGEST_S: Final = 15.0
 # libaravis takes 6 s to notice the loss of a GigE camera, and may not monitor a USB camera at all: after a
@@ -59,10 +58,9 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         self._settings = settings or AravisSettings()
         self._library: Library | None = None
         self._stream: Any = None
-        self._has_clock = self._started = False
+        self._has_clock = False
         self._closings = 0
         self._gone = threading.Event()
-        self._halted = threading.Event()
         self._parting = _ClosingActions()
         self._asking: threading.Thread | None = None
         self._heard_s = 0.0
@@ -73,9 +71,6 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
 
     def _is_gone(self) -> bool:
         return self._gone.is_set()
-
-    def _is_running(self) -> bool:
-        return self._stream is not None
 
     # ---- life cycle
 
@@ -95,7 +90,6 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             found = find_camera(self._settings.serial)
             self._name = found.name
             self._gone = threading.Event()
-            self._started = False
             with self._translated():
                 info, features = self._take_control(self._library, found)
             if closings != self._closings:
@@ -169,44 +163,33 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
                 self._begin((SHORT_IDS,) if camera.is_gv_device() else ()),
                 features.plane,
             )
-            self._halted.clear()
-            self._started = True
             self._heard_s = time.monotonic()
             self._stream = stream
+            del stream
+            self._run = CameraRun(self._next, self._end)
             try:
                 camera.start_acquisition()
             except BaseException:
                 self.stop()
                 raise
 
-    def read(self, timeout_s: float) -> Frame | None:
-        if not self._started:
-            raise DeviceError(f"{self._name}: is not started; call start before read")
-        deadline_s = time.monotonic() + timeout_s
-        while not self._halted.is_set():
-            stream, features, buffers = self._stream, self._features, self._buffers
-            if stream is None or features is None or buffers is None:
-                return None
-            left_us = round((deadline_s - time.monotonic()) * 1e6)
-            buffer = stream.timeout_pop_buffer(max(min(left_us, _POLL_US), 1))
-            if self._gone.is_set():
-                self._was_lost = True
-                raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
-            if buffer is not None:
-                self._heard_s = time.monotonic()
-                try:
-                    if self._halted.is_set():
-                        return None  # buffers that were cancelled are returned empty
-                    frame = buffers.frame(buffer, stream.get_info_uint64_by_name("n_underruns"))
-                finally:
-                    stream.push_buffer(buffer)
-                if frame is not None:
-                    return frame
-            elif left_us <= 0:
-                raise FrameTimeout(f"{self._name}: no frame within {timeout_s:g} s; is its trigger on?")
-            else:
-                self._ask_whether_there(features)
-        return None
+    def _next(self, timeout_s: float) -> Frame | None:
+        stream, features, buffers, run = self._stream, self._features, self._buffers, self._run
+        if stream is None or features is None or buffers is None or run is None:
+            return None
+        buffer = stream.timeout_pop_buffer(max(round(timeout_s * 1e6), 1))
+        if self._gone.is_set():
+            raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
+        if buffer is None:
+            self._ask_whether_there(features)
+            return None
+        self._heard_s = time.monotonic()
+        try:
+            if run.stopped:
+                return None  # buffers that were cancelled are returned empty
+            return buffers.frame(buffer, stream.get_info_uint64_by_name("n_underruns"))
+        finally:
+            stream.push_buffer(buffer)
 
     def _ask_whether_there(self, features: AravisFeatures) -> None:
         """Test the connection of a silent camera by reading a register in a thread."""
@@ -227,14 +210,14 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         self._asking = threading.Thread(target=ask, name=f"asks {self._name}", daemon=True)
         self._asking.start()
 
-    def stop(self) -> None:
-        self._halted.set()
+    def _end(self) -> None:
+        """Stop the camera and drop the stream, which is no longer read."""
         features, gone = self._features, self._gone
         held, self._stream = [self._stream], None
         camera = None if features is None else features.camera
-        if held[0] is None or camera is None or self._library is None:
+        if self._library is None:
             return
-        action = _nothing if gone.is_set() else camera.stop_acquisition
+        action = _nothing if camera is None or gone.is_set() else camera.stop_acquisition
         del camera
         self._parting.leave(action, held, self._library.error)
 

@@ -10,13 +10,11 @@ import usb.backend
 from acquisition.camera import (
     CameraInfo,
     CameraLost,
-    CameraStatus,
-    Frame,
-    FrameTimeout,
 )
 from acquisition.cameras.drivers import Usb3VisionSettings
 from acquisition.cameras.genicam import GenicamCamera
 from acquisition.cameras.pixel_formats import BY_NAME
+from acquisition.cameras.reading import CameraRun
 from acquisition.cameras.usb3vision.description import read_description
 from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
@@ -28,7 +26,7 @@ from acquisition.cameras.usb3vision.packets import (
     read_identity,
     silence_events,
 )
-from acquisition.cameras.usb3vision.stream import ExpectedFrames, UsbFrameStream
+from acquisition.cameras.usb3vision.stream import COUNTERS, ExpectedFrames, UsbFrameStream
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, LibusbTransfers, Transfers
 from processing.errors import DeviceError
 
@@ -61,6 +59,8 @@ class Usb3VisionCamera(GenicamCamera[Features]):
     numbered from 0 again.
     """
 
+    _SILENT = "is its trigger on, or its cable loose?"
+
     def __init__(
         self, settings: Usb3VisionSettings | None = None, backend: usb.backend.IBackend | None = None
     ) -> None:
@@ -73,9 +73,6 @@ class Usb3VisionCamera(GenicamCamera[Features]):
         self._has_clock = False
         self._stream: UsbFrameStream | None = None
         self._camera_runs = False
-
-    def _is_running(self) -> bool:
-        return self._stream is not None and not self._stream.reading.stopped
 
     # ---- life cycle
 
@@ -155,7 +152,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             assert link is not None
             assert registers is not None
             self._must_be_idle()
-            self._end_stream()
+            self._end_run()
             pixel_format = features.pixel_format()
             pixel_format.prepare()
             features.run_on()
@@ -177,11 +174,11 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 )
             _set_locked(features, True)
             registers.enable(True)
-            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
-            self._stream = None
+            numbers = self._begin(COUNTERS, has_clock=expected.has_clock)
             ahead = self._settings.frames_ahead(features.stated_rate(), expected.image_bytes)
             transfers = self._transfers(link, ahead)
-            self._stream = UsbFrameStream(transfers, plan, expected, link)
+            self._stream = UsbFrameStream(transfers, plan, expected, link, numbers)
+            self._run = CameraRun(self._stream.step, transfers.cancel)
             self._camera_runs = True
             try:
                 features.execute("AcquisitionStart")
@@ -194,33 +191,20 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             return LibusbTransfers(link, frames_ahead)
         return BlockingTransfers(link)
 
-    def read(self, timeout_s: float) -> Frame | None:
-        stream = self._stream
-        if stream is None:
-            raise DeviceError(f"{self._name}: is not started; call start before read")
-        try:
-            with self._translated():
-                return stream.reading.read(timeout_s)
-        except TimeoutError:
-            raise FrameTimeout(
-                f"{self._name}: no frame within {timeout_s:g} s; is its trigger on, or its cable loose?"
-            ) from None
-
     def stop(self) -> None:
-        stream = self._stream
-        if stream is not None:
-            stream.reading.request_stop()
+        if self._run is not None:
+            self._run.request_stop()
         with self._locked_soon() as locked:
             if locked:
-                self._end_stream()
+                self._end_run()
 
-    def _end_stream(self) -> None:
-        stream, features, channel = self._stream, self._features, self._channel
-        if stream is None:
+    def _end_run(self) -> None:
+        run, features, channel = self._run, self._features, self._channel
+        if run is None:
             return
-        stream.reading.request_stop()
+        run.request_stop()
         if features is None or channel is None or not self._camera_runs:
-            stream.reading.stop(_JOIN_S)
+            run.stop(_JOIN_S)
             return
         self._camera_runs = False
         with suppress(CameraLost):
@@ -229,7 +213,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 lambda: self._enable(False),
                 within_s=_COMMANDS_S / 2,
             )
-        stream.reading.stop(_JOIN_S)
+        run.stop(_JOIN_S)
         with suppress(CameraLost):
             self._try_each(lambda: _set_locked(features, False), within_s=_COMMANDS_S / 2)
 
@@ -253,28 +237,17 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 logger.info("%s", refused)
 
     def close(self) -> None:
-        stream = self._stream
-        if stream is not None:
-            stream.reading.request_stop()
+        if self._run is not None:
+            self._run.request_stop()
         with self._locked_soon() as locked:
             if not locked:
                 return  # the call that holds the lock has been told to abort and will release the camera
-            self._end_stream()
+            self._end_run()
             link, self._link, self._features, self._channel = self._link, None, None, None
-            if link is None:
-                return
-            if stream is None:
-                link.release()
-            else:
-                stream.reading.when_ended(link.release)  # a handle must not be closed during a read
+            if link is not None:
+                self._when_unread(link.release)
 
     # ---- beyond the protocol
-
-    @property
-    def status(self) -> CameraStatus:
-        """Counts since `start`, continued after a reconnection."""
-        stream = self._stream
-        return self._before if stream is None else self._before + stream.status
 
     @property
     def features(self) -> Features:

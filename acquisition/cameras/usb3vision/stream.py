@@ -18,9 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.camera import CameraLost, CameraStatus, ColourPlane, Frame
+from acquisition.camera import CameraLost, ColourPlane, Frame
 from acquisition.cameras.pixel_formats import Format, plane_of
-from acquisition.cameras.reading import CameraRun
 from acquisition.cameras.usb3vision.link import StreamHalted, UsbLink
 from acquisition.cameras.usb3vision.packets import (
     TRAILER_START,
@@ -39,7 +38,7 @@ logger = logging.getLogger(__name__)
 # Bus errors for longer than this without a frame in between: the connection is lost.
 _PATIENCE_S: Final = 0.3
 # Sizes of block counters that are shorter than the standard's 64 bits.
-_COUNTERS: Final = (1 << 16, 1 << 32)
+COUNTERS: Final = (1 << 16, 1 << 32)
 # So many frames in a row that are sent in another way than planned: this camera does so.
 _LEARNED_AFTER: Final = 2
 _UNLEARNED_AFTER: Final = 6
@@ -102,7 +101,7 @@ class _Payload:
 
 
 class UsbFrameStream:
-    """The frames of one run, through `reading`.
+    """The frames of one run, which `step` assembles; `numbers` numbers them, and counts the others.
 
     The system has reads to fill for `Transfers.frames_ahead` frames, from the construction on; what comes
     beyond them before the next call waits in the camera's memory, and is lost there if that is full.
@@ -115,7 +114,12 @@ class UsbFrameStream:
     """
 
     def __init__(
-        self, transfers: Transfers, plan: TransferPlan, expected: ExpectedFrames, link: UsbLink
+        self,
+        transfers: Transfers,
+        plan: TransferPlan,
+        expected: ExpectedFrames,
+        link: UsbLink,
+        numbers: BlockNumbers,
     ) -> None:
         self._transfers = transfers
         self._plan = plan
@@ -135,17 +139,12 @@ class UsbFrameStream:
         self._deviations, self._deviated = 0, False
         self._misfits = 0
         self._trouble_since_s: float | None = None
-        self._numbers = BlockNumbers(link.name, _COUNTERS, has_clock=expected.has_clock)
+        self._numbers = numbers
         self._disturbed = False
-        self.reading = CameraRun(self._step, transfers.cancel)
         with suppress(RigError):  # the first step meets it again, and deals with it
             self._fill()
 
-    @property
-    def status(self) -> CameraStatus:
-        return self._numbers.status(self.reading.delivered)
-
-    def _step(self, timeout_s: float) -> Frame | None:
+    def step(self, timeout_s: float) -> Frame | None:
         """Take one transfer; the frame that it completes, if any."""
         try:
             self._fill()

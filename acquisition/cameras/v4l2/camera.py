@@ -1,28 +1,16 @@
 """Video4Linux cameras as a `Camera`."""
 
 import sys
-import threading
 
-from acquisition.camera import (
-    CameraInfo,
-    CameraLost,
-    CameraSettings,
-    CameraStatus,
-    FeatureValue,
-    Frame,
-    FrameTimeout,
-)
+from acquisition.camera import CameraInfo, FeatureValue
 from acquisition.cameras.drivers import V4l2Settings
-from acquisition.cameras.reading import CameraRun
+from acquisition.cameras.reading import CameraRun, DeviceCamera
 from acquisition.cameras.v4l2.devices import VideoDevice
 from acquisition.cameras.v4l2.linux import LinuxSource
-from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError
 
-_STOP_S = 0.4
 
-
-class V4l2Camera:
+class V4l2Camera(DeviceCamera[LinuxSource]):
     """A UVC or other Video4Linux camera, on Linux.
 
     Notes
@@ -32,15 +20,12 @@ class V4l2Camera:
     same one, although its device may have another number.
     """
 
+    _SILENT = "is it still plugged in?"
+
     def __init__(self, settings: V4l2Settings | None = None) -> None:
+        super().__init__("video camera")
         self._settings = settings or V4l2Settings()
-        self._lock = threading.RLock()
-        self._source: LinuxSource | None = None
         self._known: VideoDevice | None = None
-        self._run: CameraRun | None = None
-        self._numbers = BlockNumbers("video camera", ())
-        self._before = CameraStatus()
-        self._was_lost = False
 
     def open(self) -> CameraInfo:
         if sys.platform != "linux":
@@ -51,64 +36,27 @@ class V4l2Camera:
         with self._lock:
             source = LinuxSource(self._settings, self._known)
             info = source.open()
-            self._source, self._known = source, source.found
+            self._features, self._known = source, source.found
             return info
-
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        with self._lock:
-            source = self._opened()
-            self._must_not_run("stop it before settings are changed")
-            return source.configure(settings)
 
     def start(self) -> None:
         """Begin with fresh buffers."""
         with self._lock:
             source = self._opened()
-            self._must_not_run("stop it first")
+            self._must_be_idle()
             if self._run is not None and not self._run.stop(1.0):
-                raise DeviceError("video camera: still waits for a frame of the last run; close and open it")
-            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
-            self._run = None
-            self._numbers = numbers = BlockNumbers("video camera", ())
+                raise DeviceError(f"{self._name}: still waits for a frame of the last run; close and open it")
+            numbers = self._begin()
             source.start()
             self._run = CameraRun(lambda timeout_s: source.next(timeout_s, numbers), source.stop)
-
-    def read(self, timeout_s: float) -> Frame | None:
-        run = self._run
-        if run is None:
-            raise DeviceError("video camera: is not started; call start before read")
-        try:
-            return run.read(timeout_s)
-        except TimeoutError:
-            raise FrameTimeout(
-                f"video camera: no frame within {timeout_s:g} s; is it still plugged in?"
-            ) from None
-        except CameraLost:
-            self._was_lost = True
-            raise
-
-    def stop(self) -> None:
-        run = self._run
-        if run is not None:
-            run.stop(_STOP_S)
 
     def close(self) -> None:
         """Stop and give the device back, at the latest when a read that waits has come to its end."""
         self.stop()
         with self._lock:
-            source, self._source = self._source, None
-            if source is None:
-                return
-            if self._run is None:
-                source.close()
-            else:
-                self._run.when_ended(source.close)
-
-    @property
-    def status(self) -> CameraStatus:
-        """Counts since `start`; they go on over a reconnection."""
-        run = self._run
-        return self._before if run is None else self._before + self._numbers.status(run.delivered)
+            source, self._features = self._features, None
+            if source is not None:
+                self._when_unread(source.close)
 
     def feature_values(self) -> dict[str, FeatureValue]:
         """All controls of the device that can be read now."""
@@ -117,12 +65,3 @@ class V4l2Camera:
     def feature_value(self, name: str) -> FeatureValue | None:
         """Value of one control; None if it cannot be read now."""
         return self.feature_values().get(name)
-
-    def _opened(self) -> LinuxSource:
-        if self._source is None:
-            raise DeviceError("video camera: is not open; call open first")
-        return self._source
-
-    def _must_not_run(self, remedy: str) -> None:
-        if self._run is not None and not self._run.stopped:
-            raise DeviceError(f"video camera: is running; {remedy}")

@@ -103,7 +103,7 @@ class LinuxSource:
             stamped="start" if driver == "uvcvideo" else "end",
         )
 
-    def configure(self, settings: CameraSettings) -> CameraSettings:
+    def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings, in an order in which a later one does not change an earlier one."""
         without_wires(settings.model_copy(update={"colour_plane": None}), self._name)
         self._plane = settings.colour_plane or self._plane

@@ -1,12 +1,13 @@
 """The frame queue: its policies, order, losses, end of waiting at close; memory that bounds it."""
 
+import math
 import threading
 
 import numpy as np
 import pytest
 
 from acquisition.camera import Frame
-from acquisition.frames.queue import MOST_BYTES, Backlog, FrameQueue, most_waiting
+from acquisition.frames.queue import MOST_BYTES, BoundedQueue, Policy
 
 
 def frame(sequence: int) -> Frame:
@@ -18,7 +19,7 @@ def sequences(frames: list[Frame]) -> list[int]:
 
 
 def test_every_refuses_the_newest_and_counts() -> None:
-    queue = FrameQueue(3, "every")
+    queue = BoundedQueue[Frame](3, "every")
     taken = [queue.put(frame(i)) for i in range(5)]
     assert taken == [True, True, True, False, False]
     assert queue.dropped == 2
@@ -26,7 +27,7 @@ def test_every_refuses_the_newest_and_counts() -> None:
 
 
 def test_latest_throws_the_oldest_away() -> None:
-    queue = FrameQueue(3, "latest")
+    queue = BoundedQueue[Frame](3, "latest")
     for i in range(5):
         queue.put(frame(i))
     assert queue.dropped == 2
@@ -34,7 +35,7 @@ def test_latest_throws_the_oldest_away() -> None:
 
 
 def test_wait_holds_the_camera_back_and_loses_nothing() -> None:
-    queue = FrameQueue(4, "wait")
+    queue = BoundedQueue[Frame](4, "wait")
 
     def camera() -> None:
         for i in range(200):
@@ -53,7 +54,7 @@ def test_wait_holds_the_camera_back_and_loses_nothing() -> None:
 
 
 def test_close_releases_a_waiting_camera() -> None:
-    queue = FrameQueue(1, "wait")
+    queue = BoundedQueue[Frame](1, "wait")
     queue.put(frame(0))
     answers: list[bool] = []
     thread = threading.Thread(target=lambda: answers.append(queue.put(frame(1))))
@@ -66,8 +67,8 @@ def test_close_releases_a_waiting_camera() -> None:
 
 
 @pytest.mark.parametrize("policy", ["wait", "every", "latest"])
-def test_take_on_a_closed_empty_queue_returns_at_once(policy: str) -> None:
-    queue = FrameQueue(2, policy)  # type: ignore[arg-type]
+def test_take_on_a_closed_empty_queue_returns_at_once(policy: Policy) -> None:
+    queue = BoundedQueue[Frame](2, policy)
     queue.close()
     assert queue.take(5, 60.0) == []
 
@@ -76,32 +77,45 @@ def sized(width_px: int, height_px: int, number: int = 0) -> Frame:
     return Frame(np.zeros((height_px, width_px), np.uint8), number, number * 1000, number * 1000)
 
 
-def test_memory_bounds_what_waits_whatever_the_size_of_a_frame() -> None:
-    for width_px, height_px in ((16, 16), (256, 256), (640, 480), (1280, 1024)):
-        count = most_waiting(sized(width_px, height_px), "every")
-        assert count * width_px * height_px <= MOST_BYTES
-        assert count * (width_px * height_px + 2048) >= 0.9 * MOST_BYTES
-    assert most_waiting(sized(20_000, 20_000), "every") == 8
-    assert most_waiting(sized(256, 256), "every") / 2000.0 > 1.0  # s
-    assert most_waiting(sized(256, 256), "wait") == 64
+@pytest.mark.parametrize("size_px", [(256, 256), (640, 480), (1280, 1024), (20_000, 20_000)])
+def test_memory_bounds_what_waits_whatever_the_size_of_a_frame(size_px: tuple[int, int]) -> None:
+    queue = BoundedQueue[Frame](math.inf, "every", MOST_BYTES, fewest=8)
+    image = np.broadcast_to(np.zeros(1, np.uint8), size_px)
+    count = 0
+    while queue.put(Frame(image, count, count, count)):
+        count += 1
+    assert queue.dropped == 1
+    if image.nbytes > MOST_BYTES:
+        assert count == 8
+    else:
+        assert count * (image.nbytes + 2048) >= 0.9 * MOST_BYTES
+        assert queue.waiting_bytes <= MOST_BYTES
+    assert len(queue.take(count, 0.0)) == count
+    assert queue.waiting_bytes == 0
 
 
 def test_a_backlog_is_said_once_and_so_is_its_end() -> None:
-    queue = FrameQueue(100, "every")
-    backlog = Backlog(100, 307_200)
+    one = sized(640, 480)
+    queue = BoundedQueue[Frame](math.inf, "every", 100 * one.memory_bytes)
     said = []
     for number in range(50):
-        queue.put(sized(640, 480, number))
-        said.append(backlog.see(len(queue)))
+        queue.put(one._replace(sequence=number))
+        said.append(queue.remark())
     while len(queue):
         queue.take(3, 0.0)
-        said.append(backlog.see(len(queue)))
+        said.append(queue.remark())
     begun, ended = [text for text in said if text]
     assert begun.startswith("13 frames wait for the processor, 4 of 31 MB")
     assert "lost and counted" in begun
     assert ended == "caught up; at most 50 frames waited, 15 MB"
 
 
-def test_a_few_frames_that_wait_are_nothing_to_say() -> None:
-    backlog = Backlog(870, 307_200)
-    assert not any(backlog.see(waiting) for waiting in (1, 50, 100, 3, 0))
+@pytest.mark.parametrize(("policy", "count"), [("every", 12), ("wait", 50)])
+def test_a_few_frames_that_wait_and_those_on_demand_are_nothing_to_say(policy: Policy, count: int) -> None:
+    one = sized(640, 480)
+    queue = BoundedQueue[Frame](math.inf, policy, 100 * one.memory_bytes)
+    for number in range(count):
+        queue.put(one._replace(sequence=number))
+        assert not queue.remark()
+    while queue.take(3, 0.0):
+        assert not queue.remark()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition.camera import Frame
-from acquisition.record.topics import ENVIRONMENT, Environment
+from acquisition.record.topics import Environment
 from acquisition.record.writer import RecordWriter
 from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
@@ -89,7 +89,7 @@ def write_sample(
                 done.images.append(frame)
                 writer.write_image(frame)
                 writer.write_preview(frame)
-                writer.write(ENVIRONMENT, Environment(time_ns, 21.5, np.nan, 101325.0), time_ns)
+                writer.write(Environment(time_ns, 21.5, np.nan, 101325.0))
             writer.write_log(time_ns, 2, "session", f"block {first}")
             writer.flush()
         writer.write_event(frames * FRAME_NS, "stop", "amplitude below 2 arcsec")

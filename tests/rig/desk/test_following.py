@@ -18,6 +18,7 @@ from rig.desk.desk import Desk
 from rig.desk.following import Following
 from rig.desk.panels.live_picture import look_now
 from rig.devices import ORDERS_NAME, OrderSocket, SessionNews, order_line
+from rig.instrument import Block
 from rig.settings import Configuration
 from tests.waiting import until
 
@@ -144,7 +145,7 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
         until(lambda: "camera" in desk.following.news)
         desk.following.picture()
         # as before a record: the run's phases show their frames the same way
-        told.before_record([Frame(image, 1, 1, 1)], [spot], none, [spot._replace(y_px=50.0)])
+        told.look([Frame(image, 1, 1, 1)], Block([spot], none, [], [], [spot._replace(y_px=50.0)]))
         until(lambda: desk.following.picture() is not None)
         look = look_now(desk)
     desk.close()

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate, RecordedFittedPoint
+from acquisition.record.topics import RecordedEstimate, RecordedFittedPoint
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
@@ -77,10 +77,10 @@ class ToldRun:
         end_ns = int(end_s * 1e9)
         estimates = {key: float(self._random.normal(1.0, 0.1)) for key in ("b", "p", "c")}
         for key, value in estimates.items():
-            self.record.write(ESTIMATE, RecordedEstimate(end_ns, self._swings, value, 0.1, key), end_ns)
+            self.record.write(RecordedEstimate(end_ns, self._swings, value, 0.1, key))
         for turn_ns, value in zip(at_ns, few, strict=True):
             point = RecordedFittedPoint(end_ns, turn_ns, value, value, value, value)
-            self.record.write(FITTED, point, end_ns)
+            self.record.write(point)
         self.record.write_event(end_ns, "gap", f"{self._swings} frames are missing")
         self.record.flush()
         told = {key: {"value": value, "standard_uncertainty": 0.1} for key, value in estimates.items()}

@@ -22,6 +22,7 @@ from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.desk.alarm_bar import sentence
 from rig.desk.alarm_list import CATALOGUE, AlarmKey
 from rig.devices import OrderSocket, SessionNews
+from rig.instrument import Block
 from rig.presentation import Verdict
 from rig.settings import Configuration
 from tests.rig.control.test_states import status
@@ -159,7 +160,7 @@ HOLD = "{}.forEach(b => {{ b.rigHeld = true; b.click(); b.rigHeld = false; }})"
 def feed(session_news: SessionNews, none: Deflections, ended: threading.Event) -> None:
     """Frames, as long as a session gets them."""
     while not ended.wait(0.2):
-        session_news.before_record([FRAME], [SPOT], none)
+        session_news.look([FRAME], Block([SPOT], none, [], []))
 
 
 def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_heard(
@@ -196,7 +197,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.wait_text("no frame yet: rest: spread 3 px")
         page.wait_while(
             "!document.body.innerText.includes('no frame yet')",
-            lambda: session_news.before_record([FRAME], [SPOT], none),
+            lambda: session_news.look([FRAME], Block([SPOT], none, [], [])),
         )
         session_news.state({"phase": "release", "instruction": "release by hand now"}, [])
         page.wait_text("RELEASE BY HAND NOW")
@@ -249,12 +250,12 @@ def test_a_trajectory_is_drawn_and_a_zoom_outlives_new_points(shown: Shown, desk
     folder.mkdir(parents=True)
     page.key("3")
     with OrderSocket(folder, session_news, {}):
-        session_news.before_record([FRAME], [SPOT], way)
+        session_news.look([FRAME], Block([SPOT], way, [], []))
         page.wait(f"{OF}.getOption().series[0].data.length > 90")
         page.ask(f"{OF}.dispatchAction({{type: 'dataZoom', dataZoomIndex: 0, start: 0, end: 75}})")
         page.wait(f"{OF}.getOption().dataZoom[0].end === 75")
         more = Deflections(way.times_ns + 10**9, 0.5 * y, y, none, none, DeflectionUnit.PX)
-        session_news.before_record([FRAME], [SPOT], more)
+        session_news.look([FRAME], Block([SPOT], more, [], []))
         page.wait(f"{OF}.getOption().series[0].data.length > 190")
         assert page.ask(f"{OF}.getOption().dataZoom[0].end") == 75
         assert page.ask("rigNumber(-1.23456789, 'px')") == "−1.23457 px"

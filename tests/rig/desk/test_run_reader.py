@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.record.topics import ESTIMATE, FITTED, RecordedEstimate, RecordedFittedPoint
+from acquisition.record.topics import RecordedEstimate, RecordedFittedPoint
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
@@ -70,9 +70,9 @@ def test_estimates_and_the_fit_are_told_at_the_times_of_the_record(reader: Recor
         record.write_swing(swing)
         for at_s in (10.0, 12.0):
             time_ns = start_ns + nanoseconds(at_s)
-            record.write(ESTIMATE, RecordedEstimate(time_ns, 20, 0.03, 0.01, "b"), time_ns)
+            record.write(RecordedEstimate(time_ns, 20, 0.03, 0.01, "b"))
             point = RecordedFittedPoint(time_ns, start_ns + nanoseconds(1.0), 3e-4, at_s, 4.01, 0.25)
-            record.write(FITTED, point, time_ns)
+            record.write(point)
     until(lambda: bool(reader.history()["fit"].get("period")))
     told = reader.history()
     assert told["estimates"] == {"b": [(10.0, 0.03, 0.01), (12.0, 0.03, 0.01)]}

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame
-from acquisition.frames.queue import FrameQueue
 from processing.errors import DeviceError
 from rig.control import LightPermit
 from rig.desk.aligner import LitCamera
@@ -79,7 +78,7 @@ def test_a_live_picture_takes_no_frame_that_no_camera_may_deliver(
     made: Callable[[int], Any], said: str
 ) -> None:
     with pytest.raises(DeviceError, match=said):
-        for _ in watch_latest(Strange(made), FrameQueue(1, "latest"), 1, math.inf, interval_s=0.0):
+        for _ in watch_latest(Strange(made), 1, math.inf, interval_s=0.0):
             pass
 
 
@@ -87,7 +86,7 @@ def test_a_machine_that_was_slow_to_start_shows_one_picture_all_the_same() -> No
     def sound(number: int) -> Frame:
         return Frame(np.zeros((12, 10), np.uint8), number, number, time.monotonic_ns())
 
-    found = list(watch_latest(Strange(sound), FrameQueue(1, "latest"), 1, end_s=0.0))
+    found = list(watch_latest(Strange(sound), 1, end_s=0.0))
     assert [len(block) for block in found] == [1]
 
 

@@ -113,10 +113,10 @@ def test_what_is_seen_before_the_record_is_told_until_the_record_tells_it(
 ) -> None:
     frames, found = block(1)
     line.picture()
-    told.before_record(frames, found.spots, found.deflections)
+    told.look(frames, found)
     assert line.picture() is not None
     assert line.news()["path"]["y"] == [1.0] * 16
-    told.look(frames, found)
+    told.look(frames, found, recorded=True)
     assert line.news()["path"]["y"] == []
 
 

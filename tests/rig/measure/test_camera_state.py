@@ -9,7 +9,6 @@ import pytest
 from acquisition.camera import CameraSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import CAMERA_TEMPERATURE
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument import optics_of
@@ -78,7 +77,7 @@ def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
         at = {
             when: json.loads(reader.attachments[f"camera-features-{when}.json"]) for when in ("start", "end")
         }
-        table = reader.table(CAMERA_TEMPERATURE.topic)
+        table = reader.table("/camera_temperature")
         applied = reader.metadata["camera_settings"]
     assert at["start"]["Gain"] == at["end"]["Gain"] == -6.0
     assert at["start"]["ExposureAuto"] == "Off"

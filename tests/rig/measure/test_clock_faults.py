@@ -8,7 +8,7 @@ import pytest
 
 from acquisition.record.events import EventKind
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import CAMERA_STEP, CLOCK, ClockAnchor, RecordedClockStep
+from acquisition.record.topics import ClockAnchor, RecordedClockStep
 from rig.analysis import analyse_record
 from rig.measure import measure_session
 from rig.measure.phases import PhasesBeforeRecord
@@ -35,7 +35,7 @@ def test_wrong_times_steps_and_a_short_counter_cost_one_frame(tmp_path: Path) ->
     record = tmp_path / "out" / "run-1.mcap"
     with RecordReader(record) as reader:
         events, losses, spots = reader.events(), reader.losses(), reader.spots()
-        steps = reader.values(CAMERA_STEP.topic, RecordedClockStep)
+        steps = reader.values(RecordedClockStep)
     assert "time limit" in events[-1].text
     said = [event.text for event in events if event.kind == EventKind.CAMERA_CLOCK]
     assert any("the camera's time 0 ns is" in text for text in said)
@@ -74,6 +74,6 @@ def test_a_record_has_the_time_of_day_at_which_it_begins(
     record = tmp_path / "run-1.mcap"
     simulate_record(config, CONFIGS / "demo.toml", record)
     with RecordReader(record) as reader:
-        anchors = reader.values(CLOCK.topic, ClockAnchor)
+        anchors = reader.values(ClockAnchor)
         off_ns = anchors[0].utc_ns - anchors[0].time_ns - reader.epoch_offset_ns
     assert abs(off_ns) < 10 * 10**9, "the anchors of a record contradict its own beginning"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Frame
-from acquisition.frames.queue import FrameQueue
+from acquisition.frames.queue import BoundedQueue
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
@@ -67,7 +67,7 @@ def test_frames_wait_in_memory_and_beyond_it_are_counted(
         r"the disk has not answered for \d+ s; [1-4] of 5 MB of memory wait for it", recorder.alarm
     )
     # what comes now finds no room in front of the processing either
-    frames = FrameQueue(8, "every")
+    frames = BoundedQueue[Frame](8, "every")
     thread = threading.Thread(target=lambda: put_all(frames, recorder))
     thread.start()
     later = range(FRAMES, 2 * FRAMES)
@@ -85,7 +85,7 @@ def test_frames_wait_in_memory_and_beyond_it_are_counted(
         assert [window.sequence for window in reader.windows()] == [*range(FRAMES), *taken]
 
 
-def put_all(frames: FrameQueue, recorder: Recorder) -> None:
+def put_all(frames: BoundedQueue[Frame], recorder: Recorder) -> None:
     while not frames.drained:
         for each in frames.take(1, 1.0):
             recorder.put(entry_of(each))

@@ -231,7 +231,7 @@ def test_before_the_record_each_spot_is_followed_in_its_own_part() -> None:
     stream = FrameStream(camera, camera_settings(config), policy=frame_policy(config), timeout_s=5.0)
     stream.start_camera()
     assert stream.begin() is not None
-    frames = RecentFrames(stream, optics, 1.0, 1.0, lambda *seen: shown.append(seen[3]))
+    frames = RecentFrames(stream, optics, 1.0, 1.0, lambda _, block: shown.append(block.references))
     while frames.seen < 60:
         assert frames.advance()
     look = frames.look(resting=True, duration_s=1.0)

@@ -10,12 +10,7 @@ import pytest
 from acquisition.record.events import Severity
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import (
-    ESTIMATE,
     EVENT,
-    FITTED,
-    HEALTH,
-    LIGHT,
-    PHASE,
     RecordedEstimate,
     RecordedFittedPoint,
     RecordedHealth,
@@ -63,11 +58,11 @@ def test_a_record_says_how_its_session_stood(tmp_path: Path, monkeypatch: pytest
     shown, read = (plain_values(asdict(one)) for one in (last, read_again(record)))
     assert shown == read
     with RecordReader(record) as reader:
-        phases = reader.values(PHASE.topic, RecordedPhase)
-        lights = reader.values(LIGHT.topic, RecordedLight)
-        healths = reader.values(HEALTH.topic, RecordedHealth)
-        estimates = reader.values(ESTIMATE.topic, RecordedEstimate)
-        points = reader.values(FITTED.topic, RecordedFittedPoint)
+        phases = reader.values(RecordedPhase)
+        lights = reader.values(RecordedLight)
+        healths = reader.values(RecordedHealth)
+        estimates = reader.values(RecordedEstimate)
+        points = reader.values(RecordedFittedPoint)
         levels = {
             EVENT.decode(one.data)[1]: EVENT.decode(one.data)[3] for one in reader.messages(EVENT.topic)
         }

@@ -7,11 +7,6 @@ import numpy as np
 import pytest
 
 from acquisition.record.topics import (
-    CAMERA_STEP,
-    ESTIMATE,
-    HEALTH,
-    LOSSES,
-    PHASE,
     RecordedClockStep,
     RecordedEstimate,
     RecordedHealth,
@@ -44,12 +39,12 @@ def state_of(
         writer.write_spots(
             [0], [0], [0], [spot], Deflections(np.zeros(1, np.int64), one, one, one, one, unit)
         )
-        writer.write(PHASE, RecordedPhase(0, 0.0, "measuring", instruction="look at the laser"), 0)
-        writer.write(CAMERA_STEP, RecordedClockStep(0, 130_000_000, 1000), 0)
-        writer.write(LOSSES, RecordedLosses(0, 0, 3, 1, 0, 0), 0)
-        writer.write(HEALTH, HEALTHY, 0)
+        writer.write(RecordedPhase(0, 0.0, "measuring", instruction="look at the laser"))
+        writer.write(RecordedClockStep(0, 130_000_000, 1000))
+        writer.write(RecordedLosses(0, 0, 3, 1, 0, 0))
+        writer.write(HEALTHY)
         for name, (value, u) in (estimates or {}).items():
-            writer.write(ESTIMATE, RecordedEstimate(0, 80, value, u, name), 0)
+            writer.write(RecordedEstimate(0, 80, value, u, name))
     write_rrd([folder / "run.mcap"], folder / "run.rrd")
     ((text,),) = column(folder / "run.rrd", "/state", "TextDocument:text")[1][-2:-1]
     return str(text)

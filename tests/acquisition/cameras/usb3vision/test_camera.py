@@ -110,8 +110,8 @@ def test_a_camera_left_running_by_a_program_that_died_is_taken_over(device: Visi
     first.open()
     first.start()
     assert first.read(2.0) is not None
-    assert first._stream is not None
-    first._stream.reading.stop(1.0)
+    assert first._run is not None
+    first._run.stop(1.0)
     device.owner = None  # the operating system has closed it
     second = Usb3VisionCamera(backend=backend)
     second.open()
