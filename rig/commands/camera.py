@@ -249,7 +249,6 @@ def focus(
     import sys
     import time
 
-    from acquisition.frames.queue import FrameQueue
     from rig.devices import picture as camera_picture
     from rig.devices import watch_latest
     from rig.presentation import answer
@@ -257,8 +256,7 @@ def focus(
     with _opened_camera(config, set_) as (camera, info, _):
         best = 0.0
         end_s = time.monotonic() + seconds if seconds else float("inf")
-        queue = FrameQueue(max(average, 1), "latest")
-        for frames in watch_latest(camera, queue, average, end_s):
+        for frames in watch_latest(camera, average, end_s):
             seen = camera_picture.figures(camera_picture.average(frames), info.full_scale_dn)
             best = max(best, seen.sharpness_per_px)
             age_ms = (time.monotonic_ns() - frames[-1].host_time_ns) * 1e-6
