@@ -14,18 +14,6 @@ _ROUNDING_DN2 = 1.0 / 12.0
 
 
 @dataclass(frozen=True, slots=True)
-class Residuals:
-    """What a fit leaves over: `y` against `x`, with the standard uncertainty `u` of each (0: not known)."""
-
-    title: str
-    x_name: str
-    y_name: str
-    x: Sequence[float]
-    y: Sequence[float]
-    u: Sequence[float]
-
-
-@dataclass(frozen=True, slots=True)
 class CalibrationReport:
     """A calibration that was made, as it is shown.
 
@@ -72,7 +60,7 @@ def _kind_tables(found: CalibrationFile) -> Iterator[Table]:
     if "signal_dn" in details:
         yield _transfer(found.values, details)
     if found.kind in ("axes", "clock", "shutter", "air"):
-        yield from (_residual_table(one) for one in _left_over(found))
+        yield from _left_over(found)
     if jumps := details.get("jumps"):
         rows = [(jump["frame"], 1e6 * jump["step_s"]) for jump in jumps]
         yield _table("jumps", "jumps of the clock", ("from frame", "step, µs"), rows)
@@ -102,12 +90,12 @@ def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
     )
 
 
-def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
+def _left_over(found: CalibrationFile) -> Iterator[Table]:
     """Of axes, clock, shutter and air."""
     details = found.details
     for mode in ("slow", "fast"):
         if parts := details.get(f"{mode}_parts"):
-            yield Residuals(
+            yield _residuals(
                 f"direction of the {mode} mode",
                 "at, s",
                 "off the mean, mrad",
@@ -116,7 +104,7 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
                 _times(1e3, parts["u_off_rad"]),
             )
     if "off_line_s" in details:
-        yield Residuals(
+        yield _residuals(
             "arrivals of frames",
             "at, s",
             "off the line, µs",
@@ -126,7 +114,7 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
         )
     if "off_drags_s" in details:
         vanes = "areas_m2" in details
-        yield Residuals(
+        yield _residuals(
             "drag of each run, with the contact of all",
             "area of vanes, cm²" if vanes else "pressure, Pa",
             "off the line, µs",
@@ -136,7 +124,7 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
         )
     if "of_stretches_s" in details:
         mean_s = details["fitted_row_time_s"]
-        yield Residuals(
+        yield _residuals(
             "row time by stretch",
             "at, s",
             "off the mean, µs",
@@ -145,7 +133,7 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
             _times(1e6, details["u_of_stretches_s"]),
         )
     if "rows_px" in details:
-        yield Residuals(
+        yield _residuals(
             "brightness by row",
             "row, px",
             "off the fit, %",
@@ -155,26 +143,20 @@ def _left_over(found: CalibrationFile) -> Iterator[Residuals]:
         )
 
 
-def _residual_table(found: Residuals) -> Table:
-    return _table(
-        "residuals",
-        found.title,
-        (found.x_name, found.y_name, "u"),
-        list(zip(found.x, found.y, found.u, strict=True)),
-    )
+def _residuals(
+    title: str, x_name: str, y_name: str, x: Sequence[float], y: Sequence[float], u: Sequence[float]
+) -> Table:
+    """What a fit leaves over: `y` against `x`, with the standard uncertainty `u` of each (0: not known)."""
+    return _table("residuals", title, (x_name, y_name, "u"), list(zip(x, y, u, strict=True)))
 
 
 def _times(factor: float, values: Sequence[float]) -> list[float]:
     return [factor * value for value in values]
 
 
-def _unit_of_steps(details: Mapping[str, Any]) -> tuple[str, float]:
-    return ("arcsec", ARCSEC_RAD) if details["kind"] == "tilt" else ("mm", 1e-3)
-
-
 def _steps(details: Mapping[str, Any]) -> Table:
     """The steps of a ladder: what the line leaves over, and how the scale would change without the step."""
-    unit, size = _unit_of_steps(details)
+    unit, size = ("arcsec", ARCSEC_RAD) if details["kind"] == "tilt" else ("mm", 1e-3)
     return _table(
         "residuals",
         "residuals of the steps",
@@ -190,26 +172,19 @@ def _steps(details: Mapping[str, Any]) -> Table:
 
 def _transfer(values: Mapping[str, Any], details: Mapping[str, Any]) -> Table:
     """The levels: variance against that of the fitted line, read noise and shot noise."""
+    gain = values["gain_e_per_dn"]
+    dark_dn2 = (values["read_noise_e"] / gain) ** 2 + _ROUNDING_DN2
     return _table(
         "residuals",
         "residuals of the levels",
         ("signal, DN", "variance, DN²", "off the line, DN²", "off the line, u"),
-        _off_transfer(values, details),
+        [
+            (signal, variance, rest := variance - dark_dn2 - signal / gain, rest / u)
+            for signal, variance, u in zip(
+                details["signal_dn"], details["variance_dn2"], details["u_variance_dn2"], strict=True
+            )
+        ],
     )
-
-
-def _off_transfer(
-    values: Mapping[str, Any], details: Mapping[str, Any]
-) -> list[tuple[float, float, float, float]]:
-    """Signal, variance, and how far that is off the line, also over its standard uncertainty."""
-    gain = values["gain_e_per_dn"]
-    dark_dn2 = (values["read_noise_e"] / gain) ** 2 + _ROUNDING_DN2
-    return [
-        (signal, variance, rest := variance - dark_dn2 - signal / gain, rest / u)
-        for signal, variance, u in zip(
-            details["signal_dn"], details["variance_dn2"], details["u_variance_dn2"], strict=True
-        )
-    ]
 
 
 def _allan(axis: str, details: Mapping[str, Any]) -> Table:

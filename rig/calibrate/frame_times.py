@@ -1,4 +1,4 @@
-"""`rig calibrate clock` and `shutter`: the camera's clock against the host's; the row time of a shutter."""
+"""`rig calibrate axes`, `sensor`, `pointing`, `clock` and `shutter`: from records and frames."""
 
 import datetime
 import math

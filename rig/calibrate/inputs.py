@@ -108,10 +108,11 @@ class VanesOfRun(BaseModel, frozen=True, extra="forbid"):
         return self
 
     @property
-    def needed_pressure(self) -> float:
-        """The pressure, where no area is stated."""
-        assert self.pressure_pa is not None
-        return self.pressure_pa
+    def exposure(self) -> float:
+        """The area, or the pressure where none is stated."""
+        found = self.pressure_pa if self.area_m2 is None else self.area_m2
+        assert found is not None
+        return found
 
 
 class VaneFile(BaseModel, frozen=True, extra="forbid"):
@@ -132,8 +133,7 @@ class VaneFile(BaseModel, frozen=True, extra="forbid"):
     def _one_kind_only(self) -> Self:
         if len({run.area_m2 is None for run in self.run}) != 1:
             raise ValueError("state area_m2 of every [[run]], or pressure_pa of every one")
-        exposures = {run.area_m2 if run.area_m2 is not None else run.pressure_pa for run in self.run}
-        if len(exposures) < 2:
+        if len({run.exposure for run in self.run}) < 2:
             raise ValueError("runs of two different areas or pressures are needed, better of three")
         return self
 

@@ -165,14 +165,14 @@ def _usual(found: AmbientConditions) -> dict[str, float]:
 def calibrate_air(vanes: Path, filing: Filing) -> Path:
     """The drag of the air from a list of runs: see `VaneFile`."""
     table = read_vanes(vanes)
-    for stated in table.run:
-        if not (vanes.parent / stated.record).is_file():
-            raise ConfigurationError(f"{vanes}: {vanes.parent / stated.record}: no such record")
+    for listed in table.run:
+        if not (vanes.parent / listed.record).is_file():
+            raise ConfigurationError(f"{vanes}: {vanes.parent / listed.record}: no such record")
     runs, sources, rows, pendulums = [], [vanes], [], []
     began: datetime.datetime | None = None
     shown: dict[str, Any] = {}
-    for number, stated in enumerate(table.run, 1):
-        record = vanes.parent / stated.record
+    for number, listed in enumerate(table.run, 1):
+        record = vanes.parent / listed.record
         run = analyse_record(record, air_known=False)
         fit, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
         if fit is None or pendulum is None:
@@ -186,12 +186,12 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
             config, at = recorded_configuration(reader), reader.utc(int(reader.spots()["time_ns"][0]))
         began = at if began is None else max(began, at)
         shown = shown or _shown(run.surroundings, pendulum, config, fit.mean_period_s.value)
-        exposure = stated.area_m2
-        if exposure is None:
-            exposure = _drag_at(stated.needed_pressure, pendulum, config, fit.mean_period_s.value)
-        runs.append(VanedRun(run.points, fit, exposure, stated.u_area_m2))
+        exposure = listed.exposure
+        if table.by_pressure:
+            exposure = _drag_at(exposure, pendulum, config, fit.mean_period_s.value)
+        runs.append(VanedRun(run.points, fit, exposure, listed.u_area_m2))
         pendulums.append(pendulum)
-        rows.append(stated.area_m2 if stated.area_m2 is not None else stated.pressure_pa)
+        rows.append(listed.exposure)
         sources.append(record)
     by_ratio = table.by_pressure
     if by_ratio:
@@ -226,7 +226,7 @@ def _drag_at(pressure_pa: float, pendulum: PendulumOnBall, config: Configuration
     return expected_drag(AmbientConditions(**stated), pendulum, period_s, config).drag_s
 
 
-def _details(found: MeasuredAir, exposures: list[float | None], by_ratio: bool) -> dict[str, Any]:
+def _details(found: MeasuredAir, exposures: list[float], by_ratio: bool) -> dict[str, Any]:
     of_contact = {
         key: value
         for name, (one, u) in found.contact.items()
@@ -254,8 +254,7 @@ def _notes(found: MeasuredAir, table: VaneFile) -> list[str]:
             f"the runs do not agree on one contact and one line (chance {found.chance:.2g}): uncertainties "
             f"are enlarged {found.enlarged:.2g} times; check which run deviates and if the load was the same"
         )
-    exposures = {run.area_m2 if run.area_m2 is not None else run.pressure_pa for run in table.run}
-    if len(exposures) < 3:
+    if len({run.exposure for run in table.run}) < 3:
         notes.append("two exposures do not show whether the drag follows the line: make runs at three")
     if not table.by_pressure and min(run.area_m2 or 0.0 for run in table.run) > 0:
         notes.append("no run is without vanes: the drag of the pendulum alone is extrapolated")

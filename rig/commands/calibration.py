@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from rig.commands.arguments import folder_without, in_json, one_record, output_option, recorded, there
+from rig.commands.arguments import Record, folder_without, in_json, one_record, output_option, there
 
 if TYPE_CHECKING:
     from rig.calibrate import Filing
@@ -19,14 +19,6 @@ Ladder = Annotated[
         help="Steps or geometry of the lever (TOML file); docs/calibrate.md shows one.",
         show_default=False,
         callback=there,
-    ),
-]
-Record = Annotated[
-    Path,
-    typer.Argument(
-        help="Record (MCAP file), or a folder with one.",
-        show_default=False,
-        callback=recorded,
     ),
 ]
 Folder = Annotated[Path, output_option("Folder for the calibration file.", folder_without())]

@@ -1,11 +1,29 @@
-"""`rig camera`: set up the camera."""
+"""`rig camera`: set up the camera, look at its pictures, record what calibrations need."""
 
-from typing import Annotated, Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.commands.arguments import Config, Set, in_json
-from rig.commands.pictures import align, expose, focus, frames, opened_camera, record, snap
+from rig.commands.arguments import (
+    MODES,
+    Config,
+    NewRecord,
+    Set,
+    View,
+    in_json,
+    new_file,
+    new_folder,
+    old_folder,
+    output_option,
+)
+
+if TYPE_CHECKING:
+    from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
+    from processing.spot import Spot
+    from rig.devices import PictureFigures
 
 
 def register(app: typer.Typer) -> None:
@@ -18,6 +36,28 @@ def register(app: typer.Typer) -> None:
     app.add_typer(camera, name="camera")
 
 
+@contextmanager
+def _opened_camera(
+    config: Path, set_: list[str] | None
+) -> Iterator[tuple["Camera", "CameraInfo", "CameraSettings"]]:
+    """The configured camera, who it is, and the settings that hold; those that differ are said on stderr."""
+    from rig.instrument import camera_settings, check_full_scale, make_camera, setting_differences
+    from rig.settings import load_configuration
+
+    loaded = load_configuration(config, set_ or [])
+    camera = make_camera(loaded)
+    try:
+        info = camera.open()
+        asked = camera_settings(loaded)
+        applied = camera.configure(asked)
+        check_full_scale(loaded, info, applied)
+        for line in setting_differences(asked, applied):
+            typer.echo(line, err=True)
+        yield camera, info, applied
+    finally:
+        camera.close()
+
+
 def show(config: Config, set_: Set = None) -> None:
     """Print the identity, settings and features of the camera.
 
@@ -28,7 +68,7 @@ def show(config: Config, set_: Set = None) -> None:
     from rig.devices import feature_lines
     from rig.presentation import answer, print_line
 
-    with opened_camera(config, set_) as (camera, info, applied):
+    with _opened_camera(config, set_) as (camera, info, applied):
         print_line(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
         print_line(f"sensor {info.width_px} x {info.height_px} px, full scale {info.full_scale_dn} DN")
         for name, value in applied.model_dump(exclude={"features"}).items():
@@ -62,7 +102,7 @@ def set_features(
     from rig.settings import apply_overrides, load_configuration, validate_configuration
 
     loaded = load_configuration(config, set_ or [])
-    with opened_camera(config, set_) as (camera, _, _):
+    with _opened_camera(config, set_) as (camera, _, _):
         for assignment in assignments:
             name, equals, value = assignment.partition("=")
             if not equals:
@@ -81,3 +121,243 @@ def set_features(
             else:
                 known = ", ".join(CameraSettings.model_fields)
                 raise ConfigurationError(f"{name}: this camera has no such setting; there are {known}")
+
+
+Average = Annotated[
+    int, typer.Option(help="Number of frames to average, against laser speckle.", min=1, max=10_000)
+]
+
+
+def snap(
+    config: Config,
+    output: Annotated[Path, output_option("PNG file to write.", new_file(".png"))] = Path("snap.png"),
+    average: Average = 1,
+    set_: Set = None,
+) -> None:
+    """Save a frame as PNG; print how good the beam is.
+
+    At its full bit depth, with its histogram.
+
+    \b
+    Example:
+      rig camera snap mine.toml -o spot.png --average 10
+    """
+    import cv2
+
+    from acquisition import atomic_write
+    from processing.errors import ConfigurationError, RecordError
+    from rig.devices import SeenReference
+    from rig.devices import picture as camera_picture
+    from rig.instrument import beam_quality, complete, optics_of
+    from rig.presentation import answer, print_line
+    from rig.settings import load_configuration
+
+    loaded = complete(load_configuration(config, set_ or []))
+    with _opened_camera(config, set_) as (camera, info, _):
+        camera.start()
+        reads = (camera.read(loaded.camera.patience_s) for _ in range(average))
+        frames = [frame for frame in reads if frame is not None]
+        camera.stop()
+        if len(frames) < average:
+            raise ConfigurationError(f"the camera gave {len(frames)} frames, {average} were asked for")
+        image = camera_picture.average(frames)
+        done, png = cv2.imencode(".png", image)
+        if not done:
+            raise ConfigurationError(f"{output}: can't be written as PNG")
+        try:
+            atomic_write.take_away_leftovers(output.parent, output.name)
+            atomic_write.write_new(output, png.tobytes())
+        except OSError as error:
+            raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
+        print_line("pixels in each range of grey values (bars: logarithmic)")
+        for line in camera_picture.histogram_bars(image, info.full_scale_dn):
+            print_line(line)
+        figures = camera_picture.figures(image, info.full_scale_dn)
+        print_line(_figures_line(figures))
+        optics = optics_of(loaded, info.full_scale_dn)
+        tracker, reference = optics.tracker(), optics.reference()
+        # each spot is judged in the part of the frame that is its own
+        row = len(image) if reference is None else min(len(image), reference[1])
+        spot = tracker.track(image[:row])
+        limits = loaded.preflight
+        beam = beam_quality([image[:row]], [spot], tracker.model, info.full_scale_dn, limits)
+        print_line(beam.line)
+        if reference is not None and row < len(image):
+            other = reference[0].track(image[row:])
+            other = other._replace(y_px=other.y_px + row)
+            print_line(SeenReference.in_image(other, row, image, info.full_scale_dn).lamp.line)
+        answer(picture=figures, beam=beam, written=[output])
+        typer.echo(str(output))
+
+
+def record(
+    config: Config,
+    output: NewRecord,
+    seconds: Annotated[float, typer.Option(help="Length of the record.", min=1)] = 20.0,
+    set_: Set = None,
+) -> None:
+    """Record the spot as it is, for a calibration.
+
+    No preflight, start, view or fits; the pendulum may be clamped.
+
+    \b
+    Example:
+      rig camera record mine.toml -o clamped.mcap --seconds 120
+    """
+    from rig.measure import record_plainly
+    from rig.presentation import answer
+    from rig.settings import load_configuration
+
+    made = record_plainly(load_configuration(config, set_ or []), config, output, seconds)
+    answer(written=[made])
+    typer.echo(made)
+
+
+def frames(
+    config: Config,
+    output: Annotated[Path, output_option("Folder to make, for the PNG files.", new_folder)],
+    number: Annotated[int, typer.Option("-n", "--number", help="Number of frames.", min=1, max=64)] = 2,
+    set_: Set = None,
+) -> None:
+    """Save whole frames for a calibration of the sensor.
+
+    As PNG files, with every bit.
+
+    \b
+    Example:
+      rig camera frames mine.toml -o level-1 --set camera.exposure_us=50
+    """
+    from rig.measure import take_frames
+    from rig.presentation import answer
+    from rig.settings import load_configuration
+
+    folder = take_frames(load_configuration(config, set_ or []), output, number)
+    answer(written=[folder])
+    typer.echo(folder)
+
+
+def focus(
+    config: Config,
+    seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at Ctrl-C.", min=0)] = 0.0,
+    average: Average = 1,
+    set_: Set = None,
+) -> None:
+    """Show sharpness and saturation, for focusing.
+
+    Continuously; larger is sharper.
+    """
+    import sys
+    import time
+
+    from rig.devices import picture as camera_picture
+    from rig.devices import watch_latest
+    from rig.presentation import answer
+
+    with _opened_camera(config, set_) as (camera, info, _):
+        best = 0.0
+        end_s = time.monotonic() + seconds if seconds else float("inf")
+        for frames in watch_latest(camera, average, end_s):
+            seen = camera_picture.figures(camera_picture.average(frames), info.full_scale_dn)
+            best = max(best, seen.sharpness_per_px)
+            age_ms = (time.monotonic_ns() - frames[-1].host_time_ns) * 1e-6
+            answer(seen=[seen], best_per_px=best)
+            line = f"{_figures_line(seen)}  best {best:.4f}  age {age_ms:.0f} ms"
+            typer.echo(f"\r{line:<100}" if sys.stdout.isatty() else line, nl=not sys.stdout.isatty())
+
+
+def align(
+    config: Config,
+    output: Annotated[Path, output_option("Folder for pictures (key s).", old_folder)] = Path("."),
+    seconds: Annotated[float, typer.Option(help="Stop after this many seconds; 0: at q.", min=0)] = 0.0,
+    rrd: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also write the live picture into this Rerun file.",
+            show_default=False,
+            callback=new_file(".rrd"),
+        ),
+    ] = None,
+    view: View = None,
+    set_: Set = None,
+) -> None:
+    """Show the live picture, for aligning.
+
+    With crosshair, saturation, histogram and beam. e and E make the exposure shorter and longer, g and G
+    the gain smaller and larger, z zooms in on the spot, s saves the picture, q ends. What was set holds
+    until the camera loses its power; the lines for the configuration are printed at the end.
+
+    \b
+    Example:
+      rig camera align mine.toml --view web
+    """
+    from contextlib import ExitStack
+
+    from rig.devices import align_camera
+    from rig.instrument import complete, configuration_attachments, optics_of, session_metadata
+    from rig.presentation import answer
+    from rig.settings import load_configuration
+    from rig.view import ScratchHead, ScratchView
+
+    loaded = complete(load_configuration(config, set_ or []))
+    lever = loaded.lever
+    reference_px = None
+    if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
+        reference_px = (lever.reference_x_px, lever.reference_y_px)
+    with ExitStack() as stack:
+        camera, info, applied = stack.enter_context(_opened_camera(config, set_))
+        show = None
+        if rrd is not None or view:
+            shown = stack.enter_context(ScratchView("aligning", MODES[view], rrd, "balancing"))
+
+            def show(frame: "Frame", spot: "Spot") -> None:
+                if not shown.begun:
+                    attachments = configuration_attachments(loaded, config)
+                    metadata = session_metadata(loaded, info, frame)
+                    shown.begin(frame.time_ns, ScratchHead(metadata, attachments, loaded.deflection_unit))
+                shown.look(frame, spot)
+
+        optics = optics_of(loaded, info.full_scale_dn)
+        for path in align_camera(
+            camera,
+            info,
+            applied,
+            optics.tracker(),
+            folder=output,
+            reference=optics.reference(),
+            reference_px=reference_px,
+            seconds=seconds,
+            view=show,
+        ):
+            answer(written=[path])
+            typer.echo(str(path))
+
+
+def expose(
+    config: Config,
+    target: Annotated[
+        float, typer.Option(help="Wanted peak, as a fraction of full scale.", min=0.05, max=0.95)
+    ] = 0.7,
+    set_: Set = None,
+) -> None:
+    """Find the exposure for a wanted peak.
+
+    \b
+    Example:
+      rig camera expose mine.toml --target 0.6
+    """
+    from rig.devices import find_exposure
+    from rig.presentation import answer, print_line
+
+    with _opened_camera(config, set_) as (camera, info, applied):
+        found = find_exposure(camera, info, applied, target)
+        answer(found=found)
+        print_line(
+            f"peak {100 * found.peak:.1f} % of full scale; for the configuration, above its first section, "
+            "or below [camera] without 'camera.':"
+        )
+        print_line(f"camera.exposure_us = {found.exposure_us:.6g}")
+
+
+def _figures_line(seen: "PictureFigures") -> str:
+    saturated = f"{seen.saturated_px} px SATURATED" if seen.saturated_px else "none saturated"
+    return f"peak {100 * seen.peak:6.1f} %  {saturated}  sharpness {seen.sharpness_per_px:.4f} /px"

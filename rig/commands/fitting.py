@@ -12,11 +12,7 @@ from processing.errors import ConfigurationError
 from rig.commands.arguments import ResultsFolder, Set, in_json, kind_of, there, to_be_fitted
 
 if TYPE_CHECKING:
-    from rig.analysis import SeismometerSource
-if TYPE_CHECKING:
-    from rig.analysis import (
-        AnalysedTable,
-    )
+    from rig.analysis import AnalysedTable, SeismometerSource
     from rig.intake import FilmAsked
 
 

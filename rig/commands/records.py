@@ -5,8 +5,13 @@ from typing import Annotated
 
 import typer
 
-from acquisition.record import records_in
+from acquisition.record import records_in, recovered_beside
+from processing.errors import RigError
+from processing.units import seconds
 from rig.commands.arguments import Record, in_json, new_file, one_record, output_option, there
+
+_HIDDEN = {"record"}
+"""Sections of a record's metadata that are not printed."""
 
 
 def register(app: typer.Typer) -> None:
@@ -24,10 +29,95 @@ def info(record: Record) -> None:
     Example:
       rig record info runs/first
     """
-    from rig.commands.record_screen import print_info
-
     for each in records_in(record):
-        print_info(each)
+        _print_info(each)
+
+
+def _print_info(path: Path) -> None:
+    """Print what a record tells of its decay, the result beside it, and what it contains."""
+    from acquisition.record.digest import RecordedCamera, utc_text
+    from acquisition.record.reader import RecordReader
+    from rig.presentation import answer, print_line
+
+    with RecordReader(path) as reader:
+        contents, metadata = reader.contents, reader.metadata
+        losses, counts, files = reader.losses(), reader.counts, reader.files
+        swings, unit = reader.swings(), reader.deflection_unit
+    clean = [swing.amplitude / unit.shown_size for swing in swings if not swing.flags]
+    amplitude = f"{clean[0]:.2f} to {clean[-1]:.2f} {unit.shown}" if clean else "none"
+    half_cycles = f"{len(swings)}, {len(swings) - len(clean)} of them flagged"
+    result = _result(path)
+    sizes = []
+    for file in files:
+        held = file.contents
+        state = (
+            "whole"
+            if held.whole
+            else f"cut short after {_size(held.readable_bytes)} (see rig record recover)"
+        )
+        sizes.append(f"{file.path}: {_size(held.size)}, {state}")
+    print_line(sizes[0])
+    for name, text in (("amplitude", amplitude), ("half-cycles", half_cycles), ("result", result)):
+        print_line(f"{name:<12} {text}")
+    for line in sizes[1:]:
+        print_line(line)
+    print_line(f"schema {int(metadata['record']['schema_version'])}, written by {contents.library}")
+    if contents.start_ns:
+        when = " of simulated time" if RecordedCamera.of(metadata).simulated else ""
+        lasted_s = seconds(contents.end_ns - contents.start_ns)
+        print_line(f"{utc_text(contents.start_ns)} to {utc_text(contents.end_ns)}, {lasted_s:.1f} s{when}")
+    for topic, count in counts.items():
+        print_line(f"  {topic:<20} {count}")
+    if losses is not None:
+        print_line(f"frames lost: {losses}")
+    for section, texts in metadata.items():
+        filled = {key: text for key, text in texts.items() if text}
+        if section not in _HIDDEN and filled:
+            print_line(f"{section}")
+            for key, text in filled.items():
+                print_line(f"  {key:<20} {text}")
+    for name, size in contents.attachments.items():
+        print_line(f"attachment {name} ({_size(size)})")
+    damage = [text for file in files for text in file.contents.damage]
+    for problem in damage:
+        print_line(f"problem: {problem}")
+    answer(
+        records=[
+            {
+                "path": path,
+                "amplitudes": clean[:1] + clean[-1:],
+                "amplitude_unit": unit.shown,
+                "half_cycles": len(swings),
+                "result": result,
+                "size_bytes": sum(file.contents.size for file in files),
+                "whole": all(file.contents.whole for file in files),
+                "start_ns": contents.start_ns,
+                "end_ns": contents.end_ns,
+                "messages": dict(counts),
+                "frames_lost": losses,
+                "metadata": metadata,
+                "attachments": contents.attachments,
+                "damage": damage,
+            }
+        ]
+    )
+
+
+def _result(path: Path) -> str:
+    """The first line of the results that lie beside a record."""
+    from rig.analysis import read_results, results_path, whole_result
+
+    source = results_path(path.parent)
+    if not source.exists():
+        return f"none yet; rig fit {path} makes one"
+    try:
+        run = next((run for run in read_results(source).runs if Path(run.record).name == path.name), None)
+    except RigError as error:
+        return str(error)
+    if run is None:
+        return f"none in {source.name}; rig fit {path} makes one"
+    problem = f"not fitted: {run.problem}" if run.problem else "nothing was fitted"
+    return f"{whole_result(run).text or problem} ({source.name})"
 
 
 def check(
@@ -46,9 +136,28 @@ def check(
     Example:
       rig record check runs/first
     """
-    from rig.commands.record_screen import print_check
+    raise typer.Exit(max([_print_check(each, results) for each in records_in(record)]))
 
-    raise typer.Exit(max([print_check(each, results) for each in records_in(record)]))
+
+def _print_check(path: Path, results: Path | None) -> int:
+    """Print one line for each finding; returns the exit status, 1 where something is wrong."""
+    from acquisition.record.check import check_record
+    from rig.presentation import answer, print_line
+
+    if results is None and (path.parent / "results.json").exists():
+        results = path.parent / "results.json"
+    findings = check_record(path, results)
+    if results is not None:
+        from rig.report import check_report
+
+        findings += check_report(results)
+    for finding in findings:
+        print_line(f"{finding.severity}: {finding.text}")
+    answer(records=[{"path": path, "findings": list(findings)}])
+    errors = sum(finding.severity == "error" for finding in findings)
+    found = "is sound" if not errors else "1 error" if errors == 1 else f"{errors} errors"
+    print_line(f"{path}: {found}")
+    return 1 if errors else 0
 
 
 def recover(
@@ -63,6 +172,35 @@ def recover(
     Example:
       rig record recover runs/first/run-1.mcap
     """
-    from rig.commands.record_screen import recover_record
+    from acquisition.record.digest import utc_text
+    from acquisition.record.reader import RecordReader
+    from acquisition.record.recover import recover as recover_into
+    from rig.presentation import answer, print_line
 
-    recover_record(one_record(record), output)
+    path = one_record(record)
+    with RecordReader(path) as reader:
+        if reader.sound:
+            print_line(f"{path}: is sound, every byte is as written; there is nothing to recover")
+            answer(path=path, sound=True)
+            return
+    target = output or recovered_beside(path)
+    recovery = recover_into(path, target)
+    answer(path=target, sound=False, recovery=recovery)
+    counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
+    print_line(f"{target}: {counts or 'no messages'}, up to {utc_text(recovery.end_ns)}")
+    print_line(f"lost: {recovery.lost_bytes} bytes after the last complete record")
+    for damage in recovery.lost:
+        topics = ", ".join(damage.topics)
+        span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
+        print_line(f"lost: {span}{damage.what}")
+    for text in recovery.damage:
+        print_line(f"damaged: {text}")
+
+
+def _size(count: int) -> str:
+    size = float(count)
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
+        size /= 1000
+    return f"{size:.1f} GB"

@@ -1,6 +1,7 @@
 """Serial devices of the rig: controller, laser driver, environment sensor."""
 
 from rig.control.controller import Controller
+from rig.control.laser_service import LONGEST_JOB_S, LaserService
 from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, make_laser
 from rig.control.light_permit import TO_BE_ASKED, Interlock, LightPermit, LightRefused, Stage
 from rig.control.ports import (
@@ -12,7 +13,7 @@ from rig.control.ports import (
     udev_matches,
 )
 from rig.control.presses import darken_beside
-from rig.control.protocol import Trip
+from rig.control.protocol import ControllerReset, Trip
 from rig.control.safety_state import (
     LatchedTrip,
     SafetyState,
@@ -20,23 +21,19 @@ from rig.control.safety_state import (
     rig_state_path,
     state_folder,
 )
-from rig.control.seismometer import SeismometerLines
+from rig.control.sensors import EnvironmentService, SeismometerLines
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import (
     ControllerSettings,
-    EnvironmentService,
     EnvironmentSettings,
     SeismometerSettings,
 )
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 from rig.control.states import (
-    LONGEST_JOB_S,
     STALE_S,
     DevicesNow,
     LaserNow,
-    LaserService,
     Light,
     Loop,
     SafetyNow,
 )
-from rig.control.usbtmc import ControllerReset

@@ -9,15 +9,17 @@ from processing.errors import DeviceError
 from rig.control.protocol import (
     AirReading,
     BoardEvent,
+    CommandRefused,
     ControllerIdentity,
+    ControllerReset,
     ControllerStatus,
     Latch,
+    Link,
     floats_of,
     status_of,
 )
-from rig.control.serial_port import PortLost, SerialLine, SerialPort
+from rig.control.serial_port import PortLost, ReplyTimeout, SerialLine, SerialPort
 from rig.control.settings import ControllerSettings
-from rig.control.usbtmc import CommandRefused, ControllerReset, Link, ReplyTimeout
 
 _MAKER = "optical-pendulum-rig"
 FIRMWARE = "1.4"
@@ -54,7 +56,7 @@ class Controller:
     ) -> None:
         self._settings = settings
         self._laser_max_w = laser_max_w
-        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud, write_timeout_s=1.0))
+        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud))
         self._line: SerialLine | None = None
         self._link: Link | None = None
         self._limit_w = 0.0

@@ -3,6 +3,7 @@
 import re
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 
 from serial.tools import list_ports
@@ -12,8 +13,9 @@ from rig.control.controller import Controller
 from rig.control.lasers import LaserSettings, make_laser
 from rig.control.lasers.thorlabs4000 import USB_VENDOR as THORLABS
 from rig.control.protocol import ControllerStatus
+from rig.control.sensors import parse_environment
 from rig.control.serial_port import LineReader, PortLost, SerialPort, ports_here
-from rig.control.settings import ControllerSettings, EnvironmentSettings, parse_environment
+from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.presentation import Verdict
 
 PICO = 0x2E8A
@@ -198,7 +200,7 @@ def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) ->
     pattern = re.compile(settings.pattern)
     last = ""
     try:
-        with SerialPort(settings.port, settings.baud) as port:
+        with closing(SerialPort(settings.port, settings.baud)) as port:
             reader = LineReader(port)
             deadline_s = time.monotonic() + patience_s
             while not reader.finds_line_start(min(time.monotonic() + _SILENT_S, deadline_s)):

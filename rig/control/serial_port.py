@@ -4,20 +4,24 @@ import errno
 import os
 import time
 from contextlib import suppress
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import serial
 from serial.tools import list_ports
 
 from processing.errors import DeviceError
 
+_WRITE_TIMEOUT_S = 1.0
 _BUFFER_MAX = 65536
 """Limit of the memory for a device that never ends a line."""
 
 
 class PortLost(DeviceError):
     """The port is missing or was unplugged; opening it again may succeed."""
+
+
+class ReplyTimeout(DeviceError):
+    """A device answered neither a command nor its repetitions."""
 
 
 class SerialLine(Protocol):
@@ -55,12 +59,12 @@ class SerialPort:
     OSError) or TypeError (a port closed by another thread during a read): all of them become `PortLost`.
     """
 
-    def __init__(self, url: str, baud: int = 115200, write_timeout_s: float = 1.0) -> None:
+    def __init__(self, url: str, baud: int = 115200) -> None:
         self._url = url
         try:
             # exclusive, because a second program would receive some of the replies
             self._serial = serial.serial_for_url(
-                url, baudrate=baud, timeout=0, write_timeout=write_timeout_s, exclusive=True
+                url, baudrate=baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, exclusive=True
             )
         except (OSError, ValueError, serial.SerialException) as error:
             raise PortLost(f"{url}: cannot open the serial port: {_why_closed(error)}") from error
@@ -104,14 +108,6 @@ class SerialPort:
             self._serial.close()
         except Exception as error:
             raise self._lost("close", error) from error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _lost(self, doing: str, error: Exception) -> PortLost:
         return PortLost(

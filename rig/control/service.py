@@ -15,11 +15,18 @@ from typing import TypeVar
 from processing.errors import DeviceError
 from rig.control.controller import Controller
 from rig.control.light_permit import Interlock, LightPermit, LightRefused
-from rig.control.protocol import AirReading, ControllerIdentity, ControllerStatus, Latch, Trip
+from rig.control.protocol import (
+    AirReading,
+    CommandRefused,
+    ControllerIdentity,
+    ControllerReset,
+    ControllerStatus,
+    Latch,
+    Trip,
+)
 from rig.control.safety_state import TripCause
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings
-from rig.control.usbtmc import CommandRefused, ControllerReset
 from rig.control.worker import DeviceThread
 
 _REOPEN_S = 0.5
@@ -129,7 +136,7 @@ class ControlService(DeviceThread):
         self, call: Callable[[Controller], T], timeout_s: float = 2.0, urgent: bool = False
     ) -> "Future[T]":
         """Queue any call on the controller."""
-        return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
+        return self._queue(lambda: self._guarded(call), timeout_s, urgent)
 
     def laser_on(self) -> "Future[None]":
         """Switch the laser on, unless the interlock is open or `permit` refuses; a later `laser_off` or

@@ -5,6 +5,7 @@ board's pins are replaced by callbacks, with which a simulated rig switches its 
 pendulum.
 """
 
+import operator
 import random
 import threading
 import time
@@ -20,12 +21,8 @@ from rig.control.settings import ControllerSettings, SerialFaults
 _TURN_S = 0.005
 
 
-def _ignore(_: object) -> None:
+def _ignore(*_: object) -> None:
     """Output of a pin that is not connected."""
-
-
-def _ignore_both(_: object, __: object) -> None:
-    """The same for two values."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,7 @@ class SimulatedOutputs:
     """
 
     laser: Callable[[float], None] = _ignore
-    pulse: Callable[[float, float], None] = _ignore_both
+    pulse: Callable[[float, float], None] = _ignore
     magnet: Callable[[bool], None] = _ignore
     starter: Callable[[bool], None] = _ignore
     clamp: Callable[[bool], None] = _ignore
@@ -69,6 +66,8 @@ class SimulatedBoard:
     latches_at_start = False
     starter_max_ms = 5000
     brake_max_ms = 60000
+    ticks_diff, ticks_add = staticmethod(operator.sub), staticmethod(operator.add)
+    """Of readings of its clock, which does not overflow."""
 
     def __init__(self, outputs: SimulatedOutputs, laser_max_w: float, faults: SerialFaults) -> None:
         self.laser_max_w = laser_max_w
@@ -79,6 +78,8 @@ class SimulatedBoard:
         self.open_lines = 0
         self.begun_s = time.monotonic()
         self._outputs = outputs
+        self.set_pulse, self.set_magnet, self.set_starter = outputs.pulse, outputs.magnet, outputs.starter
+        self.set_clamp, self.set_brake = outputs.clamp, outputs.brake
         self._random = random.Random(0)
         self._thread: threading.Thread | None = None
         self._reset_done = False
@@ -147,29 +148,9 @@ class SimulatedBoard:
         self._enabled = on
         self._outputs.laser(power_w if on else 0.0)
 
-    def set_pulse(self, delay_us: float, width_us: float) -> None:
-        """Time the light to the exposures."""
-        self._outputs.pulse(delay_us, width_us)
-
     def laser_enabled(self) -> bool:
         """Whether the laser's relay is closed."""
         return self._enabled
-
-    def set_magnet(self, on: bool) -> None:
-        """Switch the holding magnet."""
-        self._outputs.magnet(on)
-
-    def set_starter(self, on: bool) -> None:
-        """Switch the starter."""
-        self._outputs.starter(on)
-
-    def set_clamp(self, on: bool) -> None:
-        """Close or open the clamp."""
-        self._outputs.clamp(on)
-
-    def set_brake(self, on: bool) -> None:
-        """Apply or release the brake."""
-        self._outputs.brake(on)
 
     def interlock_closed(self) -> bool:
         """State of the interlock loop."""
@@ -203,14 +184,6 @@ class SimulatedBoard:
     def ticks_ms(self) -> int:
         """The board's clock."""
         return time.monotonic_ns() // 1_000_000
-
-    def ticks_diff(self, later: int, earlier: int) -> int:
-        """Difference of two clock readings."""
-        return later - earlier
-
-    def ticks_add(self, start: int, delta_ms: int) -> int:
-        """A clock reading later by delta_ms."""
-        return start + delta_ms
 
 
 class _SimulatedLine:

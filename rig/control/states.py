@@ -1,25 +1,17 @@
 """States of laser and controller as values, for threads, displays and the desk; their texts are made here."""
 
 import math
-import time
-from collections.abc import Callable, Mapping
-from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from pydantic import TypeAdapter
 
-from processing.errors import DeviceError
-from rig.control.lasers.laser import ON_WITHIN_S, Laser, LaserIdentity, LaserState
-from rig.control.light_permit import Interlock, LightPermit, LightRefused
 from rig.control.protocol import ControllerStatus
-from rig.control.safety_state import LatchedTrip, TripCause
-from rig.control.serial_port import PortLost
+from rig.control.safety_state import LatchedTrip
 from rig.control.service import ControlState
-from rig.control.usbtmc import ReplyTimeout
-from rig.control.worker import DeviceThread
 
 STALE_S: Final = 2.0
 """A state that is older is not known any more, whatever it was."""
@@ -136,179 +128,3 @@ class DevicesNow:
         }
         words += [name for name, on in outputs.items() if on]
         return ", ".join([*words, "interlock closed" if self.interlock_closed else "INTERLOCK OPEN"])
-
-
-_REOPEN_S = 1.0
-_LOOK_AT_PERMIT_S = 0.5
-
-LONGEST_JOB_S = 2.0 * ON_WITHIN_S
-"""Longest time of one command: switching on, with the delay of the safety class, and repeated queries."""
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class LaserSnapshot:
-    """Latest known state, None while the laser does not answer; `state_time_ns` is on the host's monotonic
-    clock.
-    """
-
-    identity: LaserIdentity | None = None
-    state: LaserState | None = None
-    state_time_ns: int = 0
-    last_error: str = ""
-
-
-class LaserService(DeviceThread):
-    """Operates a `Laser` from `start` to `close`; commands return futures, as in `ControlService`.
-
-    If the connection is lost, the laser is opened again; `Laser.open` switches it off. While `permit`
-    refuses the light, the laser is switched off. `own_interlock` is False for a laser whose interlock is the
-    controller's relay, which opens whenever the controller goes dark.
-    """
-
-    def __init__(
-        self,
-        laser: Laser,
-        period_s: float = 1.0,
-        permit: LightPermit | None = None,
-        *,
-        own_interlock: bool = True,
-    ) -> None:
-        self._laser = laser
-        self._period_s = period_s
-        self._permit = permit or LightPermit()
-        self._own_interlock = own_interlock
-        self._refused = ""
-        self._excess = ""
-        self._asked = False
-        self._offs = 0
-        self._is_open = False
-        self._snapshot = LaserSnapshot()
-        super().__init__("rig-laser", LONGEST_JOB_S)
-
-    @property
-    def snapshot(self) -> LaserSnapshot:
-        """Latest state; never blocks."""
-        return self._snapshot
-
-    def enable(self) -> "Future[None]":
-        """Switch the laser on, unless the interlock is open or `permit` refuses; may take several seconds.
-
-        An `off` that comes before the laser emits outdates it.
-        """
-        offs = self._offs
-        return self._submit(lambda laser: self._light(laser, offs), timeout_s=5.0)
-
-    def off(self) -> "Future[None]":
-        """Switch the laser off, before all waiting commands; those to light are no longer valid. It is never
-        too late.
-        """
-        self._offs += 1
-        return self._submit(self._darken, math.inf, urgent=True)
-
-    def set_power_w(self, power_w: float) -> "Future[None]":
-        """Set the optical power."""
-        return self._submit(lambda laser: laser.set_power_w(power_w))
-
-    def set_current_a(self, current_a: float) -> "Future[None]":
-        """Set the diode current."""
-        return self._submit(lambda laser: laser.set_current_a(current_a))
-
-    def _submit(
-        self, call: Callable[[Laser], T], timeout_s: float = 5.0, urgent: bool = False
-    ) -> "Future[T]":
-        return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
-
-    def _turn(self) -> float:
-        try:
-            if not self._is_open:
-                identity = self._laser.open()
-                self._is_open = True
-                self._snapshot = replace(self._snapshot, identity=identity, last_error="")
-                self._say(
-                    f"{identity.vendor} {identity.model} {identity.serial} open, dark".replace("  ", " ")
-                )
-            self._keep_to_the_permit()
-            self._read()
-        except DeviceError as error:
-            self._lose(error)
-            return _REOPEN_S
-        return min(self._period_s, _LOOK_AT_PERMIT_S)
-
-    def _light(self, laser: Laser, offs: int) -> None:
-        def refusal() -> str:
-            outdated = "it was switched off meanwhile" if self._offs != offs else ""
-            return self._permit.refusal_to_light or outdated
-
-        if why := refusal():
-            raise LightRefused(f"the laser stays off: {why}")
-        self._asked = True
-        try:
-            laser.enable(refusal)
-        except BaseException:
-            # who asked is told that it is dark: what lights it later was not asked for
-            self._asked = False
-            raise
-
-    def _darken(self, laser: Laser) -> None:
-        self._asked = False
-        laser.off()
-
-    def _keep_to_the_permit(self) -> None:
-        """Switch the laser off when the permit begins to refuse it."""
-        refusal, before = self._permit.refusal, self._refused
-        if refusal and not before:
-            self._darken(self._laser)
-            self._say(f"laser off: {refusal}")
-        # set only now: a command that failed is given again at the next turn
-        self._refused = refusal
-
-    def _read(self) -> None:
-        before, state = self._snapshot.state, self._laser.state()
-        if state.on and not self._asked and not state.excess:
-            state = replace(state, excess="it is lit, but not by this program: check its panel and key")
-        self._snapshot = replace(self._snapshot, state=state, state_time_ns=time.monotonic_ns())
-        if state.excess:
-            try:
-                self._darken(self._laser)
-            finally:
-                if state.excess != self._excess:
-                    self._excess = state.excess
-                    self._say(f"laser off: {state.excess}")
-                    self._permit.trip(TripCause.OUTPUT, state.excess)
-        self._excess = state.excess
-        if (before is None or before.interlock_closed) and not state.interlock_closed:
-            if before is not None:
-                self._say("interlock opened")
-            if self._own_interlock:
-                latch = self._permit.found if before is None else self._permit.trip
-                latch(TripCause.INTERLOCK, Interlock.LASER.opened_text)
-        if state.fault and (before is None or before.fault != state.fault):
-            self._say(state.fault)
-
-    def _guarded(self, call: Callable[[Laser], T]) -> T:
-        if not self._is_open:
-            raise PortLost(self._snapshot.last_error or "the laser is not open")
-        try:
-            result = call(self._laser)
-            self._read()
-        except (PortLost, ReplyTimeout) as error:
-            self._lose(error)
-            raise
-        return result
-
-    def _lose(self, error: DeviceError) -> None:
-        if str(error) != self._snapshot.last_error:
-            self._say(str(error))
-        was_open, self._is_open, self._asked = self._is_open, False, False
-        self._snapshot = replace(self._snapshot, state=None, last_error=str(error))
-        self._laser.close()
-        if was_open:
-            # its interlock may open and close meanwhile, and nobody would know
-            self._permit.trip(TripCause.WATCHDOG, f"the laser was lost: {error}")
-
-    def _finish(self) -> None:
-        self._laser.close()
-        self._is_open = False
-        self._snapshot = replace(self._snapshot, state=None)

@@ -1,4 +1,4 @@
-"""A thread that operates one device, and the base class of the services that use it."""
+"""A thread that operates one device: the base class of the services of controller, lasers and sensors."""
 
 import itertools
 import logging
@@ -17,6 +17,7 @@ from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
 _LONGEST_WAIT_S = 0.5
+_EVENTS_KEPT = 1024
 
 T = TypeVar("T")
 
@@ -33,134 +34,10 @@ class _Job:
     future: "Future[Any]" = field(compare=False)
 
 
-class Worker:
-    """Runs `turn` regularly and jobs in between, all in one thread, so that callers never wait on a device.
-
-    Parameters
-    ----------
-    name
-        Name of the thread, also used in messages.
-    turn
-        Called first, and again after the number of seconds that it returned, or sooner.
-    finish
-        Called at the end of the thread, also after an error; releases the device.
-    """
-
-    def __init__(self, name: str, turn: Callable[[], float], finish: Callable[[], None]) -> None:
-        self._name = name
-        self._turn = turn
-        self._finish = finish
-        self._jobs: queue.PriorityQueue[_Job] = queue.PriorityQueue()
-        self._count = itertools.count()
-        self._stopping = threading.Event()
-        self._lock = threading.Lock()
-        self._accepting = True
-        self._failure: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-
-    def start(self) -> None:
-        """Start the thread; may be called once."""
-        self._thread.start()
-
-    def submit(self, call: Callable[[], T], timeout_s: float, urgent: bool = False) -> "Future[T]":
-        """Queue a call, before the others if urgent; the future receives its result or error.
-
-        A call that was not started within timeout_s is not made: its future raises `JobExpired`. After
-        `close`
-        the future raises DeviceError immediately.
-        """
-        future: Future[T] = Future()
-        job = _Job((0 if urgent else 1, next(self._count)), time.monotonic() + timeout_s, call, future)
-        with self._lock:
-            if self._accepting:
-                self._jobs.put(job)
-                return future
-        future.set_exception(DeviceError(f"{self._name} is closed"))
-        return future
-
-    def close(self, timeout_s: float = 5.0) -> bool:
-        """Let the queued calls fail, run `finish`, end the thread; False if it did not end in time.
-
-        Ctrl-C does not interrupt it: KeyboardInterrupt is raised after the device is in its safe state.
-        """
-        self._stopping.set()
-        self.submit(_nothing, 0.0, urgent=True)  # wakes the thread
-        if self._thread.ident is None or self._thread is threading.current_thread():
-            return True
-        interrupt: KeyboardInterrupt | None = None
-        deadline_s = time.monotonic() + timeout_s
-        while self._thread.is_alive() and time.monotonic() < deadline_s:
-            try:
-                self._thread.join(max(deadline_s - time.monotonic(), 0.0))
-            except KeyboardInterrupt as error:
-                interrupt = error
-        if interrupt is not None:
-            raise interrupt
-        return not self._thread.is_alive()
-
-    @property
-    def failure(self) -> BaseException | None:
-        """The error that ended the thread; None while it runs, and after a regular end."""
-        return self._failure
-
-    def _run(self) -> None:
-        try:
-            next_turn_s = 0.0
-            while not self._stopping.is_set():
-                now_s = time.monotonic()
-                if now_s >= next_turn_s:
-                    next_turn_s = now_s + self._turn()
-                self._work(min(next_turn_s - time.monotonic(), _LONGEST_WAIT_S))
-        except BaseException as error:
-            _log.exception("%s ended", self._name)
-            self._failure = error
-        finally:
-            with self._lock:
-                self._accepting = False
-            self._fail_all()
-            try:
-                self._finish()
-            except BaseException as error:
-                _log.exception("%s did not finish", self._name)
-                self._failure = self._failure or error
-
-    def _work(self, wait_s: float) -> None:
-        try:
-            job = self._jobs.get(timeout=wait_s) if wait_s > 0 else self._jobs.get_nowait()
-        except queue.Empty:
-            return
-        if self._stopping.is_set():
-            self._jobs.put(job)  # fails with the rest
-        elif time.monotonic() > job.deadline_s:
-            if job.future.set_running_or_notify_cancel():
-                job.future.set_exception(
-                    JobExpired(f"{self._name} was busy; a command waited too long and was not executed")
-                )
-        elif job.future.set_running_or_notify_cancel():
-            try:
-                job.future.set_result(job.call())
-            except Exception as error:
-                job.future.set_exception(error)
-
-    def _fail_all(self) -> None:
-        while True:
-            try:
-                job = self._jobs.get_nowait()
-            except queue.Empty:
-                return
-            if job.future.set_running_or_notify_cancel():
-                job.future.set_exception(DeviceError(f"{self._name} is closed"))
-
-
-def _nothing() -> None:
-    """Job whose only purpose is to wake the thread."""
-
-
-_EVENTS_KEPT = 1024
-
-
 class DeviceThread(ABC):
     """Operates one device in one thread from `start` to `close`; a context manager.
+
+    It calls `_turn` regularly and does jobs in between, so that callers never wait on a device.
 
     Parameters
     ----------
@@ -174,23 +51,26 @@ class DeviceThread(ABC):
         self.name = name
         self._longest_job_s = longest_job_s
         self._events: deque[str] = deque(maxlen=_EVENTS_KEPT)
-        self._worker = Worker(name, self._turn, self._finish)
+        self._jobs: queue.PriorityQueue[_Job] = queue.PriorityQueue()
+        self._count = itertools.count()
+        self._stopping = threading.Event()
+        self._lock = threading.Lock()
+        self._accepting = True
+        self.failure: BaseException | None = None
+        """The error that ended the thread; None while it runs, and after a regular end."""
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     @abstractmethod
     def _turn(self) -> float:
-        """Regular work on the device; returns the time in s until the next call."""
+        """Regular work on the device, done first; returns the longest time in s until the next call."""
 
     @abstractmethod
     def _finish(self) -> None:
-        """Put the device into its safe state and close it."""
+        """Put the device into its safe state and close it; also after an error."""
 
     def start(self) -> None:
-        """Start the thread."""
-        self._worker.start()
-
-    def close(self) -> bool:
-        """Put the device into its safe state, close it and end the thread; False if the thread hangs."""
-        return self._worker.close(self._longest_job_s)
+        """Start the thread; may be called once."""
+        self._thread.start()
 
     def __enter__(self) -> Self:
         self.start()
@@ -200,11 +80,6 @@ class DeviceThread(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    @property
-    def failure(self) -> BaseException | None:
-        """The error that ended the thread; None while it runs, and after a regular end."""
-        return self._worker.failure
 
     def take_events(self) -> tuple[str, ...]:
         """Texts of the events since the last call, oldest first: device opened, lost, tripped, or its errors.
@@ -219,3 +94,86 @@ class DeviceThread(ABC):
     def _say(self, text: str) -> None:
         _log.info("%s: %s", self.name, text)
         self._events.append(text)
+
+    def _queue(self, call: Callable[[], T], timeout_s: float, urgent: bool = False) -> "Future[T]":
+        """Queue a call, before the others if urgent; the future receives its result or error.
+
+        A call that was not started within timeout_s is not made: its future raises `JobExpired`. After
+        `close` the future raises DeviceError immediately.
+        """
+        future: Future[T] = Future()
+        job = _Job((0 if urgent else 1, next(self._count)), time.monotonic() + timeout_s, call, future)
+        with self._lock:
+            if self._accepting:
+                self._jobs.put(job)
+                return future
+        future.set_exception(DeviceError(f"{self.name} is closed"))
+        return future
+
+    def close(self) -> bool:
+        """Let the queued calls fail, leave the device safe and closed, end the thread; False if that hangs.
+
+        Ctrl-C does not interrupt it: KeyboardInterrupt is raised after the device is in its safe state.
+        """
+        self._stopping.set()
+        self._queue(lambda: None, 0.0, urgent=True)  # wakes the thread
+        if self._thread.ident is None or self._thread is threading.current_thread():
+            return True
+        interrupt: KeyboardInterrupt | None = None
+        deadline_s = time.monotonic() + self._longest_job_s
+        while self._thread.is_alive() and time.monotonic() < deadline_s:
+            try:
+                self._thread.join(max(deadline_s - time.monotonic(), 0.0))
+            except KeyboardInterrupt as error:
+                interrupt = error
+        if interrupt is not None:
+            raise interrupt
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            next_turn_s = 0.0
+            while not self._stopping.is_set():
+                now_s = time.monotonic()
+                if now_s >= next_turn_s:
+                    next_turn_s = now_s + self._turn()
+                self._work(min(next_turn_s - time.monotonic(), _LONGEST_WAIT_S))
+        except BaseException as error:
+            _log.exception("%s ended", self.name)
+            self.failure = error
+        finally:
+            with self._lock:
+                self._accepting = False
+            self._fail_all()
+            try:
+                self._finish()
+            except BaseException as error:
+                _log.exception("%s did not finish", self.name)
+                self.failure = self.failure or error
+
+    def _work(self, wait_s: float) -> None:
+        try:
+            job = self._jobs.get(timeout=wait_s) if wait_s > 0 else self._jobs.get_nowait()
+        except queue.Empty:
+            return
+        if self._stopping.is_set():
+            self._jobs.put(job)  # fails with the rest
+        elif time.monotonic() > job.deadline_s:
+            if job.future.set_running_or_notify_cancel():
+                job.future.set_exception(
+                    JobExpired(f"{self.name} was busy; a command waited too long and was not executed")
+                )
+        elif job.future.set_running_or_notify_cancel():
+            try:
+                job.future.set_result(job.call())
+            except Exception as error:
+                job.future.set_exception(error)
+
+    def _fail_all(self) -> None:
+        while True:
+            try:
+                job = self._jobs.get_nowait()
+            except queue.Empty:
+                return
+            if job.future.set_running_or_notify_cancel():
+                job.future.set_exception(DeviceError(f"{self.name} is closed"))

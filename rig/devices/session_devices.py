@@ -278,7 +278,7 @@ class Devices(LitDevices):
         are stored in the record's metadata only.
         """
         if self.sensor is not None:
-            air = self.sensor.latest.environment
+            air = self.sensor.latest
             return air.temperature_c, air.humidity_percent, air.pressure_pa
         if self.control is not None and self._config.environment_sensor.kind == "controller":
             air = self.control.snapshot.environment

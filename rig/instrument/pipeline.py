@@ -116,39 +116,29 @@ class Pipeline:
 
     Parameters
     ----------
-    tracker
-        Follows the spot from frame to frame.
-    lever, axes
-        Calibration. Without a lever (None) deflections are in px, see `Deflector`.
+    optics
+        Calibration; each deflection gets the time of the rows that its spot lies on.
     sensor_shape
         (ny, nx) of the whole sensor; its centre is the reference if the lever states none.
-    shutter
-        When the rows are exposed; each deflection gets the time of the rows that its spot lies on.
     beside
         Fit the swings, and estimate the balance, in threads of their own. Their results are the same, but
         come with a later block than the one that completes them, the last ones with `finish` and
         `finish_balance`.
     wall
         Behind which the balance is estimated.
-    reference
-        Follows the reference spot, and the row from which on the frames are its own.
     """
 
     def __init__(
         self,
-        tracker: SpotTracker,
-        lever: Lever | None,
-        axes: Axes,
+        optics: "Optics",
         sensor_shape: tuple[int, int],
         *,
-        shutter: Shutter = GLOBAL,
         beside: bool = False,
         wall: ObserverGuard | None = None,
-        reference: tuple[SpotTracker, int] | None = None,
     ) -> None:
-        self.tracker = tracker
-        self._spots = BothSpots(tracker, reference)
-        self._deflector = Deflector(lever, axes, sensor_shape, shutter)
+        self._spots = optics.both_spots()
+        self.tracker = self._spots.tracker
+        self._deflector = optics.deflector(sensor_shape)
         self._detector = TurningPointDetector()
         estimator = BalanceEstimator()
         self._swings = BesideThread(self._swings_in, "swings") if beside else None
@@ -261,16 +251,7 @@ class Optics:
         self, sensor_shape: tuple[int, int], *, beside: bool = False, wall: ObserverGuard | None = None
     ) -> Pipeline:
         """A new pipeline from frames to deflections and half-cycles."""
-        return Pipeline(
-            self.tracker(),
-            self.lever,
-            self.axes,
-            sensor_shape,
-            shutter=self.shutter,
-            beside=beside,
-            wall=wall,
-            reference=self.reference(),
-        )
+        return Pipeline(self, sensor_shape, beside=beside, wall=wall)
 
     @property
     def unit(self) -> DeflectionUnit:

@@ -1,4 +1,4 @@
 """Firmware of the controller board (MicroPython): every file of this folder except this one is flashed.
 
-`core` also runs under CPython, where the simulated controller uses it.
+`core` and `lines` also run under CPython, where the simulated controller uses them.
 """

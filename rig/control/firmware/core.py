@@ -1,14 +1,16 @@
 """The controller's protocol, limits and watchdog, independent of the hardware.
 
-It runs on MicroPython and, for the simulated controller, on CPython: nothing is imported, and clock, pins and
-bytes are accessed through the board object (see `board.py` for its methods). The format of the lines and the
-commands are documented in docs/controller.md.
+It runs on MicroPython and, for the simulated controller, on CPython: clock, pins and bytes are those of the
+board object (see `board.py` for its methods). The commands are documented in docs/controller.md.
 """
 
+try:
+    from rig.control.firmware.lines import Lines, Refused, spelled
+except ImportError:
+    # the board has its files in no package
+    from lines import Lines, Refused, spelled  # type: ignore[import-not-found, no-redef]
+
 VERSION = "1.4"
-LINE_MAX = 120
-REPLAY = 8
-ERRORS_MAX = 16
 DEADLINE_MIN_MS = 100
 DEADLINE_MAX_MS = 5000
 PULSE_MAX_US = 1000000
@@ -16,47 +18,6 @@ PULSE_MAX_US = 1000000
 LIGHT_MS = 200
 CAUSES = ("NONE", "INTERLOCK", "OUTPUT", "WATCHDOG", "POWER")
 BUTTON_MS = 500
-
-
-def _crc_table() -> list[int]:
-    table = []
-    for byte in range(256):
-        crc = byte << 8
-        for _ in range(8):
-            crc = (crc << 1) ^ 0x1021 if crc & 0x8000 else crc << 1
-        table.append(crc & 0xFFFF)
-    return table
-
-
-_TABLE = _crc_table()
-
-
-def crc16(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE (polynomial 1021h, start FFFFh); of b"123456789" it is 29B1h."""
-    crc = 0xFFFF
-    table = _TABLE
-    for byte in data:
-        crc = ((crc << 8) & 0xFFFF) ^ table[(crc >> 8) ^ byte]
-    return crc
-
-
-class Refused(Exception):
-    """A command that is rejected: (code, text) for the reply and the error queue."""
-
-
-def _spellings(header: str) -> list[str]:
-    """All combinations of short and long mnemonics, as in SCPI: "LASer:POWer?" -> LAS:POW?, LASER:POW?,
-    ...
-    """
-    query = "?" if header.endswith("?") else ""
-    forms = [""]
-    for word in header.rstrip("?").split(":"):
-        short = "".join([c for c in word if not ("a" <= c <= "z")])
-        long = word.upper()
-        forms = [
-            (f + ":" if f else "") + w for f in forms for w in ([short] if short == long else [short, long])
-        ]
-    return [f + query for f in forms]
 
 
 def _on_off(argument: str) -> bool:
@@ -74,7 +35,7 @@ def _number(argument: str) -> float:
         raise Refused(-104, "Data type error; a number is wanted") from None
 
 
-class Firmware:
+class Firmware(Lines):
     """State of the controller. The board's loop calls `step` as often as possible.
 
     The laser is on only while a session is open, heartbeats arrive in time and the interlock is closed. As
@@ -84,8 +45,7 @@ class Firmware:
     """
 
     def __init__(self, board):  # type: ignore[no-untyped-def]
-        self.board = board
-        self.token = ""
+        super().__init__(board)  # type: ignore[no-untyped-call]
         self.deadline_ms = 0
         self.heard_ms = 0
         self.number, self.trip = board.stored_latch()
@@ -110,14 +70,7 @@ class Firmware:
         self._disagrees = False
         self._starter_end_ms = 0
         self._brake_end_ms = 0
-        self._errors: list[tuple[int, str]] = []
-        self._replies: list[tuple[bytes, bytes]] = []
-        self._line = b""
-        self._overrun = False
-        # the first commands are allowed without a session; the others act on the rig and need one
-        self._free = {}
-        self._acting = {}
-        for header, action in (
+        free = (
             ("*IDN?", self._identify),
             ("SYSTem:ERRor?", self._next_error),
             ("SYSTem:STATus?", self._status),
@@ -138,10 +91,9 @@ class Firmware:
             ("TEMPerature?", lambda _: f"{self._environment()[0]:.7g}"),
             ("HUMidity?", lambda _: f"{self._environment()[1]:.7g}"),
             ("PRESsure?", lambda _: f"{self._environment()[2]:.7g}"),
-        ):
-            for spelling in _spellings(header):
-                self._free[spelling] = action
-        for header, action in (
+        )
+        # these act on the rig, and need a session
+        acting = (
             ("SYSTem:HEARtbeat?", self._heartbeat),
             ("SYSTem:SESSion:END", self._end_session),
             ("SYSTem:TRIP:ACKnowledge", self._acknowledge),
@@ -154,9 +106,8 @@ class Firmware:
             ("STARter:PULSe", self._pulse),
             ("CLAMp", self._set_clamp),
             ("BRAKe", self._set_brake),
-        ):
-            for spelling in _spellings(header):
-                self._acting[spelling] = action
+        )
+        self._free, self._acting = spelled(free), spelled(acting)  # type: ignore[no-untyped-call]
         self.safe()
         if board.fault:
             self._fail(-240, "Hardware error; " + board.fault)
@@ -261,112 +212,10 @@ class Firmware:
         self._fail(code, "Tripped; " + cause)
         self._event("TRIP " + cause)
 
-    # -- lines ----------------------------------------------------------------
-
-    def _receive(self, data: bytes) -> None:
-        start = 0
-        while True:
-            end = data.find(b"\n", start)
-            if end < 0:
-                break
-            line = self._line + data[start:end]
-            overrun = self._overrun or len(line) > LINE_MAX
-            self._line = b""
-            self._overrun = False
-            start = end + 1
-            if overrun:
-                self._fail(-363, "Input buffer overrun")
-                self._event("NAK")
-            else:
-                self._take(line)
-        self._line += data[start:]
-        if len(self._line) > LINE_MAX:
-            self._line = b""
-            self._overrun = True
-
-    def _take(self, line: bytes) -> None:
-        # a line whose end was lost may precede a complete one: begin at the last tag
-        tag_at = line.rfind(b"#")
-        if tag_at < 0:
-            self._take_typed(line)
-            return
-        line = line[tag_at:].rstrip(b"\r")
-        for seen, reply in self._replies:
-            if seen == line:
-                # the reply to a repeated line was lost: send it again without executing the command again
-                self.board.write(reply)
-                return
-        try:
-            body, text = line[:-5], line[1:-5].decode()
-            valid = line[-5:-4] == b"*" and int(line[-4:], 16) == crc16(body)
-            tag, _, command = text.partition(" ")
-            valid = valid and 0 < int(tag) < 65536
-        except ValueError:  # UnicodeError is one
-            valid = False
-        if not valid:
-            self._fail(-101, "Invalid character or checksum")
-            self._event("NAK")
-            return
-        reply = self._seal("#" + tag + " " + self._do(command, True))
-        self._replies.append((line, reply))
-        if len(self._replies) > REPLAY:
-            self._replies.pop(0)
-        self.board.write(reply)
-
-    def _take_typed(self, line: bytes) -> None:
-        """Handle a line without tag and checksum, typed by hand, which may query but not act."""
-        line = line.strip()
-        if not line:
-            return
-        try:
-            command = line.decode()
-        except ValueError:
-            command = ""
-        if command.split(" ")[0].endswith("?"):
-            self.board.write((self._do(command, False) + "\r\n").encode())
-        else:
-            self._fail(-101, "Invalid character or checksum")
-            self._event("NAK")
-
-    def _do(self, command: str, trusted: bool) -> str:
-        header, _, argument = command.strip().upper().partition(" ")
-        try:
-            action = self._free.get(header)
-            if action is None:
-                action = self._acting.get(header)
-                if action is None:
-                    raise Refused(-113, "Undefined header")
-                if not (self.token and trusted):
-                    raise Refused(-203, "Command protected; open a session first")
-            values: str = action(argument.strip())
-        except Refused as refusal:
-            code, text = refusal.args
-            self._fail(code, text)
-            return f'ERR {code},"{text}"'
-        return "OK " + values if values else "OK"
-
-    @staticmethod
-    def _seal(body: str) -> bytes:
-        raw = body.encode()
-        return raw + f"*{crc16(raw):04X}\n".encode()
-
-    def _event(self, text: str) -> None:
-        self.board.write(self._seal("!" + text))
-
-    def _fail(self, code: int, text: str) -> None:
-        if len(self._errors) < ERRORS_MAX:
-            self._errors.append((code, text))
-        else:
-            self._errors[-1] = (-350, "Queue overflow")
-
     # -- commands -------------------------------------------------------------
 
     def _identify(self, _: str) -> str:
         return f"optical-pendulum-rig,controller,{self.board.serial},{VERSION}"
-
-    def _next_error(self, _: str) -> str:
-        code, text = self._errors.pop(0) if self._errors else (0, "No error")
-        return f'{code},"{text}"'
 
     def _status(self, _: str) -> str:
         sees = self.board.light_seen()

@@ -5,11 +5,17 @@ An executed command is answered by ``OK``, any other by ``Syntax error: ...``. M
 lights it, must be switched off by hand.
 """
 
-from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
-from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+from rig.control.lasers.serial_laser import (
+    LaserIdentity,
+    LaserRefused,
+    LaserState,
+    SerialLaser,
+    rounded_down,
+)
 
 _MODULATION = ("3", "4")
-_FAULTS = {"1": "temperature error", "3": "interlock error", "4": "constant-power time-out"}
+_FAULTS = {"0": "", "1": "temperature error", "3": "", "4": "constant-power time-out"}
+"""An interlock error (3) is an open interlock, which `interlock_closed` says."""
 
 
 class Cobolt(SerialLaser):
@@ -35,8 +41,7 @@ class Cobolt(SerialLaser):
             on=self.ask("l?") == "1",
             interlock_closed=self.ask("ilk?") == "0",
             power_w=self.ask_float("pa?"),
-            # an open interlock is reported by interlock_closed
-            fault="" if fault in ("0", "3") else _FAULTS.get(fault, f"fault {fault}"),
+            fault=_FAULTS.get(fault, f"fault {fault}"),
         )
 
     def _prepare(self) -> None:

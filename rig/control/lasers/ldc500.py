@@ -7,30 +7,25 @@ can start, is refused.
 
 import time
 
-from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
-from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+from rig.control.lasers.serial_laser import (
+    DiodeDriver,
+    LaserIdentity,
+    LaserRefused,
+    LaserState,
+    rounded_down,
+)
 
 _CARRIED_OUT_S = 0.1
 
 
-class Ldc500(SerialLaser):
+class Ldc500(DiodeDriver):
     """Diode driver in the mode of constant current."""
 
     off_command = "LDON OFF"
-    unit = "a"
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""
-        fields = [field.strip() for field in self.ask("*IDN?").split(",")]
-        if (
-            len(fields) < 3
-            or "STANFORD" not in fields[0].upper()
-            or not fields[1].upper().startswith("LDC50")
-        ):
-            raise LaserRefused(
-                f"{self.name}: {','.join(fields)!r} is not an SRS LDC500 series driver; check the port"
-            )
-        return LaserIdentity(fields[0], fields[1], fields[2].removeprefix("s/n"))
+        return self._identified("STANFORD", ("LDC50",), "an SRS LDC500 series driver")
 
     def _read(self) -> LaserState:
         """Output, interlock, measured current, monitor diode's power."""
@@ -44,14 +39,8 @@ class Ldc500(SerialLaser):
     def _prepare(self) -> None:
         self._command("SMOD CC")
         self._command("MODU OFF")
-        limit_a = self._settings.max_current_a
-        self._command(f"SILM {rounded_down(limit_a * 1000.0, 3)}")
-        applied_a = self.ask_float("SILM?") / 1000.0
-        if applied_a > limit_a + 1e-6:
-            raise LaserRefused(
-                f"{self.name}: the current limit was set to {limit_a:g} A and is {applied_a:g} A;"
-                " set it on the instrument's panel"
-            )
+        self._command(f"SILM {rounded_down(self._settings.max_current_a * 1000.0, 3)}")
+        self._check_limit(self.ask_float("SILM?") / 1000.0)
 
     def _strayed(self) -> str:
         if self.ask("SMOD?").upper() not in ("CC", "0"):

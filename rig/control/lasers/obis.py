@@ -10,9 +10,14 @@ it is not told to light, because it would do so at the end of that.
 
 import time
 
-from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
-from rig.control.lasers.serial_laser import SerialLaser, rounded_down
-from rig.control.usbtmc import ReplyTimeout
+from rig.control.lasers.serial_laser import (
+    LaserIdentity,
+    LaserRefused,
+    LaserState,
+    SerialLaser,
+    rounded_down,
+)
+from rig.control.serial_port import ReplyTimeout
 
 _CLOSED = ("ON", "OK", "1", "CLOSED")
 _WARMING_UP = 0x100

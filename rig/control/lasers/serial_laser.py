@@ -1,4 +1,4 @@
-"""Base class of the serial laser drivers: queries and answers, limits, safe order of switching."""
+"""Base class of the laser drivers: what they tell, queries and answers, limits, safe order of switching."""
 
 import contextlib
 import logging
@@ -6,16 +6,16 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
-from typing import final
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, final
 
 from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen, PowerLimit
-from rig.control.lasers.laser import ON_WITHIN_S, LaserIdentity, LaserRefused, LaserState, never
 from rig.control.lasers.settings import LaserSettings
-from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
-from rig.control.usbtmc import ReplyTimeout
+from rig.control.serial_port import LineReader, PortLost, ReplyTimeout, SerialLine, SerialPort
 
+ON_WITHIN_S = 10.0
+"""Longest time from the command to emission, including the delay that a laser's safety class requires."""
 _log = logging.getLogger(__name__)
 _RETRIES = 2
 _POLL_S = 0.1
@@ -25,8 +25,43 @@ _DARK_W, _DARK_A = 1e-5, 1e-3
 """What they may show in the dark, whatever the limit."""
 
 
+class LaserRefused(DeviceError):
+    """The laser did not execute a command: it answered with an error, or another value was read back."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaserIdentity:
+    """Vendor, model and serial number."""
+
+    vendor: str
+    model: str
+    serial: str
+
+
+@dataclass(frozen=True, slots=True)
+class LaserState:
+    """State read from the laser; None for values that this family does not report.
+
+    `power_w` is the measured optical power, `current_a` the measured diode current; `fault` is empty if there
+    is none. `excess` says why the laser must be dark although it was set as allowed: more light or current
+    is measured, or something else than this program can change it; empty if it need not.
+    """
+
+    on: bool
+    interlock_closed: bool
+    power_w: float | None = None
+    current_a: float | None = None
+    fault: str = ""
+    excess: str = ""
+
+
 class SerialLaser(ABC):
-    """A `Laser` over a serial line; a subclass defines the commands of its family.
+    """A laser, or the driver of a laser diode, over a serial line; a subclass has the commands of its family.
+
+    Life cycle: ``open`` -> (``set_power_w`` or ``set_current_a``, ``enable``, ``state``, ``off``) any number
+    of times -> ``close``, which may be called in any state. ``open`` sets or refuses what else could change
+    the light. Only one thread may call them. Each blocks for at most a few timeouts (``enable`` for the delay
+    of the safety class) and raises DeviceError with one line.
 
     Limits are checked here before a value is sent, and are also written into the device if it has a limit of
     its own. `unit` is that of the value that is set, "w" or "a".
@@ -34,13 +69,13 @@ class SerialLaser(ABC):
 
     terminator = b"\n"
     off_command: str
-    unit = "w"
+    unit: ClassVar[Literal["w", "a"]] = "w"
     step = 1e-6
     """Resolution of the device in its unit: a value read back that differs by no more counts as set."""
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
         self._settings = settings
-        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud, write_timeout_s=1.0))
+        self._open_line = open_line or (lambda: SerialPort(settings.port, settings.baud))
         self._line: SerialLine | None = None
         self._reader: LineReader | None = None
 
@@ -72,7 +107,7 @@ class SerialLaser(ABC):
     def _set(self, value: float) -> float:
         """Set power or current in W or A; return the value read back from the device."""
 
-    # -- Laser ----------------------------------------------------------------
+    # -- the same for every family ---------------------------------------------
 
     def open(self) -> LaserIdentity:
         """Open the port, check the family, switch the emission off, write the limits into the device."""
@@ -98,7 +133,7 @@ class SerialLaser(ABC):
         return replace(state, excess=self._beyond_limits(state) or self._strayed())
 
     def set_power_w(self, power_w: float) -> None:
-        """Set the optical power; raises PowerLimit above max_power_w."""
+        """Set the optical power; raises PowerLimit above max_power_w, LaserRefused for one set in amperes."""
         if self.unit != "w":
             raise LaserRefused(
                 f"{self.name}: this driver sets current_a, not power_w; change the configuration"
@@ -106,16 +141,19 @@ class SerialLaser(ABC):
         self._set_within(power_w, self._settings.max_power_w, "max_power_w")
 
     def set_current_a(self, current_a: float) -> None:
-        """Set the diode current; raises PowerLimit above max_current_a."""
+        """Set the diode current; raises PowerLimit above max_current_a, LaserRefused for one set in watts."""
         if self.unit != "a":
             raise LaserRefused(
                 f"{self.name}: this laser sets power_w, not current_a; change the configuration"
             )
         self._set_within(current_a, self._settings.max_current_a, "max_current_a")
 
-    def enable(self, refusal: Callable[[], str] = never) -> None:
+    def enable(self, refusal: Callable[[], str] = str) -> None:
         """Switch on if the interlock is closed and there is no fault, and wait until the laser reports
         emission, or `refusal` says why it must not light.
+
+        Raises InterlockOpen if the interlock is open, LaserRefused if the laser does not emit, or as soon as
+        it must not.
         """
         state = self.state()
         if not state.interlock_closed:
@@ -152,7 +190,7 @@ class SerialLaser(ABC):
             raise LaserRefused(f"{self.name}: was switched off but still emits; open the interlock by hand")
 
     def close(self) -> None:
-        """Switch off, repeatedly if it is not confirmed; close the port."""
+        """Switch off, repeatedly if it is not confirmed (a failure is logged), and close the port."""
         if self._line is None:
             return
         try:
@@ -241,6 +279,28 @@ class SerialLaser(ABC):
         if line is not None:
             with contextlib.suppress(PortLost):
                 line.close()
+
+
+class DiodeDriver(SerialLaser):
+    """A driver of laser diodes, whose current is set, with a limit of its own."""
+
+    unit = "a"
+
+    def _identified(self, maker: str, models: tuple[str, ...], what: str) -> LaserIdentity:
+        """Vendor, model and serial number; raises LaserRefused for none of these models, of `what`."""
+        fields = [field.strip() for field in self.ask("*IDN?").split(",")]
+        if len(fields) < 3 or maker not in fields[0].upper() or not fields[1].upper().startswith(models):
+            raise LaserRefused(f"{self.name}: {','.join(fields)!r} is not {what}; check the port")
+        return LaserIdentity(fields[0], fields[1], fields[2].removeprefix("s/n"))
+
+    def _check_limit(self, applied_a: float) -> None:
+        """Raise LaserRefused where the device has not taken max_current_a as its limit."""
+        limit_a = self._settings.max_current_a
+        if applied_a > limit_a + 1e-6:
+            raise LaserRefused(
+                f"{self.name}: the current limit was set to {limit_a:g} A and is {applied_a:g} A;"
+                " set it on the instrument's panel"
+            )
 
 
 def rounded_down(value: float, digits: int) -> str:

@@ -1,11 +1,20 @@
-"""Section [laser]: the driver, power or current, limits."""
+"""Section [laser]: the driver, power or current, limits; and which drivers there are."""
 
 from typing import Literal, Self
 
 from pydantic import BaseModel, Field, field_validator, model_validator
 
-from rig.control.lasers.drivers import LASERS
+LASERS: dict[str, str] = {
+    "thorlabs4000": "rig.control.lasers.thorlabs4000:Thorlabs4000",
+    "obis": "rig.control.lasers.obis:Obis",
+    "ldc500": "rig.control.lasers.ldc500:Ldc500",
+    "cobolt": "rig.control.lasers.cobolt:Cobolt",
+}
+"""Registry of the laser drivers: the values of ``laser.kind``, and the class of each.
 
+A driver is added by one line here and one file with a subclass of `SerialLaser` (serial_laser.py).
+It is imported when it is used.
+"""
 WITHOUT_DRIVER = ("none", "controller")
 """No laser, and one that the controller switches."""
 

@@ -11,8 +11,13 @@ good instead of only as long as it is low.
 
 from collections.abc import Callable
 
-from rig.control.lasers.laser import LaserIdentity, LaserRefused, LaserState
-from rig.control.lasers.serial_laser import SerialLaser, rounded_down
+from rig.control.lasers.serial_laser import (
+    DiodeDriver,
+    LaserIdentity,
+    LaserRefused,
+    LaserState,
+    rounded_down,
+)
 from rig.control.lasers.settings import LaserSettings
 from rig.control.serial_port import SerialLine
 from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc
@@ -28,11 +33,10 @@ _TRIPS = {
 }
 
 
-class Thorlabs4000(SerialLaser):
+class Thorlabs4000(DiodeDriver):
     """Diode driver in the mode of constant current."""
 
     off_command = "OUTPut:STATe OFF"
-    unit = "a"
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
         if open_line is None and is_usbtmc(settings.port):
@@ -44,16 +48,7 @@ class Thorlabs4000(SerialLaser):
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""
-        fields = [field.strip() for field in self.ask("*IDN?").split(",")]
-        if (
-            len(fields) < 3
-            or "THORLABS" not in fields[0].upper()
-            or fields[1][:4].upper() not in ("LDC4", "ITC4")
-        ):
-            raise LaserRefused(
-                f"{self.name}: {','.join(fields)!r} is not a Thorlabs 4000 series driver; check the port"
-            )
-        return LaserIdentity(fields[0], fields[1], fields[2])
+        return self._identified("THORLABS", ("LDC4", "ITC4"), "a Thorlabs 4000 series driver")
 
     def _read(self) -> LaserState:
         """Output, protections and measured current."""
@@ -72,14 +67,8 @@ class Thorlabs4000(SerialLaser):
         self._command("SOURce:AM:STATe OFF")
         if self._lights_by_its_input():
             self._command("OUTPut:PROTection:EXTernal:MODE PROTection")
-        limit_a = self._settings.max_current_a
-        self._command(f"SOURce:CURRent:LIMit:AMPLitude {rounded_down(limit_a, 6)}")
-        applied_a = self.ask_float("SOURce:CURRent:LIMit:AMPLitude?")
-        if applied_a > limit_a + 1e-6:
-            raise LaserRefused(
-                f"{self.name}: the current limit was set to {limit_a:g} A and is {applied_a:g} A;"
-                " set it on the instrument's panel"
-            )
+        self._command(f"SOURce:CURRent:LIMit:AMPLitude {rounded_down(self._settings.max_current_a, 6)}")
+        self._check_limit(self.ask_float("SOURce:CURRent:LIMit:AMPLitude?"))
 
     def _strayed(self) -> str:
         if not self.ask("SOURce:FUNCtion:MODE?").upper().startswith("CURR"):

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from rig.control import serial_port, service, settings, states, usbtmc, worker
+from rig.control import laser_service, protocol, sensors, serial_port, service, worker
 from rig.control.firmware.core import Firmware
 from rig.control.lasers import ldc500, obis, serial_laser
 from rig.control.protocol import checksum
@@ -363,7 +363,7 @@ class InstrumentLine:
 def stepped_clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """The clock of all that the host does with lines."""
     clock = Clock()
-    of_the_host = (settings, states, usbtmc, serial_port, service, worker, serial_laser, obis, ldc500)
+    of_the_host = (sensors, laser_service, protocol, serial_port, service, worker, serial_laser, obis, ldc500)
     for module in (*of_the_host, instruments):
         monkeypatch.setattr(module, "time", clock)
     return clock
@@ -372,6 +372,6 @@ def stepped_clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 def turn(device: DeviceThread) -> float:
     """One turn of a service and the jobs that wait, as its thread does them; seconds to the next one."""
     pause_s = device._turn()
-    while not device._worker._jobs.empty():
-        device._worker._work(0.0)
+    while not device._jobs.empty():
+        device._work(0.0)
     return pause_s

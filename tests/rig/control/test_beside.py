@@ -45,7 +45,7 @@ def test_an_order_of_which_only_a_part_was_taken_is_said(room: int) -> None:
         laser = LaserSettings(kind="controller", max_power_w=0.001, power_w=0.0005)
         problems = darken_beside(laser, ControllerSettings(kind="serial", port=name))
         taken = b""
-        while select.select([master], [], [], 0.5)[0]:
+        while select.select([master], [], [], 0.1)[0]:
             taken += os.read(master, 65536)
     # each order ends with a checksum and a line's end
     whole = len(re.findall(rb"#\d+ LASer:STATe OFF\*[0-9A-F]{4}\n", taken)) == 2

@@ -107,6 +107,8 @@ def assert_closed_and_dark(board: FirmwareBoard, folder: Path, reason: str) -> N
         assert reader.events()[-1].text == reason
     (entry,) = json.loads((folder / "session.json").read_text())["entries"]
     assert (entry["state"], entry["reason"]) == ("stopped", reason)
+    # nothing is fitted: who sends SIGTERM may send SIGKILL next
+    assert not (folder / "results.json").exists()
 
 
 def test_killed_while_the_magnet_holds(board: FirmwareBoard, tmp_path: Path) -> None:
@@ -136,20 +138,6 @@ def test_killed_while_the_magnet_holds(board: FirmwareBoard, tmp_path: Path) -> 
     print(f"safe {safe_s - killed_s:.2f} s after the kill")
 
 
-def test_told_to_end_by_a_closed_terminal(board: FirmwareBoard, tmp_path: Path) -> None:
-    """By SIGTERM: the next test."""
-    folder, log = tmp_path / "out", tmp_path / "said"
-    with running(command(folder, board, controller__watchdog_s="5.0"), log) as process:
-        wait_for(board, lambda: being_recorded(board, folder / "run-1.mcap"), log)
-        process.send_signal(signal.SIGHUP)
-        assert process.wait(ENDED_WITHIN_S) == 130
-    said = log.read_text()
-    assert "Traceback" not in said
-    assert_closed_and_dark(board, folder, "terminated: the terminal was closed")
-    # nothing is fitted: who sends SIGTERM may send SIGKILL next
-    assert not (folder / "results.json").exists()
-
-
 def test_ignored_hangup_stays_ignored(board: FirmwareBoard, tmp_path: Path) -> None:
     folder, log = tmp_path / "out", tmp_path / "said"
     nohup = (
@@ -166,10 +154,11 @@ def test_ignored_hangup_stays_ignored(board: FirmwareBoard, tmp_path: Path) -> N
         assert lit(board)
         process.send_signal(signal.SIGTERM)
         assert process.wait(ENDED_WITHIN_S) == 130
+    assert "Traceback" not in log.read_text()
     assert_closed_and_dark(board, folder, "terminated")
 
 
-def test_terminal_that_is_closed(board: FirmwareBoard, tmp_path: Path) -> None:
+def test_terminal_that_is_closed_sends_a_hangup(board: FirmwareBoard, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     master, slave = pty.openpty()
     termios.tcsetwinsize(slave, (24, 80))

@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.control import settings as environment_module
+from rig.control import sensors
 from rig.control.firmware.bme280 import Bme280, Calibration, compensate
 from rig.control.protocol import AirReading
+from rig.control.sensors import EnvironmentService, parse_environment
 from rig.control.serial_port import PortLost, SerialLine
-from rig.control.settings import EnvironmentService, EnvironmentSettings, parse_environment
+from rig.control.settings import EnvironmentSettings
 from tests.rig.control.instruments import Instrument
 from tests.rig.control.stepped import Clock, InstrumentLine, stepped_clock, turn
 
@@ -61,26 +62,26 @@ def sensor(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Sensor:
         found.lines.append(SensorLine(found, clock))
         return found.lines[-1]
 
-    monkeypatch.setattr(environment_module, "SerialPort", opened)
+    monkeypatch.setattr(sensors, "SerialPort", opened)
     return found
 
 
 def test_a_line_in_two_pieces_is_one_and_what_is_missing_is_nan(sensor: Sensor, clock: Clock) -> None:
     service = EnvironmentService(EnvironmentSettings(kind="serial", port="x", pattern=THREE))
     assert turn(service) == 0.0
-    assert math.isnan(service.latest.environment.temperature_c)
+    assert math.isnan(service.latest.temperature_c)
     (line,) = sensor.lines
     line.say(b"T=21.5 H=40.25 P=1013.")
     turn(service)
     line.say(b"25\r\n")
     turn(service)
-    assert service.latest.environment == AirReading(21.5, 40.25, 101325.0)
-    assert service.latest.time_ns == clock.monotonic_ns()
+    assert service.latest == AirReading(21.5, 40.25, 101325.0)
+    assert service.last_ns == clock.monotonic_ns()
     line.say(b"T=22.0 P=1000\n")
     turn(service)
-    assert service.latest.environment.temperature_c == 22.0
-    assert math.isnan(service.latest.environment.humidity_percent)
-    assert service.latest.unread_lines == 0
+    assert service.latest.temperature_c == 22.0
+    assert math.isnan(service.latest.humidity_percent)
+    assert service.unread_lines == 0
 
 
 def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
@@ -89,13 +90,13 @@ def test_lines_of_another_kind_are_counted_and_shown(sensor: Sensor) -> None:
     for number, text in enumerate((b"garbage\xff\r\n", b"T=1e400 P=1000\n", b"T=. P=1000\n"), 1):
         sensor.lines[0].say(text)
         turn(service)
-        assert service.latest.unread_lines == number
-        assert service.latest.last_line == text.decode("latin-1").strip()
-        assert math.isnan(service.latest.environment.temperature_c)
+        assert service.unread_lines == number
+        assert service.last_line == text.decode("latin-1").strip()
+        assert math.isnan(service.latest.temperature_c)
     # an empty line is none
     sensor.lines[0].say(b"\r\n")
     turn(service)
-    assert service.latest.unread_lines == 3
+    assert service.unread_lines == 3
 
 
 @pytest.mark.parametrize(
@@ -111,14 +112,14 @@ def test_what_a_broken_sensor_says_is_no_reading(sensor: Sensor, line: bytes, re
     turn(service)
     sensor.lines[0].say(line)
     turn(service)
-    found = service.latest.environment
+    found = service.latest
     assert (found.temperature_c, found.humidity_percent, found.pressure_pa) == pytest.approx(
         (read.temperature_c, read.humidity_percent, read.pressure_pa), nan_ok=True
     )
-    assert service.latest.unread_lines == 0
+    assert service.unread_lines == 0
     sensor.lines[0].say(b"T=-999 P=0\n")
     turn(service)
-    assert service.latest.unread_lines == 1
+    assert service.unread_lines == 1
 
 
 def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Clock) -> None:
@@ -130,7 +131,7 @@ def test_one_that_must_be_asked_is_asked_once_a_period(sensor: Sensor, clock: Cl
         turn(service)
         clock.sleep(0.01)
     assert sensor.received.count("READ?") == 5
-    assert service.latest.environment == AirReading(20.5, 50.1, 99990.0)
+    assert service.latest == AirReading(20.5, 50.1, 99990.0)
 
 
 def test_one_that_is_not_to_be_asked_is_sent_nothing(sensor: Sensor, clock: Clock) -> None:
@@ -147,12 +148,12 @@ def test_an_old_reading_is_not_passed_on_as_the_present_one(sensor: Sensor, cloc
     sensor.lines[0].say(b"T=22.0 P=1000\n")
     turn(service)
     clock.sleep(29.9)
-    assert service.latest.environment.temperature_c == 22.0
+    assert service.latest.temperature_c == 22.0
     clock.sleep(0.2)
-    assert math.isnan(service.latest.environment.temperature_c)
-    assert math.isnan(service.latest.environment.pressure_pa)
+    assert math.isnan(service.latest.temperature_c)
+    assert math.isnan(service.latest.pressure_pa)
     # what it said is still there to be looked at
-    assert service.latest.last_line == "T=22.0 P=1000"
+    assert service.last_line == "T=22.0 P=1000"
 
 
 def test_one_that_is_unplugged_is_said_once_and_found_again(sensor: Sensor) -> None:
@@ -160,16 +161,16 @@ def test_one_that_is_unplugged_is_said_once_and_found_again(sensor: Sensor) -> N
     turn(service)
     sensor.plugged_in = False
     assert turn(service) == 1.0
-    assert service.latest.last_error == "sensor: unplugged"
+    assert service.last_error == "sensor: unplugged"
     assert sensor.lines[0].closed
     assert [turn(service), turn(service)] == [1.0, 1.0]
     assert service.take_events() == ("sensor: unplugged", "x: cannot open the serial port")
     sensor.plugged_in = True
     assert turn(service) == 0.0
-    assert service.latest.last_error == ""
+    assert service.last_error == ""
     sensor.lines[1].say(b"T=22.0 P=1000\n")
     turn(service)
-    assert service.latest.environment.temperature_c == 22.0
+    assert service.latest.temperature_c == 22.0
 
 
 @given(st.text(max_size=60))
@@ -264,9 +265,9 @@ def test_the_rest_of_a_line_that_was_being_sent_is_no_reading() -> None:
     try:
         for _ in range(15):
             service = EnvironmentService(settings)
-            while not service.latest.time_ns:
+            while service.last_ns < 0:
                 turn(service)
-            assert service.latest.environment.temperature_c == 21.5
+            assert service.latest.temperature_c == 21.5
             service._finish()
     finally:
         over.set()

@@ -12,9 +12,8 @@ from processing.errors import DeviceError
 from rig.control import controller as controller_module
 from rig.control.controller import Controller, InterlockOpen, PowerLimit
 from rig.control.firmware.core import VERSION
-from rig.control.protocol import AirReading, checksum, encode
-from rig.control.serial_port import PortLost
-from rig.control.usbtmc import CommandRefused, ControllerReset, ReplyTimeout
+from rig.control.protocol import AirReading, CommandRefused, ControllerReset, checksum, encode
+from rig.control.serial_port import PortLost, ReplyTimeout
 from tests.rig.control.conftest import micropython_boards, settings_for
 from tests.rig.control.stepped import SteppedBoard, stepped_clock
 from tests.rig.control.wires import FirmwareBoard

@@ -1,17 +1,15 @@
-"""A laser may be lit only while frames are read, processed and recorded."""
+"""A laser may be lit only while frames are read, processed and recorded, and they show whether it is."""
 
+from functools import cache
+
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from processing.errors import DeviceError
-from rig.control.light_permit import LONGEST_PAUSE_S, Interlock, LightPermit, Stage
+from rig.control.light_permit import LONGEST_PAUSE_S, Interlock, LightPermit, SpotSeen, Stage
 from rig.control.safety_state import LatchedTrip, SafetyState, TripCause
-
-
-class Clock:
-    now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
+from tests.rig.control.stepped import Clock
 
 
 @pytest.fixture
@@ -21,22 +19,23 @@ def clock() -> Clock:
 
 @pytest.fixture
 def permit(clock: Clock) -> LightPermit:
-    return LightPermit(clock)
+    return LightPermit(clock.monotonic)
 
 
 def test_nothing_needs_to_move_before_anything_is_lit(permit: LightPermit, clock: Clock) -> None:
-    clock.now_s += 1000.0
+    clock.sleep(1000.0)
     assert permit.refusal == ""
 
 
 @pytest.mark.parametrize("stage", [Stage.CAMERA, Stage.PROCESSING])
 def test_a_stage_that_stalls_is_named(permit: LightPermit, clock: Clock, stage: Stage) -> None:
     permit.begin()
+    began_s = clock.monotonic()
     for _ in range(20):
-        clock.now_s += 1.0
+        clock.sleep(1.0)
         for moving in {Stage.CAMERA, Stage.PROCESSING} - {stage}:
             permit.moved(moving)
-        lit = clock.now_s <= 100.0 + LONGEST_PAUSE_S[stage]
+        lit = clock.monotonic() - began_s <= LONGEST_PAUSE_S[stage]
         assert permit.refusal == ("" if lit else f"{stage} has stalled")
     permit.moved(stage)
     assert permit.refusal == ""
@@ -44,7 +43,7 @@ def test_a_stage_that_stalls_is_named(permit: LightPermit, clock: Clock, stage: 
 
 def test_a_recorder_is_watched_only_while_there_is_one(permit: LightPermit, clock: Clock) -> None:
     def others_move_for(time_s: float) -> None:
-        clock.now_s += time_s
+        clock.sleep(time_s)
         permit.moved(Stage.CAMERA)
         permit.moved(Stage.PROCESSING)
 
@@ -71,7 +70,7 @@ def test_what_was_withdrawn_never_comes_back(permit: LightPermit) -> None:
 def test_a_trip_latches_lit_or_dark_and_its_number_grows(clock: Clock, lit: bool) -> None:
     told: list[tuple[LatchedTrip, bool]] = []
     state = SafetyState()
-    permit = LightPermit(clock, state, lambda *said: told.append(said))
+    permit = LightPermit(clock.monotonic, state, lambda *said: told.append(said))
     if lit:
         permit.begin()
     permit.trip(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
@@ -92,10 +91,108 @@ def test_a_trip_latches_lit_or_dark_and_its_number_grows(clock: Clock, lit: bool
 
 def test_what_is_found_on_opening_is_latched_once(clock: Clock) -> None:
     """Who acknowledges opens the devices: the trip must keep the number that was shown."""
-    permit = LightPermit(clock)
+    permit = LightPermit(clock.monotonic)
     for _ in range(2):
         permit.found(TripCause.INTERLOCK, Interlock.CONTROLLER.opened_text)
     assert permit.latched is not None
     assert permit.latched.number == 1
     permit.found(TripCause.OUTPUT, "it stays lit")
     assert permit.latched.number == 2
+
+
+@pytest.fixture
+def spot(clock: Clock) -> SpotSeen:
+    """Judges frames by those that were seen while the laser was lit."""
+    return SpotSeen(clock.monotonic)
+
+
+@cache
+def ground(number: int) -> NDArray[np.float64]:
+    """Noise, one of a few, and two hot pixels."""
+    image = np.random.default_rng(number).normal(8.0, 1.5, (200, 300))
+    image[5, 5] = image[9, 90] = 255
+    return image
+
+
+@cache
+def light_dn(peak_dn: float, lamp_dn: float) -> NDArray[np.float64]:
+    """A spot, and a lamp beside it."""
+    y, x = np.mgrid[:200, :300]
+    spot = peak_dn * np.exp(-((x - 150) ** 2 + (y - 100) ** 2) / 72)
+    return np.asarray(spot + lamp_dn * np.exp(-((x - 40) ** 2 + (y - 30) ** 2) / 200))
+
+
+def frame(peak_dn: float, lamp_dn: float = 0.0, number: int = 0) -> NDArray[np.uint8]:
+    return np.asarray(np.clip(ground(number) + light_dn(peak_dn, lamp_dn), 0, 255), np.uint8)
+
+
+def watched(clock: Clock, spot: SpotSeen, told: bool, peak_dn: float, lamp_dn: float = 0.0) -> None:
+    """Three seconds of frames while the laser says of itself that it is lit, or not."""
+    for number in range(60):
+        clock.sleep(0.05)
+        spot.frame(frame(peak_dn, lamp_dn, number % 7))
+        spot.told(told)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lit_dn", [40.0, 200.0, 400.0])
+@pytest.mark.parametrize("left", [0.0, 0.5, 1.0])
+def test_a_spot_that_stays_disagrees_and_one_that_goes_agrees(
+    clock: Clock, spot: SpotSeen, lit_dn: float, left: float
+) -> None:
+    assert (spot.seen, spot.disagrees, spot.agrees) == (None, False, False)
+    watched(clock, spot, True, lit_dn, lamp_dn=4.0)
+    assert (spot.seen, spot.disagrees, spot.agrees) == (True, False, False)
+    watched(clock, spot, False, left * lit_dn, lamp_dn=4.0)
+    stays = left > 0
+    assert (spot.seen, spot.disagrees, spot.agrees) == (stays, stays, not stays)
+
+
+def test_a_spot_that_left_the_sensor_while_it_was_lit_confirms_no_darkness(
+    clock: Clock, spot: SpotSeen
+) -> None:
+    """A pendulum that was knocked: what the camera did not see before, it does not see go out."""
+    watched(clock, spot, True, 200.0)
+    watched(clock, spot, True, 0.0)
+    # a record takes its time to be closed
+    clock.sleep(20.0)
+    watched(clock, spot, False, 0.0)
+    assert (spot.seen, spot.disagrees, spot.agrees) == (False, False, False)
+    # one that comes back is still light that should be off
+    watched(clock, spot, False, 200.0)
+    assert spot.disagrees
+    # and one that swings out of it and back again was seen
+    for _ in range(3):
+        watched(clock, spot, True, 200.0)
+        clock.sleep(0.5)
+        spot.frame(frame(0.0))
+        spot.told(True)
+    clock.sleep(20.0)
+    watched(clock, spot, False, 0.0)
+    assert spot.agrees
+
+
+def test_frames_on_their_way_do_not_disagree(clock: Clock, spot: SpotSeen) -> None:
+    spot.exposure_s = 1.0
+    watched(clock, spot, True, 200.0)
+    watched(clock, spot, True, 200.0)
+    watched(clock, spot, False, 200.0)
+    assert spot.seen
+    assert not spot.disagrees
+    watched(clock, spot, False, 200.0)
+    assert spot.disagrees
+
+
+def test_where_no_spot_was_ever_seen_nothing_is_judged(clock: Clock, spot: SpotSeen) -> None:
+    watched(clock, spot, True, 0.0)
+    watched(clock, spot, False, 0.0)
+    assert (spot.seen, spot.disagrees, spot.agrees) == (None, False, False)
+
+
+def test_an_old_frame_has_its_age(clock: Clock, spot: SpotSeen) -> None:
+    assert spot.age_s == np.inf
+    spot.frame(frame(0.0))
+    clock.sleep(5.0)
+    assert spot.age_s == 5.0
+    spot.frame(np.zeros((1, 2), np.uint8))
+    assert spot.age_s == 5.0

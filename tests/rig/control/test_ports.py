@@ -1,8 +1,6 @@
 """Checks of what is plugged in, and the settings of the devices: each says what to do."""
 
-import contextlib
 import math
-from collections.abc import Iterator
 
 import pytest
 from pydantic import ValidationError
@@ -131,11 +129,7 @@ def test_the_check_of_a_sensor_names_the_line_that_does_not_match(
         def answer(self, command: str) -> str:
             return line
 
-    @contextlib.contextmanager
-    def opened(*_: object) -> Iterator[InstrumentLine]:
-        yield InstrumentLine(Sensor(), clock)
-
-    monkeypatch.setattr(ports_module, "SerialPort", opened)
+    monkeypatch.setattr(ports_module, "SerialPort", lambda *_: InstrumentLine(Sensor(), clock))
     began_s = clock.monotonic()
     (check,) = check_environment(EnvironmentSettings(kind="serial", port="x", request=request_text))
     assert (check.ok, check.reason) == (ok, reason)

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.control.firmware import core
+from rig.control.firmware.lines import crc16
 from rig.control.protocol import BoardEvent, Reply, checksum, decode, encode
+from tests.rig.control.stepped import Clock, SteppedBoard
 
 PRINTABLE = st.text(st.characters(min_codepoint=32, max_codepoint=126, exclude_characters="#!"), max_size=60)
 
@@ -20,12 +21,12 @@ def seal(body: bytes) -> bytes:
 def test_checksum_is_the_published_one_on_both_sides() -> None:
     # Check value of CRC-16/CCITT-FALSE in the catalogues of CRC algorithms.
     assert checksum(b"123456789") == 0x29B1
-    assert core.crc16(b"123456789") == 0x29B1
+    assert crc16(b"123456789") == 0x29B1
 
 
 @given(st.binary(max_size=100))
 def test_both_sides_compute_the_same_checksum(data: bytes) -> None:
-    assert core.crc16(data) == checksum(data)
+    assert crc16(data) == checksum(data)
 
 
 @given(st.integers(1, 65535), PRINTABLE.filter(lambda t: not t.startswith(("OK", "ERR"))))
@@ -73,21 +74,6 @@ def test_a_tag_out_of_range_is_refused(tag: int) -> None:
         encode(tag, "*IDN?")
 
 
-class SilentBoard:
-    """Just enough of a board to ask the firmware which commands it knows."""
-
-    laser_max_w = 0.001
-    clamp_closed = False
-    fault = ""
-    latches_at_start = False
-
-    def stored_latch(self) -> tuple[int, str]:
-        return 0, "NONE"
-
-    def __getattr__(self, name: str) -> object:
-        return lambda *_: None
-
-
 def test_the_document_names_every_command_and_its_example_is_valid() -> None:
     text = (Path(__file__).resolve().parents[3] / "docs" / "controller.md").read_text()
     assert encode(1, "SYST:SESS A1,1500").decode().strip() in text
@@ -101,7 +87,7 @@ def test_the_document_names_every_command_and_its_example_is_valid() -> None:
                 continue
             command = code.split(" ")[0].upper()
             documented.add(command)
-    firmware = core.Firmware(SilentBoard())  # type: ignore[no-untyped-call]
+    firmware = SteppedBoard(Clock()).firmware
     known = set(firmware._free) | set(firmware._acting)
     assert documented <= known
     # Every action of the firmware is reached by a documented command.

@@ -5,13 +5,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import pytest
 
 from rig.control.controller import Controller
+from rig.control.protocol import ControllerReset
 from rig.control.service import ControlService
-from rig.control.usbtmc import ControllerReset
 from tests.rig.control.conftest import settings_for
 from tests.rig.control.wires import FirmwareBoard
 
@@ -64,13 +64,19 @@ def test_stopped_but_not_ended(board: FirmwareBoard) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", ["returns", "raises", "exits", "closes"])
-def test_every_other_way_to_end(board: FirmwareBoard, ending: str) -> None:
-    with lit_by_another_program(board, ending) as program:
-        assert program.stdin is not None
-        program.stdin.write("\n")
-        program.stdin.flush()
-        board.wait_for(lambda: dark(board), DARK_WITHIN_S)
+def test_every_other_way_to_end(make_board: Callable[..., FirmwareBoard]) -> None:
+    """At the same time, each with a board of its own."""
+    with ExitStack() as programs:
+        begun = []
+        for ending in ("returns", "raises", "exits", "closes"):
+            board = make_board()
+            begun.append((board, programs.enter_context(lit_by_another_program(board, ending))))
+        for _, program in begun:
+            assert program.stdin is not None
+            program.stdin.write("\n")
+            program.stdin.flush()
+        for board, _ in begun:
+            board.wait_for(lambda board=board: dark(board), DARK_WITHIN_S)  # type: ignore[misc]
 
 
 def test_cable_pulled_while_the_program_lives(make_board: Callable[..., FirmwareBoard]) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rig.control import SeismometerLines, SeismometerSettings
-from rig.control.seismometer import FileTail, sample_of
+from rig.control.sensors import FileTail, sample_of
 from rig.settings import keys_with_faults
 from tests.waiting import until
 

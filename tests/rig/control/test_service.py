@@ -9,8 +9,6 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.control.controller import Controller, PowerLimit
-from rig.control.light_permit import LightPermit, LightRefused
-from rig.control.safety_state import SafetyState
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from tests.rig.control.conftest import settings_for
@@ -35,35 +33,13 @@ def test_snapshot_follows_the_board(board: FirmwareBoard) -> None:
         service.laser_on().result(1.0)
 
 
-def test_reset_board_is_opened_again_and_stays_dark(board: FirmwareBoard) -> None:
-    control, state = settings_for(board.port, heartbeat_s=0.05), SafetyState()
-    permit = LightPermit(state=state)
-    with ControlService(Controller(control, 0.001), control, permit=permit) as service:
-        service.wait_open(10.0)
-        service.laser_on().result(5.0)
-        board.press(b"r")
-        until(lambda: service.snapshot.reconnects >= 1)
-        until(lambda: (s := service.snapshot.status) is not None and not s.laser_on)
-        assert board.outputs()["laser"][0] == 0
-        with pytest.raises(LightRefused, match=r"trip 1 \(POWER\): the controller was reset"):
-            service.laser_on().result(5.0)
-        assert board.outputs()["laser"][0] == 0
-        state.acknowledge(1)
-        with pytest.raises(LightRefused, match="until a person asks for light"):
-            service.laser_on().result(5.0)
-        permit.ask()
-        service.laser_on().result(5.0)
-        assert board.outputs()["laser"][0] == 1
-        assert any("reset" in text or "session" in text for text in service.take_events())
-
-
 def test_unplugged_and_plugged_in_again(make_board: Callable[..., FirmwareBoard], tmp_path: Path) -> None:
     first = make_board(through_wire=True)
     assert first.wire is not None
     # As udev does: the name stays, the device behind it changes.
     name = tmp_path / "rig-controller"
     name.symlink_to(first.port)
-    control = settings_for(str(name), heartbeat_s=0.05, timeout_s=0.1)
+    control = settings_for(str(name), heartbeat_s=0.05)
     with ControlService(Controller(control, 0.001), control) as service:
         service.wait_open(10.0)
         first.wire.unplug()

@@ -1,19 +1,19 @@
 """What the controller's thread decides, turn by turn, with the firmware on a stepped clock."""
 
 from collections.abc import Callable
+from concurrent.futures import Future
 
 import pytest
 
 from processing.errors import DeviceError
 from rig.control.controller import Controller, InterlockOpen, PowerLimit
 from rig.control.light_permit import LONGEST_PAUSE_S, LightPermit, LightRefused, Stage
-from rig.control.protocol import AirReading
+from rig.control.protocol import AirReading, CommandRefused
 from rig.control.safety_state import SafetyState, TripCause
 from rig.control.serial_port import PortLost
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings
-from rig.control.usbtmc import CommandRefused
-from rig.control.worker import JobExpired, Worker
+from rig.control.worker import DeviceThread, JobExpired
 from tests.rig.control.stepped import Clock, SpoiledLine, SteppedBoard, stepped_clock, turn
 
 HEARTBEAT_S, WATCHDOG_S = 0.5, 2.0
@@ -63,23 +63,6 @@ def live(service: ControlService, board: SteppedBoard, duration_s: float) -> Non
     end_s = board.clock.monotonic() + duration_s
     while board.clock.monotonic() < end_s:
         board.turn(turn(service))
-
-
-def test_a_trip_whose_line_was_lost_is_latched_once(
-    service: ControlService, board: SteppedBoard, state: SafetyState
-) -> None:
-    lit(service, board)
-    board.to_host = lambda data: b"" if b"TRIP" in data else data
-    board.closed = False
-    board.turn(0.02)
-    board.closed = True
-    live(service, board, 2.0)
-    assert state.trip is not None
-    assert (state.trip.number, state.trip.cause) == (1, TripCause.INTERLOCK)
-    state.acknowledge(1)
-    live(service, board, 2.0)
-    assert state.trip is None
-    assert board.outputs()["laser"][0] == 0
 
 
 def test_an_output_that_does_not_follow_is_latched(
@@ -307,8 +290,8 @@ def test_an_interlock_that_opens_is_noticed_by_the_permit(
         on.result(0)
 
 
-def test_an_opening_of_20_ms_latches_though_the_line_about_it_was_lost(
-    service: ControlService, board: SteppedBoard, permit: LightPermit
+def test_an_opening_of_20_ms_latches_once_though_the_line_about_it_was_lost(
+    service: ControlService, board: SteppedBoard, permit: LightPermit, state: SafetyState
 ) -> None:
     lit(service, board)
     board.to_host = lambda data: b"" if b"TRIP" in data else data
@@ -325,10 +308,15 @@ def test_an_opening_of_20_ms_latches_though_the_line_about_it_was_lost(
     turn(service)
     with pytest.raises(LightRefused, match="trip 1"):
         on.result(0)
+    state.acknowledge(1)
+    live(service, board, 2.0)
+    assert state.trip is None
     assert board.outputs()["laser"][0] == 0
 
 
-def test_a_reset_board_is_opened_again_and_stays_dark(service: ControlService, board: SteppedBoard) -> None:
+def test_a_reset_board_is_opened_again_and_stays_dark(
+    service: ControlService, board: SteppedBoard, permit: LightPermit, state: SafetyState
+) -> None:
     lit(service, board)
     board.press(b"r")
     board.turn()
@@ -342,6 +330,22 @@ def test_a_reset_board_is_opened_again_and_stays_dark(service: ControlService, b
     live(service, board, 3.0)
     assert board.outputs()["laser"][0] == 0
     assert service.snapshot.reconnects == 1
+    assert any("reset" in text for text in service.take_events())
+
+    def asked() -> Future[None]:
+        on = service.laser_on()
+        turn(service)
+        return on
+
+    with pytest.raises(LightRefused, match=r"trip 1 \(POWER\): the controller was reset"):
+        asked().result(0)
+    state.acknowledge(1)
+    with pytest.raises(LightRefused, match="until a person asks for light"):
+        asked().result(0)
+    assert board.outputs()["laser"][0] == 0
+    permit.ask()
+    asked().result(0)
+    assert board.outputs()["laser"][0] == 1
 
 
 def test_an_unplugged_board_is_said_once(service: ControlService, board: SteppedBoard) -> None:
@@ -422,6 +426,20 @@ def test_a_board_whose_firmware_knows_no_pulses_is_named(board: SteppedBoard) ->
         controller.set_laser_pulse(0.0, 20.0)
 
 
+class Worker(DeviceThread):
+    """Operates nothing."""
+
+    def __init__(self, turn: Callable[[], float], finish: Callable[[], None]) -> None:
+        self._turn_once, self._finish_once = turn, finish
+        super().__init__("test")
+
+    def _turn(self) -> float:
+        return self._turn_once()
+
+    def _finish(self) -> None:
+        self._finish_once()
+
+
 class TestWorker:
     """Which of its jobs a thread does, when."""
 
@@ -431,7 +449,7 @@ class TestWorker:
 
     @pytest.fixture
     def worker(self, clock: Clock, order: list[str]) -> Worker:
-        return Worker("test", lambda: 1.0, lambda: order.append("finish"))
+        return Worker(lambda: 1.0, lambda: order.append("finish"))
 
     def work_off(self, worker: Worker) -> None:
         while not worker._jobs.empty():
@@ -440,10 +458,10 @@ class TestWorker:
     def test_urgent_jobs_go_first_and_late_ones_do_not_act(
         self, worker: Worker, order: list[str], clock: Clock
     ) -> None:
-        late = worker.submit(lambda: order.append("late"), 0.05)
-        first = worker.submit(lambda: order.append("first"), 10.0)
-        urgent = worker.submit(lambda: order.append("urgent"), 10.0, urgent=True)
-        cancelled = worker.submit(lambda: order.append("cancelled"), 10.0)
+        late = worker._queue(lambda: order.append("late"), 0.05)
+        first = worker._queue(lambda: order.append("first"), 10.0)
+        urgent = worker._queue(lambda: order.append("urgent"), 10.0, urgent=True)
+        cancelled = worker._queue(lambda: order.append("cancelled"), 10.0)
         assert cancelled.cancel()
         clock.sleep(0.1)
         self.work_off(worker)
@@ -453,7 +471,7 @@ class TestWorker:
         assert order == ["urgent", "first"]
 
     def test_a_job_at_its_last_moment_is_done(self, worker: Worker, order: list[str], clock: Clock) -> None:
-        job = worker.submit(lambda: order.append("just"), 0.5)
+        job = worker._queue(lambda: order.append("just"), 0.5)
         clock.sleep(0.499)
         self.work_off(worker)
         assert job.done()
@@ -463,18 +481,18 @@ class TestWorker:
         def fail() -> None:
             raise ZeroDivisionError("of the job")
 
-        job = worker.submit(fail, 1.0)
+        job = worker._queue(fail, 1.0)
         self.work_off(worker)
         with pytest.raises(ZeroDivisionError):
             job.result(0)
         assert worker.failure is None
 
     def test_what_waits_fails_when_it_is_closed(self, worker: Worker, order: list[str]) -> None:
-        waiting = worker.submit(lambda: order.append("waiting"), 10.0)
+        waiting = worker._queue(lambda: order.append("waiting"), 10.0)
         assert worker.close()
         worker._run()
         assert order == ["finish"]
-        for job in (waiting, worker.submit(lambda: order.append("after"), 10.0)):
+        for job in (waiting, worker._queue(lambda: order.append("after"), 10.0)):
             with pytest.raises(DeviceError, match="test is closed"):
                 job.result(0)
 
@@ -484,8 +502,8 @@ def test_an_error_of_ours_ends_a_worker_with_its_reason() -> None:
         raise ZeroDivisionError("a fault of ours")
 
     finished: list[bool] = []
-    worker = Worker("test", fail, lambda: finished.append(True))
-    future = worker.submit(lambda: None, 10.0)
+    worker = Worker(fail, lambda: finished.append(True))
+    future = worker._queue(lambda: None, 10.0)
     worker._run()
     with pytest.raises(DeviceError, match="closed"):
         future.result(0)

@@ -1,12 +1,8 @@
-"""The simulated controller and a sensor of the air in their threads, as a session has them."""
+"""The simulated controller in its thread, as a session has it."""
 
-import math
-import os
-import pty
 import threading
 import time
-import tty
-from collections.abc import Iterator
+from contextlib import ExitStack
 
 import pytest
 
@@ -14,7 +10,7 @@ from rig.control.controller import InterlockOpen, PowerLimit
 from rig.control.light_permit import LightRefused
 from rig.control.protocol import AirReading
 from rig.control.service import ControlService, ControlState
-from rig.control.settings import ControllerSettings, EnvironmentService, EnvironmentSettings, SerialFaults
+from rig.control.settings import ControllerSettings, SerialFaults
 from rig.control.simulated import SimulatedOutputs, simulated_controller
 from tests.waiting import until
 
@@ -88,7 +84,7 @@ def test_serial_junk_by_setting_is_survived() -> None:
     with ControlService(simulated_controller(control, 0.001, rig.outputs()), control) as service:
         service.wait_open(20.0)
         service.laser_on().result(10.0)
-        powers = [1e-5 * i for i in range(1, 60)]
+        powers = [1e-5 * i for i in range(1, 31)]
         for future in [service.submit(lambda c, p=p: c.set_laser_power_w(p), 60.0) for p in powers]:  # type: ignore[misc]
             future.result(60.0)
         until(lambda: service.snapshot.junk_lines > 0 and service.snapshot.retried > 0)
@@ -97,43 +93,15 @@ def test_serial_junk_by_setting_is_survived() -> None:
 
 
 def test_reset_and_unplug_by_setting() -> None:
-    control = simulated(faults=SerialFaults(reset_at_s=0.5, unplug_at_s=4.0))
-    with ControlService(simulated_controller(control, 0.001), control) as service:
-        service.wait_open()
-        until(lambda: service.snapshot.reconnects >= 1)
-        until(lambda: service.snapshot.state is ControlState.LOST)
-        assert "simulated controller" in service.snapshot.last_error
-
-
-# -- environment ---------------------------------------------------------------
-
-
-@pytest.fixture
-def sensor() -> Iterator[tuple[int, str]]:
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    yield master, os.ttyname(slave)
-    os.close(master)
-    os.close(slave)
-
-
-def test_sensor_that_writes_lines(sensor: tuple[int, str]) -> None:
-    master, port = sensor
-    pattern = r"T=(?P<temperature_c>[-\d.]+) (?:H=(?P<humidity_percent>[\d.]+) )?P=(?P<pressure_hpa>[\d.]+)"
-    with EnvironmentService(EnvironmentSettings(kind="serial", port=port, pattern=pattern)) as service:
-        assert math.isnan(service.latest.environment.temperature_c)
-        # what comes before the port is open is lost, as with any sensor
-        until(lambda: os.write(master, b"garbage\xff\r\n") > 0 and service.latest.unread_lines > 0)
-        os.write(master, b"T=21.5 H=40.25 P=1013.")
-        time.sleep(0.05)
-        os.write(master, b"25\r\n")
-        until(lambda: service.latest.environment == AirReading(21.5, 40.25, 101325.0))
-        os.write(master, b"T=22.0 P=1000\n")
-        until(lambda: service.latest.environment.temperature_c == 22.0)
-        assert math.isnan(service.latest.environment.humidity_percent)
-
-
-def test_missing_sensor_is_reported_and_awaited() -> None:
-    with EnvironmentService(EnvironmentSettings(kind="serial", port="/dev/ttyNoSuchPort")) as service:
-        until(lambda: "/dev/ttyNoSuchPort" in service.latest.last_error)
-    assert service.failure is None
+    services = []
+    with ExitStack() as stack:
+        for faults in (SerialFaults(reset_at_s=0.5), SerialFaults(unplug_at_s=1.0)):
+            control = simulated(faults=faults)
+            services.append(
+                stack.enter_context(ControlService(simulated_controller(control, 0.001), control))
+            )
+            services[-1].wait_open()
+        reset, unplugged = services
+        until(lambda: reset.snapshot.reconnects >= 1)
+        until(lambda: unplugged.snapshot.state is ControlState.LOST)
+        assert "simulated controller" in unplugged.snapshot.last_error

@@ -16,18 +16,12 @@ from rig.control import LaserNow, Light, LightRefused
 from rig.devices.session_devices import Devices
 from rig.measure.preflight import frame_checks
 from rig.settings import Configuration, validate_configuration
-from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
+from tests.rig.control.instruments import FakeObis, Instrument
+from tests.rig.control.lasers.pairs import FAMILIES
 from tests.rig.control.test_ending import ENDED_WITHIN_S, command
 from tests.rig.control.wires import FirmwareBoard
 from tests.rig.known_rig import known
 from tests.waiting import until
-
-FAMILIES: dict[str, type[Instrument]] = {
-    "thorlabs4000": FakeThorlabs,
-    "obis": FakeObis,
-    "ldc500": FakeLdc500,
-    "cobolt": FakeCobolt,
-}
 
 
 def configuration(kind: str, port: str, **sections: Any) -> Configuration:
@@ -40,7 +34,7 @@ def configuration(kind: str, port: str, **sections: Any) -> Configuration:
 
 @pytest.fixture(params=sorted(FAMILIES))
 def family(request: pytest.FixtureRequest) -> Iterator[tuple[str, Instrument]]:
-    instrument = FAMILIES[request.param]()
+    instrument = FAMILIES[request.param][0]()
     yield request.param, instrument
     instrument.close()
 
@@ -120,7 +114,14 @@ def test_too_much_light_is_acknowledged_only_when_it_is_gone() -> None:
         instrument.close()
 
 
-def test_a_laser_that_is_not_there_is_named() -> None:
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a laser that is not there, which nobody needs to wait for."""
+    monkeypatch.setattr("rig.devices.laser._ANSWERS_WITHIN_S", 2.0)
+    monkeypatch.setattr("rig.devices.lit_devices._LASER_CONFIRMS_WITHIN_S", 0.2)
+
+
+def test_a_laser_that_is_not_there_is_named(impatient: None) -> None:
     known("/dev/ttyNoSuchPort")
     missing = configuration("obis", "/dev/ttyNoSuchPort")
     with Devices(missing) as devices, pytest.raises(DeviceError, match="/dev/ttyNoSuchPort: cannot open"):

@@ -50,7 +50,7 @@ SWITCHES = {
     ("devices/laser.py", "light", "enable"),
     ("devices/laser.py", "light", "laser_on"),
     ("control/service.py", "_light", "laser_on"),
-    ("control/states.py", "_light", "enable"),
+    ("control/laser_service.py", "_light", "enable"),
 }
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from rig.control import LightRefused
+from rig.control import ControlService, LightRefused
+from rig.control.protocol import ControllerIdentity
 from rig.control.serial_port import PortLost, SerialPort
 from rig.devices import Devices
 from rig.settings import Configuration, validate_configuration
@@ -20,6 +21,7 @@ from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.control.wires import FirmwareBoard
 from tests.rig.known_rig import known
+from tests.waiting import until
 
 # a port that nobody answers is waited for
 pytestmark = pytest.mark.timeout(120)
@@ -101,6 +103,20 @@ def test_a_start_by_a_controller_that_is_not_there_is_refused_before_anything_wa
         assert f"{key}, but controller.kind = 'none'" in doctor.stdout
 
 
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is wrong with the first try to open a device is taken at once, as the last one would be."""
+    usual = ControlService.wait_open
+
+    def wait_open(service: ControlService, _timeout_s: float = 0.0) -> ControllerIdentity:
+        until(lambda: bool(service.snapshot.last_error))
+        return usual(service, 0.0)
+
+    monkeypatch.setattr(ControlService, "wait_open", wait_open)
+    monkeypatch.setattr("rig.devices.laser._ANSWERS_WITHIN_S", 2.0)
+    monkeypatch.setattr("rig.devices.lit_devices._LASER_CONFIRMS_WITHIN_S", 0.2)
+
+
 @pytest.mark.parametrize(
     ("says", "echoes", "heard"),
     [
@@ -113,7 +129,7 @@ def test_a_start_by_a_controller_that_is_not_there_is_refused_before_anything_wa
     ids=["silent", "chatty", "echo", "another baud rate", "prompt without a line's end"],
 )
 def test_a_board_with_another_program_is_told_what_it_lacks(
-    tmp_path: Path, says: bytes, echoes: bool, heard: str
+    tmp_path: Path, impatient: None, says: bytes, echoes: bool, heard: str
 ) -> None:
     with foreign_board(says, echoes=echoes) as port:
         known(port)
@@ -127,7 +143,7 @@ def test_a_board_with_another_program_is_told_what_it_lacks(
     assert line.endswith(f"{WITHOUT} --set 'start.way=at once'")
 
 
-def test_a_port_that_is_not_there_is_said_once_with_those_that_are(tmp_path: Path) -> None:
+def test_a_port_that_is_not_there_is_said_once_with_those_that_are(tmp_path: Path, impatient: None) -> None:
     keys = {**SHORT, "controller.kind": "serial", "controller.port": "/dev/ttyWRONG", "start.way": "at once"}
     done = rig("run", LIVE, "-o", "out", *set_words(keys), cwd=tmp_path)
     (line,) = (line for line in done.stderr.splitlines() if line.startswith("rig: "))
@@ -142,7 +158,9 @@ def test_a_port_that_is_not_there_is_said_once_with_those_that_are(tmp_path: Pat
     assert WITHOUT in said
 
 
-def test_a_laser_that_is_not_there_says_so_once_and_how_to_do_without(tmp_path: Path) -> None:
+def test_a_laser_that_is_not_there_says_so_once_and_how_to_do_without(
+    tmp_path: Path, impatient: None
+) -> None:
     known("/dev/ttyWRONG")
     keys = {**SHORT, "controller.kind": "none", "start.way": "at once", "preflight.when": "never"}
     keys |= {"laser.kind": "obis", "laser.port": "/dev/ttyWRONG", "laser.power_w": "0.0005"}
@@ -156,7 +174,10 @@ def test_a_laser_that_is_not_there_says_so_once_and_how_to_do_without(tmp_path: 
 def test_a_port_that_another_program_has_is_called_that() -> None:
     master, slave = pty.openpty()
     try:
-        with SerialPort(os.ttyname(slave)), pytest.raises(PortLost, match="another program has it open; end"):
+        with (
+            closing(SerialPort(os.ttyname(slave))),
+            pytest.raises(PortLost, match="another program has it open; end"),
+        ):
             SerialPort(os.ttyname(slave))
     finally:
         os.close(master)

@@ -9,10 +9,9 @@ from calibration.axes_fit import Axes
 from processing.balance import Balance, BalanceEstimator
 from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError
-from processing.spot import SensorModel, SpotTracker
+from processing.spot import SensorModel
 from processing.swing import TurningPointDetector
-from rig.instrument import Pipeline
-from rig.instrument.pipeline import BesideThread
+from rig.instrument.pipeline import BesideThread, Optics
 
 ARCSEC_RAD = np.pi / 180 / 3600
 
@@ -41,7 +40,7 @@ def test_the_same_swings_and_balances_as_in_line() -> None:
     estimator = BalanceEstimator()
     in_line = [balance for block in blocks for balance in estimator.update(block)]
     assert len(in_line) > 4
-    pipeline = Pipeline(SpotTracker(SensorModel(39.2, 7.0, 255)), None, Axes(), (640, 320), beside=True)
+    pipeline = Optics(SensorModel(39.2, 7.0, 255), None, Axes()).pipeline((640, 320), beside=True)
     found = [pipeline.detect([], block) for block in blocks]
     beside = [balance for block in found for balance in block.balances] + pipeline.finish_balance()
     assert [repr(balance) for balance in beside] == [repr(balance) for balance in in_line]

@@ -20,9 +20,9 @@ from numba.core.dispatcher import Dispatcher
 from acquisition.camera import Frame
 from acquisition.record.codec import encode_window
 from calibration.axes_fit import Axes
-from processing.spot import SensorModel, SpotTracker
+from processing.spot import SensorModel
 from rig.instrument.provenance import prepare_kernels
-from rig.instrument.pipeline import Pipeline
+from rig.instrument.pipeline import Optics
 
 full_scale = float(sys.argv[1])
 sensor = SensorModel(gain_e_per_dn=10_000.0 / full_scale, read_noise_e=7.0, full_scale_dn=full_scale)
@@ -35,7 +35,7 @@ def compiled():
 
 prepare_kernels(sensor, lambda text: None)
 before = compiled()
-pipeline = Pipeline(SpotTracker(sensor), None, Axes(), (120, 160))
+pipeline = Optics(sensor, None, Axes()).pipeline((120, 160))
 y, x = np.mgrid[0:120, 0:160]
 random = np.random.default_rng(1)
 swings = 0

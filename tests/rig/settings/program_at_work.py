@@ -28,6 +28,7 @@ from rig.control import (
     SafetyNow,
     SeismometerLines,
     SeismometerSettings,
+    sensors,
     simulated_controller,
 )
 from rig.control.settings import SerialFaults
@@ -206,13 +207,15 @@ def read_the_environment() -> None:
         def close(self) -> None: ...
 
     settings = EnvironmentSettings(kind="serial", port=NOWHERE, request="R")
-    for open_line in (Line, None):
-        with EnvironmentService(settings, open_line) as service:
-            deadline_s = time.monotonic() + 5.0
-            while time.monotonic() < deadline_s and not (
-                service.latest.last_line or service.latest.last_error
-            ):
-                time.sleep(0.01)
+    with pytest.MonkeyPatch.context() as patched:
+        for is_there in (True, False):
+            if is_there:
+                patched.setattr(sensors, "SerialPort", lambda *_: Line())
+            with EnvironmentService(settings) as service:
+                deadline_s = time.monotonic() + 5.0
+                while time.monotonic() < deadline_s and not (service.last_line or service.last_error):
+                    time.sleep(0.01)
+            patched.undo()
 
 
 def choose_a_camera() -> None:

@@ -105,7 +105,7 @@ def test_what_is_added_to_a_registry_is_configured_made_and_found(copy: Path) ->
     (cameras / "still.py").write_text(DRIVER, encoding="utf-8")
     add(cameras / "drivers.py", "DRIVERS: dict[str, Driver] = {", ENTRY)
     (lasers / "torch.py").write_text(LASER, encoding="utf-8")
-    add(lasers / "drivers.py", "LASERS: dict[str, str] = {", LASER_ENTRY)
+    add(lasers / "settings.py", "LASERS: dict[str, str] = {", LASER_ENTRY)
     add(copy / "processing" / "instruments" / "descriptions.py", "_TABLE = (", INSTRUMENT)
     (copy / "still.toml").write_text(
         '[camera]\ndriver = "still"\nserial = "A1"\n[camera.still]\nlevel_dn = 9\n'

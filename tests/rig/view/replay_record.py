@@ -8,10 +8,8 @@ import numpy as np
 
 from acquisition.record.writer import RecordWriter
 from acquisition.simulation.true_path import true_path
-from calibration.axes_fit import Axes
-from processing.spot import Spot, SpotFlag, SpotTracker
-from rig.instrument import complete, sensor_model
-from rig.instrument.pipeline import Pipeline
+from processing.spot import Spot, SpotFlag
+from rig.instrument import complete, optics_of
 from rig.instrument.provenance import configuration_attachments
 from rig.settings import load_configuration
 
@@ -57,8 +55,7 @@ def make_record(
     ]
     spots[LOST_FRAME] = Spot(*[math.nan] * 10, int(SpotFlag.LOST))
     times_ns = START_NS + np.round(times_s * 1e9).astype(np.int64)
-    tracker = SpotTracker(sensor_model(config, 255))
-    pipeline = Pipeline(tracker, config.lever, config.axes or Axes(), SHAPE)
+    pipeline = optics_of(config, 255).pipeline(SHAPE)
     metadata = {
         "frame": {"width_px": str(SHAPE[1]), "height_px": str(SHAPE[0])},
         "camera": {"full_scale_dn": "255"},

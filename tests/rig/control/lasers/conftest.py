@@ -1,10 +1,11 @@
 """Instruments by their ports, and each driver with its instrument."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
-from rig.control.lasers import LASERS, serial_laser
+from rig.control.lasers import LASERS, SerialLaser, serial_laser
+from tests.rig.control.instruments import Instrument
 from tests.rig.control.lasers.pairs import FAMILIES, Pair, Ports, laser_for
 from tests.rig.control.stepped import stepped_clock
 
@@ -26,3 +27,19 @@ def pair(request: pytest.FixtureRequest, ports: Ports) -> Iterator[Pair]:
     instrument.stuck_on = False
     laser.close()
     assert all(line.closed for line in ports.lines)
+
+
+@pytest.fixture
+def opened(ports: Ports) -> Iterator[Callable[[Instrument], SerialLaser]]:
+    """Opens the laser that an instrument is, and closes it with the test."""
+    kinds = {family: kind for kind, (family, _, _) in FAMILIES.items()}
+    lasers: list[SerialLaser] = []
+
+    def open_one(instrument: Instrument) -> SerialLaser:
+        lasers.append(laser_for(kinds[type(instrument)], ports.plug_in(instrument)))
+        lasers[-1].open()
+        return lasers[-1]
+
+    yield open_one
+    for laser in lasers:
+        laser.close()

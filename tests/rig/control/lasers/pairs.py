@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from rig.control.lasers import Laser, LaserSettings, make_laser
+from rig.control.lasers import LaserSettings, SerialLaser, make_laser
 from rig.control.serial_port import PortLost, SerialLine
 from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
 from tests.rig.control.stepped import Clock, InstrumentLine
@@ -25,7 +25,7 @@ class Pair:
     """A driver and the instrument that it drives."""
 
     kind: str
-    laser: Laser
+    laser: SerialLaser
     instrument: Instrument
 
     def set(self, value: float) -> None:
@@ -35,7 +35,7 @@ class Pair:
             self.laser.set_power_w(value)
 
 
-def laser_for(kind: str, port: str) -> Laser:
+def laser_for(kind: str, port: str) -> SerialLaser:
     laser = make_laser(
         LaserSettings.model_validate(
             {"kind": kind, "port": port, "timeout_s": 0.3, "max_power_w": LIMIT, "max_current_a": LIMIT}

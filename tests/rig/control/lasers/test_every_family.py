@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from processing.errors import DeviceError
 from rig.control.controller import InterlockOpen, PowerLimit
 from rig.control.lasers import LASERS, LaserRefused
-from rig.control.serial_port import PortLost
-from rig.control.usbtmc import ReplyTimeout
+from rig.control.serial_port import PortLost, ReplyTimeout
 from tests.rig.control.lasers.pairs import FAMILIES, LIMIT, STRAYED, Pair, Ports, laser_for
 
 

@@ -4,12 +4,20 @@ import pytest
 
 from processing.errors import DeviceError
 from rig.control.controller import PowerLimit
+from rig.control.laser_service import LaserService
 from rig.control.light_permit import LightPermit
 from rig.control.serial_port import PortLost
-from rig.control.states import LaserService
 from tests.rig.control.instruments import FakeCobolt, FakeObis
 from tests.rig.control.lasers.pairs import Ports, laser_for
 from tests.rig.control.stepped import turn
+
+
+def lit(service: LaserService, instrument: FakeCobolt) -> None:
+    """The service's laser open and on."""
+    turn(service)
+    service.enable()
+    turn(service)
+    assert instrument.on
 
 
 class TestService:
@@ -50,10 +58,7 @@ class TestService:
     def test_silence_is_said_once_and_a_laser_found_again_is_dark(
         self, service: LaserService, instrument: FakeCobolt
     ) -> None:
-        turn(service)
-        service.enable()
-        turn(service)
-        assert instrument.on
+        lit(service, instrument)
         service.take_events()
         instrument.silent = True
         assert [turn(service), turn(service)] == [1.0, 1.0]
@@ -78,9 +83,7 @@ class TestService:
     def test_without_a_permit_it_goes_dark_once_and_stays_dark(
         self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
     ) -> None:
-        turn(service)
-        service.enable()
-        turn(service)
+        lit(service, instrument)
         permit.withdraw("the run ends")
         turn(service)
         assert not instrument.on
@@ -116,9 +119,7 @@ class TestService:
     def test_modulation_switched_on_while_it_is_lit_darkens(
         self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
     ) -> None:
-        turn(service)
-        service.enable()
-        turn(service)
+        lit(service, instrument)
         instrument.mode = 4
         turn(service)
         assert not instrument.on
@@ -176,9 +177,7 @@ class TestService:
     def test_an_off_that_was_not_obeyed_is_given_again(
         self, service: LaserService, instrument: FakeCobolt, permit: LightPermit
     ) -> None:
-        turn(service)
-        service.enable()
-        turn(service)
+        lit(service, instrument)
         instrument.deaf_to_off = 20
         permit.withdraw("the run ends")
         turn(service)
@@ -208,10 +207,7 @@ class TestService:
         self, ports: Ports, service: LaserService, instrument: FakeCobolt
     ) -> None:
         """A computer that stood still must not forget it."""
-        turn(service)
-        service.enable()
-        turn(service)
-        assert instrument.on
+        lit(service, instrument)
         off = service.off()
         ports.clock.sleep(60.0)
         turn(service)

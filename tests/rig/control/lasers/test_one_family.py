@@ -1,10 +1,14 @@
 """What one family of lasers does in a way of its own."""
 
+from collections.abc import Callable
+
 import pytest
 
-from rig.control.lasers import LaserRefused, LaserSettings, make_laser
-from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs
+from rig.control.lasers import LaserRefused, LaserSettings, SerialLaser, make_laser
+from tests.rig.control.instruments import FakeCobolt, FakeLdc500, FakeObis, FakeThorlabs, Instrument
 from tests.rig.control.lasers.pairs import FAMILIES, LIMIT, Ports, laser_for
+
+Opened = Callable[[Instrument], SerialLaser]
 
 
 @pytest.mark.parametrize(
@@ -35,10 +39,9 @@ def test_one_that_obeys_under_another_name_is_asked_for_it_and_told_nothing(
     assert instrument.received == [question]
 
 
-def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out(ports: Ports) -> None:
+def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out(opened: Opened) -> None:
     instrument = FakeThorlabs()
-    laser = laser_for("thorlabs4000", ports.plug_in(instrument))
-    laser.open()
+    laser = opened(instrument)
     assert instrument.limit_a == pytest.approx(LIMIT)
     instrument.limit_a = 0.010
     with pytest.raises(LaserRefused, match="Data out of range"):
@@ -46,16 +49,13 @@ def test_thorlabs_limit_goes_into_the_instrument_and_its_errors_come_out(ports: 
     instrument.overheated = True
     with pytest.raises(LaserRefused, match="over-temperature"):
         laser.enable()
-    laser.close()
 
 
-def test_ldc500_limit_goes_into_the_instrument(ports: Ports) -> None:
+def test_ldc500_limit_goes_into_the_instrument(opened: Opened) -> None:
     instrument = FakeLdc500()
-    laser = laser_for("ldc500", ports.plug_in(instrument))
-    laser.open()
+    opened(instrument)
     assert instrument.limit_ma == pytest.approx(LIMIT * 1000)
     assert "MODU OFF" in instrument.received
-    laser.close()
 
 
 def test_a_setting_that_is_not_taken_is_refused_when_it_is_opened(ports: Ports) -> None:
@@ -67,37 +67,31 @@ def test_a_setting_that_is_not_taken_is_refused_when_it_is_opened(ports: Ports) 
         assert ports.lines[-1].closed
 
 
-def test_a_thorlabs_whose_enable_input_was_not_used_keeps_it_so(ports: Ports) -> None:
+def test_a_thorlabs_whose_enable_input_was_not_used_keeps_it_so(opened: Opened) -> None:
     instrument = FakeThorlabs()
     instrument.kept["PROT:EXT:MODE"] = "OFF"
-    laser = laser_for("thorlabs4000", ports.plug_in(instrument))
-    laser.open()
+    laser = opened(instrument)
     assert instrument.kept["PROT:EXT:MODE"] == "OFF"
     instrument.held_off = True
     with pytest.raises(LaserRefused, match="LD ENABLE"):
         laser.enable()
-    laser.close()
 
 
-def test_a_cobolt_without_a_direct_input_is_driven(ports: Ports) -> None:
+def test_a_cobolt_without_a_direct_input_is_driven(opened: Opened) -> None:
     instrument = FakeCobolt()
     instrument.direct_input = None
-    laser = laser_for("cobolt", ports.plug_in(instrument))
-    laser.open()
+    laser = opened(instrument)
     laser.enable()
     assert instrument.on
-    laser.close()
 
 
-def test_an_obis_that_would_light_after_its_warm_up_is_not_told_to(ports: Ports) -> None:
+def test_an_obis_that_would_light_after_its_warm_up_is_not_told_to(opened: Opened) -> None:
     instrument = FakeObis()
-    laser = laser_for("obis", ports.plug_in(instrument))
-    laser.open()
+    laser = opened(instrument)
     instrument.warm = False
     with pytest.raises(LaserRefused, match="warming up"):
         laser.enable()
     assert "SOURce:AM:STATe ON" not in instrument.received
-    laser.close()
 
 
 class TooBright(FakeObis):
@@ -120,13 +114,11 @@ def test_an_obis_that_lights_with_more_than_allowed_is_dark_at_once(ports: Ports
     laser.close()
 
 
-def test_the_monitor_diode_of_an_ldc500_counts(ports: Ports) -> None:
+def test_the_monitor_diode_of_an_ldc500_counts(opened: Opened) -> None:
     instrument = FakeLdc500()
-    laser = laser_for("ldc500", ports.plug_in(instrument))
-    laser.open()
+    laser = opened(instrument)
     instrument.monitor_mw = 40.0
     assert "40 mW measured, 30 mW allowed by max_power_w" in laser.state().excess
-    laser.close()
 
 
 def test_a_fault_forbids_lighting(ports: Ports) -> None:
@@ -163,20 +155,19 @@ def test_a_cobolt_in_autostart_names_the_remedy(ports: Ports) -> None:
     assert ports.lines[-1].closed
 
 
-def test_an_ldc500_that_enters_its_error_late_is_heard(ports: Ports) -> None:
+def test_an_ldc500_that_enters_its_error_late_is_heard(opened: Opened) -> None:
     instrument = FakeLdc500()
-    laser = laser_for("ldc500", ports.plug_in(instrument))
-    laser.open()
+    laser = opened(instrument)
     instrument.limit_ma = 1.0
     with pytest.raises(LaserRefused, match="LEXE 1"):
         laser.set_current_a(0.01)
-    laser.close()
 
 
-def test_a_laser_that_lights_late_is_waited_for_and_one_that_never_does_is_switched_off(ports: Ports) -> None:
+def test_a_laser_that_lights_late_is_waited_for_and_one_that_never_does_is_switched_off(
+    ports: Ports, opened: Opened
+) -> None:
     instrument = FakeObis()
-    laser = laser_for("obis", ports.plug_in(instrument))
-    laser.open()
+    laser = opened(instrument)
     instrument.delay = 5
     laser.enable()
     assert laser.state().on
@@ -187,7 +178,6 @@ def test_a_laser_that_lights_late_is_waited_for_and_one_that_never_does_is_switc
         laser.enable()
     assert 10 <= ports.clock.monotonic() - began_s < 11
     assert not instrument.on
-    laser.close()
 
 
 def test_a_laser_deaf_to_off_is_told_again_when_it_is_closed(ports: Ports) -> None:

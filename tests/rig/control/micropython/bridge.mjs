@@ -109,7 +109,7 @@ for (;;) {
   state.reset = false;
   const mp = await loadMicroPython({ stdout: (line) => process.stderr.write(line + '\n'), linebuffer: true });
   mp.FS.mkdir('/lib');
-  for (const name of ['core.py', 'main.py', 'bme280.py']) {
+  for (const name of ['core.py', 'lines.py', 'main.py', 'bme280.py']) {
     mp.FS.writeFile('/lib/' + name, fs.readFileSync(path.join(firmwareDir, name)));
   }
   mp.FS.writeFile('/lib/board.py', fs.readFileSync(boardFile));

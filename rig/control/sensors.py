@@ -1,0 +1,261 @@
+"""Sensors that write lines, to a serial port or into a file that grows: of the air, and of the ground."""
+
+import contextlib
+import math
+import os
+import re
+import time
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from processing.errors import DeviceError
+from processing.units import seconds
+from rig.control.protocol import AirReading
+from rig.control.serial_port import LineReader, PortLost, SerialLine, SerialPort
+from rig.control.settings import OWN_TIME, EnvironmentSettings, SeismometerSettings
+from rig.control.worker import DeviceThread
+
+_REOPEN_S = 1.0
+_READ_S = 0.1
+_POLL_S = 0.02
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_MOST_WAITING = 200_000
+"""Samples that wait for the recorder: an hour at 50 Hz."""
+
+
+class SensorLines(DeviceThread):
+    """Reads a sensor's lines in a thread from `start` to `close`.
+
+    What was unplugged or is not there is opened again. `last_ns` is the time of the last line with a reading
+    on the host's monotonic clock (-1 before the first), `unread_lines` the number of lines without one,
+    `last_line` the last line of either kind, `last_error` why the port is closed, empty while it is open.
+    """
+
+    def __init__(self, name: str, open_line: Callable[[], SerialLine], stale_after_s: float) -> None:
+        self._open_line = open_line
+        self._stale_after_s = stale_after_s
+        self._line: SerialLine | None = None
+        self._reader: LineReader | None = None
+        self._between_lines = False
+        self.last_ns = -1
+        self.unread_lines = 0
+        self.last_line = self.last_error = ""
+        super().__init__(name)
+
+    @property
+    def age_s(self) -> float:
+        """Since the last reading; infinite before the first."""
+        return seconds(time.monotonic_ns() - self.last_ns) if self.last_ns >= 0 else math.inf
+
+    @property
+    def silent(self) -> bool:
+        """Whether no reading has come for `stale_after_s`."""
+        return self.age_s > self._stale_after_s
+
+    @abstractmethod
+    def _take(self, text: str, now_ns: int) -> bool:
+        """Take the reading of a line; whether there was one."""
+
+    def _request(self, line: SerialLine, now_s: float) -> None:
+        """Ask a sensor that writes only on request."""
+
+    def _turn(self) -> float:
+        try:
+            if self._line is None or self._reader is None:
+                self._line = self._open_line()
+                self._reader = LineReader(self._line)
+                self._reader.clear()
+                self._between_lines = False
+                self.last_error = ""
+            self._read(self._line, self._reader)
+        except DeviceError as error:
+            # of an error that goes on people are told once
+            if str(error) != self.last_error:
+                self._say(str(error))
+            self.last_error = str(error)
+            self._finish()
+            return _REOPEN_S
+        return 0.0
+
+    def _read(self, line: SerialLine, reader: LineReader) -> None:
+        now_s = time.monotonic()
+        if not self._between_lines:
+            self._between_lines = reader.finds_line_start(now_s + _READ_S)
+            return
+        self._request(line, now_s)
+        raw = reader.read_line(now_s + _READ_S)
+        if raw is None or not raw.strip():
+            return
+        text, now_ns = raw.decode("latin-1").strip(), time.monotonic_ns()
+        self.last_line = text[:80]
+        if self._take(text, now_ns):
+            self.last_ns = now_ns
+        else:
+            self.unread_lines += 1
+
+    def _finish(self) -> None:
+        line, self._line, self._reader = self._line, None, None
+        if line is not None:
+            with contextlib.suppress(PortLost):
+                line.close()
+
+
+def parse_environment(pattern: re.Pattern[str], line: str) -> AirReading | None:
+    """Values of the pattern's named groups in a line; None without a match, if a number is not finite, or if
+    none is one of air.
+
+    ``pressure_hpa`` is converted to Pa. A quantity that is not in the line, or that no air has, is NaN.
+    """
+    match = pattern.search(line)
+    if match is None:
+        return None
+    try:
+        found = {name: float(text) for name, text in match.groupdict().items() if text is not None}
+    except ValueError:
+        return None
+    if not found or not all(math.isfinite(value) for value in found.values()):
+        return None
+    pressure_pa = found.get("pressure_pa", found.get("pressure_hpa", math.nan) * 100.0)
+    reading = AirReading(
+        found.get("temperature_c", math.nan), found.get("humidity_percent", math.nan), pressure_pa
+    ).possible
+    return None if all(map(math.isnan, asdict(reading).values())) else reading
+
+
+class EnvironmentService(SensorLines):
+    """The sensor of the air with a port of its own."""
+
+    def __init__(self, settings: EnvironmentSettings) -> None:
+        self._settings = settings
+        self._pattern = re.compile(settings.pattern)
+        self._asked_s = 0.0
+        self._latest = AirReading()
+        super().__init__(
+            "rig-environment", lambda: SerialPort(settings.port, settings.baud), settings.stale_after_s
+        )
+
+    @property
+    def latest(self) -> AirReading:
+        """Latest reading; NaN what the sensor does not send, and all once it is silent. Never blocks."""
+        return AirReading() if self.silent else self._latest
+
+    def _request(self, line: SerialLine, now_s: float) -> None:
+        if self._settings.request and now_s - self._asked_s >= self._settings.period_s:
+            self._asked_s = now_s
+            line.write(self._settings.request.encode("ascii") + b"\n")
+
+    def _take(self, text: str, now_ns: int) -> bool:
+        reading = parse_environment(self._pattern, text)
+        # before its time: an old one may not pass as present
+        self._latest = self._latest if reading is None else reading
+        return reading is not None
+
+
+class SeismometerSample(NamedTuple):
+    """A sample: when it arrived (host's monotonic clock), its own time or NaN, and its components."""
+
+    host_time_ns: int
+    own_time_s: float
+    value: tuple[float, ...]
+
+
+def sample_of(line: str, columns: Sequence[str], host_time_ns: int) -> SeismometerSample | None:
+    """The numbers of a line, which are as many as the columns; None for any other line."""
+    found = [float(text) for text in _NUMBER.findall(line)]
+    if len(found) != len(columns) or not all(map(math.isfinite, found)):
+        return None
+    of = dict(zip(columns, found, strict=True))
+    own_s = of.pop(OWN_TIME, math.nan)
+    return SeismometerSample(host_time_ns, own_s, tuple(of.values()))
+
+
+class FileTail:
+    """A `SerialLine` of what is appended to a file; one that was cut or replaced is read from its begin."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file: BinaryIO | None = None
+        self._is_within_line = False
+        self._open()
+
+    @property
+    def name(self) -> str:
+        """The file."""
+        return str(self._path)
+
+    def write(self, data: bytes) -> None:
+        """A file takes no orders."""
+        raise PortLost(f"{self._path}: nothing is written to the file of a witness")
+
+    def read(self, timeout_s: float) -> bytes:
+        """What was appended, at least one byte; b"" after timeout_s."""
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            try:
+                assert self._file is not None
+                data = self._file.read()
+                if not data and self._is_another():
+                    self._open()
+                    # what was left of a line does not go on in another file
+                    data = b"\n" * self._is_within_line + self._file.read()
+            except OSError as error:
+                raise PortLost(f"{self._path}: {error.strerror or error}") from error
+            left_s = deadline_s - time.monotonic()
+            if data:
+                self._is_within_line = not data.endswith(b"\n")
+            if data or left_s <= 0:
+                return data
+            time.sleep(min(_POLL_S, left_s))
+
+    def discard_input(self) -> None:
+        """Go to the end."""
+        assert self._file is not None
+        self._file.seek(0, 2)
+
+    def close(self) -> None:
+        """Close the file; may be called more than once."""
+        if self._file is not None:
+            self._file.close()
+
+    def _is_another(self) -> bool:
+        """Whether the file of this name was cut, or is not the one that is read."""
+        assert self._file is not None
+        now, opened = self._path.stat(), os.fstat(self._file.fileno())
+        return not os.path.samestat(now, opened) or now.st_size < self._file.tell()
+
+    def _open(self) -> None:
+        self.close()
+        try:
+            self._file = self._path.open("rb")
+        except OSError as error:
+            raise PortLost(f"{self._path}: cannot be read: {error.strerror or error}") from error
+
+
+class SeismometerLines(SensorLines):
+    """A witness of the ground: every line of a serial port or of a file that grows is a sample."""
+
+    def __init__(self, settings: SeismometerSettings) -> None:
+        self._settings = settings
+        self._samples: deque[SeismometerSample] = deque(maxlen=_MOST_WAITING)
+        super().__init__("rig-witness", self._opened, settings.stale_after_s)
+
+    def take_samples(self) -> list[SeismometerSample]:
+        """Those since the last call, oldest first. Never blocks; only one thread may call it."""
+        return [self._samples.popleft() for _ in range(len(self._samples))]
+
+    def _opened(self) -> SerialLine:
+        settings = self._settings
+        if settings.kind == "file":
+            assert settings.file is not None
+            return FileTail(settings.file)
+        return SerialPort(settings.port, settings.baud)
+
+    def _take(self, text: str, now_ns: int) -> bool:
+        sample = sample_of(text, self._settings.columns, now_ns)
+        if sample is not None:
+            self._samples.append(sample)
+        return sample is not None
