@@ -13,7 +13,7 @@ from rig.control.ports import (
     udev_matches,
 )
 from rig.control.presses import darken_beside
-from rig.control.protocol import ControllerReset, Trip
+from rig.control.protocol import ControllerReset, ControllerStatus, Trip
 from rig.control.safety_state import (
     LatchedTrip,
     SafetyState,

@@ -18,6 +18,7 @@ from rig.control import (
     STALE_S,
     ControllerReset,
     ControllerSettings,
+    ControllerStatus,
     ControlService,
     LaserNow,
     LaserService,
@@ -65,8 +66,7 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
     state = _wait(laser, lambda _: True)
     if settings.interlock == "controller":
         assert control is not None
-        relay = control.snapshot.status
-        if state.interlock_closed and relay is not None and not relay.laser_on:
+        if state.interlock_closed and not _relay(control).laser_on:
             raise DeviceError(
                 "laser.interlock = 'controller', but the laser's interlock is closed while the controller's "
                 "relay is open: wire it through the relay, or set laser.interlock = 'own'"
@@ -134,6 +134,21 @@ def _wait(laser: LaserService, reached: Callable[[LaserState], bool]) -> LaserSt
                     "see its wiring, cover and key"
                 )
             raise DeviceError(snapshot.last_error or f"the laser was silent for {_ANSWERS_WITHIN_S:g} s")
+        time.sleep(0.02)
+
+
+def _relay(control: ControlService) -> ControllerStatus:
+    """The controller's status once it is there and not old: without it the wiring cannot be tested."""
+    deadline_s = time.monotonic() + _ANSWERS_WITHIN_S
+    while True:
+        now = control.snapshot
+        if now.status is not None and age_s(now.status_time_ns) <= STALE_S:
+            return now.status
+        if time.monotonic() > deadline_s:
+            raise DeviceError(
+                f"the laser's interlock cannot be tested: {now.last_error or 'the controller was silent'}; "
+                "see its cable, then start again"
+            )
         time.sleep(0.02)
 
 

@@ -4,15 +4,18 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from processing.errors import DeviceError
-from rig.control import LaserNow, Light, LightRefused
+from rig.control import ControlService, LaserNow, Light, LightRefused
+from rig.control.service import ControlSnapshot
 from rig.devices.session_devices import Devices
 from rig.measure.preflight import frame_checks
 from rig.settings import Configuration, validate_configuration
@@ -169,15 +172,28 @@ def test_the_relay_is_closed_before_the_laser_is_lit_and_opened_after(
     assert board.outputs()["laser"][0] == 0
 
 
-def test_an_interlock_that_is_not_wired_as_stated_is_found_before_it_is_lit(board: FirmwareBoard) -> None:
+@pytest.mark.parametrize("silent_s", [0.0, 0.6])
+def test_an_interlock_that_is_not_wired_as_stated_is_found_before_it_is_lit(
+    board: FirmwareBoard, silent_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the board's first status comes late: the laser was lit without a test of the wiring."""
+    real, heard_from_s = ControlService.snapshot.fget, [0.0]  # type: ignore[attr-defined]
+
+    def late(service: ControlService) -> ControlSnapshot:
+        now: ControlSnapshot = real(service)
+        return now if time.monotonic() > heard_from_s[0] else replace(now, status=None, status_time_ns=0)
+
+    monkeypatch.setattr(ControlService, "snapshot", property(late))
     controller = {"kind": "serial", "port": board.port, "timeout_s": 0.5, "watchdog_s": 5.0}
     instrument = FakeObis()
     try:
         stated = configuration(
             "obis", instrument.port, laser={"interlock": "controller"}, controller=controller
         )
-        with Devices(stated) as devices, pytest.raises(DeviceError, match="wire it through the relay"):
-            devices.light()
+        with Devices(stated) as devices:
+            heard_from_s[0] = time.monotonic() + silent_s
+            with pytest.raises(DeviceError, match="wire it through the relay"):
+                devices.light()
         assert instrument.highest_lit == 0.0
     finally:
         instrument.close()
