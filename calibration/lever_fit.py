@@ -39,7 +39,7 @@ class LadderFit:
     The model is ``spot = origin + scale (t + skew t^2) direction``, where t is the tangent of twice the tilt,
     or the shift in m. `scale` is in px per unit of t, that at zero, from all models of `scale_evidence`;
     `direction_rad` is the direction of positive t, from the sensor's upward vertical towards +x. `skew` is
-    the value fitted for the test of linearity, and `nonlinear_probability` the probability of one at least as
+    the value fitted for the test of linearity, and `chance_if_linear` the probability of one at least as
     large if the true value is 0; origin, direction and hysteresis include it only if `nonlinear`, and `scale`
     always, by its likely value. `cubic_probability` is that of a cubic part, `cubic` its likely size at
     the ladder's end, relative to the way there. `hysteresis` is the difference between settings approached
@@ -60,7 +60,7 @@ class LadderFit:
     u_direction_rad: float
     skew: float
     u_skew: float
-    nonlinear_probability: float
+    chance_if_linear: float
     nonlinear: bool
     cubic_probability: float
     cubic: float
@@ -169,7 +169,7 @@ def fit_ladder(
         u_direction_rad=u_across / scale,
         skew=float(bent.values[4]),
         u_skew=bent.u(4),
-        nonlinear_probability=probability,
+        chance_if_linear=probability,
         nonlinear=nonlinear,
         cubic_probability=evidence.bent,
         cubic=evidence.cubic,

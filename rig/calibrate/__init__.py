@@ -1,6 +1,6 @@
 """The command `rig calibrate`: makes calibration files from records and tables."""
 
-from rig.calibrate.calibration_report import CalibrationReport, filed
+from rig.calibrate.calibration_report import CalibrationReport, filed, numbers_of
 from rig.calibrate.frame_times import (
     calibrate_axes,
     calibrate_clock,

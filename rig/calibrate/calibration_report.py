@@ -42,13 +42,23 @@ def filed(path: Path) -> CalibrationReport:
     return CalibrationReport(path, found, tables, f"[calibration]\n{stated}")
 
 
+def numbers_of(found: CalibrationFile) -> dict[str, bool | str | int | float]:
+    """What a calibration found by name, without tables: its values first, then details."""
+    said: dict[str, bool | str | int | float] = {}
+    for name, value in (*found.values.items(), *found.details.items()):
+        # of pointing, each axis has numbers of its own
+        for inner, part in value.items() if isinstance(value, Mapping) else (("", value),):
+            if isinstance(part, bool | str | int | float):
+                said[f"{name}.{inner}" if inner else name] = part
+    if "hot_pixels_xy" in found.details:
+        said["hot_pixels"] = len(found.details["hot_pixels_xy"])
+    return said
+
+
 def _values(found: CalibrationFile) -> Table:
-    rows = [
-        (name, value)
-        for name, value in {**found.values, **found.details}.items()
-        if isinstance(value, bool | str | int | float)
-    ]
-    return _table("values", f"{found.kind}: {found.method}", ("quantity", "value"), rows)
+    return _table(
+        "values", f"{found.kind}: {found.method}", ("quantity", "value"), list(numbers_of(found).items())
+    )
 
 
 def _kind_tables(found: CalibrationFile) -> Iterator[Table]:

@@ -200,8 +200,8 @@ def _read(path: Path, model: type[_Model]) -> _Model:
     tree = read_toml(path, "file; docs/calibrate.md shows one")
     if {"camera", "session"} & set(tree):
         raise ConfigurationError(
-            f"{path}: is a configuration of the rig, to be named after --config; a list of measured "
-            "values is needed here, docs/calibrate.md shows one"
+            f"{path}: is a configuration of the rig; a list of measured values is needed here, "
+            "docs/calibrate.md shows one (rig calibrate air takes a configuration after --config)"
         )
     found, faults = validated(model, tree)
     if found is None:
@@ -242,8 +242,14 @@ def file_calibration(
     """Write one calibration, valid from `measured_at` (None: now) on; returns the file.
 
     `values` fill a section of the configuration, `details` are shown in a report, `sources` are the
-    files used, whose hashes are stored.
+    files used, whose hashes are stored. A detail with the name of a value, and another number, is one that
+    was fitted and is not used: its name begins with ``fitted_``.
     """
+    beside = {
+        f"fitted_{name}" if name in values else name: detail
+        for name, detail in details.items()
+        if name not in values or detail != values[name]
+    }
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     measured_at = measured_at or now
     valid_until = measured_at + datetime.timedelta(days=filing.valid_days)
@@ -260,7 +266,7 @@ def file_calibration(
         sources=tuple(used),
         notes=tuple(notes),
         values=dict(values),
-        details=dict(details),
+        details=beside,
     )
     return write_calibration(filing.folder, calibration, atomic_write.write_new)
 

@@ -169,7 +169,9 @@ def air(
     vanes_text = vanes_to_cut(loaded, loaded.simulation.contact.period0_s)
     if vanes_text is None:
         raise typer.BadParameter(
-            f"{config}: has no [pendulum], whose drag is not known", param_hint="--config"
+            f"{config}: [pendulum] is not stated; state its mass_kg and ball_radius_m, from which the drag "
+            "is estimated",
+            param_hint="--config",
         )
     print_line(vanes_text.text)
     return None
@@ -240,21 +242,21 @@ def _command(made: Made) -> Callable[..., None]:
 
 def _say(path: Path) -> None:
     """Print the content of the new file."""
-    from rig.calibrate import filed
+    from rig.calibrate import filed, numbers_of
     from rig.presentation import answer, print_line, print_tables
 
     made = filed(path)
     found = made.calibration
     answer(calibration=found.model_dump(mode="json"), written=[path])
     print_line(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
-    said = {**found.values, **found.details}
+    said = numbers_of(found)
     open_ends = {name for name, value in said.items() if isinstance(value, float) and not isfinite(value)}
     for name, value in said.items():
         if {name, f"u_{name}"} & open_ends and not name.endswith("_dof"):
             print_line(f"  {name:24} not determined")
         elif isinstance(value, bool | str):
             print_line(f"  {name:24} {value}")
-        elif isinstance(value, int | float):
+        else:
             print_line(f"  {name:24} {value:.6g}")
     print_tables([table for table in made.tables if table.name != "values"])
     for note in found.notes:

@@ -109,6 +109,19 @@ def test_a_lever_from_geometry_fills_the_configuration(tmp_path: Path) -> None:
     assert calibration_attachments(config) == {"calibration/lever.toml": path.read_bytes()}
 
 
+def test_what_is_printed_is_what_is_used(tmp_path: Path) -> None:
+    """A ladder that bends by less than it knows is used as straight; its fitted bend was printed instead."""
+    ladder = tilts(tmp_path / "tilts.toml", [-120.0, -60.0, 0.0, 60.0, 120.0])
+    done = rig("calibrate", "lever", ladder, "-o", tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = read_calibration(Path(done.stdout.splitlines()[-1]))
+    printed = dict(line.split() for line in done.stdout.splitlines() if line.startswith("  skew"))
+    assert found.values["skew"] == 0.0
+    assert float(printed["skew"]) == 0.0
+    assert found.details["fitted_skew"] != 0.0
+    assert not found.values.keys() & found.details.keys()
+
+
 def test_a_new_file_never_replaces_an_old_one(tmp_path: Path) -> None:
     ladder = write(tmp_path / "g.toml", GEOMETRY)
     names = [calibrate_lever(ladder, Filing(tmp_path / "c")).name for _ in range(3)]

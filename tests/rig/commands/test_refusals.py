@@ -142,7 +142,7 @@ def test_a_dotted_key_below_its_section_and_a_missing_base_are_said(tmp_path: Pa
 
 def test_every_fault_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
     (tmp_path / "frames.toml").write_text("darks = 3\n")
-    assert "is a configuration of the rig, to be named after --config" in said(
+    assert "is a configuration of the rig; a list of measured values is needed here" in said(
         "calibrate", "lever", DEMO, cwd=tmp_path
     )
     assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path) == (
