@@ -1,4 +1,4 @@
-"""A second spot on the sensor, from a mirror that stands still: what moves it moves the other spot too."""
+"""Correction of the pendulum's spot by a reference spot, from a mirror that stands still."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,17 +17,18 @@ _BANDS_A_DECADE = 8
 _PADDED = 0.5
 """Part of the length by which a run is mirrored at its ends."""
 _ABOUT = 10
-"""Frames at an end of a run whose mean is its level."""
+"""Frames averaged for the level at an end of a run."""
 _LONGEST_GAP_S = 0.5
-"""Lost frames over which the common motion is interpolated."""
+"""Longest gap bridged by interpolation of the motion."""
 _FEWEST = 200
 _BLOCKS = 10
+"""Blocks of frames whose scatter is the uncertainty of the gain."""
 _PAYS = 12.0
-"""Fall of -2 ln L of blocks with the gain that the others gave, from which on a reference is used."""
+"""Smallest fall of -2 ln L of the frames at rest for which a reference is used."""
 
 
 class ReferenceVerdict(StrEnum):
-    """What became of a reference spot."""
+    """Use or refusal of a reference."""
 
     USED = "used"
     NO_GAIN = "refused: the pendulum's spot is not quieter for it"
@@ -37,7 +38,7 @@ class ReferenceVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CommonMotion:
-    """What a reference spot says of the motion that both spots share, along one axis of the sensor, in px.
+    """Motion common to both spots, from the reference spot, along one axis of the sensor, in px.
 
     Attributes
     ----------
@@ -57,7 +58,7 @@ class CommonMotion:
 
 
 def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMotion:
-    """The motion of a reference spot without its noise; NaN where it was lost.
+    """Filter the noise out of a reference spot's motion; NaN in the input: lost.
 
     Raises DataError for too few frames.
     """
@@ -101,7 +102,7 @@ def _in_bands(power: Floats) -> Floats:
 
 
 def _far(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
-    """Which times lie in a gap of the found ones that is longer."""
+    """Which times lie in a gap longer than `longest_s`."""
     after = np.clip(np.searchsorted(found_s, time_s), 0, len(found_s) - 1)
     before = np.clip(after - 1, 0, len(found_s) - 1)
     gap_s = np.where(
@@ -114,10 +115,10 @@ def _far(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
 
 @dataclass(frozen=True, slots=True)
 class LessReference:
-    """Positions of the pendulum's spot less what it shares with the reference, along one axis, in px.
+    """Positions of the pendulum's spot minus the common motion, along one axis, in px.
 
-    `fallen_back` are the frames in which the reference was lost: they are as they were, and their uncertainty
-    has the common motion in it. Refused, all of them are as they were.
+    `fallen_back` are the frames in which the reference was lost: their positions are unchanged, and their u
+    includes the common motion. If the reference is refused, all are unchanged.
     """
 
     position_px: Floats
@@ -132,7 +133,7 @@ def fitted_gain(position_px: Floats, u_px: Floats, common: CommonMotion, quiet: 
     """Motion of the pendulum's spot per motion of the reference, in frames in which the pendulum rests.
 
     The reference's noise is filtered out of the motion, so that it does not pull the gain towards 0. Frames
-    that follow one another are alike: the uncertainty is from the scatter between blocks.
+    that follow one another are correlated: the uncertainty is from the scatter of blocks.
 
     Raises DataError where too few frames are quiet.
     """
@@ -155,23 +156,23 @@ def _gain(position: Floats, motion: Floats) -> float:
 
 
 def refused(position_px: Floats, u_px: Floats, gain: Estimate, verdict: ReferenceVerdict) -> LessReference:
-    """The pendulum's spot as it was, and why."""
+    """Unchanged positions, with the verdict."""
     return LessReference(position_px, u_px, np.zeros(len(position_px), dtype=np.bool_), gain, verdict)
 
 
 def less_reference(
     position_px: Floats, u_px: Floats, common: CommonMotion, gain: Estimate, quiet: Flags
 ) -> LessReference:
-    """Take off the common motion where that pays, as the frames in which the pendulum rests show it.
+    """Subtract the common motion, if that lowers -2 ln L of the frames at rest by enough.
 
     Parameters
     ----------
     position_px, u_px
         The pendulum's spot, NaN where it was lost.
     gain
-        Stated: of the two arms and of the pendulum's mirror; or `fitted_gain`.
+        Motion of the pendulum's spot over that of the reference.
     quiet
-        Frames in which the pendulum rests. Without any, a stated gain is believed.
+        Frames in which the pendulum rests. With too few, `gain` is not tested.
     """
     if not common.share > 0:
         return refused(position_px, u_px, gain, ReferenceVerdict.QUIET)
@@ -193,7 +194,7 @@ def less_reference(
 
 
 def _fall(position: Floats, common: CommonMotion, gain: float, quiet: Flags) -> float | None:
-    """Fall of -2 ln L of the frames at rest; None without any. As many count as blocks of correlated ones."""
+    """Fall of -2 ln L of the frames at rest, by the number of independent ones; None: too few."""
     use = quiet & common.known & np.isfinite(position)
     if np.count_nonzero(use) < _FEWEST:
         return None
@@ -213,17 +214,20 @@ def _independent(values: Floats) -> float:
 
 
 _LAG = 16
-"""Frames over which a walk shows: noise of single frames hides it between neighbours."""
+"""Distance in frames for the size of a walk; noise hides it between neighbours."""
 _MEMORY = 1000
+"""Differences in the running mean of their squares."""
 _FEWEST_FRAMES = 32
 """Differences before a walk is believed."""
 _SEEN = 1.1
 """Their mean square over that of the noise alone, above which there is motion."""
 _DATUM = 16
-"""Frames whose mean is the place that all others are counted from."""
+"""First frames, whose mean is the origin of positions."""
 
 
 class _BeamAxis:
+    """Random-walk filter of the reference spot along one axis; `walk` is the variance per frame, px^2."""
+
     def __init__(self) -> None:
         self._recent: list[float] = []
         self._count = 0
@@ -233,7 +237,7 @@ class _BeamAxis:
         self.level, self.variance, self.walk = math.nan, math.inf, 0.0
 
     def take(self, place: float, u: float) -> tuple[float, float]:
-        """The motion since the datum and its variance, with a frame more; NaN: it was lost."""
+        """Take a frame (NaN: lost); motion from the datum in px, variance in px^2."""
         if math.isnan(self.level):
             if not math.isfinite(place):
                 return 0.0, 0.0
@@ -273,7 +277,7 @@ class CausalReference:
         self._axes = (_BeamAxis(), _BeamAxis())
 
     def take(self, place_px: Floats, u_px: Floats) -> tuple[Floats, Floats]:
-        """What the beam moves the pendulum's spot by in some more frames (n, 2), and its variance.
+        """Motion of the pendulum's spot by the beam in the next frames (n, 2), px, and variance.
 
         `place_px` and `u_px` are of the reference, NaN where it was lost.
         """

@@ -1,4 +1,4 @@
-"""What the drivers of GenICam cameras do alike, whichever library reads their features.
+"""Base classes for drivers of GenICam cameras, for any library that reads the features.
 
 Names are those of the Standard Feature Naming Convention (SFNC) and of older cameras.
 """
@@ -33,7 +33,7 @@ from processing.errors import DeviceError
 Quantity = Literal["exposure_us", "gain_db", "frame_rate_hz"]
 
 _KEPT: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
-"""Settings that stay as they were asked for before where they are left out."""
+"""Settings that keep their last requested value if left out."""
 _FRAME_TRIGGERS: Final = ("FrameStart", "ExposureStart", "AcquisitionStart")
 _EDGES: Final[dict[Edge, str]] = {"rising": "RisingEdge", "falling": "FallingEdge"}
 _EXPOSURE: Final = "ExposureActive"
@@ -58,7 +58,7 @@ _RESULTING_RATES: Final = (
     "ResultingFrameRateAbs",
     "AcquisitionResultingFrameRateAbs",
 )
-"""Frames per second that exposure, size and bus leave, by what different makers call it."""
+"""Highest frame rate that exposure, size and bus allow, under the makers' names."""
 
 
 class GenicamFeatures(ABC):
@@ -84,7 +84,7 @@ class GenicamFeatures(ABC):
 
     @property
     def waits(self) -> bool:
-        """Whether the camera shall wait for a trigger, by the rig's setting of it or by its own features."""
+        """Whether the camera is set to wait for a trigger, by camera.trigger or by camera.features."""
         return self._asked.trigger is not None or any("Trigger" in name for name in self._asked.features)
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
@@ -127,7 +127,7 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def write(self, feature: str, value: FeatureValue) -> None:
-        """Set a feature; of a command, any value runs it."""
+        """Set a feature; any value runs a command."""
 
     def renew(self) -> None:  # noqa: B027 most libraries keep nothing
         """From here on read everything from the camera again."""
@@ -150,7 +150,7 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def set_region(self, asked: CameraSettings) -> None:
-        """Set what is asked of the region, and leave the rest of it."""
+        """Set offset and size as far as given; leave the rest."""
 
     @abstractmethod
     def format_name(self) -> str:
@@ -162,28 +162,28 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def set_format_name(self, name: str) -> None:
-        """Set one of them."""
+        """Set this format."""
 
     def set_feature(self, name: str, value: FeatureValue) -> None:
         """Set a feature that the user names."""
         self.write(name, value)
 
     def shown(self, name: str) -> FeatureValue:
-        """What a feature that the user names is now; empty if it cannot be read."""
+        """Present value of a feature for the user; empty if it is not readable."""
         value = self.read(name)
         return "" if value is None else value
 
     def possible_rate(self) -> float | None:
-        """Frames per second that exposure, size and bus leave, if the camera says it."""
+        """Highest rate in Hz that exposure, size and bus allow; None: unknown."""
         rates_hz = (float(self.read(name) or 0) for name in _RESULTING_RATES)
         return next(filter(None, rates_hz), None)
 
     def stated_rate(self) -> float | None:
-        """Frames per second that may come, with a trigger too; None if the camera says nothing of it."""
+        """Highest frame rate in Hz to expect, triggered or not; None if the camera states none."""
         return min(filter(None, (self.number("frame_rate_hz"), self.possible_rate())), default=None)
 
     def free_rate(self, possible_hz: float | None) -> float | None:
-        """Frames per second without a trigger."""
+        """Rate in Hz without trigger, or None."""
         return min(filter(None, (self.number("frame_rate_hz"), possible_hz)), default=None)
 
     # ---- pixel formats
@@ -207,11 +207,11 @@ class GenicamFeatures(ABC):
     def usable_depths(self) -> str:
         """The depths that the camera offers, for a message."""
         there = names_by_depth(set(self.offered_formats()), self.plane)
-        return ", ".join(there) or "none that this camera has"
+        return ", ".join(there) or "(this camera has none)"
 
     def choose_usable_format(self) -> Format:
-        """Keep the present pixel format if the rig supports it, of a mosaic, too; otherwise set the first
-        supported one.
+        """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported one; returns the
+        format.
         """
         mosaic = format_of(self.format_name(), "red")
         if mosaic is None:
@@ -219,7 +219,7 @@ class GenicamFeatures(ABC):
         return mosaic or self.pixel_format()
 
     def set_format(self, wanted: PixelFormat | None) -> None:
-        """Set a format of this depth; without one the first that is supported, unless the present one is."""
+        """Set the format `wanted`; None: keep a supported one, else set the first supported one."""
         if wanted is None and self.present_format() is not None:
             return
         there = preferred_names(self.name, self.offered_formats(), self.plane)
@@ -250,9 +250,7 @@ class GenicamFeatures(ABC):
             self.write(latch, True)
 
     def _choose(self, feature: str, wanted: str, key: str) -> None:
-        """Set an enumeration for ``camera.KEY``; DeviceError with what the camera offers, if not this
-        value.
-        """
+        """Set an enumeration for ``camera.KEY``; DeviceError with the choices if `wanted` is not one."""
         if not self.writable(feature):
             raise DeviceError(f"{self.name}: has no {feature} that can be set; leave camera.{key} out")
         offered = self.choices(feature)
@@ -291,7 +289,7 @@ class GenicamFeatures(ABC):
                 raise DeviceError(f"{self.name}: has no {_PTP[0]}; leave camera.ptp out")
 
     def _wired(self, settings: CameraSettings) -> dict[str, str | bool]:
-        """What the camera says of its wiring, by the settings' names, as far as `settings` ask for it."""
+        """Wiring read back from the camera, by the names of those `settings` that are not None."""
         found: dict[str, str | bool] = {}
         if settings.trigger is not None and self.read("TriggerMode") == "On":
             found["trigger"] = str(self.read("TriggerSource"))
@@ -307,8 +305,8 @@ class GenicamFeatures(ABC):
     # ---- inside
 
     def _leave_images_alone(self) -> None:
-        """Switch off what the camera does by itself to its images, which another program may have left on;
-        the exposure is as long as it is set.
+        """Switch off automatic changes of images by the camera, which another program may have left on; let
+        exposure_us set the exposure.
         """
         for name in _AUTOMATIC:
             self._choose_if_possible(name, "Off")
@@ -318,7 +316,7 @@ class GenicamFeatures(ABC):
         self._choose_if_possible("ExposureMode", "Timed")
 
     def _set_binning(self, binning: int) -> None:
-        """Combine this many pixels in each direction, leave none out; 1 undoes what another program set."""
+        """Set the binning in both directions, without decimation; 1 undoes what another program set."""
         wanted = dict.fromkeys(_BINNING, binning) | dict.fromkeys(_DECIMATION, 1)
         for name, value in wanted.items():
             now = self.read(name)
@@ -339,7 +337,7 @@ class GenicamFeatures(ABC):
     def _set_times(self, settings: CameraSettings) -> None:
         """Set exposure and frame rate in the order in which they fit: each limits the other.
 
-        A trigger alone decides when frames are taken.
+        With a trigger, no frame rate is set.
         """
         exposure_us, rate_hz = settings.exposure_us, settings.frame_rate_hz
         if settings.trigger is not None:
@@ -397,13 +395,13 @@ _Features = TypeVar("_Features", bound=GenicamFeatures)
 
 
 class GenicamCamera(ABC, Generic[_Features]):
-    """What the drivers' cameras have alike: settings, features by name, counts over a reconnection.
+    """Base of the drivers' cameras: settings, features by name, counts kept over a reconnection.
 
-    `_features` are those of the open camera; a driver sets it, `_name` and `_numbers`.
+    A driver sets `_features` (of the open camera), `_name` and `_numbers`.
     """
 
     _HINT = ""
-    """What a message of the library is followed by."""
+    """Text appended to the library's messages."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -418,7 +416,7 @@ class GenicamCamera(ABC, Generic[_Features]):
         """Whether frames are delivered."""
 
     def _library_error(self) -> type[Exception]:
-        """What the library raises."""
+        """The library's exception."""
         return DeviceError
 
     def _is_gone(self) -> bool:
@@ -452,7 +450,7 @@ class GenicamCamera(ABC, Generic[_Features]):
         return self._before + self._numbers.status(self._numbers.whole)
 
     def _begin(self, counters: tuple[int, ...], *, has_clock: bool = False) -> BlockNumbers:
-        """Count anew, or on after a loss of the camera; see `BlockNumbers`."""
+        """Start a `BlockNumbers`; counts go on after a loss of the camera."""
         self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
         self._numbers = BlockNumbers(self._name, counters, has_clock=has_clock)
         return self._numbers

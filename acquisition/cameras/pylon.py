@@ -33,7 +33,7 @@ _TICKS_PER_S: Final = "GevTimestampTickFrequency"
 
 
 class PylonFeatures(GenicamFeatures):
-    """Features of an open camera; `camera` is pylon's object, `name` the camera's in messages."""
+    """Features of an open camera; `camera` is pylon's object, `name` is for messages."""
 
     def __init__(self, camera: Any, name: str) -> None:
         super().__init__(name)
@@ -136,7 +136,7 @@ class PylonFeatures(GenicamFeatures):
 
     def tick_ns(self) -> float:
         """Length of a tick in ns: USB cameras count nanoseconds, GigE cameras report their tick frequency,
-        which another clock changes.
+        which may change (PTP).
         """
         per_s = self.read(_TICKS_PER_S)
         return NS_PER_S / float(per_s) if per_s else 1.0
@@ -144,15 +144,15 @@ class PylonFeatures(GenicamFeatures):
 
 _POLL_MS: Final = 100
 _NO_BLOCK: Final = 2**64 - 1
-"""A block whose number pylon does not know."""
+"""Block number that means "not known"."""
 _GIGE_BLOCKS: Final = 65535
-"""GigE cameras count from 65535 to 1, USB cameras on."""
+"""After this block number a GigE camera begins at 1."""
 
 
 class PylonCamera(GenicamCamera[PylonFeatures]):
     """A camera supported by pylon (USB3 Vision, GigE, emulation); pylon acquires and queues the frames.
 
-    Missing numbers of blocks are counted as dropped by the bus (pylon does not say which of them found no
+    Missing block numbers are counted as dropped by the bus (pylon does not say which of them found no
     buffer); damaged frames have an error status. A camera whose timestamps are all 0 (the emulation) has no
     clock.
     """
@@ -291,7 +291,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
 
 
 def load_pylon() -> Any:
-    """pypylon's module; DeviceError that says how to install it."""
+    """The module pypylon.pylon. Raises DeviceError if missing."""
     try:
         with warnings.catch_warnings():
             # importing its binary module raises warnings, and would fail if warnings are errors

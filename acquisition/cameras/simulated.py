@@ -27,7 +27,7 @@ from processing.units import nanoseconds, seconds
 _log = logging.getLogger(__name__)
 _NAME = "simulated camera"
 _AHEAD_BYTES = 16 * 1024 * 1024
-"""Memory of this size comes in large pages, whose first use costs little."""
+"""Images drawn at once; such memory comes in large pages, which is fast."""
 
 
 class SimulatedCamera:
@@ -167,7 +167,7 @@ class SimulatedCamera:
 
     @property
     def run(self) -> int:
-        """Number of the run whose frames come, or came last."""
+        """Number of the present run, or of the last one."""
         return max(self._runs - 1, self._settings.first_run)
 
     @property
@@ -334,7 +334,7 @@ class _SimulatedFrames:
                 return False
 
     def _skip_overrun(self, frame: int) -> int:
-        """Lose the oldest frames if the reader is late by more than the buffer holds; the next frame."""
+        """Lose the oldest frames if the reader is later than the buffer holds; returns the next one."""
         late = self._due(self._clock_ns()) - frame - self._settings.buffer_frames
         if late > 0:
             self._next += late
@@ -352,7 +352,7 @@ class _SimulatedFrames:
         return frame - self._plan.first
 
     def _draw(self, frame: int, row: int) -> None:
-        """Draw the image of a row of the plan, and on demand the next ones with it."""
+        """Draw the image of a row of the plan; in simulated time the next ones too."""
         plan = self._plan
         rows = slice(row, row + self._ahead)
         images = self._scene.draw_frames(

@@ -1,4 +1,4 @@
-"""Checks what a driver delivers and does, which may be somebody's own, before anything is made of it."""
+"""Checks of what a driver (perhaps a user's own) delivers and does, before it is used."""
 
 import logging
 import threading
@@ -19,29 +19,33 @@ _log = logging.getLogger(__name__)
 
 _TYPES: Final = (np.dtype(np.uint8), np.dtype(np.uint16))
 _SEEN_ALONG: Final = 64
+"""Approximate number of pixels that are compared along each axis."""
 _MOST_BUFFERS: Final = 8
-"""Images that are held: drivers that fill a ring of buffers have hardly more."""
+"""Images kept for comparison; a driver's ring of buffers rarely has more."""
 _MOST: Final = 1 << 63
 _ENDS_S: Final = 10.0
 HANGS_S: Final = 10.0
-"""Longer than it was asked to wait: a `read` that has not returned then is not waited for."""
+"""A `read` that exceeds its timeout by this much has hung, and is given up."""
 _ELSEWHERE: Final = -1
+"""State of a thread that is not in `read`."""
 _LATEST_NS: Final = 1_000_000_000
-"""A frame that arrived later than so long from now has the time of another clock, that of the day."""
+"""A host time further in the future than this is of another clock, such as UTC."""
 NO_TIME_NS: Final = 1 << 62
-"""Later than any clock, 146 years; sums of times no longer fit."""
+"""Times beyond this (146 years) are invalid; sums overflow."""
 MOST_PPM: Final = 1000.0
-"""A quartz is right within 100 ppm: a clock that runs otherwise counts in another unit than was believed."""
+"""Largest drift of a clock. A quartz is right within 100 ppm; beyond this, the driver misreads its unit."""
 _STRETCH_NS: Final = 2_000_000_000
-"""A delay of 2 ms, kept up from one stretch to the next, makes `MOST_PPM`."""
+"""Length of a stretch: 2 ms more delay in the next makes `MOST_PPM`."""
 _FEWEST: Final = 60
+"""Fewest frames of a stretch."""
 _IN_A_ROW: Final = 3
+"""Consecutive stretches whose drifts must agree."""
 _SPREAD: Final = 0.2
-"""A wrong unit shows the same each time; a busy computer's delays do not within a fifth of themselves."""
+"""Largest relative spread of the drifts for a wrong unit; the delays of a busy computer vary more."""
 
 
 class _LastImage(NamedTuple):
-    """An image that was delivered, and some of its pixels as they were."""
+    """A delivered image, and a copy of some of its pixels."""
 
     number: int
     image: NDArray[Any]
@@ -49,10 +53,10 @@ class _LastImage(NamedTuple):
 
 
 class CheckedFrames:
-    """Frames of one camera: each of the form of the first, with an image of its own and a number that rises.
+    """Checks frames of one camera: shape and type as the first, an own image array, rising numbers.
 
-    Numbers come out as plain integers: those of numpy overflow, or compute in floating point. Frames that are
-    not `in_real_time` have a clock of their own.
+    Numbers come out as plain integers: those of numpy overflow, or compute in floating point. Only frames
+    `in_real_time` are compared with the host's clock.
     """
 
     def __init__(self, *, in_real_time: bool = False) -> None:
@@ -62,17 +66,17 @@ class CheckedFrames:
         self._newest: deque[_LastImage] = deque(maxlen=_MOST_BUFFERS)
 
     def begin_again(self) -> None:
-        """The camera was started again: numbers begin anew. The form of its images stays what it was."""
+        """Accept numbers from 0 again, after a restart; shape and type of images must stay."""
         self._sequence = None
         self._newest.clear()
 
     def checked(self, frame: object) -> Frame:
-        """The frame; raises DeviceError, in one line, for what no camera may deliver."""
+        """Check and return a frame; raises DeviceError, in one line, if invalid."""
         if not isinstance(frame, Frame):
             raise _refusal(f"read() returned {type(frame).__name__}", "return a Frame, or None at the end")
         image, *numbers = frame
         if self._in_real_time and isinstance(frame.device_time_ns, int) and frame.device_time_ns >= _MOST:
-            # of a counter without a sign that shows nothing: one wrong time is no reason to end a run
+            # "no value" of an unsigned counter: one wrong time is no reason to end a run
             numbers[1] = _MOST - 1
             frame = frame._replace(device_time_ns=numbers[1])
         if set(map(type, numbers)) != {int} or not -_MOST <= min(numbers) <= max(numbers) < _MOST:
@@ -124,7 +128,7 @@ class CheckedFrames:
 
 
 def checked_info(info: object, driver: str) -> CameraInfo:
-    """What `open` returned; raises DeviceError where it is none, or cannot be true."""
+    """The CameraInfo of `open`; raises DeviceError for another type or value."""
     if not isinstance(info, CameraInfo):
         raise _refusal(f"open() of driver {driver!r} returned {type(info).__name__}", "return a CameraInfo")
     for name in ("width_px", "height_px", "full_scale_dn"):
@@ -135,7 +139,7 @@ def checked_info(info: object, driver: str) -> CameraInfo:
 
 
 def checked_settings(applied: object, driver: str) -> CameraSettings:
-    """What `configure` returned; raises DeviceError where it is none."""
+    """The settings of `configure`; DeviceError for another type."""
     if not isinstance(applied, CameraSettings):
         raise _refusal(
             f"configure() of driver {driver!r} returned {type(applied).__name__}",
@@ -146,7 +150,7 @@ def checked_settings(applied: object, driver: str) -> CameraSettings:
 
 @contextmanager
 def asking(camera: str, what: str) -> Iterator[None]:
-    """What a driver raises, which may be somebody's own, becomes a DeviceError of one line."""
+    """Turn a driver's exception, unless a RigError, into a DeviceError of one line."""
     try:
         yield
     except RigError:
@@ -158,9 +162,9 @@ def asking(camera: str, what: str) -> Iterator[None]:
 
 
 def ended(ending: Callable[[], object], name: str, patience_s: float = _ENDS_S) -> str:
-    """Call what stops or closes a camera, and wait no longer than that; returns what speaks against it.
+    """Call `ending` (stop or close) and wait `patience_s` at most; returns the problem, or "".
 
-    What is measured is measured: it must not be lost to a driver that cannot end.
+    Measured data must not be lost because a driver hangs.
     """
     raised: list[Exception] = []
 
@@ -179,9 +183,9 @@ def ended(ending: Callable[[], object], name: str, patience_s: float = _ENDS_S) 
 
 
 class Counts:
-    """The counts of a camera; of one that cannot tell them any more, those that it told last.
+    """The frame counts of a camera; the last known ones if it can no longer report them.
 
-    `take_remark` says so, once: frames that are missing are seen by their numbers all the same.
+    `take_remark` reports this, once; missing frames still show in the frame numbers.
     """
 
     def __init__(self, ask: Callable[[], object]) -> None:
@@ -191,7 +195,7 @@ class Counts:
 
     @property
     def now(self) -> CameraStatus:
-        """Never raises."""
+        """Latest known counts; never raises."""
         try:
             found = self._ask()
             if not isinstance(found, CameraStatus):
@@ -208,15 +212,15 @@ class Counts:
         return found
 
     def take_remark(self) -> str:
-        """What is to be said since the last call; usually nothing."""
+        """Warning since the last call; usually empty."""
         remark, self._remark = self._remark, ""
         return remark
 
 
 class HangingRead:
-    """Notices a `read` that does not return: told by the thread that reads, asked by the one that waits.
+    """Detects a `read` that does not return; the reading thread reports to it, the waiting one asks it.
 
-    It counts the waits of the latter, not a clock: while the program stands still nobody waits.
+    It adds up the waits: a clock would also run while the program is suspended.
     """
 
     def __init__(self, asked_s: float, hangs_s: float = HANGS_S) -> None:
@@ -226,16 +230,16 @@ class HangingRead:
         self._waited_s = 0.0
 
     def begins(self) -> None:
-        """A `read` begins."""
+        """Note that a `read` begins."""
         self._reads += 1
         self._now = self._reads
 
     def is_elsewhere(self) -> None:
-        """The thread does something that has a limit of its own."""
+        """Note that the thread is in a call with its own limit."""
         self._now = _ELSEWHERE
 
     def after(self, waited_s: float) -> str:
-        """What is to be said after so long without a frame; 0 with one."""
+        """Add a wait (0: a frame came); message if the `read` hangs."""
         same = self._now == self._then and self._now != _ELSEWHERE
         self._waited_s = self._waited_s + waited_s if same and waited_s else 0.0
         self._then = self._now
@@ -250,9 +254,9 @@ class HangingRead:
 class ClockWatch:
     """Compares the clocks over the first seconds of frames, whatever the driver.
 
-    A wrong unit shows in any stretch of frames, each time as much. Of each stretch the frame counts that came
-    soonest after its time: those that a busy computer takes late say nothing. What still looks like a wrong
-    unit is refused if three in a row show the same.
+    A wrong unit shows as the same drift in every stretch of frames. Each stretch is represented by its
+    frame of smallest delay, since a busy computer takes others late. A drift above `MOST_PPM` is refused
+    if three in a row agree.
     """
 
     def __init__(self) -> None:
@@ -261,7 +265,7 @@ class ClockWatch:
         self.begin_again()
 
     def begin_again(self) -> None:
-        """The camera was opened again: the stretch begins again."""
+        """Begin a new stretch, after the camera was reopened."""
         self._soonest: list[tuple[int, int]] = []
         self._since_ns, self._count = -1, 0
 
@@ -311,7 +315,7 @@ def _whole(name: str, value: object) -> int:
 
 
 def _some(image: NDArray[Any]) -> NDArray[Any]:
-    """Some thousand of the pixels, from everywhere; nothing is copied."""
+    """View of some thousand pixels, spread over the image."""
     ny, nx = image.shape
     return image[:: max(ny // _SEEN_ALONG, 1) | 1, :: max(nx // _SEEN_ALONG, 1) | 1]
 

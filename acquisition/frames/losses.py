@@ -18,7 +18,7 @@ logger = logging.getLogger(__name__)
 _LARGEST_GAP: Final = 1 << 31
 # The largest loss across the end of a counter.
 _LARGEST_LOSS: Final = 1000
-# So many frames in a row whose old numbers rise again: the camera counts again, none of them is late.
+# So many old but rising numbers in a row are no late frames: the camera has begun to count again.
 _RESTARTED_AFTER: Final = 3
 Place = Literal["dropped_by_camera", "dropped_by_bus", "dropped_by_host"]
 
@@ -27,8 +27,8 @@ class BlockNumbers:
     """Numbers the whole frames of the camera `name` from 0, and counts the others.
 
     `counters` are the numbers of blocks after which a camera may begin again. With a clock a block that came
-    too late is known by its time. `whole` counts the frames that were numbered, `lost_parts` those since the
-    last of them of which a part arrived, `faulty` those of them that the camera called so.
+    too late is known by its time. `whole` counts the numbered frames, `lost_parts` those since the last
+    numbered one that arrived in part, `faulty` those of the latter that the camera marked.
     """
 
     def __init__(self, name: str, counters: Sequence[int], *, has_clock: bool = False) -> None:
@@ -41,15 +41,15 @@ class BlockNumbers:
         self._stale: list[int] = []
 
     def status(self, delivered: int) -> CameraStatus:
-        """The counts, beside that of the frames delivered."""
+        """The counts, with `delivered` frames delivered."""
         since = CameraStatus(delivered, incomplete=self.lost_parts - self.faulty, error_status=self.faulty)
         return self._lost + since
 
     def number(self, block: int | None, lost: Place, time: int = 0) -> int | None:
         """Number of a whole frame; None for a block that came again or too late.
 
-        `block` is None where the driver does not know it. `lost` is where those were lost that are missing
-        before it. Raises CameraLost where the camera has reset itself.
+        `block` is None where the driver does not know it. `lost` is the place of loss of frames missing
+        before it, `time` the camera's clock in any unit. Raises CameraLost where the camera has reset itself.
         """
         # Number of frames since the last one delivered. Before the first one there is no block number to
         # compare with; damaged frames count nevertheless.
@@ -130,7 +130,7 @@ class FrameLosses:
     def of(
         cls, status: CameraStatus, *, unqueued: int = 0, while_unplugged: int = 0, wrong_time: int = 0
     ) -> Self:
-        """From a driver's counts, what our own queue refused, what the time of a gap tells, wrong times."""
+        """From a driver's counts, frames refused by our queue, missed in a gap, or with wrong times."""
         return cls(
             status.dropped_by_camera,
             status.dropped_by_bus,
@@ -154,7 +154,7 @@ class FrameLosses:
 
     @property
     def came_text(self) -> str:
-        """The same in words, by their reasons."""
+        """`came` in words, by reason."""
         return str(
             FrameLosses(0, 0, 0, self.incomplete, 0, self.wrong_time, self.error_status, self.wrong_id)
         )
@@ -166,7 +166,7 @@ class FrameLosses:
     def __str__(self) -> str:
         words = (
             *("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged"),
-            *("without a right time", "with an error status", "with a number that was before"),
+            *("with a wrong time", "with an error status", "with a repeated number"),
         )
         named = [f"{count} {word}" for count, word in zip(_counts(self), words, strict=True) if count]
         return ", ".join(named) or "none"
@@ -181,26 +181,28 @@ _LEARNED = 8
 SMOOTHING = 0.1
 """Part of a deviation by which the frame time follows each frame."""
 _OF_ARRIVALS = 0.02
-"""The same of the usual delay and its scatter."""
+"""As SMOOTHING, for the delay and its scatter."""
 _LEAST_NS = 2_000_000.0
-"""Smaller disagreements are those of the computer's readings of frames, or of the exposure."""
+"""Smallest disagreement of times that counts: smaller ones are by reading or exposure."""
 BY_HOST_NS = 60_000_000.0
-"""Disagreements with the computer's clock that late readings explain."""
+"""Largest disagreement with the computer's clock by late reading."""
 REGULAR = 0.2
-"""Mean deviation of frame times, of one, up to which a camera keeps a rate."""
+"""Largest mean deviation of a regular camera's intervals, as part of one."""
 _LEAST_SCATTER_NS = 20_000.0
+"""Lower limit of the scatter of the delay."""
 _OF_IRREGULAR: Final = 0.6
-"""Weight of an interval that is none of the camera's, of a frame: one that is out of line spoils two of them
-and is left out, one between two gaps is kept."""
+"""Loss of a frame's score (1) by an irregular interval before it: a single outlier spoils two intervals and
+is left out, a frame between two gaps is kept."""
 _NOT_ALIKE: Final = 0.5
-"""Part of an interval by which another one differs wholly."""
+"""Relative deviation of a fully irregular interval."""
 _NEWEST: Final = 9
+"""Newest intervals, whose median is the camera's present interval."""
 
 
 class UsualTimes:
-    """Learned from frames whose times hold, with which `joined` is called one by one.
+    """Frame interval and delay, learned by `joined` from frames of valid times.
 
-    `waited_for`: the last frame was, and has not lain in the driver.
+    `waited_for`: the last frame was read at arrival, not late from the driver.
     """
 
     def __init__(self) -> None:
@@ -209,7 +211,7 @@ class UsualTimes:
         self.begin_again()
 
     def begin_again(self) -> None:
-        """The camera was opened again: its clock may show anything. The frame time is the last known."""
+        """Forget times and delay, after the camera was reopened; keep the frame interval."""
         self.last: Frame | None = None
         self.waited_for = False
         self.deviation_ns = 0.0
@@ -223,27 +225,27 @@ class UsualTimes:
 
     @property
     def allowed_ns(self) -> float:
-        """By so much a time may disagree with what is expected of it."""
+        """Allowed deviation of a time from the expected one, in ns."""
         return max(_LEAST_NS, 10 * self.deviation_ns) if self.is_regular else BY_HOST_NS
 
     @property
     def allowed_by_arrival_ns(self) -> float:
-        """The same by the arrival of frames."""
+        """`allowed_ns` by the arrival."""
         return max(3 * _LEAST_NS, 6 * self.scatter_ns)
 
     def early_ns(self, moved: Frame) -> float:
-        """How much sooner than usual it came, by its time: as much as the clock has stepped, less what it was
-        read late."""
+        """Its time minus (arrival minus usual delay), in ns: the step of the clock, less the delay of a late
+        reading."""
         return moved.device_time_ns - (moved.host_time_ns - self.delay_ns)
 
     def off_by_rate_ns(self, frame: Frame, last: Frame) -> float:
-        """How far a time lies from what the camera's rate lets expect."""
+        """Deviation of a time from the camera's rate since `last`, ns."""
         return (
             frame.device_time_ns - last.device_time_ns - (frame.sequence - last.sequence) * self.interval_ns
         )
 
     def joined(self, frame: Frame) -> Frame:
-        """The frame, whose time holds and is learned from."""
+        """Learn from a frame of valid time; returns it."""
         last, self.last = self.last, frame
         if last is not None:
             passed_ns, numbers = frame.time_ns - last.time_ns, frame.sequence - last.sequence
@@ -285,7 +287,7 @@ class UsualTimes:
 
 
 class RisingTimes(NamedTuple):
-    """Places of the frames that are in the line, and of the first one after the step."""
+    """Indices of the frames with consistent times, and of the first after the step."""
 
     kept: list[int]
     first_after_step: int | None = None
@@ -294,18 +296,18 @@ class RisingTimes(NamedTuple):
 def rising_times(
     times_ns: Sequence[float], numbers: Sequence[int], interval_ns: float, step_ns: float = 0.0
 ) -> RisingTimes:
-    """The most frames whose times rise from the last sure one on, in intervals like the camera's.
+    """Select the most frames whose times rise from the last sure one, at the camera's intervals.
 
     Times and numbers are counted from the last sure frame. The camera may keep another interval by now, which
-    the newest frames show; frames without numbers may be missing anywhere. With a step, times behind one
-    place are later by it, which is where the intervals are most regular without it.
+    the newest frames show; frames without numbers may be missing anywhere. With a step, times after one
+    frame are later by it; that frame is where intervals become most regular.
     """
     time = np.concatenate(([0.0], np.asarray(times_ns, dtype=np.float64)))
     number = np.concatenate(([0], np.asarray(numbers, dtype=np.int64)))
     newest = (np.diff(time) / np.maximum(np.diff(number), 1))[-_NEWEST:]
     newest = newest[newest > 0]
     usual = [one for one in (interval_ns, float(np.median(newest)) if len(newest) else 0.0) if one > 0]
-    # of the best line to each frame, before the step and behind it: its worth, and the frame before
+    # best sequence to each frame, before and after the step: its score, and the frame before
     worth = np.full((2, len(time)), -np.inf)
     worth[0, 0] = 0.0
     came = np.zeros((2, len(time)), np.int64)
@@ -338,7 +340,7 @@ def rising_times(
 def _worth(
     passed_ns: NDArray[np.float64], numbers: NDArray[np.int64], usual: list[float]
 ) -> NDArray[np.float64]:
-    """Of a frame with the interval before it; none where its time does not rise."""
+    """Score of frames: 1 (regular interval) to 0.4; -inf: time does not rise."""
     each_ns = passed_ns / numbers
     off = np.ones(len(each_ns))
     for one in usual:

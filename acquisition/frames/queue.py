@@ -1,4 +1,4 @@
-"""Bounded queue of frames between the camera's thread and the one that processes."""
+"""Bounded queue of frames between the camera's thread and that of processing."""
 
 import threading
 import time
@@ -28,7 +28,7 @@ class FrameQueue:
 
     @property
     def dropped(self) -> int:
-        """Frames that were lost here."""
+        """Frames lost by this queue."""
         return self._dropped
 
     def __len__(self) -> int:
@@ -78,19 +78,19 @@ class FrameQueue:
 
 
 MOST_BYTES = 256 * 1024 * 1024
-"""What waits for a processor that is late: 1.7 s of 500 frames/s of 640 x 480."""
+"""Memory for waiting frames: 1.7 s of 640 x 480 px at 500 frames/s, in bytes."""
 _OWN_BYTES = 1024
-"""What a frame takes beside its pixels, about."""
+"""Memory of a frame beyond its pixels."""
 _FEWEST = 8
 _FEWEST_ON_DEMAND = 64
 _LATE = 0.125
-"""Part of the memory from which on it is said."""
+"""Filled part that causes a warning."""
 
 
 def most_waiting(frame: Frame, policy: Policy) -> int:
-    """Number of frames for a bounded amount of memory, a few at least.
+    """Capacity of the queue in frames: `MOST_BYTES` of them, a few at least.
 
-    Frames on demand are not lost while the queue is full; a short one keeps them in the processor's cache.
+    With the policy "wait" none are lost: there a short queue keeps frames in the CPU's cache.
     """
     most = max(_FEWEST, MOST_BYTES // (frame.image.nbytes + _OWN_BYTES))
     return min(_FEWEST_ON_DEMAND, most) if policy == "wait" else most
@@ -113,13 +113,13 @@ class Backlog:
         self._most = 0
 
     def see(self, waiting: int) -> str:
-        """What is to be said of so many waiting frames; nothing as long as they are few, or still many."""
+        """Message when so many waiting frames are first many, or few again; otherwise an empty text."""
         if waiting > max(_LATE * self._capacity, self._most):
             begins, self._most = not self._most, waiting
             if begins:
                 memory_mb = self._capacity * self._frame_mb
                 return (
-                    f"{waiting} frames wait for the processor, {waiting * self._frame_mb:.0f} of "
+                    f"{waiting} frames wait to be processed, {waiting * self._frame_mb:.0f} of "
                     f"{memory_mb:.0f} MB; once full, frames are lost and counted: close other programs, or "
                     "set a lower camera.frame_rate_hz or a smaller region"
                 )

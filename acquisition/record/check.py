@@ -52,7 +52,7 @@ class _Frames:
     _last: tuple[int, int] | None = None
 
     def add(self, heads: NDArray[np.void]) -> None:
-        """The frames of the next chunk, at least one."""
+        """Add the frames (at least one) of a chunk."""
         numbers, times_ns = heads["sequence"].astype(np.int64), heads["log_time_ns"]
         last, last_ns = self._last or (int(numbers[0]) - 1, int(times_ns[0]))
         earlier = np.concatenate(([last], numbers[:-1]))
@@ -100,7 +100,7 @@ def _check_file(file: ReadFile, frames: Mapping[str, _Frames]) -> list[Finding]:
     findings = _errors(*(f"{name}: index: {text}" for text in contents.damage))
     if not contents.whole:
         lost = contents.size - contents.readable_bytes
-        where = f": {lost} bytes after the last complete record at {utc_text(contents.end_ns)}"
+        where = f": {lost} bytes after the last complete entry at {utc_text(contents.end_ns)}"
         if not contents.end_ns:
             where = f" before anything was measured, after {contents.readable_bytes} bytes"
         findings += _errors(f"{name} was cut short{where}; rig record recover makes a complete file of it")
@@ -144,7 +144,7 @@ _MISSING = ("lost_chunks", "lost_bytes_at_the_end", "lost_parts")
 
 
 def _check_recovery(recovery: Mapping[str, str]) -> Finding:
-    """What the record lacked from which this one was made: sound bytes may hold what was changed before."""
+    """Report what the damaged record lacked from which this one was recovered."""
     missing = [
         f"{name.replace('_', ' ')}: {recovery[name]}"
         for name in _MISSING

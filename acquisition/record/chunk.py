@@ -1,4 +1,4 @@
-"""One chunk of an MCAP file: proved by its checksum, and taken apart into messages with numpy."""
+"""One chunk of an MCAP file: checked by its checksum, and split into messages with numpy."""
 
 import struct
 import zlib
@@ -15,10 +15,10 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
 HEAD: Final = struct.Struct("<BQ")
-"""Opcode and length of a record's content."""
+"""Opcode, and length of the content."""
 CHUNK_HEAD: Final = struct.Struct("<BQQQQII")
-"""Opcode, length, first and last log time, bytes without compression, their checksum, length of the
-compression's name, which follows, then the bytes' number and the bytes.
+"""Opcode, length, first and last log time, uncompressed size, its CRC-32, length of the compression's
+name; then follow that name, the compressed size and the data.
 """
 _COMPRESSIONS = {0: b"", 4: b"zstd"}
 """Names of the compressions of a chunk by their lengths."""
@@ -48,8 +48,8 @@ class Message(NamedTuple):
 
 
 def chunk_content(data: bytes, length: int) -> tuple[int, int, bytes, int] | None:
-    """Size and checksum of a chunk's content, compression, where it starts; None where none of this length
-    begins here.
+    """Uncompressed size, CRC-32, compression and offset of a chunk's content; None without a chunk of
+    `length` bytes.
     """
     if len(data) < CHUNK_HEAD.size:
         return None
@@ -64,7 +64,7 @@ def chunk_content(data: bytes, length: int) -> tuple[int, int, bytes, int] | Non
 
 
 def proved_content(record: bytes, length: int) -> bytes:
-    """The decompressed messages of a chunk of this length. Raises ChunkDamage."""
+    """The decompressed content of a chunk. Raises ChunkDamage if damaged."""
     if len(record) < length:
         raise ChunkDamage("ends early, or its disk cannot give all of it")
     head = chunk_content(record, length)
@@ -186,8 +186,8 @@ class Contents:
     `whole` is False for a file without an ending; `readable_bytes` is the end of its last complete record.
     `indexed` is True if the chunks come from a summary with a correct checksum, so that their channels are
     reliable. `counts` are the numbers of messages by channel. `attachments` are the sizes of attached files,
-    `attachment_places` where their copies are. `damage` describes parts of the structure that could not be
-    read.
+    `attachment_places` the offsets of their copies. `damage` describes unreadable parts of the structure.
+    `size` is in bytes, `data_end` the end of the data section, `data_crc` its CRC-32.
     """
 
     size: int = 0

@@ -1,4 +1,4 @@
-"""What a record is called by: its SHA-256, its camera, its dates, its lock."""
+"""Identity of a record: its SHA-256, camera and dates; and its lock."""
 
 import datetime
 import functools
@@ -24,7 +24,7 @@ def _known(path: Path, identity: tuple[int, ...]) -> str:
 
 
 def known_sha256_of(path: Path) -> str:
-    """The same; of a file that this process has read and that is still the same one, without reading."""
+    """`sha256_of`, remembered as long as device, inode, size and time of the file stay the same."""
     try:
         found = path.stat()
     except (OSError, ValueError):
@@ -33,7 +33,7 @@ def known_sha256_of(path: Path) -> str:
 
 
 def known_sha256_of_any(path: Path) -> str:
-    """The same; of a folder that of the names and hashes of its files, in order. Raises RecordError."""
+    """SHA-256 of a file, or of a folder's sorted file names and hashes. Raises RecordError."""
     if not path.is_dir():
         return known_sha256_of(path)
     lines = [f"{known_sha256_of(each)}  {each.name}\n" for each in sorted(path.iterdir()) if each.is_file()]
@@ -43,7 +43,7 @@ def known_sha256_of_any(path: Path) -> str:
 def sha256_of(path: Path) -> str:
     """Hexadecimal SHA-256 of a file, read in pieces.
 
-    Raises RecordError where any part cannot be read: the hash of anything else would be another file's name.
+    Raises RecordError where any part cannot be read: the hash of a part would identify another file.
     """
     digest = hashlib.sha256()
     try:
@@ -66,14 +66,14 @@ _SIMULATED = "simulated"
 
 
 def camera_metadata(info: CameraInfo) -> dict[str, dict[str, str]]:
-    """The section of the metadata that says what was measured with."""
+    """The section of the metadata that describes the camera."""
     names = ("driver", "vendor", "model", "serial", "width_px", "height_px", "full_scale_dn", "has_clock")
     return {_SECTION: {name: str(getattr(info, name)) for name in (*names, "shutter")}}
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedCamera:
-    """What a record says of its camera; `has_clock` is None where it does not."""
+    """The camera as a record states it; `has_clock` None: not stated."""
 
     simulated: bool
     has_clock: bool | None
@@ -81,7 +81,7 @@ class RecordedCamera:
 
     @classmethod
     def of(cls, metadata: Mapping[str, Mapping[str, str]]) -> Self:
-        """From the metadata of a record of any version or program."""
+        """Read it from the metadata of any record."""
         camera = metadata.get(_SECTION, {})
         return cls(
             camera.get("driver") == _SIMULATED,
@@ -96,7 +96,7 @@ def utc(time_ns: int) -> datetime.datetime:
 
 
 def utc_text(time_ns: int) -> str:
-    """The same to the millisecond, for a person; a damaged time that is no date as the number it is."""
+    """UTC date and time to the millisecond, as text; an impossible (damaged) time as `N ns`."""
     try:
         moment = utc(time_ns)
     except (ValueError, OverflowError, OSError):
@@ -112,11 +112,11 @@ except ImportError:
     fcntl = None
 
 _STILL_S = 30.0
-"""Without locks, a file that has not changed for so long is written by nobody."""
+"""Without locks, a file unchanged for so long counts as closed."""
 
 
 def lock_for_writing(number: int) -> None:
-    """Hold the lock of an open file, as long as it is open; nothing where the system or its disk has none."""
+    """Lock an open file (its descriptor) until it is closed; does nothing where there are no locks."""
     if fcntl is not None:
         try:
             fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -27,7 +27,7 @@ class Recovery:
 
     `messages` are the numbers of recovered messages by topic, `start_ns` and `end_ns` (UTC) the times of the
     first and the last. `lost` are damaged chunks and attachments, `damage` describes other parts that were
-    not as written, `lost_bytes` is the number of bytes after the last complete record.
+    not as written, `lost_bytes` is the number of bytes after the last complete entry.
     """
 
     source: Path
@@ -44,7 +44,7 @@ def recover(source: Path, path: Path) -> Recovery:
     """Copy every intact message of a record, its metadata and attachments into new files.
 
     The source is not changed. The metadata `RECOVERY` of the new record state its source and what is missing;
-    those of an earlier recovery stay. The new files appear when they have been read again and proved.
+    those of an earlier recovery stay. The new files appear after they were read back and checked.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def recover(source: Path, path: Path) -> Recovery:
             copies: list[McapFile] = []
             for file, name, described in zip(reader.files, names, schemas, strict=False):
                 copy = McapFile(name, described, _RESERVE_BYTES)
-                # before it is removed, for which it must be closed on Windows
+                # Windows removes only closed files
                 stack.callback(copy.abandon)
                 counts += _copied(file, copy)
                 copies.append(copy)
@@ -82,7 +82,7 @@ def recover(source: Path, path: Path) -> Recovery:
 
 
 def _copied(file: ReadFile, copy: McapFile) -> Counter[str]:
-    """Copy every intact message of a file; how many, by topic."""
+    """Copy all intact messages; their numbers by topic."""
     counts: Counter[str] = Counter()
     topics = file.contents.channels
     for place in file.contents.chunks:
@@ -102,7 +102,7 @@ def _copied(file: ReadFile, copy: McapFile) -> Counter[str]:
 def _described(
     reader: RecordReader, copies: Sequence[McapFile], path: Path, counts: Mapping[str, int]
 ) -> Recovery:
-    """Attach to the copies what the files had, and what was lost."""
+    """Copy attachments and metadata; returns the Recovery."""
     contents = reader.contents
     for name, data in reader.attachments.items():
         copies[0].add_attachment(name, "application/octet-stream", data, contents.start_ns)
@@ -154,7 +154,7 @@ def _prove(names: Sequence[Path], counts: Mapping[str, int], path: Path, source:
 
 
 def _sha256_if_readable(path: Path) -> str:
-    """By which the source is known; nothing where its disk cannot give all of it."""
+    """SHA-256 of the source; empty if the disk cannot read all of it."""
     try:
         return sha256_of(path)
     except RecordError:

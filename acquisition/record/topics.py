@@ -1,4 +1,4 @@
-"""Topics of a record: names, message types, and values that are defined in no other package."""
+"""Topics of a record: their names, message types, and values that only records have."""
 
 import math
 from enum import IntEnum
@@ -57,16 +57,16 @@ class RecordedReference(NamedTuple):
 
     @classmethod
     def of(cls, sequence: int, time_ns: int, spot: Spot) -> Self:
-        """The same from a spot as it was found."""
+        """Record of a fitted reference spot."""
         position = spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px
         return cls(sequence, time_ns, *position, spot.amplitude_dn, spot.chi2_per_dof, spot.flags)
 
 
 class RecordedWitness(NamedTuple):
-    """A sample of a witness of the ground, in its own unit; NaN for columns that it does not have.
+    """A sample of the auxiliary seismometer, in its own unit; NaN for columns that it lacks.
 
-    `time_ns` is on the frames' clock, by the arrival of the frame before; `own_time_s` is the instrument's
-    own time, NaN without one. The columns' names are those of witness.columns in the configuration.
+    `time_ns` is on the frames' clock, shifted as the newest frame; `own_time_s` is the instrument's own time,
+    NaN without one. The configuration names the columns (witness.columns).
     """
 
     time_ns: int
@@ -78,9 +78,9 @@ class RecordedWitness(NamedTuple):
 
 
 class RecordedNote(NamedTuple):
-    """A line that an operator has noted; `host_time_ns` is when, `time_ns` the same on the frames' clock.
+    """A note of the operator; `host_time_ns` is the host's time, `time_ns` the same on the frames' clock.
 
-    One that was typed before the run began has the time of its first frame.
+    A note typed before the run has the time of the run's first frame.
     """
 
     time_ns: int
@@ -90,7 +90,7 @@ class RecordedNote(NamedTuple):
 
     @property
     def event(self) -> Event:
-        """As displays show it, among the events."""
+        """The note as an event, for displays."""
         return Event(
             self.time_ns, EventKind.NOTE, f"{self.author}: {self.text}" if self.author else self.text
         )
@@ -128,7 +128,7 @@ class RecordedLosses(NamedTuple):
 
 
 class RecordedClockStep(NamedTuple):
-    """A step of the camera's clock, taken off the times from this one on; size 0: its clock was given up."""
+    """A step of the camera's clock, subtracted from `time_ns` on; 0: the clock is no longer used."""
 
     time_ns: int
     step_ns: int
@@ -154,7 +154,7 @@ class RecordedLight(NamedTuple):
 
     `light` is what is known of the laser, `interlock` is closed, open or unknown, `trip` the number of the
     trip that waits for an acknowledgement (0: none), `darkness` why the laser does not emit although it
-    should, `refusal` why no light is allowed. The frames show the spot if `spot_seen` is 1, -1: nobody looks.
+    should, `refusal` why no light is allowed. `spot_seen`: 1 spot in the frames, 0 none, -1 not examined.
     """
 
     time_ns: int
@@ -171,9 +171,9 @@ class RecordedLight(NamedTuple):
 class RecordedHealth(NamedTuple):
     """How the session keeps up: frames that wait, age of the last ones, record and disk, clock, beam.
 
-    Counts are those since the record began. `frame_age_s` is NaN where frames are made on demand,
-    `disk_silent_s` how long a write has hung. `alarm` says what is wrong with light or disk (empty: nothing),
-    `beam` what is fitted to the spot.
+    Counts are those since the record began; `waiting_frames` are in the queue between camera and processing.
+    `frame_age_s` is NaN where frames are made on demand, `disk_silent_s` how long a write has hung. `alarm`
+    says what is wrong with light or disk (empty: nothing), `beam` the model of the beam.
     """
 
     time_ns: int
@@ -193,7 +193,7 @@ class RecordedHealth(NamedTuple):
 
 
 class RecordedEstimate(NamedTuple):
-    """A parameter of the contact as the first `half_cycles` of the run tell it: one row of the live fit.
+    """A parameter of the contact from the first `half_cycles` half-cycles: one row of the live fit.
 
     The rows of one fit have the same `time_ns`. `u_value` is infinite where the data do not determine it;
     `quantity` is the key in results.json, which ends in the unit.
@@ -207,9 +207,9 @@ class RecordedEstimate(NamedTuple):
 
 
 class RecordedFittedPoint(NamedTuple):
-    """A turning point and the full period about it beside the live fit of `time_ns`; NaN without a period.
+    """Fitted amplitude and full period at a turning point, of the live fit of `time_ns`; NaN: no period.
 
-    Residuals are (data - fit) in standard uncertainties of the data. Of many points some hundred are told.
+    Residuals are (data - fit) in standard uncertainties of the data. At most 300 points are recorded.
     """
 
     time_ns: int
@@ -221,7 +221,7 @@ class RecordedFittedPoint(NamedTuple):
 
 
 class RecordedWindow(NamedTuple):
-    """Raw pixels (ny, nx) around the spot; `origin_px` is the position (x, y) of the first on the sensor."""
+    """Raw pixels (ny, nx) around the spot; `origin_px` is the sensor position (x, y) of the first pixel."""
 
     sequence: int
     time_ns: int
@@ -321,7 +321,7 @@ SWING, SWING_UNCALIBRATED = (
 BALANCE, BALANCE_UNCALIBRATED = (
     _message(f"{prefix}Balance", "/balance", *_balance(unit)) for unit, prefix in _UNITS
 )
-"""One state of the balance; in px, except the angle of the line, without a lever."""
+"""One state of the balance; without a lever in px, except the line's angle."""
 _PIXELS = (
     *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),
@@ -361,9 +361,9 @@ class TimedMessage(Protocol):
 
 
 Recorded: TypeAlias = tuple[MessageType, TimedMessage]
-"""A value with the kind of its message."""
+"""A value and its message type."""
 SESSION_KINDS: Final = (PHASE, LIGHT, HEALTH, ESTIMATE, FITTED)
-"""Kinds of messages by which a session says how it stands while it measures."""
+"""Types of the messages on the state of a running session."""
 
 
 def number_kinds(unit: DeflectionUnit) -> tuple[MessageType, ...]:

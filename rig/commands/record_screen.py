@@ -130,7 +130,7 @@ def recover_record(path: Path, output: Path | None) -> None:
     answer(path=target, sound=False, recovery=recovery)
     counts = ", ".join(f"{count} {topic.lstrip('/')}" for topic, count in recovery.messages.items() if count)
     print_line(f"{target}: {counts or 'no messages'}, up to {utc_text(recovery.end_ns)}")
-    print_line(f"lost: {recovery.lost_bytes} bytes after the last complete record")
+    print_line(f"lost: {recovery.lost_bytes} bytes after the last complete entry")
     for damage in recovery.lost:
         topics = ", ".join(damage.topics)
         span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""

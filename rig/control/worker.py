@@ -27,6 +27,8 @@ class JobExpired(DeviceError):
 
 @dataclass(order=True, slots=True)
 class _Job:
+    """A job of the queue; `order` is (0 if urgent, else 1; number of the job)."""
+
     order: tuple[int, int]
     deadline_s: float = field(compare=False)
     call: Callable[[], Any] = field(compare=False)
@@ -41,7 +43,7 @@ class Worker:
     name
         Name of the thread, also used in messages.
     turn
-        Called first, and again after the number of seconds that it returned, or sooner.
+        Called first, and again after the seconds that it returned; a job may delay it.
     finish
         Called at the end of the thread, also after an error; releases the device.
     """

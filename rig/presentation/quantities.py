@@ -1,4 +1,4 @@
-"""How the declared quantities are shown to the user: symbol, unit, factor, name; drawn, of the balance."""
+"""Display of the declared quantities, their styles in Rerun; and keys read from a terminal."""
 
 import contextlib
 import os
@@ -70,7 +70,7 @@ def quantity(key: str, unit: str = "arcsec") -> QuantityDisplay:
 
 
 def declaration(key: str) -> Quantity | None:
-    """What is declared of the quantity with this key; None of an unknown one."""
+    """Declaration of the quantity with this key; None for an unknown key."""
     known = {**quantities_of(AmbientConditions), **quantities_of(Traces)}
     return known[key] if key in known else _balance_quantities().get(key) or _fit_quantities().get(key)
 
@@ -83,7 +83,7 @@ def unit_of(key: str) -> str:
 
 @cache
 def _balance_quantities() -> Mapping[str, Quantity]:
-    """Imported only here, because its compiled functions take longer to load than most commands."""
+    """Declared quantities of the balance; imported here, as its compiled functions load slowly."""
     from processing.balance import Balance
 
     return quantities_of(Balance)
@@ -91,7 +91,7 @@ def _balance_quantities() -> Mapping[str, Quantity]:
 
 @cache
 def _fit_quantities() -> Mapping[str, Quantity]:
-    """Imported only here, because the viewer's process does not need the fits and should start fast."""
+    """Declared quantities of the fits; imported here, so that the viewer without fits starts fast."""
     from processing.fit import DerivedQuantity, FitQuality, Work
     from processing.quantity import OfDecay, OfInstrument
 
@@ -102,7 +102,7 @@ def _fit_quantities() -> Mapping[str, Quantity]:
 
 @cache
 def law_parameters() -> Mapping[str, "Parameter"]:
-    """All parameters of all laws by their keys, and the drag and start values that every fit has beside."""
+    """All parameters of all laws by their keys, and drag and start values, which every fit has."""
     from processing.contact import AMPLITUDE, DRAG, LAWS, TIME
 
     own = [p for law in LAWS.values() for p in (*law.parameters, *law.uncalibrated.values())]
@@ -111,13 +111,13 @@ def law_parameters() -> Mapping[str, "Parameter"]:
 
 
 SOURCES: Final[Mapping[str, str]] = {
-    "swings": "swings (fit)",
+    "swings": "half-cycles",
     "ground": "motion of the ground",
-    "misfit": "law against decay",
+    "misfit": "model discrepancy",
     "friction_step": "a step of the friction",
-    "position_errors": "errors of position (map)",
+    "position_errors": "fixed-pattern error",
     "drifts": "drifts over the run, as fitted",
-    "steeper_drag": "a drag with the 3/2 power",
+    "steeper_drag": "boundary-layer drag",
     "air": "drag of the air, as known",
     "mass_kg": "mass",
     "ball_radius_m": "ball radius R",
@@ -142,16 +142,16 @@ SOURCES: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Traces:
-    """One point of every curve that a page draws of a run; amplitude and period are the balance's own."""
+    """Quantities plotted by the desk's page; amplitude and period are declared in `Balance`."""
 
     elapsed_s: Annotated[float, Quantity("t", "time since the record began", "s")]
     deflection_x: Annotated[float, Quantity("X", "deflection across the swing", *_ANGLE)]
     deflection_y: Annotated[float, Quantity("Y", "deflection along the swing", *_ANGLE)]
     amplitude_residual_in_u: Annotated[
-        float, Quantity("(a − fit) / u", "what a fit of the amplitudes leaves over its uncertainty", unit="1")
+        float, Quantity("(a − fit) / u", "residual of a fit of the amplitudes in u", unit="1")
     ]
     period_residual_in_u: Annotated[
-        float, Quantity("(T − fit) / u", "what a fit of the periods leaves over its uncertainty", unit="1")
+        float, Quantity("(T − fit) / u", "residual of a fit of the periods in u", unit="1")
     ]
     sharpness_per_px: Annotated[float, Quantity("sharpness", "larger is sharper", "1/px", "1/px")]
     level_dn: Annotated[float, Quantity("level", "grey value of a pixel", "DN", "DN")]
@@ -180,11 +180,11 @@ BALANCE: Final[Mapping[str, RerunStyle]] = {
     "drift_y_per_s": RerunStyle("drift_y", palette.Y_COLOUR, "Drift X, Y"),
     "period_ratio": RerunStyle("period_ratio", palette.BLUISH_GREEN, "T_V / T_U"),
 }
-"""By the name in `processing.balance.Balance`."""
+"""Styles by field of `Balance`."""
 
 
 def balance_drawn(key: str) -> RerunStyle:
-    """How a quantity of the balance is drawn; one that is not listed has its own name and no panel."""
+    """Style of a quantity of the balance in Rerun; one without an entry has its own name, no panel."""
     return BALANCE.get(key) or RerunStyle(key)
 
 

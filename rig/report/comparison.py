@@ -1,4 +1,4 @@
-"""`rig compare`: series of several samples, days, humidities beside each other."""
+"""`rig compare`: compares series of several samples, days or humidities."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -31,11 +31,11 @@ from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
 
 _FEWEST = 3
-"""Runs of a straight line with an uncertainty."""
+"""Fewest runs for a line with its u."""
 
 
 class RunUnderConditions(NamedTuple):
-    """One run of a series: where it lies, and the exact parameters with their standard uncertainties."""
+    """One run: value `at` of the ambient condition, and parameters of the exact fit with their u."""
 
     series: str
     run: str
@@ -44,9 +44,9 @@ class RunUnderConditions(NamedTuple):
 
 
 def chosen_surrounding(name: str) -> str:
-    """The name of a quantity of the surroundings, which may be given without its unit.
+    """Full name of an ambient condition, which may be given without its unit.
 
-    Raises ConfigurationError: there is none of that name.
+    Raises ConfigurationError for an unknown name.
     """
     known = {field.name: field.name for field in fields(AmbientConditions)}
     known |= {key.rpartition("_")[0]: key for key in list(known)}
@@ -57,9 +57,9 @@ def chosen_surrounding(name: str) -> str:
 
 
 def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnderConditions]:
-    """The fitted runs of which a quantity of the surroundings is known.
+    """The fitted runs for which an ambient condition is known.
 
-    Raises RecordError: it is known of fewer than two.
+    Raises RecordError for fewer than two.
     """
     found = []
     fitted = [(label, run) for label, one in sessions.items() for run in one.runs if run.fits]
@@ -78,7 +78,7 @@ def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnde
 
 
 def against_table(runs: Sequence[RunUnderConditions], name: str) -> Table:
-    """Every run for the file; for the eye the straight line through all runs of each parameter."""
+    """Table of all runs for the CSV; shown is the fitted line of each parameter."""
     columns: list[str] = ["series", "run", name]
     for key in DEFAULT_LAW.names():
         columns += [key, f"u_{key}"]
@@ -110,7 +110,7 @@ def against_table(runs: Sequence[RunUnderConditions], name: str) -> Table:
 
 
 def _line(runs: Sequence[RunUnderConditions], key: str) -> tuple[float, float, float]:
-    """Slope, its standard uncertainty and the chance of one so large; NaN where there is no line."""
+    """Slope, its u, and the probability of one as large by chance; NaN without a line."""
     from scipy.special import stdtr
 
     known = np.array([(run.at, *tuple(run.parameters[key])) for run in runs if key in run.parameters])
@@ -160,19 +160,19 @@ def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigur
 
 
 _OF_ANY_DECAY = ("mean_period_s", "log_decrement")
-"""What is compared where no run was fitted."""
+"""Compared if no run was fitted."""
 _FAR = 3.0
-"""Uncertainties of the swings, beyond which a difference of two single runs is shown."""
+"""A difference of two single runs is shown if larger than so many u."""
 DIFFERENT = 0.05
-"""Chance, shared between all pairs and parameters, below which series are said to differ."""
+"""Significance level at which series differ, shared between pairs and parameters."""
 
 
 def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> list[Table]:
     """Tables of several sessions' exact parameters and of their differences.
 
-    With `output` (an HTML file) a page with the plot is written, figures and CSV beside it. `against` names a
-    quantity of the surroundings over which every run's parameters are tabulated and drawn, too; a single
-    session is enough for that.
+    With `output` (an HTML file) a page with the plot is written, figures and CSV beside it. `against` names
+    an ambient condition against which all runs' parameters are tabulated and plotted too; for that, one
+    session is enough.
 
     Raises RecordError for a folder without fits, ConfigurationError for one that is named twice and for an
     unknown `against`.
@@ -240,7 +240,7 @@ def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
 
 
 def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
-    """Period and decrement of a session of which nothing was fitted: its mean, or those of its one decay.
+    """Period and decrement of a session without fits: means of its decays, or those of its only one.
 
     Raises RecordError where it has no decay.
     """
@@ -250,7 +250,7 @@ def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
     if len(runs) == 1:
         dof = max(runs[0].half_cycles - 2, 1)
         return {name: _alone(runs[0].number(name), dof) for name in _OF_ANY_DECAY}
-    # one clock times all runs: it does not fall in their mean
+    # all runs share one clock: its u is not averaged out
     by_clock = [
         0.0 if run.clock is None else run.clock.u_rate * run.number("mean_period_s").value for run in runs
     ]
@@ -298,7 +298,7 @@ def _alone(estimate: Estimate, dof: int) -> Combined:
 def values_table(
     series: Mapping[str, Mapping[str, Combined]], found: Mapping[str, Mapping[str, ResultRow]], note: str
 ) -> Table:
-    """One row a quantity, one column a series; what is not determined as interval or bound."""
+    """One row a quantity, one column a series; undetermined ones as interval or bound."""
     known = {name for rows in found.values() for name in rows}
     names = [name for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY, *_OF_ANY_DECAY) if name in known]
     lines = []
@@ -328,7 +328,7 @@ def _witnesses_note(sessions: Mapping[str, SessionResults]) -> str:
     for label, session in sessions.items():
         used = sum(run.witness is not None and run.witness.used for run in session.runs)
         said += [f"{label}: {used} of {len(session.runs)} runs"] if used else []
-    return f" With a witness of the ground: {', '.join(said)}." if said else ""
+    return f" With a seismometer: {', '.join(said)}." if said else ""
 
 
 def differences_table(comparisons: Sequence[Comparison]) -> Table:
@@ -358,7 +358,7 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
         )
     if untested:
         said.append(
-            f"{untested} comparisons are of two single runs: their u is the swings' alone, and how runs of "
+            f"{untested} comparisons are of two single runs: their u is of half-cycles only, and how runs of "
             "one contact scatter, which may be many times more, is not known; measure series (rig fit A1 A2 "
             "A3 combines runs, rig compare --model default --by-sample takes their scatter)."
         )

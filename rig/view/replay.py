@@ -1,4 +1,4 @@
-"""Processes a record again in the same pipeline, at any speed and from any position."""
+"""Replay of a record through the same pipeline, at any speed and from any position."""
 
 import math
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ class ReplayStep(NamedTuple):
 class Replayed(NamedTuple):
     """Results of a replay; `dropped_frames` are missing in the record between the first and the last.
 
-    `beam` is what the spots say of the beam. `deflections` are in the pieces in which they were processed.
+    `beam` counts spots by beam model. `deflections` are in the pieces in which they were processed.
     """
 
     swings: list[HalfCycle]
@@ -160,7 +160,7 @@ class Replay:
 
     @property
     def clock(self) -> CameraClock:
-        """The camera's clock as the frames so far show it; not of frames made on demand."""
+        """State of the camera's clock so far; unknown for frames made on demand."""
         known = [step for time_ns, step in self._steps if time_ns <= self._position_ns]
         largest_s = max((seconds(step_ns) for step_ns in known), key=abs, default=0.0)
         return replace(self._clock, steps=len(known), largest_step_s=largest_s)

@@ -29,7 +29,9 @@ logger = logging.getLogger(__name__)
 
 _POLL_US: Final = 50_000
 _PATIENCE_S: Final = 0.4
+"""Longest wait for one last action; it then goes on in its thread."""
 _LONGEST_S: Final = 15.0
+"""Longest wait for all last actions before the camera is opened again."""
 # libaravis takes 6 s to notice the loss of a GigE camera, and may not monitor a USB camera at all: after a
 # silence of this length a register is read
 _ASK_AFTER_S: Final = 1.0
@@ -248,14 +250,14 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
 
 class _ClosingActions:
     """Runs the final actions on a camera in threads, one after the other, and waits for them only briefly:
-    libaravis waits 2.5 s for each reply of one that is gone.
+    libaravis waits 2.5 s for each reply of a lost camera.
     """
 
     def __init__(self) -> None:
         self._threads: list[threading.Thread] = []
 
     def leave(self, action: Callable[[], None], held: list[Any], error: type[Exception]) -> None:
-        """Run the action, then clear the list `held`; returns soon, whether this is finished or not.
+        """Run the action, then clear the list `held`; returns after 0.4 s at most, finished or not.
 
         There must be no other references to the objects in the list, because dropping the last reference to a
         camera waits for its reply.

@@ -34,12 +34,12 @@ _log = logging.getLogger(__name__)
 
 
 class FilesCamera:
-    """A `Camera` that plays recorded frames from the first to the last; each `start` begins at the first,
-    or, after the loss of the disk or share that they lie on, where it was; their numbers then go on.
+    """A `Camera` that plays recorded frames from the first to the last; each `start` begins at the first, or,
+    after their disk or share was lost, at the next one, with its own number.
 
     A frame that cannot be read, or has another size than the first, is skipped, counted in
     ``status.incomplete``, logged, and leaves a gap in the sequence. The timestamps serve as the camera's
-    clock. Exposure, gain and bit depth cannot be changed: `configure` returns None for them. A region of
+    clock. Exposure and gain are unknown (`configure` returns None), the bit depth is fixed. A region of
     interest is cut out.
     """
 
@@ -197,7 +197,7 @@ class FilesCamera:
         )
 
     def _say_skipped(self, source: FrameSource) -> None:
-        """One line for frames that were skipped one after another."""
+        """Log one line on consecutive frames that were skipped."""
         if self._skipped:
             (first, reason), (last, _) = self._skipped[0], self._skipped[-1]
             more = f" and {len(self._skipped) - 1} more, to {source.label(last)}" if last > first else ""

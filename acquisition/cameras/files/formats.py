@@ -1,7 +1,7 @@
-"""What libraries do not tell of images in files: all images of a portable map, of a TIFF, damaged FFV1.
+"""Readers of what libraries miss: all images of a PGM, PPM or TIFF file, damage of FFV1 video.
 
-OpenCV rescales some portable maps and reads the first image of each; the images of a TIFF file are counted by
-its directories, of which ImageJ writes one.
+OpenCV rescales some portable maps and reads the first image of each; a TIFF file has a directory per image,
+but one of ImageJ has one for all.
 """
 
 import re
@@ -44,7 +44,7 @@ def _portable(data: bytes | mmap, begin: int) -> _Portable | None:
 
 
 def portable_images(data: bytes | mmap) -> list[tuple[int, int]]:
-    """Where each image of a portable map begins and ends; the last may end behind the end of the file."""
+    """First byte and end of each image of a portable map; the last may end beyond the file."""
     found, begin = list[tuple[int, int]](), 0
     while header := _portable(data, begin):
         found.append((begin, header.end))
@@ -80,10 +80,11 @@ _SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 16: 8}
 """Bytes of the types of a TIFF tag that are read here: byte, text, short, long, and long of BigTIFF."""
 _LONGEST_NOTE = 1 << 20
 WIDTH, HEIGHT, BITS, COMPRESSION, _NOTE, PLACES = 256, 257, 258, 259, 270, 273
+"""Numbers of TIFF tags; the last two are ImageDescription and StripOffsets."""
 
 
 class TiffHead(NamedTuple):
-    """Directories of a TIFF file, numbers that the first one holds, and its note.
+    """Number of directories of a TIFF file; tags and note of the first one.
 
     `cut_off`: a directory, to which the file or a page refers, lies beyond the end of the file.
     """
@@ -96,7 +97,7 @@ class TiffHead(NamedTuple):
 
 
 def tiff_head(path: Path) -> TiffHead:
-    """What a TIFF file says of itself; nothing of a file that is none, which is for others to report."""
+    """Read the directories of a TIFF file; for another file 0 of them, and no error."""
     size = path.stat().st_size
     tags: dict[int, list[int]] = {}
     count = 0
@@ -118,7 +119,7 @@ def tiff_head(path: Path) -> TiffHead:
 
 
 def _tags(file: BinaryIO, offset: int, order: _Order, big: bool) -> dict[int, list[int]]:
-    """Whole numbers, and bytes of texts, by the tags of a directory."""
+    """Integers, or bytes of a text, by tag of a directory."""
     count_bytes, entry_bytes, place_bytes = _directory(big)
     file.seek(offset)
     entries = file.read(count_bytes + entry_bytes * int.from_bytes(file.read(count_bytes), order))
@@ -139,7 +140,7 @@ def _tags(file: BinaryIO, offset: int, order: _Order, big: bool) -> dict[int, li
 
 
 def _directory(big: bool) -> tuple[int, int, int]:
-    """Bytes of a directory's number of entries, of an entry, and of a place in the file."""
+    """Sizes in bytes of a directory's entry count, an entry, and a file offset."""
     return (8, 20, 8) if big else (2, 12, 4)
 
 

@@ -39,7 +39,7 @@ _FILMS = (
     ".3gp", ".nut", ".gif",
 )  # fmt: skip
 _LISTED = 5
-"""Places that a message names one by one."""
+"""Most places that a message names."""
 
 
 def open_source(path: Path) -> FrameSource:
@@ -69,9 +69,9 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
 
 
 def numbers_in(names: Sequence[str]) -> list[int] | None:
-    """The number of each image by its name, from 0 in steps of 1; None where names do not count.
+    """The number of each image by its name, from 0 in steps of 1; None if names are not usable.
 
-    Names count where they differ in one number alone, which rises evenly but for images that are missing.
+    Usable names differ in one number only, which rises evenly except where images are missing.
     """
     parts = [re.split(r"(\d+)", name) for name in names]
     if len(names) < 3 or len({len(one) for one in parts}) > 1:
@@ -114,7 +114,7 @@ class _PortableImages(_Images):
                 self._places = portable_images(data) or self._places
                 rest = len(data) - self._places[-1][1]
             if rest >= self._places[0][1] - self._places[0][0] > 0:
-                self.said = [f"{path}: {rest} bytes behind its last image are none; they are left out"]
+                self.said = [f"{path}: {rest} bytes after its last image are ignored: no image"]
         self.count = len(self._places)
 
     def read(self, page: int) -> Stored:
@@ -130,10 +130,10 @@ class _PortableImages(_Images):
 
 
 class _TiffImages(_Images):
-    """TIFF; of a file that is cut off one image more is counted, which cannot be read.
+    """Images of a TIFF file; one that is cut off counts one more, which is unreadable.
 
     ImageJ writes one directory for any number of images, whose pixels follow each other, and their number
-    into a note; so does tifffile where it is told to.
+    into a note (ImageDescription), as tifffile can.
     """
 
     def __init__(self, path: Path) -> None:
@@ -189,7 +189,7 @@ class _TiffImages(_Images):
 def _noted(path: Path, note: str, shape: Sequence[int]) -> int:
     """The number of images that a note in a TIFF states; 0 if it states none.
 
-    Raises DeviceError where they are not one after the other in time.
+    Raises DeviceError if the images are not a series in time.
     """
     if note.startswith("ImageJ"):
         stated = {name: int(number) for name, number in re.findall(r"^(\w+)=(\d+)\s*$", note, re.MULTILINE)}
@@ -274,14 +274,14 @@ class ImageSource(FrameSource):
         raise DeviceError(f"{self._path}: {ONE_IMAGE}")
 
     def _numbered(self, files: Sequence[str]) -> list[str]:
-        """Number the images by their files' names; lines on those that are missing."""
+        """Number the images by their files' names; warnings of missing images."""
         if len(files) < 3:
             # one file, or two, cannot miss any between them
             return []
         numbers, counts = numbers_in(files), [one.count for one in self._images]
         # the last file may have been left half full
         if numbers is None or len(set(counts[:-1])) > 1 or counts[-1] > counts[0]:
-            return ["the images' names do not count evenly: missing ones cannot be told"]
+            return ["the numbers in the images' names are uneven: no gap can be found"]
         self.numbers = [numbers[k] * counts[0] + page for k, page in self._places]
         gaps = [i for i, (before, after) in enumerate(pairwise(numbers)) if after - before > 1]
         count = counts[0] * sum(numbers[i + 1] - numbers[i] - 1 for i in gaps)
@@ -295,7 +295,7 @@ class ImageSource(FrameSource):
 
 
 def _left_out(path: Path, inside: Sequence[str], images: Sequence[str]) -> list[str]:
-    """Lines on what lies beside the images; raises DeviceError where there are none."""
+    """Warnings of other files in the folder; raises DeviceError without images."""
     others = [name for name in inside if name not in set(images) and not name.startswith(".")]
     films = sum(is_film(path / name) for name in others)
     if not images and films:

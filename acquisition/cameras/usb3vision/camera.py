@@ -238,7 +238,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             self._registers.enable(on)
 
     def _try_each(self, *steps: Callable[[], None], within_s: float | None = None) -> None:
-        """Each step may fail if the camera does not answer; the others are tried nevertheless.
+        """Call each step, also after others failed because the camera does not answer.
 
         Raises CameraLost where it is unplugged.
         """
@@ -283,7 +283,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
 
     @contextmanager
     def _locked_soon(self) -> Iterator[bool]:
-        """Acquire the lock; a call that holds it while waiting for a silent camera is made to fail."""
+        """Yield whether the lock was acquired; a call that holds it for a silent camera is aborted."""
         locked = self._lock.acquire(timeout=_LOCK_S)
         channel = self._channel
         if not locked and channel is not None:

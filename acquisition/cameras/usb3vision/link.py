@@ -36,7 +36,7 @@ UDEV_RULE: Final = (
     'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
     f'ENV{{ID_USB_INTERFACES}}=="*:{VISION_CLASS:02x}{VISION_SUBCLASS:02x}*"'
 )
-"""What matches such cameras of any maker in a rule of udev; `rig doctor --install-udev` writes it."""
+"""Condition of the udev rule for cameras of any maker, which `rig doctor --install-udev` writes."""
 
 # Error codes of the operating systems for a device that has been unplugged
 _GONE: Final = {errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN}
@@ -226,14 +226,14 @@ class UsbSpeed(IntEnum):
 
     @property
     def text(self) -> str:
-        """As data sheets call it."""
+        """Name in data sheets."""
         names = {UsbSpeed.SUPER: "SuperSpeed", UsbSpeed.SUPER_PLUS: "SuperSpeed+"}
         return names.get(self, f"{self.name.lower()} speed")
 
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera on the bus; texts are empty if they cannot be read, and `accessible` is False then.
+    """A camera on the bus; unreadable texts are empty; `accessible` False: no permission or driver.
 
     `device` is pyusb's object.
     """

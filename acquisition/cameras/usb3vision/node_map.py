@@ -24,10 +24,10 @@ _PORT: Final = "Device"
 _NUMBERS: Final = ("Integer", "Float")
 _VALUES: Final = (*_NUMBERS, "Boolean", "Enumeration", "String")
 _NO_LIMIT: Final = 1e300
-"""Floats without a limit end at the largest one."""
+"""A bound beyond this means "no limit"."""
 _SWITCH: Final = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 _THROWN: Final = re.compile(r"\s*: \w+Exception thrown.*", re.DOTALL)
-"""Where in its sources GenApi raised an error, which follows what is wrong."""
+"""End of a GenApi message: the place in its sources."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +134,7 @@ class NodeMap:
     def get(self, name: str) -> Any:
         """Value of a feature: int, float, bool, bytes (a register), or str (a text or a choice).
 
-        That of a command is whether the camera is still executing it.
+        For a command: whether the camera is still executing it.
         """
         with self._asking(f"{name} cannot be read"):
             node, kind = self._node(name), self.kind(name)
@@ -149,7 +149,7 @@ class NodeMap:
             return node.value
 
     def set(self, name: str, value: Any) -> None:
-        """Set a feature to a value, or to its text; of a command, any value runs it."""
+        """Set a feature to a value, or to its text; any value runs a command."""
         with self._asking(f"{name} cannot be set to {value!r}"):
             node, kind = self._node(name), self.kind(name)
             if not self.writable(name):
@@ -202,7 +202,7 @@ class NodeMap:
         return FeatureReading(name, kind, access, value, *self.limits(name), unit, choices)
 
     def _allowed(self, name: str, value: Any) -> Any:
-        """A value as its feature takes it; DeviceError, which says what is allowed, if that is not this."""
+        """The value in the feature's type; DeviceError with the allowed values if it is not one."""
         node, kind, stated = self._node(name), self.kind(name), f"{self.name}: {name} = {value}"
         if kind == "Enumeration" and value not in node.symbolics:
             listed = ", ".join(node.symbolics)

@@ -40,8 +40,9 @@ logger = logging.getLogger(__name__)
 _PATIENCE_S: Final = 0.3
 # Sizes of block counters that are shorter than the standard's 64 bits.
 _COUNTERS: Final = (1 << 16, 1 << 32)
-# So many frames in a row that are sent in another way than planned: this camera does so.
+# After so many frames in a row with other parts than planned, these are expected.
 _LEARNED_AFTER: Final = 2
+# After so many lost frames in a row the planned parts are expected again.
 _UNLEARNED_AFTER: Final = 6
 # So many consecutive frames of a wrong size or format are a wrong setting and not an error of the bus.
 _MOST_MISFITS: Final = 10
@@ -68,7 +69,9 @@ class _Part(Enum):
     PAYLOAD = 1
     TRAILER = 2
     SEARCH = 3
+    """A read that looks for the next leader."""
     EMPTY = 4
+    """The empty packet after a payload of whole packets."""
 
 
 class _Payload:
@@ -82,7 +85,7 @@ class _Payload:
         return len(self._pieces)
 
     def append(self, piece: NDArray[np.uint8]) -> None:
-        """One more piece, in order."""
+        """Add the next piece."""
         self._pieces.append(piece)
         self.byte_count += piece.size
 
@@ -102,10 +105,10 @@ class _Payload:
 
 
 class UsbFrameStream:
-    """The frames of one run, through `reading`.
+    """Delivers a run by `reading`.
 
-    The system has reads to fill for `Transfers.frames_ahead` frames, from the construction on; what comes
-    beyond them before the next call waits in the camera's memory, and is lost there if that is full.
+    From construction on, reads for `Transfers.frames_ahead` frames are queued; data beyond them wait in the
+    camera's memory until the next call, and are lost if it is full.
 
     A frame is delivered only if its leader, all of its bytes and its trailer have arrived and agree with
     each other and with the expected format. All others are counted: ``error_status`` if the camera says so
@@ -146,7 +149,7 @@ class UsbFrameStream:
         return self._numbers.status(self.reading.delivered)
 
     def _step(self, timeout_s: float) -> Frame | None:
-        """Take one transfer; the frame that it completes, if any."""
+        """Take a transfer; the frame it completes, or None."""
         try:
             self._fill()
             part, planned, buffer = self._ring[0]
@@ -232,7 +235,7 @@ class UsbFrameStream:
         self._leader = None
 
     def _deviates(self) -> bool:
-        """Note that this frame is not sent as planned; whether two in a row are, which then is expected."""
+        """Note a frame not sent as planned; True from the second in a row on: then it is expected."""
         self._deviations += not self._deviated
         self._deviated = True
         return self._deviations >= _LEARNED_AFTER
@@ -240,7 +243,7 @@ class UsbFrameStream:
     # ---- parts of a frame
 
     def _take_empty(self, part: _Part) -> None:
-        """A packet without bytes: it ends a payload of whole packets, where the standard has none."""
+        """Take an empty packet: some cameras end a payload of whole packets with one."""
         if part is _Part.EMPTY:
             return
         *before, trailer = self._parts

@@ -242,7 +242,8 @@ class LibusbTransfers:
             if error == _ERROR_NO_MEMORY:
                 raise DeviceError(
                     f"{self._link.name}: the system has no memory for {len(self._reads) + 1} transfers; "
-                    f"set fewer transfers, or raise /sys/module/usbcore/parameters/usbfs_memory_mb"
+                    "lower camera.usb3vision.transfers "
+                    "or raise /sys/module/usbcore/parameters/usbfs_memory_mb"
                 )
             raise StreamHalted(f"{self._link.name}: a read could not be started (libusb error {error})")
         self._reads.append(read)

@@ -28,8 +28,8 @@ class V4l2Camera:
     Notes
     -----
     The driver numbers frames. Gaps count as lost by the host if all buffers were full, else as lost on the
-    bus; frames that the driver marks as damaged have an error status. A camera that is opened again is the
-    same one, although its device may have another number.
+    bus; frames that the driver marks as damaged have an error status. `open` finds the same camera again,
+    also under another device number.
     """
 
     def __init__(self, settings: V4l2Settings | None = None) -> None:
@@ -93,7 +93,7 @@ class V4l2Camera:
             run.stop(_STOP_S)
 
     def close(self) -> None:
-        """Stop and give the device back, at the latest when a read that waits has come to its end."""
+        """Stop, and release the device, at the latest when a waiting read has ended."""
         self.stop()
         with self._lock:
             source, self._source = self._source, None

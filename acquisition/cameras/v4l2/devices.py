@@ -20,7 +20,7 @@ class Layout(NamedTuple):
     """Grey values in a buffer: their `pixel_format`, type, distance in a row and first position (in
     values).
 
-    `packed` are the pixels of a group in MIPI's packing: a byte with the high bits of each, then one with the
+    `packed` is the number of pixels in a MIPI group: a byte with the high bits of each, then one with the
     low bits of all, least significant first; 0 if pixels are whole bytes. `colours` are those of the first
     two pixels of the first row of a Bayer mosaic.
     """
@@ -109,7 +109,7 @@ def _own(part: NDArray[np.generic]) -> Image:
 
 
 def _unpacked(rows: NDArray[np.uint8], width_px: int, group: int) -> NDArray[np.uint16]:
-    """Pixels of rows of groups of `group` bytes and one more with their low bits."""
+    """Pixels from rows of groups: `group` high bytes, then one of low bits."""
     groups = -(-width_px // group)
     data = rows[:, : groups * (group + 1)].reshape(len(rows), groups, group + 1)
     bits = 8 // group
@@ -150,7 +150,7 @@ def list_devices() -> list[VideoDevice]:
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """The same for ``rig doctor``; DeviceError on systems without Video4Linux."""
+    """All cameras for ``rig doctor``; DeviceError on systems but Linux."""
     if sys.platform != "linux":
         raise DeviceError("v4l2: there are such cameras on Linux only")
     cameras = []
@@ -196,12 +196,12 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
 
 
 def find_again(known: VideoDevice) -> VideoDevice:
-    """The device that was open before: it may have another number now, and another device its old one.
+    """Find the device `known` again, whose number may have changed.
 
     Raises DeviceError while it is not there, or cannot be opened.
     """
     same = [one for one in list_devices() if (one.name, one.serial) == (known.name, known.serial)]
-    # of two cameras of one kind without serial numbers their place on the bus tells which is which
+    # two cameras of one model without serial numbers differ by their place on the bus
     for told in ("bus", "path"):
         if len(same) > 1:
             same = [one for one in same if getattr(one, told) == getattr(known, told)]

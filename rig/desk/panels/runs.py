@@ -89,7 +89,7 @@ class SessionList:
                 self._older = ui.button("Older", on_click=lambda: self._turn(1)).props("outline dense")
 
     async def find_anew(self) -> None:
-        """Other words are searched for."""
+        """Search again from page 1."""
         self._first = 0
         await self.refresh()
 
@@ -133,7 +133,7 @@ class SessionList:
 
 
 class Actions:
-    """What is done with the session that is marked."""
+    """Buttons that act on the marked session."""
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
@@ -146,16 +146,16 @@ class Actions:
                 ("Report", self.report, "open the report, key o"),
                 ("Rerun", self.view, "show the session in Rerun, key v"),
                 ("Fit again", self._fit, "refit all runs into a new folder"),
-                ("Resume …", self._ask_resume, "make the missing runs"),
+                ("Resume …", self._ask_resume, "measure missing runs"),
             )
         ]
         self._wanted = ui.label().classes("dim")
-        self._ending = tab.button("End it", desk.looking_again.end).props("flat")
+        self._ending = tab.button("End", desk.looking_again.end).props("flat")
         self.elements = (*self._buttons, self._wanted)
         self.mark(None)
 
     def mark(self, row: SessionRow | None) -> None:
-        """Another one is marked, or none."""
+        """Mark this session, or none."""
         self._marked = row
         for button in self._buttons:
             button.set_enabled(row is not None)
@@ -196,7 +196,7 @@ class Actions:
 
 
 class CommandOutput:
-    """The last words of the commands that look at sessions again, and the address of what Rerun shows."""
+    """Output of the commands (report, view, fit) on old sessions, and the link to Rerun's page."""
 
     def __init__(self, desk: Desk) -> None:
         self._again = desk.looking_again
@@ -207,7 +207,7 @@ class CommandOutput:
             self._words.style("white-space: pre; overflow: auto; max-height: 300px; font: 13px monospace")
 
     def refresh(self) -> None:
-        """Show what they have said by now."""
+        """Show their output so far."""
         self._words.set_text("\n".join(self._again.said()))
         address = self._again.address("view")
         self._link.props(f'href="{address}"')
@@ -215,7 +215,7 @@ class CommandOutput:
 
 
 def open_served(desk: Desk, page: Path) -> None:
-    """Open a file of the sessions' folder in a tab of its own."""
+    """Open a file of the output folder in a new browser tab."""
     name = page.absolute().relative_to(desk.config.session.output.absolute()).as_posix()
     ui.run_javascript(f"window.open({json.dumps(f'{SERVED}/{quote(name)}')}, '_blank')")
 
@@ -230,11 +230,11 @@ def _head(column: str) -> str:
 
 
 _AGAIN_S = 30.0
-"""After so long what others may have added is looked for."""
+"""Interval of reading the archive for added runs."""
 
 
 class ArchivedRuns:
-    """The list; `words` says what is searched, `wanted` whether it is to be seen. Built where it is made."""
+    """List of archived runs; `words` returns the search, `wanted` whether it is visible."""
 
     def __init__(self, desk: Desk, tab: Tab, words: Callable[[], str], wanted: Callable[[], bool]) -> None:
         self._desk, self._words, self._wanted = desk, words, wanted

@@ -1,4 +1,4 @@
-"""What some seconds of frames say before a run: spot, exposure, rate, clock, disk.
+"""Checks of trial frames before a run: spot, exposure, rate, clock, disk.
 
 Each check turns plain values into one verdict with reason and remedy.
 """
@@ -29,8 +29,9 @@ from rig.presentation import Verdict, with_uncertainty
 from rig.settings import Configuration, PreflightSettings
 
 _SPOT_BYTES = 260
+"""Bytes that one frame's numbers take in the record."""
 _PICTURES = 48
-"""In which it is looked for light that stays where it is."""
+"""Frames searched for light that does not move."""
 
 
 def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
@@ -97,17 +98,17 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
         reason = "unknown: these frames came too irregularly, or too few of them, to tell the clock's rate"
         measured = f"jitter {jitter_us:.1f} µs, rate unknown ({rate})"
         return Verdict("clock", True, reason, measured=measured, limit=limit, made=False)
-    remedy = "a fixed frame_rate_hz, the camera's own clock, no free-running trigger"
+    remedy = "set frame_rate_hz, use the camera's clock, no free-running trigger"
     wrong = "frames come unevenly; turning times suffer", remedy
     return judged("clock", ok, wrong, f"jitter {jitter_us:.1f} µs, {rate}", limit)
 
 
 def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: PreflightSettings) -> Verdict:
     """Check the measured frame rate against the requested one, and the losses."""
-    limit = f"{100 * limits.max_frame_rate_error:g} %, losses {100 * limits.max_dropped_fraction:g} %"
+    limit = f"rate {100 * limits.max_frame_rate_error:g} %, losses {100 * limits.max_dropped_fraction:g} %"
     span_s = seconds(frames[-1].time_ns - frames[0].time_ns) if len(frames) > 1 else 0.0
     if span_s <= 0:
-        wrong = "the camera hardly delivers", "see the camera"
+        wrong = "hardly a frame arrives", "check cable and trigger"
         return judged("frame rate", False, wrong, "too few frames", limit)
     numbers = frames[-1].sequence - frames[0].sequence
     rate_hz = numbers / span_s
@@ -131,7 +132,7 @@ def disk(
 
 
 def _room(size_bytes: float) -> str:
-    """In GB, or, where that would be next to nothing, in MB."""
+    """The size in GB, or in MB below 1 GB, as text."""
     return f"{size_bytes / 1e9:.1f} GB" if size_bytes >= 1e9 else f"{size_bytes / 1e6:.1f} MB"
 
 
@@ -174,7 +175,7 @@ def check_look(
 
 _ANY_HUMIDITY = (0.0, 100.0)
 _ALONG_ROWS = 0.1
-"""Part of the slow swing that may go across the rows of a sensor whose slow axis lies along them."""
+"""Largest |cos(slow_angle_rad)| at which the slow axis counts as along the rows."""
 
 
 def air(
@@ -194,18 +195,18 @@ def air(
     if not expected:
         return Verdict("environment", True, measured="no sensor is configured", limit=limit, made=False)
     if math.isnan(temperature_c) and optional and not asks_humidity:
-        reason = "the controller has none, or it is silent"
+        reason = "the controller has no sensor, or no reading"
         remedy = "plug a BME280 in, or state [environment]"
         return Verdict("environment", True, reason, remedy, measured="no reading", limit=limit)
     if math.isnan(temperature_c):
         return judged("environment", False, ("the sensor is silent", "see rig doctor"), "no reading", limit)
     words = f"{temperature_c:.1f} °C, {humidity_percent:.0f} %, {pressure_pa / 100:.0f} hPa"
     if asks_humidity and math.isnan(humidity_percent):
-        wrong = "it does not report humidity", "a sensor that does, or no limits of it"
+        wrong = "it does not report humidity", "use one that does, or no humidity limits"
         return judged("environment", False, wrong, words, limit)
     ok = limits.min_temperature_c <= temperature_c <= limits.max_temperature_c
     ok = ok and (not asks_humidity or damp[0] <= humidity_percent <= damp[1])
-    return judged("environment", ok, ("out of range", "wait, or widen"), words, limit)
+    return judged("environment", ok, ("out of range", "wait, or widen the limits"), words, limit)
 
 
 def controller(now: DevicesNow, wanted: bool) -> Verdict:
@@ -229,7 +230,7 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
 def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool = False) -> Verdict:
     """Check that the row time of a rolling shutter is known where the spot swings across the rows.
 
-    `word` is the camera's own for its shutter. Without `axes` the slow axis is taken along the columns. A
+    `word` is the camera's name of its shutter. Without `axes` the slow axis is taken along the columns. A
     `pulsed` laser lights all rows at one time.
     """
     limit = "global, or its row time known"
