@@ -14,16 +14,16 @@ from processing.units import seconds
 
 _BANDS_A_DECADE = 8
 """Bands over which the spectrum of the reference is averaged; in each the filter is constant."""
-_PADDED = 0.5
+_PADDED_FRACTION = 0.5
 """Part of the length by which a run is mirrored at its ends."""
-_ABOUT = 10
+_END_FRAMES = 10
 """Frames averaged for the level at an end of a run."""
 _LONGEST_GAP_S = 0.5
 """Longest gap bridged by interpolation of the motion."""
-_FEWEST = 200
+_MIN_FRAMES = 200
 _BLOCKS = 10
 """Blocks of frames whose scatter is the uncertainty of the gain."""
-_PAYS = 12.0
+_MIN_FALL = 12.0
 """Smallest fall of -2 ln L of the frames at rest for which a reference is used."""
 
 
@@ -63,9 +63,9 @@ def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMo
     Raises DataError for too few frames.
     """
     found = np.isfinite(position_px) & np.isfinite(u_px)
-    if np.count_nonzero(found) < _FEWEST:
+    if np.count_nonzero(found) < _MIN_FRAMES:
         raise DataError(
-            f"the reference spot is found in {np.count_nonzero(found)} frames; {_FEWEST} are needed"
+            f"the reference spot is found in {np.count_nonzero(found)} frames; {_MIN_FRAMES} are needed"
         )
     time_s = seconds(times_ns - times_ns[0])
     step_s = float(np.median(np.diff(time_s)))
@@ -73,9 +73,9 @@ def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMo
     even = np.interp(even_s, time_s[found], position_px[found])
     even -= even.mean()
     noise = float(np.mean(u_px[found] ** 2))
-    pad = max(1, min(int(_PADDED * len(even)), len(even) - 1))
+    pad = max(1, min(int(_PADDED_FRACTION * len(even)), len(even) - 1))
     # about the level at each end, not about the noise of one frame, which would be a step
-    about = min(_ABOUT, len(even))
+    about = min(_END_FRAMES, len(even))
     low, high = float(even[:about].mean()), float(even[-about:].mean())
     padded = np.concatenate([2 * low - even[pad:0:-1], even, 2 * high - even[-2 : -2 - pad : -1]])
     spectrum = np.fft.rfft(padded)
@@ -138,10 +138,10 @@ def fitted_gain(position_px: Floats, u_px: Floats, common: CommonMotion, quiet: 
     Raises DataError where too few frames are quiet.
     """
     use = quiet & common.known & np.isfinite(position_px) & np.isfinite(u_px)
-    if np.count_nonzero(use) < _FEWEST:
+    if np.count_nonzero(use) < _MIN_FRAMES:
         raise DataError(
-            f"{np.count_nonzero(use)} frames at rest have both spots; {_FEWEST} are needed for the gain of "
-            "the reference: state it, or let the pendulum rest for longer before it is released"
+            f"{np.count_nonzero(use)} frames at rest have both spots; {_MIN_FRAMES} are needed for the gain "
+            "of the reference: state it, or let the pendulum rest for longer before it is released"
         )
     gain = _gain(position_px[use], common.value[use])
     parts = np.array_split(np.arange(np.count_nonzero(use)), _BLOCKS)
@@ -177,7 +177,7 @@ def less_reference(
     if not common.share > 0:
         return refused(position_px, u_px, gain, ReferenceVerdict.QUIET)
     fall = _fall(position_px, common, gain.value, quiet)
-    if fall is not None and not fall > _PAYS:
+    if fall is not None and not fall > _MIN_FALL:
         return replace(refused(position_px, u_px, gain, ReferenceVerdict.NO_GAIN), gain_of_prediction=fall)
     size = float(np.sqrt(np.mean(common.value[common.known] ** 2)))
     of_common = np.where(common.known, common.u, size)
@@ -196,7 +196,7 @@ def less_reference(
 def _fall(position: Floats, common: CommonMotion, gain: float, quiet: Flags) -> float | None:
     """Fall of -2 ln L of the frames at rest, by the number of independent ones; None: too few."""
     use = quiet & common.known & np.isfinite(position)
-    if np.count_nonzero(use) < _FEWEST:
+    if np.count_nonzero(use) < _MIN_FRAMES:
         return None
     before = position[use] - position[use].mean()
     after = before - gain * (common.value[use] - common.value[use].mean())
@@ -215,13 +215,13 @@ def _independent(values: Floats) -> float:
 
 _LAG = 16
 """Distance in frames for the size of a walk; noise hides it between neighbours."""
-_MEMORY = 1000
+_MEMORY_FRAMES = 1000
 """Differences in the running mean of their squares."""
-_FEWEST_FRAMES = 32
+_MIN_DIFFERENCES = 32
 """Differences before a walk is believed."""
-_SEEN = 1.1
+_MIN_RATIO = 1.1
 """Their mean square over that of the noise alone, above which there is motion."""
-_DATUM = 16
+_DATUM_FRAMES = 16
 """First frames, whose mean is the origin of positions."""
 
 
@@ -233,7 +233,7 @@ class _BeamAxis:
         self._count = 0
         self._square = self._noise = 0.0
         self._datum = 0.0
-        self._of_datum = 0
+        self._datum_count = 0
         self.level, self.variance, self.walk = math.nan, math.inf, 0.0
 
     def take(self, place: float, u: float) -> tuple[float, float]:
@@ -249,9 +249,9 @@ class _BeamAxis:
             part = self.variance / (self.variance + u * u) if u > 0 and self.variance < math.inf else 1.0
             self.level += part * (place - self.level)
             self.variance = part * u * u
-            if self._of_datum < _DATUM:
-                self._of_datum += 1
-                self._datum += (place - self._datum) / self._of_datum
+            if self._datum_count < _DATUM_FRAMES:
+                self._datum_count += 1
+                self._datum += (place - self._datum) / self._datum_count
         else:
             self._recent.clear()
         return self.level - self._datum, self.variance
@@ -262,10 +262,10 @@ class _BeamAxis:
             return
         difference = place - self._recent.pop(0)
         self._count += 1
-        share = 1.0 / min(self._count, _MEMORY)
+        share = 1.0 / min(self._count, _MEMORY_FRAMES)
         self._square += share * (difference * difference - self._square)
         self._noise += share * (2.0 * noise - self._noise)
-        moves = self._count >= _FEWEST_FRAMES and self._square > _SEEN * self._noise
+        moves = self._count >= _MIN_DIFFERENCES and self._square > _MIN_RATIO * self._noise
         self.walk = (self._square - self._noise) / _LAG if moves else 0.0
 
 

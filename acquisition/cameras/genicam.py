@@ -32,7 +32,7 @@ from processing.errors import DeviceError
 
 Quantity = Literal["exposure_us", "gain_db", "frame_rate_hz"]
 
-_KEPT: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
+_STICKY: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
 """Settings that keep their last requested value if left out."""
 _FRAME_TRIGGERS: Final = ("FrameStart", "ExposureStart", "AcquisitionStart")
 _EDGES: Final[dict[Edge, str]] = {"rising": "RisingEdge", "falling": "FallingEdge"}
@@ -50,7 +50,7 @@ _AUTOMATIC: Final = (
     "AutoExposureControl",
 )
 """Enumerations that are set to "Off", in this order."""
-_BENDING: Final = ("GammaEnable", "GammaEnabled", "LUTEnable", "SharpnessEnable", "SharpeningEnable")
+_NONLINEAR: Final = ("GammaEnable", "GammaEnabled", "LUTEnable", "SharpnessEnable", "SharpeningEnable")
 """Switches that make DN no longer proportional to light; set to false."""
 _RESULTING_RATES: Final = (
     "AcquisitionResultingFrameRate",
@@ -70,12 +70,12 @@ class GenicamFeatures(ABC):
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._asked = CameraSettings()
+        self._requested = CameraSettings()
 
     @property
     def plane(self) -> ColourPlane | None:
         """The colour that is read, of a sensor with a Bayer mosaic."""
-        return self._asked.colour_plane
+        return self._requested.colour_plane
 
     @property
     def rate_switch(self) -> str:
@@ -85,7 +85,9 @@ class GenicamFeatures(ABC):
     @property
     def waits(self) -> bool:
         """Whether the camera is set to wait for a trigger, by camera.trigger or by camera.features."""
-        return self._asked.trigger is not None or any("Trigger" in name for name in self._asked.features)
+        return self._requested.trigger is not None or any(
+            "Trigger" in name for name in self._requested.features
+        )
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None, in the order that cameras require; return all as read back.
@@ -94,11 +96,11 @@ class GenicamFeatures(ABC):
         """
         self.renew()
         self._leave_images_alone()
-        kept = {name: getattr(self._asked, name) for name in _KEPT if getattr(settings, name) is None}
+        kept = {name: getattr(self._requested, name) for name in _STICKY if getattr(settings, name) is None}
         asked = settings.model_copy(update=kept)
         self._set_binning(asked.binning or 1)
         self._wire(asked)
-        self._asked, settings = asked, in_sensor_px(asked)
+        self._requested, settings = asked, in_sensor_px(asked)
         self.set_format(settings.pixel_format)
         self.set_region(settings)
         self._set_times(settings)
@@ -288,7 +290,7 @@ class GenicamFeatures(ABC):
             elif settings.ptp:
                 raise DeviceError(f"{self.name}: has no {_PTP[0]}; leave camera.ptp out")
 
-    def _wired(self, settings: CameraSettings) -> dict[str, str | bool]:
+    def _read_wiring(self, settings: CameraSettings) -> dict[str, str | bool]:
         """Wiring read back from the camera, by the names of those `settings` that are not None."""
         found: dict[str, str | bool] = {}
         if settings.trigger is not None and self.read("TriggerMode") == "On":
@@ -310,7 +312,7 @@ class GenicamFeatures(ABC):
         """
         for name in _AUTOMATIC:
             self._choose_if_possible(name, "Off")
-        for name in _BENDING:
+        for name in _NONLINEAR:
             if self.writable(name) and _is_on(self.read(name)):
                 self.write(name, False)
         self._choose_if_possible("ExposureMode", "Timed")
@@ -373,7 +375,7 @@ class GenicamFeatures(ABC):
             offset_y_px=y,
             features={name: self.shown(name) for name in settings.features},
         )
-        return in_plane_px(applied.model_copy(update=self._wired(settings)), settings.colour_plane)
+        return in_plane_px(applied.model_copy(update=self._read_wiring(settings)), settings.colour_plane)
 
     def _check(self, key: str, wanted: float, low: float, high: float) -> None:
         if not low <= wanted <= high:
@@ -408,7 +410,7 @@ class GenicamCamera(ABC, Generic[_Features]):
         self._lock = threading.RLock()
         self._features: _Features | None = None
         self._numbers = BlockNumbers(name, ())
-        self._before = CameraStatus()
+        self._past_counts = CameraStatus()
         self._was_lost = False
 
     @abstractmethod
@@ -424,21 +426,21 @@ class GenicamCamera(ABC, Generic[_Features]):
         return False
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        with self._lock, self._translated():
-            features = self._opened()
+        with self._lock, self._translate_errors():
+            features = self._open_features()
             if self._is_running():
                 raise DeviceError(f"{self._name}: is running; stop it before settings are changed")
             return features.apply(settings)
 
     def feature_values(self) -> dict[str, FeatureValue]:
-        with self._lock, self._translated():
-            features = self._opened()
+        with self._lock, self._translate_errors():
+            features = self._open_features()
             features.latch_clock_state()
             return features.values(self._library_error())
 
     def feature_value(self, name: str) -> FeatureValue | None:
-        with self._lock, self._translated():
-            features = self._opened()
+        with self._lock, self._translate_errors():
+            features = self._open_features()
             features.renew()
             if name in CLOCK_STATES:
                 features.latch_clock_state()
@@ -447,15 +449,15 @@ class GenicamCamera(ABC, Generic[_Features]):
     @property
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
-        return self._before + self._numbers.status(self._numbers.whole)
+        return self._past_counts + self._numbers.status(self._numbers.whole)
 
     def _begin(self, counters: tuple[int, ...], *, has_clock: bool = False) -> BlockNumbers:
         """Start a `BlockNumbers`; counts go on after a loss of the camera."""
-        self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+        self._past_counts, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
         self._numbers = BlockNumbers(self._name, counters, has_clock=has_clock)
         return self._numbers
 
-    def _opened(self) -> _Features:
+    def _open_features(self) -> _Features:
         if self._features is None:
             raise DeviceError(f"{self._name}: is not open; call open first")
         return self._features
@@ -465,7 +467,7 @@ class GenicamCamera(ABC, Generic[_Features]):
             raise DeviceError(f"{self._name}: is running already; stop it first")
 
     @contextmanager
-    def _translated(self) -> Iterator[None]:
+    def _translate_errors(self) -> Iterator[None]:
         """Convert the library's errors into DeviceError, those of an unplugged camera into CameraLost."""
         try:
             yield

@@ -163,7 +163,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         self._camera: Any = None
         self._pylon: Any = None
         self._emulated = self._started = False
-        self._seen: tuple[Format | None, ColourPlane | None] = (None, None)
+        self._format_and_plane: tuple[Format | None, ColourPlane | None] = (None, None)
         self._tick_ns = 0.0
         self._halted = threading.Event()
 
@@ -191,7 +191,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             raise DeviceError(f"pylon: several cameras: {listed}; set camera.serial to one of them")
         device = chosen[0]
         self._name = f"pylon camera {device.GetModelName()} (serial {device.GetSerialNumber()})"
-        with self._lock, self._translated():
+        with self._lock, self._translate_errors():
             camera = pylon.InstantCamera(factory.CreateDevice(device))
             camera.Open()
             self._camera = camera
@@ -213,13 +213,13 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
 
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
-        with self._lock, self._translated():
-            features, camera = self._opened(), self._camera
+        with self._lock, self._translate_errors():
+            features, camera = self._open_features(), self._camera
             self._must_be_idle()
             self._begin((_GIGE_BLOCKS,))
             self._halted.clear()
             self._started = True
-            self._seen = (features.present_format(), features.plane)
+            self._format_and_plane = (features.present_format(), features.plane)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
             frame_bytes = int(features.node("PayloadSize").Value)
             camera.MaxNumBuffer.Value = kept_frames(
@@ -244,7 +244,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         return None
 
     def _retrieve(self, camera: Any, patience_ms: int) -> Frame | None:
-        with self._translated():
+        with self._translate_errors():
             try:
                 result = camera.RetrieveResult(patience_ms, self._pylon.TimeoutHandling_Return)
             except Exception:
@@ -267,7 +267,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
                 if number is None:
                     return None
                 image = np.array(result.GetArray(), copy=True)
-                pixel_format, plane = self._seen
+                pixel_format, plane = self._format_and_plane
                 if pixel_format is not None:
                     image = plane_of(image, pixel_format.colours, plane)
                 image.flags.writeable = False

@@ -378,10 +378,10 @@ class _SimulatedFrames:
         self._delivered += 1
         device_ns = int(plan.device_time_ns[row])
         if self._settings.real_time:
-            device_ns = self._by_faulty_clock(frame, device_ns)
+            device_ns = self._faulty_clock_ns(frame, device_ns)
         return Frame(image, frame - self._numbered_from, device_ns, host_ns)
 
-    def _by_faulty_clock(self, frame: int, device_ns: int) -> int:
+    def _faulty_clock_ns(self, frame: int, device_ns: int) -> int:
         faults = self._faults
         if frame >= _frame_at(faults.clock_steps_at_s, self._rate_hz):
             device_ns += nanoseconds(faults.clock_step_s)

@@ -18,17 +18,18 @@ from processing.units import seconds
 _log = logging.getLogger(__name__)
 
 _TYPES: Final = (np.dtype(np.uint8), np.dtype(np.uint16))
-_SEEN_ALONG: Final = 64
+_PIXELS_PER_AXIS: Final = 64
 """Approximate number of pixels that are compared along each axis."""
 _MOST_BUFFERS: Final = 8
 """Images kept for comparison; a driver's ring of buffers rarely has more."""
-_MOST: Final = 1 << 63
-_ENDS_S: Final = 10.0
+_LIMIT: Final = 1 << 63
+"""End of the signed integers of 64 bits."""
+_END_PATIENCE_S: Final = 10.0
 HANGS_S: Final = 10.0
 """A `read` that exceeds its timeout by this much has hung, and is given up."""
-_ELSEWHERE: Final = -1
+_NOT_READING: Final = -1
 """State of a thread that is not in `read`."""
-_LATEST_NS: Final = 1_000_000_000
+_MAX_FUTURE_NS: Final = 1_000_000_000
 """A host time further in the future than this is of another clock, such as UTC."""
 NO_TIME_NS: Final = 1 << 62
 """Times beyond this (146 years) are invalid; sums overflow."""
@@ -36,11 +37,11 @@ MOST_PPM: Final = 1000.0
 """Largest drift of a clock. A quartz is right within 100 ppm; beyond this, the driver misreads its unit."""
 _STRETCH_NS: Final = 2_000_000_000
 """Length of a stretch: 2 ms more delay in the next makes `MOST_PPM`."""
-_FEWEST: Final = 60
+_MIN_FRAMES: Final = 60
 """Fewest frames of a stretch."""
-_IN_A_ROW: Final = 3
+_AGREEING_STRETCHES: Final = 3
 """Consecutive stretches whose drifts must agree."""
-_SPREAD: Final = 0.2
+_MAX_SPREAD: Final = 0.2
 """Largest relative spread of the drifts for a wrong unit; the delays of a busy computer vary more."""
 
 
@@ -75,16 +76,16 @@ class CheckedFrames:
         if not isinstance(frame, Frame):
             raise _refusal(f"read() returned {type(frame).__name__}", "return a Frame, or None at the end")
         image, *numbers = frame
-        if self._in_real_time and isinstance(frame.device_time_ns, int) and frame.device_time_ns >= _MOST:
+        if self._in_real_time and isinstance(frame.device_time_ns, int) and frame.device_time_ns >= _LIMIT:
             # "no value" of an unsigned counter: one wrong time is no reason to end a run
-            numbers[1] = _MOST - 1
+            numbers[1] = _LIMIT - 1
             frame = frame._replace(device_time_ns=numbers[1])
-        if set(map(type, numbers)) != {int} or not -_MOST <= min(numbers) <= max(numbers) < _MOST:
+        if set(map(type, numbers)) != {int} or not -_LIMIT <= min(numbers) <= max(numbers) < _LIMIT:
             numbers = [_whole(name, one) for name, one in zip(Frame._fields[1:], numbers, strict=True)]
             frame = Frame(image, *numbers)
         number, _, host_time_ns = numbers
         since_ns = host_time_ns - time.monotonic_ns()
-        if self._in_real_time and since_ns > _LATEST_NS:
+        if self._in_real_time and since_ns > _MAX_FUTURE_NS:
             raise _refusal(
                 f"host_time_ns of frame {number} is {host_time_ns}, {seconds(since_ns):+.4g} s from now",
                 "it is what time.monotonic_ns() says when the frame arrives",
@@ -118,13 +119,13 @@ class CheckedFrames:
             )
         for before in self._newest:
             may_have_changed = before is self._newest[-1] or np.may_share_memory(before.image, image)
-            if may_have_changed and not np.array_equal(_some(before.image), before.pixels):
+            if may_have_changed and not np.array_equal(_sampled_pixels(before.image), before.pixels):
                 raise _refusal(
                     f"the image of frame {before.number} has changed since it was delivered",
                     "its driver fills the same buffers again and again; give each frame an image of its own: "
                     "image.copy()",
                 )
-        self._newest.append(_LastImage(number, image, _some(image).copy()))
+        self._newest.append(_LastImage(number, image, _sampled_pixels(image).copy()))
 
 
 def checked_info(info: object, driver: str) -> CameraInfo:
@@ -161,7 +162,7 @@ def asking(camera: str, what: str) -> Iterator[None]:
         raise DeviceError(f"{camera}: {what} failed: {in_one_line(error)}") from error
 
 
-def ended(ending: Callable[[], object], name: str, patience_s: float = _ENDS_S) -> str:
+def ended(ending: Callable[[], object], name: str, patience_s: float = _END_PATIENCE_S) -> str:
     """Call `ending` (stop or close) and wait `patience_s` at most; returns the problem, or "".
 
     Measured data must not be lost because a driver hangs.
@@ -226,7 +227,7 @@ class HangingRead:
     def __init__(self, asked_s: float, hangs_s: float = HANGS_S) -> None:
         self._asked_s, self._longest_s = asked_s, asked_s + hangs_s
         self._reads = 0
-        self._now = self._then = _ELSEWHERE
+        self._now = self._then = _NOT_READING
         self._waited_s = 0.0
 
     def begins(self) -> None:
@@ -236,11 +237,11 @@ class HangingRead:
 
     def is_elsewhere(self) -> None:
         """Note that the thread is in a call with its own limit."""
-        self._now = _ELSEWHERE
+        self._now = _NOT_READING
 
     def after(self, waited_s: float) -> str:
         """Add a wait (0: a frame came); message if the `read` hangs."""
-        same = self._now == self._then and self._now != _ELSEWHERE
+        same = self._now == self._then and self._now != _NOT_READING
         self._waited_s = self._waited_s + waited_s if same and waited_s else 0.0
         self._then = self._now
         if self._waited_s < self._longest_s:
@@ -279,7 +280,7 @@ class ClockWatch:
             self._soonest = [*self._soonest[-1:], (late_ns, host_ns)]
         self._soonest[-1] = min(self._soonest[-1], (late_ns, host_ns))
         self._count += 1
-        if host_ns - self._since_ns < _STRETCH_NS or self._count < _FEWEST:
+        if host_ns - self._since_ns < _STRETCH_NS or self._count < _MIN_FRAMES:
             return
         self._count = 0
         if len(self._soonest) > 1:
@@ -291,10 +292,10 @@ class ClockWatch:
         if abs(drift_ppm) <= MOST_PPM:
             self._done = True
             return
-        self._found = [*self._found, drift_ppm][-_IN_A_ROW:]
+        self._found = [*self._found, drift_ppm][-_AGREEING_STRETCHES:]
         mean = sum(self._found) / len(self._found)
-        same = all(abs(drift - mean) < _SPREAD * abs(mean) for drift in self._found)
-        if len(self._found) == _IN_A_ROW and same:
+        same = all(abs(drift - mean) < _MAX_SPREAD * abs(mean) for drift in self._found)
+        if len(self._found) == _AGREEING_STRETCHES and same:
             raise DeviceError(
                 f"{as_fast(mean)}, at most {MOST_PPM:g} ppm are possible: its times cannot be used; "
                 "the driver misreads its unit, or the computer's clock was set: see rig doctor"
@@ -307,17 +308,17 @@ def as_fast(drift_ppm: float) -> str:
 
 
 def _whole(name: str, value: object) -> int:
-    if isinstance(value, int | np.integer) and not isinstance(value, bool) and -_MOST <= value < _MOST:
+    if isinstance(value, int | np.integer) and not isinstance(value, bool) and -_LIMIT <= value < _LIMIT:
         return int(value)
     raise _refusal(
         f"{name} of a frame is {value!r} ({type(value).__name__})", "whole numbers of 64 bits are needed"
     )
 
 
-def _some(image: NDArray[Any]) -> NDArray[Any]:
+def _sampled_pixels(image: NDArray[Any]) -> NDArray[Any]:
     """View of some thousand pixels, spread over the image."""
     ny, nx = image.shape
-    return image[:: max(ny // _SEEN_ALONG, 1) | 1, :: max(nx // _SEEN_ALONG, 1) | 1]
+    return image[:: max(ny // _PIXELS_PER_AXIS, 1) | 1, :: max(nx // _PIXELS_PER_AXIS, 1) | 1]
 
 
 def _refusal(what: str, remedy: str) -> DeviceError:

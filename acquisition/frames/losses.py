@@ -176,13 +176,13 @@ _counts: Callable[[FrameLosses], tuple[int, ...]] = attrgetter(*(field.name for 
 """All counts; they are taken with every block of frames, for which `astuple` copies too deeply."""
 
 
-_LEARNED = 8
+_FRAMES_TO_LEARN = 8
 """Frames after which the frame time is known."""
 SMOOTHING = 0.1
 """Part of a deviation by which the frame time follows each frame."""
-_OF_ARRIVALS = 0.02
+_DELAY_SMOOTHING = 0.02
 """As SMOOTHING, for the delay and its scatter."""
-_LEAST_NS = 2_000_000.0
+_MIN_DEVIATION_NS = 2_000_000.0
 """Smallest disagreement of times that counts: smaller ones are by reading or exposure."""
 BY_HOST_NS = 60_000_000.0
 """Largest disagreement with the computer's clock by late reading."""
@@ -190,12 +190,12 @@ REGULAR = 0.2
 """Largest mean deviation of a regular camera's intervals, as part of one."""
 _LEAST_SCATTER_NS = 20_000.0
 """Lower limit of the scatter of the delay."""
-_OF_IRREGULAR: Final = 0.6
+_IRREGULAR_PENALTY: Final = 0.6
 """Loss of a frame's score (1) by an irregular interval before it: a single outlier spoils two intervals and
 is left out, a frame between two gaps is kept."""
-_NOT_ALIKE: Final = 0.5
+_FULL_IRREGULARITY: Final = 0.5
 """Relative deviation of a fully irregular interval."""
-_NEWEST: Final = 9
+_NEWEST_INTERVALS: Final = 9
 """Newest intervals, whose median is the camera's present interval."""
 
 
@@ -206,7 +206,7 @@ class UsualTimes:
     """
 
     def __init__(self) -> None:
-        self.scatter_ns = _LEAST_NS
+        self.scatter_ns = _MIN_DEVIATION_NS
         self.interval_ns = 0.0
         self.begin_again()
 
@@ -221,17 +221,17 @@ class UsualTimes:
     @property
     def is_regular(self) -> bool:
         """Whether the camera is known to keep a rate."""
-        return self.learned >= _LEARNED and self.deviation_ns < REGULAR * self.interval_ns
+        return self.learned >= _FRAMES_TO_LEARN and self.deviation_ns < REGULAR * self.interval_ns
 
     @property
     def allowed_ns(self) -> float:
         """Allowed deviation of a time from the expected one, in ns."""
-        return max(_LEAST_NS, 10 * self.deviation_ns) if self.is_regular else BY_HOST_NS
+        return max(_MIN_DEVIATION_NS, 10 * self.deviation_ns) if self.is_regular else BY_HOST_NS
 
     @property
     def allowed_by_arrival_ns(self) -> float:
         """`allowed_ns` by the arrival."""
-        return max(3 * _LEAST_NS, 6 * self.scatter_ns)
+        return max(3 * _MIN_DEVIATION_NS, 6 * self.scatter_ns)
 
     def early_ns(self, moved: Frame) -> float:
         """Its time minus (arrival minus usual delay), in ns: the step of the clock, less the delay of a late
@@ -257,16 +257,16 @@ class UsualTimes:
                 self.interval_ns += (SMOOTHING if self.learned else 1.0) * off_ns
                 self.learned += 1
         delay_ns = float(frame.host_time_ns - frame.device_time_ns)
-        if math.isnan(self.delay_ns) or self.learned < _LEARNED:
+        if math.isnan(self.delay_ns) or self.learned < _FRAMES_TO_LEARN:
             # the first ones may be late
             self.delay_ns = min(delay_ns, delay_ns if math.isnan(self.delay_ns) else self.delay_ns)
         elif self.waited_for:
             # one that was not has lain in the driver, as long as nobody read
             later_ns = delay_ns - self.delay_ns
             most_ns = 2 * self.scatter_ns
-            self.delay_ns += _OF_ARRIVALS * min(max(later_ns, -most_ns), most_ns)
+            self.delay_ns += _DELAY_SMOOTHING * min(max(later_ns, -most_ns), most_ns)
             wider_ns = min(abs(later_ns), most_ns) - self.scatter_ns
-            self.scatter_ns = max(self.scatter_ns + _OF_ARRIVALS * wider_ns, _LEAST_SCATTER_NS)
+            self.scatter_ns = max(self.scatter_ns + _DELAY_SMOOTHING * wider_ns, _LEAST_SCATTER_NS)
         return frame
 
     def carried(self, frame: Frame) -> Frame:
@@ -278,9 +278,9 @@ class UsualTimes:
             numbers = frame.sequence - last.sequence
             by_rate_ns = last.device_time_ns + numbers * self.interval_ns
             later_ns = arrived_ns - by_rate_ns
-            if self.learned >= _LEARNED and numbers > 0 and abs(later_ns) < BY_HOST_NS:
+            if self.learned >= _FRAMES_TO_LEARN and numbers > 0 and abs(later_ns) < BY_HOST_NS:
                 most_ns = 2 * self.scatter_ns
-                time_ns = by_rate_ns + _OF_ARRIVALS * min(max(later_ns, -most_ns), most_ns)
+                time_ns = by_rate_ns + _DELAY_SMOOTHING * min(max(later_ns, -most_ns), most_ns)
             time_ns = max(time_ns, last.device_time_ns + 1)
         self.last = frame._replace(device_time_ns=round(time_ns))
         return self.last
@@ -304,27 +304,27 @@ def rising_times(
     """
     time = np.concatenate(([0.0], np.asarray(times_ns, dtype=np.float64)))
     number = np.concatenate(([0], np.asarray(numbers, dtype=np.int64)))
-    newest = (np.diff(time) / np.maximum(np.diff(number), 1))[-_NEWEST:]
+    newest = (np.diff(time) / np.maximum(np.diff(number), 1))[-_NEWEST_INTERVALS:]
     newest = newest[newest > 0]
     usual = [one for one in (interval_ns, float(np.median(newest)) if len(newest) else 0.0) if one > 0]
     # best sequence to each frame, before and after the step: its score, and the frame before
-    worth = np.full((2, len(time)), -np.inf)
-    worth[0, 0] = 0.0
+    score = np.full((2, len(time)), -np.inf)
+    score[0, 0] = 0.0
     came = np.zeros((2, len(time)), np.int64)
     steps_at = np.zeros(len(time), np.bool_)
     for i in range(1, len(time)):
         passed_ns, between = time[i] - time[:i], np.maximum(number[i] - number[:i], 1)
-        onwards = worth[:, :i] + _worth(passed_ns, between, usual)
+        onwards = score[:, :i] + _score(passed_ns, between, usual)
         came[:, i] = np.argmax(onwards, axis=1)
-        worth[:, i] = np.max(onwards, axis=1)
+        score[:, i] = np.max(onwards, axis=1)
         if step_ns:
-            stepping = worth[0, :i] + _worth(passed_ns - step_ns, between, usual)
+            stepping = score[0, :i] + _score(passed_ns - step_ns, between, usual)
             at = int(np.argmax(stepping))
-            if stepping[at] > worth[1, i]:
-                worth[1, i], came[1, i], steps_at[i] = stepping[at], at, True
+            if stepping[at] > score[1, i]:
+                score[1, i], came[1, i], steps_at[i] = stepping[at], at, True
     after = 1 if step_ns else 0
-    i = int(np.argmax(worth[after]))
-    if worth[after, i] == -np.inf:
+    i = int(np.argmax(score[after]))
+    if score[after, i] == -np.inf:
         return RisingTimes([])
     kept: list[int] = []
     first_after: int | None = None
@@ -337,12 +337,12 @@ def rising_times(
     return RisingTimes(kept[::-1], first_after)
 
 
-def _worth(
+def _score(
     passed_ns: NDArray[np.float64], numbers: NDArray[np.int64], usual: list[float]
 ) -> NDArray[np.float64]:
     """Score of frames: 1 (regular interval) to 0.4; -inf: time does not rise."""
     each_ns = passed_ns / numbers
     off = np.ones(len(each_ns))
     for one in usual:
-        off = np.minimum(off, np.abs(each_ns - one) / (_NOT_ALIKE * one))
-    return np.where(passed_ns > 0, 1.0 - _OF_IRREGULAR * off, -np.inf)
+        off = np.minimum(off, np.abs(each_ns - one) / (_FULL_IRREGULARITY * one))
+    return np.where(passed_ns > 0, 1.0 - _IRREGULAR_PENALTY * off, -np.inf)

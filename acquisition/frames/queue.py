@@ -81,9 +81,9 @@ MOST_BYTES = 256 * 1024 * 1024
 """Memory for waiting frames: 1.7 s of 640 x 480 px at 500 frames/s, in bytes."""
 _OWN_BYTES = 1024
 """Memory of a frame beyond its pixels."""
-_FEWEST = 8
-_FEWEST_ON_DEMAND = 64
-_LATE = 0.125
+_MIN_FRAMES = 8
+_MAX_FRAMES_ON_DEMAND = 64
+_WARN_FRACTION = 0.125
 """Filled part that causes a warning."""
 
 
@@ -92,8 +92,8 @@ def most_waiting(frame: Frame, policy: Policy) -> int:
 
     With the policy "wait" none are lost: there a short queue keeps frames in the CPU's cache.
     """
-    most = max(_FEWEST, MOST_BYTES // (frame.image.nbytes + _OWN_BYTES))
-    return min(_FEWEST_ON_DEMAND, most) if policy == "wait" else most
+    most = max(_MIN_FRAMES, MOST_BYTES // (frame.image.nbytes + _OWN_BYTES))
+    return min(_MAX_FRAMES_ON_DEMAND, most) if policy == "wait" else most
 
 
 class Backlog:
@@ -110,12 +110,12 @@ class Backlog:
     def __init__(self, capacity: int, frame_bytes: int) -> None:
         self._capacity = capacity
         self._frame_mb = frame_bytes / 1e6
-        self._most = 0
+        self._peak = 0
 
     def see(self, waiting: int) -> str:
         """Message when so many waiting frames are first many, or few again; otherwise an empty text."""
-        if waiting > max(_LATE * self._capacity, self._most):
-            begins, self._most = not self._most, waiting
+        if waiting > max(_WARN_FRACTION * self._capacity, self._peak):
+            begins, self._peak = not self._peak, waiting
             if begins:
                 memory_mb = self._capacity * self._frame_mb
                 return (
@@ -123,7 +123,7 @@ class Backlog:
                     f"{memory_mb:.0f} MB; once full, frames are lost and counted: close other programs, or "
                     "set a lower camera.frame_rate_hz or a smaller region"
                 )
-        elif self._most and waiting <= 0.1 * _LATE * self._capacity:
-            most, self._most = self._most, 0
+        elif self._peak and waiting <= 0.1 * _WARN_FRACTION * self._capacity:
+            most, self._peak = self._peak, 0
             return f"caught up; at most {most} frames waited, {most * self._frame_mb:.0f} MB"
         return ""

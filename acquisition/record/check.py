@@ -35,7 +35,7 @@ class Finding(NamedTuple):
 
 
 @dataclass
-class _Frames:
+class _FrameTally:
     """Numbers and times of the frames of one topic, accumulated chunk by chunk.
 
     `not_rising` is how often a number was not larger than the one before, `backwards` how often a time was
@@ -83,7 +83,7 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         The file is not a record of this program, or `results` cannot be read.
     """
     with RecordReader(path) as reader:
-        frames = {SPOT.topic: _Frames(), WINDOW.topic: _Frames()}
+        frames = {SPOT.topic: _FrameTally(), WINDOW.topic: _FrameTally()}
         findings = [finding for file in reader.files for finding in _check_file(file, frames)]
         findings += [
             _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
@@ -94,7 +94,7 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     return findings
 
 
-def _check_file(file: ReadFile, frames: Mapping[str, _Frames]) -> list[Finding]:
+def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
     """Structure, chunks and attached files of one file; its frames are added to `frames`."""
     contents, name = file.contents, file.path.name
     findings = _errors(*(f"{name}: index: {text}" for text in contents.damage))
@@ -120,7 +120,7 @@ def _errors(*texts: str) -> list[Finding]:
     return [Finding("error", text) for text in texts]
 
 
-def _check_chunks(file: ReadFile, frames: Mapping[str, _Frames]) -> list[Finding]:
+def _check_chunks(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
     channels = file.contents.channels
     findings: list[Finding] = []
     for place in file.contents.chunks:
@@ -154,7 +154,7 @@ def _check_recovery(recovery: Mapping[str, str]) -> Finding:
     return Finding("warning" if missing else "note", text)
 
 
-def _check_frames(frames: Mapping[str, _Frames]) -> list[Finding]:
+def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
     findings = _errors(
         *(
             f"{topic}: the time decreases {found.backwards} times, first at "

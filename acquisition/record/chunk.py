@@ -157,24 +157,24 @@ class ChunkPlaces:
 
     def __init__(self) -> None:
         self._numbers = array("Q")
-        self._sets = array("H")
-        self._known: dict[frozenset[int], int] = {}
+        self._set_numbers = array("H")
+        self._number_of_set: dict[frozenset[int], int] = {}
 
     def append(self, place: ChunkPlace) -> None:
         """Add the next chunk."""
         self._numbers.extend(place[:4])
-        self._sets.append(self._known.setdefault(place.channels, len(self._known)))
+        self._set_numbers.append(self._number_of_set.setdefault(place.channels, len(self._number_of_set)))
 
     def __len__(self) -> int:
-        return len(self._sets)
+        return len(self._set_numbers)
 
     def __iter__(self) -> Iterator[ChunkPlace]:
         return self.since(0)
 
     def since(self, first: int) -> Iterator[ChunkPlace]:
         """The chunks from this one on, counted from 0."""
-        channels = list(self._known)
-        rows = zip(*[iter(self._numbers[4 * first :])] * 4, self._sets[first:], strict=True)
+        channels = list(self._number_of_set)
+        rows = zip(*[iter(self._numbers[4 * first :])] * 4, self._set_numbers[first:], strict=True)
         for offset, length, start_ns, end_ns, known in rows:
             yield ChunkPlace(offset, length, start_ns, end_ns, channels[known])
 

@@ -19,7 +19,7 @@ _BLOCK_BYTES = 1024 * 1024
 
 
 @functools.lru_cache(maxsize=256)
-def _known(path: Path, identity: tuple[int, ...]) -> str:
+def _cached_by_identity(path: Path, identity: tuple[int, ...]) -> str:
     return sha256_of(path)
 
 
@@ -29,7 +29,7 @@ def known_sha256_of(path: Path) -> str:
         found = path.stat()
     except (OSError, ValueError):
         return sha256_of(path)
-    return _known(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
+    return _cached_by_identity(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
 
 
 def known_sha256_of_any(path: Path) -> str:
@@ -111,7 +111,7 @@ except ImportError:
     # Windows has no such locks
     fcntl = None
 
-_STILL_S = 30.0
+_UNCHANGED_S = 30.0
 """Without locks, a file unchanged for so long counts as closed."""
 
 
@@ -140,4 +140,4 @@ def is_being_written(path: Path) -> bool:
         pass
     finally:
         os.close(number)
-    return time.time() - path.stat().st_mtime < _STILL_S
+    return time.time() - path.stat().st_mtime < _UNCHANGED_S

@@ -79,7 +79,7 @@ class _Disk:
         self._path = path
         self._reserve_bytes = reserve_bytes
         self._reserve_lock = threading.Lock()
-        self._forcing: threading.Thread | None = None
+        self._force_thread: threading.Thread | None = None
         self._failure: OSError | None = None
         # also readable, so that a record whose name was removed can be copied
         self._file = path.open("x+b", buffering=0)
@@ -138,14 +138,14 @@ class _Disk:
 
     def begin_force(self) -> None:
         """Call `force` in a thread, so that no caller waits; nothing while one still runs."""
-        if self._forcing is None or not self._forcing.is_alive():
-            self._forcing = threading.Thread(target=self._force_aside, name="record sync", daemon=True)
-            self._forcing.start()
+        if self._force_thread is None or not self._force_thread.is_alive():
+            self._force_thread = threading.Thread(target=self._run_force, name="record sync", daemon=True)
+            self._force_thread.start()
 
     def wait_for_force(self) -> None:
         """Wait for the thread. Raises its error, once."""
-        if self._forcing is not None:
-            self._forcing.join()
+        if self._force_thread is not None:
+            self._force_thread.join()
         self.raise_failure()
 
     def raise_failure(self) -> None:
@@ -155,7 +155,7 @@ class _Disk:
             self._failure = None
             raise failure
 
-    def _force_aside(self) -> None:
+    def _run_force(self) -> None:
         try:
             self.force()
         except OSError as error:

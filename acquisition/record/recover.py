@@ -63,14 +63,14 @@ def recover(source: Path, path: Path) -> Recovery:
                 copy = McapFile(name, described, _RESERVE_BYTES)
                 # Windows removes only closed files
                 stack.callback(copy.abandon)
-                counts += _copied(file, copy)
+                counts += _copy_messages(file, copy)
                 copies.append(copy)
-            found = _described(reader, copies, path, counts)
+            found = _copy_metadata(reader, copies, path, counts)
             for copy in copies:
                 copy.finish()
                 if copy.full is not None:
                     raise copy.full
-            _prove(names, counts, path, source)
+            _verify(names, counts, path, source)
     except FileExistsError as error:
         raise RecordError(
             f"{error.filename}: exists already and is never overwritten; choose another name"
@@ -81,7 +81,7 @@ def recover(source: Path, path: Path) -> Recovery:
     return found
 
 
-def _copied(file: ReadFile, copy: McapFile) -> Counter[str]:
+def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
     """Copy all intact messages; their numbers by topic."""
     counts: Counter[str] = Counter()
     topics = file.contents.channels
@@ -99,7 +99,7 @@ def _copied(file: ReadFile, copy: McapFile) -> Counter[str]:
     return counts
 
 
-def _described(
+def _copy_metadata(
     reader: RecordReader, copies: Sequence[McapFile], path: Path, counts: Mapping[str, int]
 ) -> Recovery:
     """Copy attachments and metadata; returns the Recovery."""
@@ -137,7 +137,7 @@ def _described(
     )
 
 
-def _prove(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:
+def _verify(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:
     """Read the copies again. Raises RecordError where they do not hold what was written."""
     found: Counter[str] = Counter()
     for name in names:

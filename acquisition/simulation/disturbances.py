@@ -51,7 +51,7 @@ class Pointing:
         self._truth = settings.disturbances
         self._noise = noise
         self._period_s = frame_period_s
-        self._walked = np.zeros(2)
+        self._walk_px = np.zeros(2)
         self._air_px = air_px(settings, run) if self._truth.air_arcsec > 0 else ()
         self._common = settings.reference.air_common
         self._own_air_px = air_px(settings, run, _OWN_AIR) if self._air_px and self._common < 1 else ()
@@ -72,9 +72,9 @@ class Pointing:
         if truth.pointing_walk_px_per_sqrt_s > 0:
             step_px = truth.pointing_walk_px_per_sqrt_s * math.sqrt(self._period_s)
             # the sum continues from the last position, so that it does not depend on the length of the blocks
-            steps = np.vstack([self._walked, step_px * self._noise.normals(WALK, first, count, 2)])
+            steps = np.vstack([self._walk_px, step_px * self._noise.normals(WALK, first, count, 2)])
             path = np.cumsum(steps, axis=0)[1:]
-            self._walked = path[-1]
+            self._walk_px = path[-1]
             offset += path
         times_s = np.arange(first, first + count, dtype=np.float64) * self._period_s
         if truth.air_arcsec > 0:

@@ -86,7 +86,7 @@ class Worker:
         Ctrl-C does not interrupt it: KeyboardInterrupt is raised after the device is in its safe state.
         """
         self._stopping.set()
-        self.submit(_nothing, 0.0, urgent=True)  # wakes the thread
+        self.submit(_no_job, 0.0, urgent=True)  # wakes the thread
         if self._thread.ident is None or self._thread is threading.current_thread():
             return True
         interrupt: KeyboardInterrupt | None = None
@@ -154,7 +154,7 @@ class Worker:
                 job.future.set_exception(DeviceError(f"{self._name} is closed"))
 
 
-def _nothing() -> None:
+def _no_job() -> None:
     """Job whose only purpose is to wake the thread."""
 
 

@@ -30,7 +30,7 @@ from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, styled, th
 from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
 
-_FEWEST = 3
+_MIN_RUNS = 3
 """Fewest runs for a line with its u."""
 
 
@@ -114,7 +114,7 @@ def _line(runs: Sequence[RunUnderConditions], key: str) -> tuple[float, float, f
     from scipy.special import stdtr
 
     known = np.array([(run.at, *tuple(run.parameters[key])) for run in runs if key in run.parameters])
-    if len(known) < _FEWEST or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
+    if len(known) < _MIN_RUNS or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
         return nan, nan, nan
     weight = known[:, 2] ** -2.0
     x = known[:, 0] - np.average(known[:, 0], weights=weight)
@@ -159,9 +159,9 @@ def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigur
     )
 
 
-_OF_ANY_DECAY = ("mean_period_s", "log_decrement")
+_DECAY_QUANTITIES = ("mean_period_s", "log_decrement")
 """Compared if no run was fitted."""
-_FAR = 3.0
+_SHOWN_FROM_U = 3.0
 """A difference of two single runs is shown if larger than so many u."""
 DIFFERENT = 0.05
 """Significance level at which series differ, shared between pairs and parameters."""
@@ -189,12 +189,12 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     }
     seen = seen_runs(sessions, over) if over else []
     rows = {label: rows_of(found, series[label]) for label, found in sessions.items()}
-    tables = [values_table(series, rows, _witnesses_note(sessions))]
+    tables = [values_table(series, rows, _seismometer_note(sessions))]
     tables += [differences_table(compare_series(series))] if len(series) > 1 else []
     tables += [against_table(seen, over)] if over else []
     if output is not None:
         files = output.parent / output.stem
-        compared = (*DEFAULT_LAW.names(), *_OF_ANY_DECAY)
+        compared = (*DEFAULT_LAW.names(), *_DECAY_QUANTITIES)
         names = [name for name in compared if all(name in known for known in rows.values())]
         with written(output, "name"):
             files.mkdir(parents=True, exist_ok=True)
@@ -233,7 +233,7 @@ def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
         raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
     dof = run.fits[FitMethod.EXACT].degrees_of_freedom
     rows = (row for name in DEFAULT_LAW.names() if (row := run.rows.get(name)) is not None)
-    alone = {row.quantity: _alone(Estimate(row.value, row.u), dof) for row in rows if row.determined}
+    alone = {row.quantity: _single_run(Estimate(row.value, row.u), dof) for row in rows if row.determined}
     if not alone:
         raise RecordError(f"{folder}: its run determines no parameter of the contact")
     return alone
@@ -249,7 +249,7 @@ def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
         raise RecordError(f"{folder}: has no decay ({session.runs[0].problem})")
     if len(runs) == 1:
         dof = max(runs[0].half_cycles - 2, 1)
-        return {name: _alone(runs[0].number(name), dof) for name in _OF_ANY_DECAY}
+        return {name: _single_run(runs[0].number(name), dof) for name in _DECAY_QUANTITIES}
     # all runs share one clock: its u is not averaged out
     by_clock = [
         0.0 if run.clock is None else run.clock.u_rate * run.number("mean_period_s").value for run in runs
@@ -257,7 +257,7 @@ def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
     shared = {"mean_period_s": by_clock}
     return {
         name: combine(name, [run.number(name) for run in runs], shared.get(name, ()))
-        for name in _OF_ANY_DECAY
+        for name in _DECAY_QUANTITIES
     }
 
 
@@ -282,7 +282,7 @@ def _combined_of(session: SessionResults) -> Mapping[str, Combined]:
     return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
 
 
-def _alone(estimate: Estimate, dof: int) -> Combined:
+def _single_run(estimate: Estimate, dof: int) -> Combined:
     """One run as a series of its own: how runs scatter is not known, and no test is made."""
     value, u = estimate
     return Combined(
@@ -300,7 +300,7 @@ def values_table(
 ) -> Table:
     """One row a quantity, one column a series; undetermined ones as interval or bound."""
     known = {name for rows in found.values() for name in rows}
-    names = [name for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY, *_OF_ANY_DECAY) if name in known]
+    names = [name for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY, *_DECAY_QUANTITIES) if name in known]
     lines = []
     for name in names:
         items = [each.get(name) for each in found.values()]
@@ -317,12 +317,12 @@ def values_table(
     runs = ", ".join(f"{label}: {len(next(iter(one.values())).runs)}" for label, one in series.items())
     return Table.of(
         "values", "Parameters of each series", ("parameter", *columns), ("", *series), lines,
-        ("Means over the decays" if known <= set(_OF_ANY_DECAY) else "Exact fits")
+        ("Means over the decays" if known <= set(_DECAY_QUANTITIES) else "Exact fits")
         + f", value ± standard uncertainty of swings and apparatus, as far as stated. Runs: {runs}.{note}",
     )  # fmt: skip
 
 
-def _witnesses_note(sessions: Mapping[str, SessionResults]) -> str:
+def _seismometer_note(sessions: Mapping[str, SessionResults]) -> str:
     """Which of the series were fitted with an auxiliary seismometer; empty: none."""
     said = []
     for label, session in sessions.items():
@@ -339,7 +339,7 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
     for item in comparisons:
         verdict = "differ" if item.p_value < limit else "no difference seen"
         if not isfinite(item.p_value):
-            far = abs(item.difference) > _FAR * item.standard_uncertainty
+            far = abs(item.difference) > _SHOWN_FROM_U * item.standard_uncertainty
             verdict = "not tested" if far else "not tested, within the swings' u"
         difference, of = (item.difference, item.standard_uncertainty), quantity(item.name)
         chance = plain(item.p_value, 2) if isfinite(item.p_value) else "–"

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rig.report.drawing import ReportFigure
 
 _LINES = ("-", "--", ":", "-.")
-_LITTLE = 1.2
+_MAX_AGEING_FACTOR = 1.2
 """Largest factor by which unknown ageing may enlarge u(b) in a proposed pair."""
 
 
@@ -129,7 +129,7 @@ def plan_ageing(plan: Plan, waits_s: Sequence[float]) -> tuple[tuple[PlannedSeri
         (run for run in plan.runs if run.last_rad == best.last_rad), key=lambda run: -run.first_rad
     )
     pairs = [planned_series([best, run], wait_s, known) for run in seconds for wait_s in sorted(set(waits_s))]
-    good = [one for one in pairs if one.u["b"] < _LITTLE * one.u_steady["b"]]
+    good = [one for one in pairs if one.u["b"] < _MAX_AGEING_FACTOR * one.u_steady["b"]]
     proposed = min(good, key=lambda one: one.duration_s) if good else min(pairs, key=lambda one: one.u["b"])
     return (planned_series([best], known_drag_s=known), *pairs), proposed
 

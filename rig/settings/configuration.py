@@ -28,7 +28,7 @@ from rig.settings.sections import (
     TimebaseSettings,
 )
 
-_OF_THE_RIG = ("controller.", "laser.", "session.output")
+_DEVICE_KEYS = ("controller.", "laser.", "session.output")
 """Keys of the devices and of the output folder."""
 
 
@@ -275,7 +275,7 @@ class Configuration(Section, frozen=True):
 
     def from_file(self, path: Path, overrides: Iterable[str] = ()) -> Self:
         """Note the file for `named`."""
-        devices = [text for text in overrides if text.strip().startswith(_OF_THE_RIG)]
+        devices = [text for text in overrides if text.strip().startswith(_DEVICE_KEYS)]
         # the origin of the values, not one of them
         self._named = shlex.join([str(path), *(word for text in devices for word in ("--set", text))])  # type: ignore[misc]
         return self

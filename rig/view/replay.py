@@ -185,7 +185,7 @@ class Replay:
         rows = rows[: max(1, int(np.searchsorted(rows["time_ns"], limit_ns, side="right")))]
         self._row += len(rows)
         self._position_ns = int(rows["time_ns"][-1])
-        spots = self._tracked_again(rows) if self._retrack else _spots(rows)
+        spots = self._track_again(rows) if self._retrack else _spots(rows)
         block = self._block(rows, spots)
         self._keep(rows, block)
         self._comparison.spots(rows, spots)
@@ -245,7 +245,7 @@ class Replay:
             self._first_sequence = int(rows["sequence"][0])
         self._last_sequence = int(rows["sequence"][-1])
 
-    def _tracked_again(self, rows: NDArray[Any]) -> list[Spot]:
+    def _track_again(self, rows: NDArray[Any]) -> list[Spot]:
         """Track the spots again; windows and rows are both in the order of the frames."""
         spots: list[Spot] = []
         for sequence in rows["sequence"].tolist():

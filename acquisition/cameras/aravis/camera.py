@@ -28,9 +28,9 @@ from processing.errors import DeviceError
 logger = logging.getLogger(__name__)
 
 _POLL_US: Final = 50_000
-_PATIENCE_S: Final = 0.4
+_CLOSE_RETURNS_S: Final = 0.4
 """Longest wait for one last action; it then goes on in its thread."""
-_LONGEST_S: Final = 15.0
+_CLOSE_ENDS_S: Final = 15.0
 """Longest wait for all last actions before the camera is opened again."""
 # libaravis takes 6 s to notice the loss of a GigE camera, and may not monitor a USB camera at all: after a
 # silence of this length a register is read
@@ -65,9 +65,9 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         self._closings = 0
         self._gone = threading.Event()
         self._halted = threading.Event()
-        self._parting = _ClosingActions()
-        self._asking: threading.Thread | None = None
-        self._heard_s = 0.0
+        self._closing = _ClosingActions()
+        self._probe: threading.Thread | None = None
+        self._last_reply_s = 0.0
         self._buffers: BufferReader | None = None
 
     def _library_error(self) -> type[Exception]:
@@ -91,17 +91,17 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         """
         self.close()
         with self._lock:
-            self._parting.wait(self._name)
+            self._closing.wait(self._name)
             closings = self._closings
             self._library = load_library()
             found = find_camera(self._settings.serial)
             self._name = found.name
             self._gone = threading.Event()
             self._started = False
-            with self._translated():
+            with self._translate_errors():
                 info, features = self._take_control(self._library, found)
             if closings != self._closings:
-                self._parting.leave(_nothing, features.give_up(), self._library.error)
+                self._closing.run(_no_action, features.give_up(), self._library.error)
                 raise DeviceError(f"{self._name}: was closed while it was opened")
             self._features = features
             return info
@@ -147,10 +147,10 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
 
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
-        with self._lock, self._translated():
-            features = self._opened()
+        with self._lock, self._translate_errors():
+            features = self._open_features()
             self._must_be_idle()
-            self._parting.wait(self._name)
+            self._closing.wait(self._name)
             camera, library = features.camera, self._library
             assert library is not None
             pixel_format = features.pixel_format()
@@ -173,7 +173,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             )
             self._halted.clear()
             self._started = True
-            self._heard_s = time.monotonic()
+            self._last_reply_s = time.monotonic()
             self._stream = stream
             try:
                 camera.start_acquisition()
@@ -195,7 +195,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
                 self._was_lost = True
                 raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
             if buffer is not None:
-                self._heard_s = time.monotonic()
+                self._last_reply_s = time.monotonic()
                 try:
                     if self._halted.is_set():
                         return None  # buffers that were cancelled are returned empty
@@ -207,15 +207,15 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             elif left_us <= 0:
                 raise FrameTimeout(f"{self._name}: no frame within {timeout_s:g} s; is its trigger on?")
             else:
-                self._ask_whether_there(features)
+                self._test_connection(features)
         return None
 
-    def _ask_whether_there(self, features: AravisFeatures) -> None:
+    def _test_connection(self, features: AravisFeatures) -> None:
         """Test the connection of a silent camera by reading a register in a thread."""
         camera, library, gone = features.camera, self._library, self._gone
         now_s = time.monotonic()
-        is_asking = self._asking is not None and self._asking.is_alive()
-        if is_asking or camera is None or library is None or now_s - self._heard_s < _ASK_AFTER_S:
+        is_asking = self._probe is not None and self._probe.is_alive()
+        if is_asking or camera is None or library is None or now_s - self._last_reply_s < _ASK_AFTER_S:
             return
         address = _GIGE_CONTROL_REGISTER if camera.is_gv_device() else _USB_VERSION_REGISTER
 
@@ -225,9 +225,9 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             except library.error:
                 gone.set()
 
-        self._heard_s = now_s
-        self._asking = threading.Thread(target=ask, name=f"asks {self._name}", daemon=True)
-        self._asking.start()
+        self._last_reply_s = now_s
+        self._probe = threading.Thread(target=ask, name=f"asks {self._name}", daemon=True)
+        self._probe.start()
 
     def stop(self) -> None:
         self._halted.set()
@@ -236,16 +236,16 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         camera = None if features is None else features.camera
         if held[0] is None or camera is None or self._library is None:
             return
-        action = _nothing if gone.is_set() else camera.stop_acquisition
+        action = _no_action if gone.is_set() else camera.stop_acquisition
         del camera
-        self._parting.leave(action, held, self._library.error)
+        self._closing.run(action, held, self._library.error)
 
     def close(self) -> None:
         self._closings += 1
         self.stop()
         features, self._features = self._features, None
         if features is not None and self._library is not None:
-            self._parting.leave(_nothing, features.give_up(), self._library.error)
+            self._closing.run(_no_action, features.give_up(), self._library.error)
 
 
 class _ClosingActions:
@@ -256,7 +256,7 @@ class _ClosingActions:
     def __init__(self) -> None:
         self._threads: list[threading.Thread] = []
 
-    def leave(self, action: Callable[[], None], held: list[Any], error: type[Exception]) -> None:
+    def run(self, action: Callable[[], None], held: list[Any], error: type[Exception]) -> None:
         """Run the action, then clear the list `held`; returns after 0.4 s at most, finished or not.
 
         There must be no other references to the objects in the list, because dropping the last reference to a
@@ -264,30 +264,33 @@ class _ClosingActions:
         """
         self._threads = [thread for thread in self._threads if thread.is_alive()]
         thread = threading.Thread(
-            target=_leave, args=(action, held, error, list(self._threads)), name="leaves camera", daemon=True
+            target=_run_action,
+            args=(action, held, error, list(self._threads)),
+            name="leaves camera",
+            daemon=True,
         )
         del action
         self._threads.append(thread)
         thread.start()
-        thread.join(_PATIENCE_S)
+        thread.join(_CLOSE_RETURNS_S)
 
     def wait(self, name: str) -> None:
         """Wait until all actions are finished; a camera that is still being released must not be opened.
 
         Raises DeviceError if that takes too long.
         """
-        deadline_s = time.monotonic() + _LONGEST_S
+        deadline_s = time.monotonic() + _CLOSE_ENDS_S
         for thread in list(self._threads):
             thread.join(max(deadline_s - time.monotonic(), 0.0))
             if thread.is_alive():
                 raise DeviceError(f"{name}: does not answer, and is still being closed; wait")
 
 
-def _nothing() -> None:
+def _no_action() -> None:
     """Empty action."""
 
 
-def _leave(
+def _run_action(
     action: Callable[[], None], held: list[Any], error: type[Exception], before: list[threading.Thread]
 ) -> None:
     for other in before:

@@ -17,7 +17,7 @@ _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
 _HEADER: Final = re.compile(rb"\s*P([56])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
 
 
-class _Portable(NamedTuple):
+class _PortableMapHeader(NamedTuple):
     """What the header of a binary PGM (1 channel) or PPM (3) image states, and where its pixels begin."""
 
     channels: int
@@ -35,12 +35,12 @@ class _Portable(NamedTuple):
         return self.pixels_at + self.channels * self.nx * self.ny * self.dtype.itemsize
 
 
-def _portable(data: bytes | mmap, begin: int) -> _Portable | None:
+def _portable(data: bytes | mmap, begin: int) -> _PortableMapHeader | None:
     header = _HEADER.match(data, begin)
     if header is None:
         return None
     kind, nx, ny, largest = (int(one) for one in header.groups())
-    return _Portable(3 if kind == 6 else 1, nx, ny, largest, header.end())
+    return _PortableMapHeader(3 if kind == 6 else 1, nx, ny, largest, header.end())
 
 
 def portable_images(data: bytes | mmap) -> list[tuple[int, int]]:
@@ -78,7 +78,7 @@ _ORDERS: Final[dict[bytes, _Order]] = {b"II": "little", b"MM": "big"}
 _MOST_PAGES = 10_000_000
 _SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 16: 8}
 """Bytes of the types of a TIFF tag that are read here: byte, text, short, long, and long of BigTIFF."""
-_LONGEST_NOTE = 1 << 20
+_MAX_TEXT_BYTES = 1 << 20
 WIDTH, HEIGHT, BITS, COMPRESSION, _NOTE, PLACES = 256, 257, 258, 259, 270, 273
 """Numbers of TIFF tags; the last two are ImageDescription and StripOffsets."""
 
@@ -109,7 +109,7 @@ def tiff_head(path: Path) -> TiffHead:
         big = int.from_bytes(head[2:4], order) == 43
         offset = int.from_bytes(head[8:16] if big else head[4:8], order)
         while offset and count < _MOST_PAGES:
-            following = _following(file, offset, size, order, big)
+            following = _next_directory(file, offset, size, order, big)
             if following is None:
                 break
             tags = tags or _tags(file, offset, order, big)
@@ -131,7 +131,7 @@ def _tags(file: BinaryIO, offset: int, order: _Order, big: bool) -> dict[int, li
         data = entries[at + entry_bytes - place_bytes : at + entry_bytes]
         if length > place_bytes:
             file.seek(int.from_bytes(data, order))
-            data = file.read(min(length, _LONGEST_NOTE))
+            data = file.read(min(length, _MAX_TEXT_BYTES))
         if size:
             found[tag] = [
                 int.from_bytes(data[k : k + size], order) for k in range(0, min(length, len(data)), size)
@@ -144,7 +144,7 @@ def _directory(big: bool) -> tuple[int, int, int]:
     return (8, 20, 8) if big else (2, 12, 4)
 
 
-def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool) -> int | None:
+def _next_directory(file: BinaryIO, offset: int, size: int, order: _Order, big: bool) -> int | None:
     """Place of the directory after the one at `offset`, 0 after the last; None if the file ends before."""
     count_bytes, entry_bytes, place_bytes = _directory(big)
     if offset + count_bytes > size:
@@ -163,8 +163,8 @@ def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool)
 # A frame is divided into slices. Each ends with its size (3 bytes, big-endian), and where the encoder wrote
 # checksums, with a status byte and a CRC-32 that makes the remainder over the whole slice zero.
 
-_SIZE: Final = 3
-_FOOTER: Final = 8
+_SLICE_SIZE_BYTES: Final = 3
+_FOOTER_BYTES: Final = 8
 _ONES: Final = 0xFFFFFFFF
 # the CRC of RFC 9043 takes the most significant bit first, zlib's the least
 _REVERSED: Final = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -175,8 +175,8 @@ def slices_of(packet: bytes) -> list[bytes]:
     found = []
     end = len(packet)
     while end > 0:
-        at = end - _FOOTER
-        begin = at - int.from_bytes(packet[at : at + _SIZE], "big")
+        at = end - _FOOTER_BYTES
+        begin = at - int.from_bytes(packet[at : at + _SLICE_SIZE_BYTES], "big")
         if at < 0 or begin < 0:
             return []
         found.append(packet[begin:end])

@@ -143,7 +143,7 @@ class _TiffImages(_Images):
             self._decoded = int(cv2.imcount(str(path), cv2.IMREAD_UNCHANGED))
         self.count = max(self._decoded + head.cut_off, 1)
         shape = [(head.tags.get(tag) or [0])[0] for tag in (HEIGHT, WIDTH)]
-        noted = _noted(path, head.note, shape)
+        noted = _images_by_note(path, head.note, shape)
         self._pixels_at, self._shape = -1, shape
         if noted <= self.count:
             return
@@ -186,7 +186,7 @@ class _TiffImages(_Images):
         return _stored(pages[0])
 
 
-def _noted(path: Path, note: str, shape: Sequence[int]) -> int:
+def _images_by_note(path: Path, note: str, shape: Sequence[int]) -> int:
     """The number of images that a note in a TIFF states; 0 if it states none.
 
     Raises DeviceError if the images are not a series in time.
@@ -237,7 +237,7 @@ class ImageSource(FrameSource):
             except OSError as error:
                 raise DeviceError(f"{path}: cannot be listed: {error.strerror}") from None
             files = images_in(inside)
-            said = _left_out(path, inside, files)
+            said = _ignored_files(path, inside, files)
         self._files = [path / name for name in files]
         self._images = [_images_of(file) for file in self._files]
         self._places = [(k, page) for k, one in enumerate(self._images) for page in range(one.count)]
@@ -294,7 +294,7 @@ class ImageSource(FrameSource):
         )
 
 
-def _left_out(path: Path, inside: Sequence[str], images: Sequence[str]) -> list[str]:
+def _ignored_files(path: Path, inside: Sequence[str], images: Sequence[str]) -> list[str]:
     """Warnings of other files in the folder; raises DeviceError without images."""
     others = [name for name in inside if name not in set(images) and not name.startswith(".")]
     films = sum(is_film(path / name) for name in others)

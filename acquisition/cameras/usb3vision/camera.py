@@ -99,7 +99,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=_REPLY_S)
                 identity = read_identity(self._channel)
                 silence_events(self._channel, identity.event_address)
-                features = self._learned(self._channel, identity)
+                features = self._read_features(self._channel, identity)
                 self._registers = StreamRegisters(self._channel, identity.stream_address, link.name)
                 self._has_clock = identity.timestamp_increment_ns > 0
                 # an acquisition that a program left running when it was killed
@@ -116,7 +116,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             self._link, self._features = link, features
             return info
 
-    def _learned(self, channel: GenCpChannel, identity: Identity) -> Features:
+    def _read_features(self, channel: GenCpChannel, identity: Identity) -> Features:
         """The camera's features; DeviceError if its description is invalid or incomplete."""
         xml = read_description(channel, identity.manifest_address, self._name)
         features = Features(NodeMap(xml, channel, self._name))
@@ -150,8 +150,8 @@ class Usb3VisionCamera(GenicamCamera[Features]):
 
     def start(self) -> None:
         """Set up the stream, then let the camera run."""
-        with self._lock, self._translated():
-            features, link, registers = self._opened(), self._link, self._registers
+        with self._lock, self._translate_errors():
+            features, link, registers = self._open_features(), self._link, self._registers
             assert link is not None
             assert registers is not None
             self._must_be_idle()
@@ -177,7 +177,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 )
             _set_locked(features, True)
             registers.enable(True)
-            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+            self._past_counts, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
             self._stream = None
             ahead = self._settings.frames_ahead(features.stated_rate(), expected.image_bytes)
             transfers = self._transfers(link, ahead)
@@ -199,7 +199,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
         if stream is None:
             raise DeviceError(f"{self._name}: is not started; call start before read")
         try:
-            with self._translated():
+            with self._translate_errors():
                 return stream.reading.read(timeout_s)
         except TimeoutError:
             raise FrameTimeout(
@@ -210,7 +210,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
         stream = self._stream
         if stream is not None:
             stream.reading.request_stop()
-        with self._locked_soon() as locked:
+        with self._lock_briefly() as locked:
             if locked:
                 self._end_stream()
 
@@ -256,7 +256,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
         stream = self._stream
         if stream is not None:
             stream.reading.request_stop()
-        with self._locked_soon() as locked:
+        with self._lock_briefly() as locked:
             if not locked:
                 return  # the call that holds the lock has been told to abort and will release the camera
             self._end_stream()
@@ -274,15 +274,15 @@ class Usb3VisionCamera(GenicamCamera[Features]):
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
         stream = self._stream
-        return self._before if stream is None else self._before + stream.status
+        return self._past_counts if stream is None else self._past_counts + stream.status
 
     @property
     def features(self) -> Features:
         """All features of the open camera, for ``rig camera show`` and ``rig camera set``."""
-        return self._opened()
+        return self._open_features()
 
     @contextmanager
-    def _locked_soon(self) -> Iterator[bool]:
+    def _lock_briefly(self) -> Iterator[bool]:
         """Yield whether the lock was acquired; a call that holds it for a silent camera is aborted."""
         locked = self._lock.acquire(timeout=_LOCK_S)
         channel = self._channel

@@ -41,9 +41,9 @@ _PATIENCE_S: Final = 0.3
 # Sizes of block counters that are shorter than the standard's 64 bits.
 _COUNTERS: Final = (1 << 16, 1 << 32)
 # After so many frames in a row with other parts than planned, these are expected.
-_LEARNED_AFTER: Final = 2
+_FRAMES_TO_LEARN: Final = 2
 # After so many lost frames in a row the planned parts are expected again.
-_UNLEARNED_AFTER: Final = 6
+_LOSSES_TO_UNLEARN: Final = 6
 # So many consecutive frames of a wrong size or format are a wrong setting and not an error of the bus.
 _MOST_MISFITS: Final = 10
 
@@ -209,7 +209,7 @@ class UsbFrameStream:
             # Later reads may already have received bytes, which are lost by cancelling them, so that the next
             # part is unknown: search for a leader.
             next_part = -1
-        if next_part <= 0 and self._numbers.lost_parts >= _UNLEARNED_AFTER:
+        if next_part <= 0 and self._numbers.lost_parts >= _LOSSES_TO_UNLEARN:
             self._parts = self._planned_parts  # what was learned does not hold (any more)
         self._transfers.cancel()
         self._ring.clear()
@@ -238,7 +238,7 @@ class UsbFrameStream:
         """Note a frame not sent as planned; True from the second in a row on: then it is expected."""
         self._deviations += not self._deviated
         self._deviated = True
-        return self._deviations >= _LEARNED_AFTER
+        return self._deviations >= _FRAMES_TO_LEARN
 
     # ---- parts of a frame
 

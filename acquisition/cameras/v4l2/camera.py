@@ -36,10 +36,10 @@ class V4l2Camera:
         self._settings = settings or V4l2Settings()
         self._lock = threading.RLock()
         self._source: LinuxSource | None = None
-        self._known: VideoDevice | None = None
+        self._last_device: VideoDevice | None = None
         self._run: CameraRun | None = None
         self._numbers = BlockNumbers("video camera", ())
-        self._before = CameraStatus()
+        self._past_counts = CameraStatus()
         self._was_lost = False
 
     def open(self) -> CameraInfo:
@@ -49,25 +49,25 @@ class V4l2Camera:
             )
         self.close()
         with self._lock:
-            source = LinuxSource(self._settings, self._known)
+            source = LinuxSource(self._settings, self._last_device)
             info = source.open()
-            self._source, self._known = source, source.found
+            self._source, self._last_device = source, source.found
             return info
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         with self._lock:
-            source = self._opened()
+            source = self._open_source()
             self._must_not_run("stop it before settings are changed")
             return source.configure(settings)
 
     def start(self) -> None:
         """Begin with fresh buffers."""
         with self._lock:
-            source = self._opened()
+            source = self._open_source()
             self._must_not_run("stop it first")
             if self._run is not None and not self._run.stop(1.0):
                 raise DeviceError("video camera: still waits for a frame of the last run; close and open it")
-            self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+            self._past_counts, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
             self._run = None
             self._numbers = numbers = BlockNumbers("video camera", ())
             source.start()
@@ -108,17 +108,17 @@ class V4l2Camera:
     def status(self) -> CameraStatus:
         """Counts since `start`; they go on over a reconnection."""
         run = self._run
-        return self._before if run is None else self._before + self._numbers.status(run.delivered)
+        return self._past_counts if run is None else self._past_counts + self._numbers.status(run.delivered)
 
     def feature_values(self) -> dict[str, FeatureValue]:
         """All controls of the device that can be read now."""
-        return self._opened().feature_values()
+        return self._open_source().feature_values()
 
     def feature_value(self, name: str) -> FeatureValue | None:
         """Value of one control; None if it cannot be read now."""
         return self.feature_values().get(name)
 
-    def _opened(self) -> LinuxSource:
+    def _open_source(self) -> LinuxSource:
         if self._source is None:
             raise DeviceError("video camera: is not open; call open first")
         return self._source

@@ -95,14 +95,14 @@ def to_image(data: memoryview, layout: PixelLayout, plane: ColourPlane | None = 
     row, column, pitch = (*place_in_mosaic(kind.colours, plane), PITCH) if plane else (0, 0, 1)
     rows = rows[row::pitch]
     if kind.packed:
-        return _own(_unpacked(rows, layout.width_px, kind.packed)[:, column::pitch])
+        return _read_only_copy(_unpacked(rows, layout.width_px, kind.packed)[:, column::pitch])
     pixels = rows[:, : layout.width_px * kind.step * np.dtype(kind.dtype).itemsize]
     if kind.dtype != "u1":
-        return _own(pixels.view(kind.dtype)[:, column::pitch].astype(np.uint16))
-    return _own(pixels[:, kind.offset :: kind.step][:, column::pitch])
+        return _read_only_copy(pixels.view(kind.dtype)[:, column::pitch].astype(np.uint16))
+    return _read_only_copy(pixels[:, kind.offset :: kind.step][:, column::pitch])
 
 
-def _own(part: NDArray[np.generic]) -> Image:
+def _read_only_copy(part: NDArray[np.generic]) -> Image:
     image: Any = np.array(part, order="C")
     image.flags.writeable = False
     return cast("Image", image)

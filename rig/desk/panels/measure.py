@@ -20,8 +20,8 @@ from rig.instrument import Phase
 from rig.presentation import quantity
 
 _SIZE = (420, 300)
-_IF_SOUND = "Stop the session? The record is closed and fitted; nothing is lost."
-_IF_FROZEN = (
+_ASK_STOP = "Stop the session? The record is closed and fitted; nothing is lost."
+_ASK_KILL = (
     "The session does not answer. End its process? The laser is switched off; the record stays, at worst "
     "without its last second. Then: Fit again fits it, Resume measures missing runs."
 )
@@ -74,7 +74,7 @@ class RunNumbers:
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
         with ui.dialog().props('aria-label="stop the session"') as self._sure, ui.card():
-            self._asked = ui.label(_IF_SOUND)
+            self._asked = ui.label(_ASK_STOP)
             with ui.row():
                 ui.button("Stop it", on_click=lambda: self._sure.submit(True)).props('color="negative"')
                 ui.button("Go on", on_click=lambda: self._sure.submit(False)).props("outline")
@@ -127,7 +127,7 @@ class RunNumbers:
 
     async def _stop(self) -> None:
         following = self._desk.following
-        self._asked.set_text(_IF_FROZEN if following.frozen else _IF_SOUND)
+        self._asked.set_text(_ASK_KILL if following.frozen else _ASK_STOP)
         if following.running and await self._sure:
             ui.notify(await run.io_bound(self._desk.stop_session))
 
@@ -177,7 +177,7 @@ class RunFacts:
         ui.notify(said)
 
 
-_EVERY_S = 1.0
+_REDRAW_S = 1.0
 _KEYS = {"decay": "amplitude", "period": "period_s"}
 _MOST_PARAMETERS = 3
 
@@ -204,7 +204,7 @@ class RunCharts:
             self._charts[name] = Chart(name, "elapsed_s", _with_fit(key))
         self._charts["parameters"] = Chart("parameters", "elapsed_s", ())
         self._choose()
-        tab.every(_EVERY_S, self._refresh)
+        tab.every(_REDRAW_S, self._refresh)
 
     def _choose(self) -> None:
         for name, chart in self._charts.items():

@@ -21,7 +21,7 @@ _COLUMNS = ("begun", "name", "sample", "runs", "state", *LastRun._fields, "condi
 _STATED = ("begun", "sample", "runs", "state", "conditions", "operator")
 _LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
   <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
-_ON_A_PAGE = 15
+_ROWS_PER_PAGE = 15
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${props.row.folder}`" />'
 
 
@@ -96,7 +96,7 @@ class SessionList:
     async def refresh(self) -> None:
         """Show what is found now."""
         desk, first = self._desk, self._first
-        page = desk.sessions.page(desk.following.folder, self._words(), first, _ON_A_PAGE)
+        page = desk.sessions.page(desk.following.folder, self._words(), first, _ROWS_PER_PAGE)
         self._rows = {str(row.folder): row for row in page.rows}
         if self._marked in self._rows:
             self._on_mark(self._rows[self._marked])
@@ -128,7 +128,7 @@ class SessionList:
         self._on_mark(self._rows.get(self._marked))
 
     async def _turn(self, pages: int) -> None:
-        self._first = max(0, self._first + pages * _ON_A_PAGE)
+        self._first = max(0, self._first + pages * _ROWS_PER_PAGE)
         await self.refresh()
 
 
@@ -229,7 +229,7 @@ def _head(column: str) -> str:
     return f"{symbol} / ({shown.unit})" if shown.unit else symbol
 
 
-_AGAIN_S = 30.0
+_REREAD_S = 30.0
 """Interval of reading the archive for added runs."""
 
 
@@ -251,7 +251,7 @@ class ArchivedRuns:
         tab.every(1.0, self.refresh)
 
     async def _turn(self, pages: int) -> None:
-        self._first = max(0, self._first + pages * _ON_A_PAGE)
+        self._first = max(0, self._first + pages * _ROWS_PER_PAGE)
         await self.refresh()
 
     async def refresh(self) -> None:
@@ -262,13 +262,13 @@ class ArchivedRuns:
         if self._asked is None or words != self._asked[0]:
             self._first = 0
         now, now_s = (words, self._first), time.monotonic()
-        if now == self._asked and now_s - self._asked_s < _AGAIN_S:
+        if now == self._asked and now_s - self._asked_s < _REREAD_S:
             return
         self._asked, self._asked_s = now, now_s
         if not self._table.rows:
             self._place.set_text(f"{archive} is read …")
         try:
-            found = await run.io_bound(find_runs, archive, words, self._first, _ON_A_PAGE)
+            found = await run.io_bound(find_runs, archive, words, self._first, _ROWS_PER_PAGE)
         except RigError as error:
             self._table.rows = []
             self._place.set_text(str(error))

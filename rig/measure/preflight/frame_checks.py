@@ -28,9 +28,9 @@ from rig.measure.preflight.rest_checks import (
 from rig.presentation import Verdict, with_uncertainty
 from rig.settings import Configuration, PreflightSettings
 
-_SPOT_BYTES = 260
+_RECORDED_SPOT_BYTES = 260
 """Bytes that one frame's numbers take in the record."""
-_PICTURES = 48
+_LIGHT_FRAMES = 48
 """Frames searched for light that does not move."""
 
 
@@ -138,7 +138,7 @@ def _room(size_bytes: float) -> str:
 
 def _fixed_light(look: TrialFrames) -> FixedLight | None:
     pairs = list(zip(look.frames, look.spots[-len(look.frames) :], strict=True))
-    return fixed_light([(frame.image, spot) for frame, spot in pairs[:: max(1, len(pairs) // _PICTURES)]])
+    return fixed_light([(frame.image, spot) for frame, spot in pairs[:: max(1, len(pairs) // _LIGHT_FRAMES)]])
 
 
 def check_look(
@@ -148,7 +148,7 @@ def check_look(
     limits, at = config.preflight, look.deflections
     span_s = max(float(at.times_s[-1]), 1e-9) if len(at) else 1.0
     rate_hz, longest_s = len(look.frames) / span_s, config.session.max_duration_s
-    bytes_per_frame = _SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
+    bytes_per_frame = _RECORDED_SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
     bytes_per_frame += look.frames[0].image.nbytes / (config.record.full_frame_interval_s * rate_hz)
     return [
         spot_found(look.spots, limits),
@@ -174,7 +174,7 @@ def check_look(
 
 
 _ANY_HUMIDITY = (0.0, 100.0)
-_ALONG_ROWS = 0.1
+_MAX_ACROSS_ROWS = 0.1
 """Largest |cos(slow_angle_rad)| at which the slow axis counts as along the rows."""
 
 
@@ -244,7 +244,7 @@ def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool
     if known is not None:
         row_us = with_uncertainty(1e6 * known.row_time_s, 1e6 * known.u_row_time_s)
         return Verdict("shutter", True, measured=f"rolling, {row_us} µs a row", limit=limit)
-    if across < _ALONG_ROWS:
+    if across < _MAX_ACROSS_ROWS:
         return Verdict("shutter", True, measured="rolling, the slow axis lies along the rows", limit=limit)
     reason = "each row is exposed at its own time: half-periods differ, [shutter] does not say by how much"
     remedy = "turn the camera so that the slow axis lies along the rows, or set a global reset, "

@@ -55,7 +55,7 @@ class Triggered(AravisCamera):
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         applied = super().configure(settings)
-        features = self._opened()
+        features = self._open_features()
         features.run_on = lambda: features.camera.set_trigger("Software")  # type: ignore[method-assign]
         return applied
 
@@ -326,7 +326,7 @@ def richer(tmp_path: Path) -> Iterator[AravisCamera]:
 
 def test_what_another_program_left_on_is_switched_off_unless_asked(richer: AravisCamera) -> None:
     left_on = {"GainAuto": "Continuous", "ExposureAuto": "Continuous", "GammaEnable": "true"}
-    features = richer._opened()
+    features = richer._open_features()
     for name, value in left_on.items():
         features.write(name, value)
     features.camera.set_trigger("Line0")
