@@ -114,7 +114,7 @@ def _far(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
 
 
 @dataclass(frozen=True, slots=True)
-class LessReference:
+class CorrectedPositions:
     """Positions of the pendulum's spot minus the common motion, along one axis, in px.
 
     `fallen_back` are the frames in which the reference was lost: their positions are unchanged, and their u
@@ -126,7 +126,7 @@ class LessReference:
     fallen_back: Flags
     gain: Estimate
     verdict: ReferenceVerdict
-    gain_of_prediction: float = 0.0
+    likelihood_fall: float = 0.0
 
 
 def fitted_gain(position_px: Floats, u_px: Floats, common: CommonMotion, quiet: Flags) -> Estimate:
@@ -155,14 +155,16 @@ def _gain(position: Floats, motion: Floats) -> float:
     return float(centred @ position / (centred @ centred))
 
 
-def refused(position_px: Floats, u_px: Floats, gain: Estimate, verdict: ReferenceVerdict) -> LessReference:
+def uncorrected(
+    position_px: Floats, u_px: Floats, gain: Estimate, verdict: ReferenceVerdict
+) -> CorrectedPositions:
     """Unchanged positions, with the verdict."""
-    return LessReference(position_px, u_px, np.zeros(len(position_px), dtype=np.bool_), gain, verdict)
+    return CorrectedPositions(position_px, u_px, np.zeros(len(position_px), dtype=np.bool_), gain, verdict)
 
 
-def less_reference(
+def subtract_common_motion(
     position_px: Floats, u_px: Floats, common: CommonMotion, gain: Estimate, quiet: Flags
-) -> LessReference:
+) -> CorrectedPositions:
     """Subtract the common motion, if that lowers -2 ln L of the frames at rest by enough.
 
     Parameters
@@ -175,15 +177,15 @@ def less_reference(
         Frames in which the pendulum rests. With too few, `gain` is not tested.
     """
     if not common.share > 0:
-        return refused(position_px, u_px, gain, ReferenceVerdict.QUIET)
+        return uncorrected(position_px, u_px, gain, ReferenceVerdict.QUIET)
     fall = _fall(position_px, common, gain.value, quiet)
     if fall is not None and not fall > _MIN_FALL:
-        return replace(refused(position_px, u_px, gain, ReferenceVerdict.NO_GAIN), gain_of_prediction=fall)
+        return replace(uncorrected(position_px, u_px, gain, ReferenceVerdict.NO_GAIN), likelihood_fall=fall)
     size = float(np.sqrt(np.mean(common.value[common.known] ** 2)))
     of_common = np.where(common.known, common.u, size)
     variance = u_px**2 + (gain.value * of_common) ** 2
     variance += np.where(common.known, (gain.standard_uncertainty * common.value) ** 2, 0.0)
-    return LessReference(
+    return CorrectedPositions(
         position_px - gain.value * common.value,
         np.sqrt(variance),
         ~common.known,

@@ -63,7 +63,7 @@ def chunk_content(data: bytes, length: int) -> tuple[int, int, bytes, int] | Non
     return (size, crc, name, start) if agree else None
 
 
-def proved_content(record: bytes, length: int) -> bytes:
+def decompress_chunk(record: bytes, length: int) -> bytes:
     """The decompressed content of a chunk. Raises ChunkDamage if damaged."""
     if len(record) < length:
         raise ChunkDamage("ends early, or its disk cannot give all of it")
@@ -139,7 +139,7 @@ class Damage(NamedTuple):
     start_ns: int
     end_ns: int
     topics: tuple[str, ...]
-    what: str
+    description: str
 
 
 class ChunkPlace(NamedTuple):

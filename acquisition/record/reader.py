@@ -43,7 +43,7 @@ from acquisition.record.topics import (
     LOSSES,
     METADATA_COPY,
     NOTE,
-    PIXEL_KINDS,
+    PIXEL_MESSAGES,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SPOT,
@@ -53,7 +53,7 @@ from acquisition.record.topics import (
     RecordedLosses,
     RecordedNote,
     RecordedWindow,
-    number_kinds,
+    number_messages,
     number_topics,
 )
 from processing.balance import Balance
@@ -95,7 +95,9 @@ class RecordReader:
             self._own = self.metadata["record"]
             self.deflection_unit = DeflectionUnit(self._own["deflection_unit"])
             self.epoch_offset_ns = int(self._own["epoch_offset_ns"])
-            self._kinds = {kind.topic: kind for kind in (*number_kinds(self.deflection_unit), *PIXEL_KINDS)}
+            self._kinds = {
+                kind.topic: kind for kind in (*number_messages(self.deflection_unit), *PIXEL_MESSAGES)
+            }
             self._numbers.contents.channels = dict(enumerate(number_topics(self.deflection_unit), start=1))
             self._open_pixels()
         except OSError as error:
@@ -178,7 +180,7 @@ class RecordReader:
         each.
         """
         lines = [self.cut_notice] if self.truncated else []
-        lines += [f"damaged, not used: {damage.what}" for damage in self.damages]
+        lines += [f"damaged, not used: {damage.description}" for damage in self.damages]
         damage = [text for file in self.files for text in file.contents.damage]
         return lines + [f"the record's structure: {text}" for text in damage]
 

@@ -110,7 +110,7 @@ def _copy_metadata(
         file.contents.size - file.contents.readable_bytes for file in reader.files if not file.contents.whole
     )
     damage = tuple(text for file in reader.files for text in file.contents.damage)
-    lost_parts = [lost.what for lost in reader.damages if not lost.start_ns]
+    lost_parts = [lost.description for lost in reader.damages if not lost.start_ns]
     recovery = {
         "source": reader.path.name,
         "source_sha256": _sha256_if_readable(reader.path),

@@ -56,7 +56,7 @@ class RecordedReference(NamedTuple):
     flags: int
 
     @classmethod
-    def of(cls, sequence: int, time_ns: int, spot: Spot) -> Self:
+    def from_spot(cls, sequence: int, time_ns: int, spot: Spot) -> Self:
         """Record of a fitted reference spot."""
         position = spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px
         return cls(sequence, time_ns, *position, spot.amplitude_dn, spot.chi2_per_dof, spot.flags)
@@ -251,10 +251,10 @@ def _message(
     topic: str,
     *numbers: tuple[str, Kind],
     tail: tuple[tuple[str, Kind], ...] = (),
-    about: str = "",
+    description: str = "",
     meanings: tuple[Meanings, ...] = (),
 ) -> MessageType:
-    return MessageType(f"{PACKAGE}.{name}", topic, numbers, tail, about, meanings)
+    return MessageType(f"{PACKAGE}.{name}", topic, numbers, tail, description, meanings)
 
 
 _FRAME = _ints("sequence", "time_ns", "device_time_ns", "host_time_ns")
@@ -277,11 +277,11 @@ def _balance(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
     return *_ints(time_ns), *_doubles(*numbers)
 
 
-_ABOUT_SPOT = (
+_SPOT_DESCRIPTION = (
     "One camera frame: its number and times, the laser spot on the sensor, the deflection of the pendulum. "
     "Every u_NAME is the standard uncertainty (one sigma) of NAME. NaN where the spot was lost."
 )
-_ABOUT_SWING = (
+_SWING_DESCRIPTION = (
     "One half-cycle as detected during the measurement: its turning point. Every u_NAME is the standard "
     "uncertainty (one sigma) of NAME. Half-cycles with flags are not fitted."
 )
@@ -300,7 +300,7 @@ SPOT, SPOT_UNCALIBRATED = (
         *_FRAME,
         *_SPOT,
         *_doubles(*DEFLECTION_FIELDS[unit], *(() if prefix else ("x_arcsec", "y_arcsec"))),
-        about=_ABOUT_SPOT,
+        description=_SPOT_DESCRIPTION,
         meanings=(SpotFlag,),
     )
     for unit, prefix in _UNITS
@@ -312,7 +312,7 @@ SWING, SWING_UNCALIBRATED = (
         "/swing",
         *_turning_point(unit),
         *_doubles(*(() if prefix else ("amplitude_arcsec",)), "period_s"),
-        about=_ABOUT_SWING,
+        description=_SWING_DESCRIPTION,
         meanings=(HalfCycleFlag, TurningSide),
     )
     for unit, prefix in _UNITS
@@ -360,15 +360,15 @@ class TimedMessage(Protocol):
         """On the frames' clock."""
 
 
-Recorded: TypeAlias = tuple[MessageType, TimedMessage]
+TypedMessage: TypeAlias = tuple[MessageType, TimedMessage]
 """A value and its message type."""
-SESSION_KINDS: Final = (PHASE, LIGHT, HEALTH, ESTIMATE, FITTED)
+SESSION_MESSAGES: Final = (PHASE, LIGHT, HEALTH, ESTIMATE, FITTED)
 """Types of the messages on the state of a running session."""
 
 
-def number_kinds(unit: DeflectionUnit) -> tuple[MessageType, ...]:
+def number_messages(unit: DeflectionUnit) -> tuple[MessageType, ...]:
     """Kinds of messages in the file of numbers, in the order of their channels."""
-    return *_measured(unit), *SESSION_KINDS
+    return *_measured(unit), *SESSION_MESSAGES
 
 
 def _measured(unit: DeflectionUnit) -> tuple[MessageType, ...]:
@@ -384,11 +384,11 @@ def _measured(unit: DeflectionUnit) -> tuple[MessageType, ...]:
 
 def number_topics(unit: DeflectionUnit) -> tuple[str, ...]:
     """Topics in the file of numbers, in the order of their channels, from 1."""
-    measured, session = (tuple(kind.topic for kind in kinds) for kinds in (_measured(unit), SESSION_KINDS))
+    measured, session = (tuple(kind.topic for kind in kinds) for kinds in (_measured(unit), SESSION_MESSAGES))
     return *measured, LOG_TOPIC, CAMERA_TOPIC, *session
 
 
-PIXEL_KINDS: Final = (WINDOW, IMAGE)
+PIXEL_MESSAGES: Final = (WINDOW, IMAGE)
 """Kinds of messages in the file of pixels, in the order of their channels, from 1."""
 PIXEL_TOPICS: Final = (WINDOW.topic, IMAGE.topic, PREVIEW_TOPIC)
 """Topics in the file of pixels, in the order of their channels, from 1."""

@@ -34,14 +34,14 @@ from acquisition.record.topics import (
     LOG_TOPIC,
     METADATA_COPY,
     NOTE,
-    PIXEL_KINDS,
+    PIXEL_MESSAGES,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SCHEMA_VERSION,
     SWING,
     WINDOW,
     RecordedNote,
-    number_kinds,
+    number_messages,
     number_topics,
 )
 from processing.balance import Balance
@@ -117,7 +117,7 @@ class RecordWriter:
         self._clock = clock
         self._flushed_s = clock()
         self._unit = DeflectionUnit(deflection_unit)
-        kinds = number_kinds(self._unit)
+        kinds = number_messages(self._unit)
         self._spot, self._swing, self._balance, *_ = kinds
         self._full_scale_dn = int((metadata or {}).get("camera", {}).get("full_scale_dn", "255"))
         self._own = {
@@ -247,7 +247,7 @@ class RecordWriter:
         self._add(CAMERA_TOPIC, time_ns, data)
 
     def write(self, kind: MessageType, value: Any, time_ns: int) -> None:
-        """Write a value with the fields of its kind, one of `number_kinds`."""
+        """Write a value with the fields of its kind, one of `number_messages`."""
         data = kind.encode(*[getattr(value, name) for name in kind.names])
         self._add(kind.topic, time_ns, data)
 
@@ -361,12 +361,12 @@ class RecordWriter:
 
 def number_schemas(unit: DeflectionUnit) -> dict[str, tuple[str, bytes]]:
     """Schema and descriptor of each topic in the file of numbers."""
-    return _schemas(number_topics(unit), number_kinds(unit))
+    return _schemas(number_topics(unit), number_messages(unit))
 
 
 def pixel_schemas() -> dict[str, tuple[str, bytes]]:
     """The same in the file of pixels."""
-    return _schemas(PIXEL_TOPICS, PIXEL_KINDS)
+    return _schemas(PIXEL_TOPICS, PIXEL_MESSAGES)
 
 
 def _schemas(topics: Sequence[str], kinds: Sequence[MessageType]) -> dict[str, tuple[str, bytes]]:

@@ -134,7 +134,7 @@ def recover_record(path: Path, output: Path | None) -> None:
     for damage in recovery.lost:
         topics = ", ".join(damage.topics)
         span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
-        print_line(f"lost: {span}{damage.what}")
+        print_line(f"lost: {span}{damage.description}")
     for text in recovery.damage:
         print_line(f"damaged: {text}")
 

@@ -19,9 +19,9 @@ from acquisition.record.topics import (
     CameraTemperature,
     ClockAnchor,
     Environment,
-    Recorded,
     RecordedLosses,
     RecordedWitness,
+    TypedMessage,
 )
 from processing.errors import DeviceError
 from processing.units import nanoseconds
@@ -123,7 +123,7 @@ class SideReadings:
         self._has_air = False
         self.clock = CameraClock()
 
-    def take(self, frames: Sequence[Frame]) -> tuple[list[Recorded], list[Event]]:
+    def take(self, frames: Sequence[Frame]) -> tuple[list[TypedMessage], list[Event]]:
         """What is to be recorded with these frames, and events."""
         last, wall = frames[-1], self._wall
         nothing: tuple[ClockAnchor | None, list[Event]] = (None, [])
@@ -144,7 +144,7 @@ class SideReadings:
             (CLOCK, anchor),
             (CAMERA_TEMPERATURE, warmth),
         )
-        found: list[Recorded] = [
+        found: list[TypedMessage] = [
             *((kind, value) for kind, value in once if value is not None),
             *((CAMERA_STEP, step) for step in steps),
             *((WITNESS, one) for one in self._witness(last) if one.time_ns >= self._start_ns),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from acquisition.camera import Frame, Image
 from acquisition.record.events import Event
-from acquisition.record.topics import REFERENCE, Recorded, RecordedNote, RecordedReference
+from acquisition.record.topics import REFERENCE, RecordedNote, RecordedReference, TypedMessage
 from acquisition.record.writer import RecordWriter
 from rig.control import LightPermit, Stage
 from rig.instrument import Block
@@ -44,7 +44,7 @@ class Entry:
     images: Sequence[Frame] = ()
     preview: Frame | None = None
     events: Sequence[Event] = field(default=())
-    messages: Sequence[Recorded] = ()
+    messages: Sequence[TypedMessage] = ()
     notes: Sequence[RecordedNote] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -75,7 +75,7 @@ class Entry:
             for sequence, time_ns, spot in zip(
                 self.sequences, times_ns.tolist(), block.references, strict=bool(block.references)
             ):
-                writer.write(REFERENCE, RecordedReference.of(sequence, time_ns, spot), time_ns)
+                writer.write(REFERENCE, RecordedReference.from_spot(sequence, time_ns, spot), time_ns)
             for swing in block.swings:
                 writer.write_swing(swing)
             for balance in block.balances:

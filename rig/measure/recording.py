@@ -9,7 +9,7 @@ import numpy as np
 
 from acquisition.camera import Frame, Image
 from acquisition.record.events import Event, EventKind
-from acquisition.record.topics import LOSSES, Recorded, RecordedHealth, RecordedNote, RecordedPhase
+from acquisition.record.topics import LOSSES, RecordedHealth, RecordedNote, RecordedPhase, TypedMessage
 from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
 from processing.slope_uncertainty import KickWatch, StepWatch
@@ -337,7 +337,7 @@ class Recording:
         self._tell(last, messages, empty._replace(swings=swings))
 
     def _tell(
-        self, events: Sequence[Event], messages: Sequence[Recorded] = (), block: Block | None = None
+        self, events: Sequence[Event], messages: Sequence[TypedMessage] = (), block: Block | None = None
     ) -> None:
         """Tell those who watch what the record was told."""
         values, counts = [value for _, value in messages], self._counts
@@ -386,7 +386,7 @@ class Recording:
             happened.append((EventKind.POSTERIOR, remark))
         return [Event(self._counts.last_ns, kind, text) for kind, text in happened]
 
-    def _state(self, phase: Phase, age_s: float) -> list[Recorded]:
+    def _state(self, phase: Phase, age_s: float) -> list[TypedMessage]:
         """What the record is told of the session now, as far as it has changed."""
         counts, recorder, clock = self._counts, self._recorder, self._readings.clock
         now_ns = counts.last_ns

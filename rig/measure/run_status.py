@@ -19,12 +19,12 @@ from acquisition.record.topics import (
     LIGHT,
     PHASE,
     Environment,
-    Recorded,
     RecordedEstimate,
     RecordedHealth,
     RecordedLight,
     RecordedPhase,
     TimedMessage,
+    TypedMessage,
 )
 from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
@@ -120,11 +120,11 @@ class RunStatus:
 
     def messages(
         self, phase: RecordedPhase, health: RecordedHealth, known: Posterior, *, on_demand: bool
-    ) -> list[Recorded]:
+    ) -> list[TypedMessage]:
         """What the record is to be told of the session now: phase and light where they have changed, each
         new fit, and how the session keeps up once a second and where phase or alarm have changed.
         """
-        time_ns, found = phase.time_ns, list[Recorded]()
+        time_ns, found = phase.time_ns, list[TypedMessage]()
         changed = self._phase is None or phase[2:] != self._phase[2:] or health.alarm != self._alarm
         if self._phase is None or phase[2:] != self._phase[2:]:
             found.append((PHASE, phase))

@@ -226,7 +226,7 @@ class ScratchView:
             if times_ns:
                 writer.write_spots(numbers, times_ns, times_ns, block.spots, found)
             for number, time_ns, seen in zip(numbers, times_ns, block.references, strict=False):
-                writer.write(REFERENCE, RecordedReference.of(number, time_ns, seen), time_ns)
+                writer.write(REFERENCE, RecordedReference.from_spot(number, time_ns, seen), time_ns)
             for swing in block.swings:
                 writer.write_swing(replace(swing, turn_time_ns=swing.turn_time_ns - shift_ns))
             for balance in block.balances:
