@@ -30,7 +30,7 @@ from acquisition.cameras.pixel_formats import (
 from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError
 
-Quantity = Literal["exposure_us", "gain_db", "frame_rate_hz"]
+NumericFeature = Literal["exposure_us", "gain_db", "frame_rate_hz"]
 
 _STICKY: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
 """Settings that keep their last requested value if left out."""
@@ -83,7 +83,7 @@ class GenicamFeatures(ABC):
         return "AcquisitionFrameRateEnable"
 
     @property
-    def waits(self) -> bool:
+    def is_triggered(self) -> bool:
         """Whether the camera is set to wait for a trigger, by camera.trigger or by camera.features."""
         return self._requested.trigger is not None or any(
             "Trigger" in name for name in self._requested.features
@@ -139,11 +139,11 @@ class GenicamFeatures(ABC):
         """All features that can be read now; `error` is raised by the library for those that cannot."""
 
     @abstractmethod
-    def number(self, key: Quantity) -> float | None:
+    def number(self, key: NumericFeature) -> float | None:
         """A quantity's present value; None where the camera has none, or none in use."""
 
     @abstractmethod
-    def set_number(self, key: Quantity, wanted: float) -> None:
+    def set_number(self, key: NumericFeature, wanted: float) -> None:
         """Set a quantity; DeviceError if the camera has none, or not this value."""
 
     @abstractmethod
@@ -170,7 +170,7 @@ class GenicamFeatures(ABC):
         """Set a feature that the user names."""
         self.write(name, value)
 
-    def shown(self, name: str) -> FeatureValue:
+    def value_for_user(self, name: str) -> FeatureValue:
         """Present value of a feature for the user; empty if it is not readable."""
         value = self.read(name)
         return "" if value is None else value
@@ -347,7 +347,7 @@ class GenicamFeatures(ABC):
             if self.writable(self.rate_switch):
                 self.write(self.rate_switch, False)
         now_us = None if exposure_us is None else self.number("exposure_us")
-        wanted: list[tuple[Quantity, float | None]] = [
+        wanted: list[tuple[NumericFeature, float | None]] = [
             ("exposure_us", exposure_us),
             ("frame_rate_hz", rate_hz),
         ]
@@ -373,7 +373,7 @@ class GenicamFeatures(ABC):
             height_px=height_px,
             offset_x_px=x,
             offset_y_px=y,
-            features={name: self.shown(name) for name in settings.features},
+            features={name: self.value_for_user(name) for name in settings.features},
         )
         return in_plane_px(applied.model_copy(update=self._read_wiring(settings)), settings.colour_plane)
 

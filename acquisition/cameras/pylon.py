@@ -19,12 +19,12 @@ from acquisition.camera import (
     PluggedCamera,
 )
 from acquisition.cameras.drivers import PylonSettings, kept_frames
-from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures, Quantity
+from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures, NumericFeature
 from acquisition.cameras.pixel_formats import Format, plane_of
 from processing.errors import DeviceError, MissingPackage
 from processing.units import NS_PER_S
 
-_NAMES: Final[dict[Quantity, tuple[str, ...]]] = {
+_NAMES: Final[dict[NumericFeature, tuple[str, ...]]] = {
     "exposure_us": ("ExposureTime", "ExposureTimeAbs"),
     "gain_db": ("Gain",),
     "frame_rate_hz": ("AcquisitionFrameRate", "AcquisitionFrameRateAbs"),
@@ -68,14 +68,14 @@ class PylonFeatures(GenicamFeatures):
             raise DeviceError(f"{self.name}: has no feature {name}; leave camera.features.{name} out")
         self.write(name, value)
 
-    def shown(self, name: str) -> FeatureValue:
+    def value_for_user(self, name: str) -> FeatureValue:
         return str(self.node(name).ToString())
 
-    def number(self, key: Quantity) -> float | None:
+    def number(self, key: NumericFeature) -> float | None:
         node = self.node(*_NAMES[key])
         return None if node is None or not node.IsReadable() else float(node.Value)
 
-    def set_number(self, key: Quantity, wanted: float) -> None:
+    def set_number(self, key: NumericFeature, wanted: float) -> None:
         node = self.node(*_NAMES[key])
         if key == "frame_rate_hz" and self.node(self.rate_switch) is not None:
             self.write(self.rate_switch, True)

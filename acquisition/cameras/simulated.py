@@ -19,7 +19,7 @@ from acquisition.camera import (
     without_features,
 )
 from acquisition.simulation.inputs import FaultSettings, RigInputs
-from acquisition.simulation.scene import PlannedFrames, Readings, Scene, block_frames
+from acquisition.simulation.scene import PlannedFrames, Scene, SensorSettings, block_frames
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from processing.units import nanoseconds, seconds
@@ -62,7 +62,7 @@ class SimulatedCamera:
         self._reader: _SimulatedFrames | None = None
         self._runs = settings.first_run
         sensor = settings.sensor
-        self._readings = Readings(
+        self._sensor_settings = SensorSettings(
             offset_x_px=0,
             offset_y_px=0,
             width_px=sensor.width_px,
@@ -86,7 +86,7 @@ class SimulatedCamera:
             serial=f"seed-{self._settings.seed}",
             width_px=sensor.width_px,
             height_px=sensor.height_px,
-            full_scale_dn=2**self._readings.bit_depth - 1,
+            full_scale_dn=2**self._sensor_settings.bit_depth - 1,
             has_clock=True,
             stamped="middle",
             shutter="Rolling" if sensor.row_time_s else "Global",
@@ -98,19 +98,21 @@ class SimulatedCamera:
         if self._reader is not None and self._reader.running:
             raise DeviceError(f"{_NAME}: cannot be configured while frames are running; stop it first")
         without_features(settings.model_copy(update={"binning": None}), _NAME)
-        binning = settings.binning or self._readings.binning
+        binning = settings.binning or self._sensor_settings.binning
         sensor = self._settings.sensor
         width_px, height_px = sensor.width_px // binning, sensor.height_px // binning
-        if binning != self._readings.binning:
-            self._readings = self._readings._replace(
+        if binning != self._sensor_settings.binning:
+            self._sensor_settings = self._sensor_settings._replace(
                 binning=binning, offset_x_px=0, offset_y_px=0, width_px=width_px, height_px=height_px
             )
         asked = {
-            name: value for name in Readings._fields if (value := getattr(settings, name, None)) is not None
+            name: value
+            for name in SensorSettings._fields
+            if (value := getattr(settings, name, None)) is not None
         }
         if settings.pixel_format is not None:
             asked["bit_depth"] = BITS_OF_FORMAT[settings.pixel_format]
-        new = self._readings._replace(**asked)
+        new = self._sensor_settings._replace(**asked)
         if settings.width_px is not None and settings.offset_x_px is None:
             new = new._replace(offset_x_px=min(new.offset_x_px, max(width_px - new.width_px, 0)))
         if settings.height_px is not None and settings.offset_y_px is None:
@@ -128,7 +130,7 @@ class SimulatedCamera:
                 f"{_NAME}: exposure_us = {new.exposure_us:g} is longer than a frame at "
                 f"frame_rate_hz = {new.frame_rate_hz:g}; at most {1e6 / new.frame_rate_hz:.6g} fit"
             )
-        self._readings = new
+        self._sensor_settings = new
         return CameraSettings(
             pixel_format=FORMAT_OF_BITS[new.bit_depth],
             **{name: value for name, value in new._asdict().items() if name != "bit_depth"},
@@ -143,11 +145,11 @@ class SimulatedCamera:
             if self._reader.lost or self._reader.stalled:
                 self._reader.resume()
                 return
-        scene = Scene(self._settings, self._faults, self._readings, self._runs, self._inputs)
+        scene = Scene(self._settings, self._faults, self._sensor_settings, self._runs, self._inputs)
         self._runs += 1
-        block = block_frames(self._readings.frame_rate_hz, self._inputs is not None)
+        block = block_frames(self._sensor_settings.frame_rate_hz, self._inputs is not None)
         self._reader = _SimulatedFrames(
-            scene, block, self._settings, self._faults, self._readings.frame_rate_hz, self._clock_ns
+            scene, block, self._settings, self._faults, self._sensor_settings.frame_rate_hz, self._clock_ns
         )
 
     def read(self, timeout_s: float) -> Frame | None:

@@ -23,7 +23,7 @@ def _cached_by_identity(path: Path, identity: tuple[int, ...]) -> str:
     return sha256_of(path)
 
 
-def known_sha256_of(path: Path) -> str:
+def cached_sha256(path: Path) -> str:
     """`sha256_of`, remembered as long as device, inode, size and time of the file stay the same."""
     try:
         found = path.stat()
@@ -32,11 +32,11 @@ def known_sha256_of(path: Path) -> str:
     return _cached_by_identity(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
 
 
-def known_sha256_of_any(path: Path) -> str:
+def cached_sha256_of_path(path: Path) -> str:
     """SHA-256 of a file, or of a folder's sorted file names and hashes. Raises RecordError."""
     if not path.is_dir():
-        return known_sha256_of(path)
-    lines = [f"{known_sha256_of(each)}  {each.name}\n" for each in sorted(path.iterdir()) if each.is_file()]
+        return cached_sha256(path)
+    lines = [f"{cached_sha256(each)}  {each.name}\n" for each in sorted(path.iterdir()) if each.is_file()]
     return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
@@ -80,7 +80,7 @@ class RecordedCamera:
     shutter: ShutterKind
 
     @classmethod
-    def of(cls, metadata: Mapping[str, Mapping[str, str]]) -> Self:
+    def from_metadata(cls, metadata: Mapping[str, Mapping[str, str]]) -> Self:
         """Read it from the metadata of any record."""
         camera = metadata.get(_SECTION, {})
         return cls(
@@ -115,11 +115,11 @@ _UNCHANGED_S = 30.0
 """Without locks, a file unchanged for so long counts as closed."""
 
 
-def lock_for_writing(number: int) -> None:
+def lock_for_writing(descriptor: int) -> None:
     """Lock an open file (its descriptor) until it is closed; does nothing where there are no locks."""
     if fcntl is not None:
         try:
-            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             return
 

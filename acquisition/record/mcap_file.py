@@ -339,11 +339,11 @@ class McapFile:
         self._disk.close()
 
 
-def _sync_file(number: int) -> None:
+def _sync_file(descriptor: int) -> None:
     """Flush to the disk; on macOS fsync alone leaves data in the drive's cache."""
     if sys.platform == "darwin":
         import fcntl
 
-        fcntl.fcntl(number, fcntl.F_FULLFSYNC)
+        fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
     else:
-        os.fsync(number)
+        os.fsync(descriptor)

@@ -145,7 +145,7 @@ def analyse_run(
         run.results,
         frames=frames,
         dropped_frames=dropped_frames,
-        simulated=RecordedCamera.of(reader.metadata).simulated,
+        simulated=RecordedCamera.from_metadata(reader.metadata).simulated,
         losses=reader.losses(),
         beam=judged,
         warnings=tuple(warnings),

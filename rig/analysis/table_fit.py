@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.digest import known_sha256_of_any
+from acquisition.record.digest import cached_sha256_of_path
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
@@ -260,7 +260,7 @@ def _analyse(
     problem = why_no_laws(trajectory, config)
     fitted: AnalysedRun | None = None
     run = RunResults(
-        record=relative_record(path, Path.cwd()), sha256=known_sha256_of_any(path), problem=problem
+        record=relative_record(path, Path.cwd()), sha256=cached_sha256_of_path(path), problem=problem
     )
     if config is not None and not problem:
         zero_ns, absolute = trajectory.first_ns, seconds(trajectory.first_ns) > FIRST_UTC_S

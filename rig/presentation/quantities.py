@@ -259,25 +259,25 @@ class Keys:
 
     def __init__(self, stream: IO[Any] | None = None) -> None:
         stream = sys.stdin if stream is None else stream
-        self._number = -1
+        self._descriptor = -1
         with contextlib.suppress(OSError, ValueError, AttributeError):
             number = stream.fileno()
             if os.isatty(number) and _in_foreground(number):
-                self._number = number
+                self._descriptor = number
         self._parser = KeyParser()
         self._before: list[Any] | None = None
 
     @property
     def there(self) -> bool:
-        return self._number >= 0
+        return self._descriptor >= 0
 
     def __enter__(self) -> Self:
         if self.there:
             import termios
             import tty
 
-            self._before = termios.tcgetattr(self._number)
-            tty.setcbreak(self._number)
+            self._before = termios.tcgetattr(self._descriptor)
+            tty.setcbreak(self._descriptor)
         return self
 
     def __exit__(
@@ -287,23 +287,23 @@ class Keys:
             import termios
 
             with contextlib.suppress(termios.error):
-                termios.tcsetattr(self._number, termios.TCSADRAIN, self._before)
+                termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
 
     def pressed(self, wait_s: float) -> list[str]:
         """Keys pressed since the last call; waits at most `wait_s` for the first one."""
         if not self.there:
             time.sleep(max(wait_s, 0.0))
             return []
-        ready, _, _ = select.select([self._number], [], [], max(wait_s, 0.0))
+        ready, _, _ = select.select([self._descriptor], [], [], max(wait_s, 0.0))
         if not ready:
             return self._parser.flush()
         try:
-            data = os.read(self._number, 1024)
+            data = os.read(self._descriptor, 1024)
         except OSError:
             data = b""
         if not data:
             # the terminal was closed; no more keys
-            self._number = -1
+            self._descriptor = -1
         return self._parser.feed(data)
 
 

@@ -35,7 +35,7 @@ def pyav() -> Any:
     return av
 
 
-def opened_film(path: Path) -> "InputContainer":
+def open_film(path: Path) -> "InputContainer":
     """Open a film. Raises DeviceError if FFmpeg cannot read it as one."""
     av = pyav()
     try:
@@ -77,7 +77,7 @@ class FilmIndex:
     rate_hz: Fraction | None
     key_ticks: Sequence[int]
     cut_off: int
-    said: tuple[str, ...]
+    warnings: tuple[str, ...]
     codec: str
     pixel_format: str
     first_packets: Sequence[bytes]
@@ -92,7 +92,7 @@ def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
     DeviceError
         No film, no picture in it, or packets without times.
     """
-    container = opened_film(path)
+    container = open_film(path)
     try:
         if not container.streams.video:
             raise DeviceError(f"{path}: holds no picture; name a film")
@@ -178,7 +178,7 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         rate_hz=rate_hz,
         key_ticks=[tick for tick in ticks if shown[tick]],
         cut_off=cut_off,
-        said=tuple(said),
+        warnings=tuple(said),
         codec=context.name,
         pixel_format=context.pix_fmt or "",
         first_packets=kept,

@@ -79,7 +79,7 @@ _MOST_PAGES = 10_000_000
 _SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 16: 8}
 """Bytes of the types of a TIFF tag that are read here: byte, text, short, long, and long of BigTIFF."""
 _MAX_TEXT_BYTES = 1 << 20
-WIDTH, HEIGHT, BITS, COMPRESSION, _NOTE, PLACES = 256, 257, 258, 259, 270, 273
+WIDTH, HEIGHT, BITS, COMPRESSION, _NOTE, STRIP_OFFSETS = 256, 257, 258, 259, 270, 273
 """Numbers of TIFF tags; the last two are ImageDescription and StripOffsets."""
 
 

@@ -69,7 +69,7 @@ def choose(offered: list[str], wanted: PixelFormat | None, *, mosaic: bool = Fal
     return next(fitting, None)
 
 
-def possible(offered: list[str], *, mosaic: bool = False) -> list[PixelFormat]:
+def pixel_formats_of(offered: list[str], *, mosaic: bool = False) -> list[PixelFormat]:
     """Pixel formats that follow from the offered layouts, grey or with a Bayer mosaic."""
     return list(dict.fromkeys(LAYOUTS[fourcc].pixel_format for fourcc in _usable(offered, mosaic)))
 
@@ -214,7 +214,7 @@ def find_again(known: VideoDevice) -> VideoDevice:
 
 
 def _is_readable(formats: list[str]) -> bool:
-    return bool(possible(formats) or possible(formats, mosaic=True))
+    return bool(pixel_formats_of(formats) or pixel_formats_of(formats, mosaic=True))
 
 
 def refusal(path: str, error: OSError) -> str:

@@ -141,7 +141,7 @@ def _fixed_light(look: TrialFrames) -> FixedLight | None:
     return fixed_light([(frame.image, spot) for frame, spot in pairs[:: max(1, len(pairs) // _LIGHT_FRAMES)]])
 
 
-def check_look(
+def check_trial_frames(
     look: TrialFrames, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
 ) -> list[Verdict]:
     """All checks that are made from some seconds of frames."""
