@@ -25,7 +25,7 @@ _MOST_BUFFERS: Final = 8
 _LIMIT: Final = 1 << 63
 """End of the signed integers of 64 bits."""
 _END_PATIENCE_S: Final = 10.0
-HANGS_S: Final = 10.0
+READ_GRACE_S: Final = 10.0
 """A `read` that exceeds its timeout by this much has hung, and is given up."""
 _NOT_READING: Final = -1
 """State of a thread that is not in `read`."""
@@ -33,10 +33,10 @@ _MAX_FUTURE_NS: Final = 1_000_000_000
 """A host time further in the future than this is of another clock, such as UTC."""
 NO_TIME_NS: Final = 1 << 62
 """Times beyond this (146 years) are invalid; sums overflow."""
-MOST_PPM: Final = 1000.0
+MAX_DRIFT_PPM: Final = 1000.0
 """Largest drift of a clock. A quartz is right within 100 ppm; beyond this, the driver misreads its unit."""
 _STRETCH_NS: Final = 2_000_000_000
-"""Length of a stretch: 2 ms more delay in the next makes `MOST_PPM`."""
+"""Length of a stretch: 2 ms more delay in the next makes `MAX_DRIFT_PPM`."""
 _MIN_FRAMES: Final = 60
 """Fewest frames of a stretch."""
 _AGREEING_STRETCHES: Final = 3
@@ -53,7 +53,7 @@ class _LastImage(NamedTuple):
     pixels: NDArray[Any]
 
 
-class CheckedFrames:
+class FrameChecks:
     """Checks frames of one camera: shape and type as the first, an own image array, rising numbers.
 
     Numbers come out as plain integers: those of numpy overflow, or compute in floating point. Only frames
@@ -66,12 +66,12 @@ class CheckedFrames:
         self._sequence: int | None = None
         self._newest: deque[_LastImage] = deque(maxlen=_MOST_BUFFERS)
 
-    def begin_again(self) -> None:
+    def restart(self) -> None:
         """Accept numbers from 0 again, after a restart; shape and type of images must stay."""
         self._sequence = None
         self._newest.clear()
 
-    def checked(self, frame: object) -> Frame:
+    def check(self, frame: object) -> Frame:
         """Check and return a frame; raises DeviceError, in one line, if invalid."""
         if not isinstance(frame, Frame):
             raise _refusal(f"read() returned {type(frame).__name__}", "return a Frame, or None at the end")
@@ -128,7 +128,7 @@ class CheckedFrames:
         self._newest.append(_LastImage(number, image, _sampled_pixels(image).copy()))
 
 
-def checked_info(info: object, driver: str) -> CameraInfo:
+def check_info(info: object, driver: str) -> CameraInfo:
     """The CameraInfo of `open`; raises DeviceError for another type or value."""
     if not isinstance(info, CameraInfo):
         raise _refusal(f"open() of driver {driver!r} returned {type(info).__name__}", "return a CameraInfo")
@@ -139,7 +139,7 @@ def checked_info(info: object, driver: str) -> CameraInfo:
     return info
 
 
-def checked_settings(applied: object, driver: str) -> CameraSettings:
+def check_applied_settings(applied: object, driver: str) -> CameraSettings:
     """The settings of `configure`; DeviceError for another type."""
     if not isinstance(applied, CameraSettings):
         raise _refusal(
@@ -150,7 +150,7 @@ def checked_settings(applied: object, driver: str) -> CameraSettings:
 
 
 @contextmanager
-def asking(camera: str, what: str) -> Iterator[None]:
+def driver_errors(camera: str, what: str) -> Iterator[None]:
     """Turn a driver's exception, unless a RigError, into a DeviceError of one line."""
     try:
         yield
@@ -162,7 +162,7 @@ def asking(camera: str, what: str) -> Iterator[None]:
         raise DeviceError(f"{camera}: {what} failed: {in_one_line(error)}") from error
 
 
-def ended(ending: Callable[[], object], name: str, patience_s: float = _END_PATIENCE_S) -> str:
+def end_within(ending: Callable[[], object], name: str, patience_s: float = _END_PATIENCE_S) -> str:
     """Call `ending` (stop or close) and wait `patience_s` at most; returns the problem, or "".
 
     Measured data must not be lost because a driver hangs.
@@ -183,7 +183,7 @@ def ended(ending: Callable[[], object], name: str, patience_s: float = _END_PATI
     return f"{name} failed: {in_one_line(raised[0])}" if raised else ""
 
 
-class Counts:
+class CameraCounts:
     """The frame counts of a camera; the last known ones if it can no longer report them.
 
     `take_remark` reports this, once; missing frames still show in the frame numbers.
@@ -195,7 +195,7 @@ class Counts:
         self._remark, self._has_said = "", False
 
     @property
-    def now(self) -> CameraStatus:
+    def latest(self) -> CameraStatus:
         """Latest known counts; never raises."""
         try:
             found = self._ask()
@@ -218,28 +218,28 @@ class Counts:
         return remark
 
 
-class HangingRead:
+class ReadMonitor:
     """Detects a `read` that does not return; the reading thread reports to it, the waiting one asks it.
 
     It adds up the waits: a clock would also run while the program is suspended.
     """
 
-    def __init__(self, asked_s: float, hangs_s: float = HANGS_S) -> None:
+    def __init__(self, asked_s: float, hangs_s: float = READ_GRACE_S) -> None:
         self._asked_s, self._longest_s = asked_s, asked_s + hangs_s
         self._reads = 0
         self._now = self._then = _NOT_READING
         self._waited_s = 0.0
 
-    def begins(self) -> None:
+    def enter(self) -> None:
         """Note that a `read` begins."""
         self._reads += 1
         self._now = self._reads
 
-    def is_elsewhere(self) -> None:
+    def leave(self) -> None:
         """Note that the thread is in a call with its own limit."""
         self._now = _NOT_READING
 
-    def after(self, waited_s: float) -> str:
+    def check(self, waited_s: float) -> str:
         """Add a wait (0: a frame came); message if the `read` hangs."""
         same = self._now == self._then and self._now != _NOT_READING
         self._waited_s = self._waited_s + waited_s if same and waited_s else 0.0
@@ -252,20 +252,20 @@ class HangingRead:
         )
 
 
-class ClockWatch:
+class ClockCheck:
     """Compares the clocks over the first seconds of frames, whatever the driver.
 
     A wrong unit shows as the same drift in every stretch of frames. Each stretch is represented by its
-    frame of smallest delay, since a busy computer takes others late. A drift above `MOST_PPM` is refused
+    frame of smallest delay, since a busy computer takes others late. A drift above `MAX_DRIFT_PPM` is refused
     if three in a row agree.
     """
 
     def __init__(self) -> None:
         self._found: list[float] = []
         self._done = False
-        self.begin_again()
+        self.restart()
 
-    def begin_again(self) -> None:
+    def restart(self) -> None:
         """Begin a new stretch, after the camera was reopened."""
         self._soonest: list[tuple[int, int]] = []
         self._since_ns, self._count = -1, 0
@@ -289,7 +289,7 @@ class ClockWatch:
     def _compare(self) -> None:
         (late_before_ns, before_ns), (late_ns, host_ns) = self._soonest
         drift_ppm = 1e6 * (late_before_ns - late_ns) / max(host_ns - before_ns, 1)
-        if abs(drift_ppm) <= MOST_PPM:
+        if abs(drift_ppm) <= MAX_DRIFT_PPM:
             self._done = True
             return
         self._found = [*self._found, drift_ppm][-_AGREEING_STRETCHES:]
@@ -297,12 +297,12 @@ class ClockWatch:
         same = all(abs(drift - mean) < _MAX_SPREAD * abs(mean) for drift in self._found)
         if len(self._found) == _AGREEING_STRETCHES and same:
             raise DeviceError(
-                f"{as_fast(mean)}, at most {MOST_PPM:g} ppm are possible: its times cannot be used; "
-                "the driver misreads its unit, or the computer's clock was set: see rig doctor"
+                f"{clock_rate_text(mean)}, at most {MAX_DRIFT_PPM:g} ppm are possible: its times cannot be "
+                "used; the driver misreads its unit, or the computer's clock was set: see rig doctor"
             )
 
 
-def as_fast(drift_ppm: float) -> str:
+def clock_rate_text(drift_ppm: float) -> str:
     """The rate of the camera's clock in words."""
     return f"the camera's clock runs {1.0 + 1e-6 * drift_ppm:.6g} times as fast as the computer's"
 

@@ -20,7 +20,7 @@ _LARGEST_GAP: Final = 1 << 31
 _LARGEST_LOSS: Final = 1000
 # So many old but rising numbers in a row are no late frames: the camera has begun to count again.
 _RESTARTED_AFTER: Final = 3
-Place = Literal["dropped_by_camera", "dropped_by_bus", "dropped_by_host"]
+LossCause = Literal["dropped_by_camera", "dropped_by_bus", "dropped_by_host"]
 
 
 class BlockNumbers:
@@ -45,7 +45,7 @@ class BlockNumbers:
         since = CameraStatus(delivered, incomplete=self.lost_parts - self.faulty, error_status=self.faulty)
         return self._lost + since
 
-    def number(self, block: int | None, lost: Place, time: int = 0) -> int | None:
+    def number(self, block: int | None, lost: LossCause, time: int = 0) -> int | None:
         """Number of a whole frame; None for a block that came again or too late.
 
         `block` is None where the driver does not know it. `lost` is the place of loss of frames missing
@@ -127,7 +127,7 @@ class FrameLosses:
     wrong_id: int = 0
 
     @classmethod
-    def of(
+    def from_status(
         cls, status: CameraStatus, *, unqueued: int = 0, while_unplugged: int = 0, wrong_time: int = 0
     ) -> Self:
         """From a driver's counts, frames refused by our queue, missed in a gap, or with wrong times."""
@@ -148,13 +148,13 @@ class FrameLosses:
         return sum(_counts(self)) - self.wrong_id
 
     @property
-    def came(self) -> int:
+    def discarded(self) -> int:
         """Frames that came, in part at least, and were not used."""
         return self.incomplete + self.wrong_time + self.error_status + self.wrong_id
 
     @property
-    def came_text(self) -> str:
-        """`came` in words, by reason."""
+    def discarded_text(self) -> str:
+        """`discarded` in words, by reason."""
         return str(
             FrameLosses(0, 0, 0, self.incomplete, 0, self.wrong_time, self.error_status, self.wrong_id)
         )
@@ -184,9 +184,9 @@ _DELAY_SMOOTHING = 0.02
 """As SMOOTHING, for the delay and its scatter."""
 _MIN_DEVIATION_NS = 2_000_000.0
 """Smallest disagreement of times that counts: smaller ones are by reading or exposure."""
-BY_HOST_NS = 60_000_000.0
+MAX_READING_DELAY_NS = 60_000_000.0
 """Largest disagreement with the computer's clock by late reading."""
-REGULAR = 0.2
+MAX_IRREGULARITY = 0.2
 """Largest mean deviation of a regular camera's intervals, as part of one."""
 _LEAST_SCATTER_NS = 20_000.0
 """Lower limit of the scatter of the delay."""
@@ -199,8 +199,8 @@ _NEWEST_INTERVALS: Final = 9
 """Newest intervals, whose median is the camera's present interval."""
 
 
-class UsualTimes:
-    """Frame interval and delay, learned by `joined` from frames of valid times.
+class FrameTiming:
+    """Frame interval and delay, learned by `learn` from frames of valid times.
 
     `waited_for`: the last frame was read at arrival, not late from the driver.
     """
@@ -208,9 +208,9 @@ class UsualTimes:
     def __init__(self) -> None:
         self.scatter_ns = _MIN_DEVIATION_NS
         self.interval_ns = 0.0
-        self.begin_again()
+        self.restart()
 
-    def begin_again(self) -> None:
+    def restart(self) -> None:
         """Forget times and delay, after the camera was reopened; keep the frame interval."""
         self.last: Frame | None = None
         self.waited_for = False
@@ -221,12 +221,12 @@ class UsualTimes:
     @property
     def is_regular(self) -> bool:
         """Whether the camera is known to keep a rate."""
-        return self.learned >= _FRAMES_TO_LEARN and self.deviation_ns < REGULAR * self.interval_ns
+        return self.learned >= _FRAMES_TO_LEARN and self.deviation_ns < MAX_IRREGULARITY * self.interval_ns
 
     @property
     def allowed_ns(self) -> float:
         """Allowed deviation of a time from the expected one, in ns."""
-        return max(_MIN_DEVIATION_NS, 10 * self.deviation_ns) if self.is_regular else BY_HOST_NS
+        return max(_MIN_DEVIATION_NS, 10 * self.deviation_ns) if self.is_regular else MAX_READING_DELAY_NS
 
     @property
     def allowed_by_arrival_ns(self) -> float:
@@ -244,7 +244,7 @@ class UsualTimes:
             frame.device_time_ns - last.device_time_ns - (frame.sequence - last.sequence) * self.interval_ns
         )
 
-    def joined(self, frame: Frame) -> Frame:
+    def learn(self, frame: Frame) -> Frame:
         """Learn from a frame of valid time; returns it."""
         last, self.last = self.last, frame
         if last is not None:
@@ -269,7 +269,7 @@ class UsualTimes:
             self.scatter_ns = max(self.scatter_ns + _DELAY_SMOOTHING * wider_ns, _LEAST_SCATTER_NS)
         return frame
 
-    def carried(self, frame: Frame) -> Frame:
+    def time_by_arrival(self, frame: Frame) -> Frame:
         """The frame with the time of its arrival less the usual delay, smoothed by the camera's rate."""
         arrived_ns = frame.host_time_ns - self.delay_ns
         last = self.last
@@ -278,7 +278,7 @@ class UsualTimes:
             numbers = frame.sequence - last.sequence
             by_rate_ns = last.device_time_ns + numbers * self.interval_ns
             later_ns = arrived_ns - by_rate_ns
-            if self.learned >= _FRAMES_TO_LEARN and numbers > 0 and abs(later_ns) < BY_HOST_NS:
+            if self.learned >= _FRAMES_TO_LEARN and numbers > 0 and abs(later_ns) < MAX_READING_DELAY_NS:
                 most_ns = 2 * self.scatter_ns
                 time_ns = by_rate_ns + _DELAY_SMOOTHING * min(max(later_ns, -most_ns), most_ns)
             time_ns = max(time_ns, last.device_time_ns + 1)

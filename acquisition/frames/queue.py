@@ -77,7 +77,7 @@ class FrameQueue:
             return self._closed and not self._frames
 
 
-MOST_BYTES = 256 * 1024 * 1024
+MAX_QUEUE_BYTES = 256 * 1024 * 1024
 """Memory for waiting frames: 1.7 s of 640 x 480 px at 500 frames/s, in bytes."""
 _OWN_BYTES = 1024
 """Memory of a frame beyond its pixels."""
@@ -87,12 +87,12 @@ _WARN_FRACTION = 0.125
 """Filled part that causes a warning."""
 
 
-def most_waiting(frame: Frame, policy: Policy) -> int:
-    """Capacity of the queue in frames: `MOST_BYTES` of them, a few at least.
+def queue_capacity(frame: Frame, policy: Policy) -> int:
+    """Capacity of the queue in frames: `MAX_QUEUE_BYTES` of them, a few at least.
 
     With the policy "wait" none are lost: there a short queue keeps frames in the CPU's cache.
     """
-    most = max(_MIN_FRAMES, MOST_BYTES // (frame.image.nbytes + _OWN_BYTES))
+    most = max(_MIN_FRAMES, MAX_QUEUE_BYTES // (frame.image.nbytes + _OWN_BYTES))
     return min(_MAX_FRAMES_ON_DEMAND, most) if policy == "wait" else most
 
 
@@ -112,7 +112,7 @@ class Backlog:
         self._frame_mb = frame_bytes / 1e6
         self._peak = 0
 
-    def see(self, waiting: int) -> str:
+    def message_for(self, waiting: int) -> str:
         """Message when so many waiting frames are first many, or few again; otherwise an empty text."""
         if waiting > max(_WARN_FRACTION * self._capacity, self._peak):
             begins, self._peak = not self._peak, waiting

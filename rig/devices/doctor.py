@@ -188,7 +188,7 @@ def check_frames(
     on_demand
         Frames are made when they are read, and have no rate.
     """
-    lost = f"lost: {FrameLosses.of(status)}"
+    lost = f"lost: {FrameLosses.from_status(status)}"
     enough = len(arrivals) == _FRAMES and status.dropped == 0
     remedy = "" if enough else "another port or cable; a lower frame_rate_hz; a smaller region"
     if on_demand:

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, CameraStatus, Frame, FrameTimeout
-from acquisition.frames.guard import Counts, HangingRead, asking, ended
+from acquisition.frames.guard import CameraCounts, ReadMonitor, driver_errors, end_within
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.numbering import FrameLine
-from acquisition.frames.queue import Backlog, FrameQueue, Policy, most_waiting
+from acquisition.frames.queue import Backlog, FrameQueue, Policy, queue_capacity
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
@@ -136,7 +136,7 @@ class FrameStream:
         self._queue: FrameQueue | None = None
         self._backlog: Backlog | None = None
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
-        self._counts = Counts(lambda: camera.status)
+        self._counts = CameraCounts(lambda: camera.status)
         self._thread: threading.Thread | None = None
         self._begun = threading.Event()
         self._first: Frame | None = None
@@ -145,13 +145,13 @@ class FrameStream:
         self._steps: list[RecordedClockStep] = []
         self._at_last_look = FrameLosses()
         self._look_ns = 0
-        self._hanging = HangingRead(timeout_s)
+        self._hanging = ReadMonitor(timeout_s)
         self.ended = ""
         self.failure: Exception | None = None
 
     def start_camera(self) -> None:
         """Start the camera; `begin` waits for its first frame."""
-        with asking("camera", "start()"):
+        with driver_errors("camera", "start()"):
             self._camera.start()
         if self.policy != "wait":
             self._standstill.begin()
@@ -175,7 +175,7 @@ class FrameStream:
         self.permit.moved(Stage.PROCESSING)
         if self._queue is None:
             return []
-        if self._backlog is not None and (said := self._backlog.see(len(self._queue))):
+        if self._backlog is not None and (said := self._backlog.message_for(len(self._queue))):
             self._events.append((EventKind.BACKLOG, said))
         frames = self._queue.take(at_most, timeout_s)
         try:
@@ -212,7 +212,7 @@ class FrameStream:
         self._standstill.end()
         if self._queue is not None:
             self._queue.close()
-        if remark := ended(self._camera.stop, "camera: stop()"):
+        if remark := end_within(self._camera.stop, "camera: stop()"):
             _log.warning("%s", remark)
             self._events.append((EventKind.CAMERA_STOP, remark))
         if self._thread is not None:
@@ -227,8 +227,8 @@ class FrameStream:
     def losses(self) -> FrameLosses:
         """Frames lost since the start, by cause."""
         unqueued = 0 if self._queue is None else self._queue.dropped
-        status = self._counts_before + self._counts.now
-        return FrameLosses.of(
+        status = self._counts_before + self._counts.latest
+        return FrameLosses.from_status(
             status,
             unqueued=unqueued,
             while_unplugged=self._line.missing,
@@ -240,7 +240,7 @@ class FrameStream:
 
     def _raise_if_it_hangs(self, waited_s: float) -> None:
         # what is made on demand may take as long as it likes
-        if (hangs := self._hanging.after(waited_s)) and self.policy != "wait":
+        if (hangs := self._hanging.check(waited_s)) and self.policy != "wait":
             error = DeviceError(hangs)
             self._fail(error, hangs)
             raise error
@@ -256,7 +256,7 @@ class FrameStream:
                 # a source on demand may be slow; silence of a free-running camera is reported early
                 patience_s = self._timeout_s if self.policy == "wait" else line.patience_s(self._timeout_s)
                 patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
-                self._hanging.begins()
+                self._hanging.enter()
                 try:
                     read = self._camera.read(patience_s)
                 except (FrameTimeout, CameraLost) as lost:
@@ -274,9 +274,9 @@ class FrameStream:
                         raise lost from None
                     opened_again = opened_again or isinstance(lost, FrameTimeout)
                     self._events.append((EventKind.CAMERA_LOST, str(lost)))
-                    self._hanging.is_elsewhere()
+                    self._hanging.leave()
                     self._reconnect(lost)
-                    line.begin_again()
+                    line.restart()
                     silent_s = 0.0
                     continue
                 if read is None:
@@ -303,7 +303,11 @@ class FrameStream:
                     self._begun.set()
         except FrameTimeout as error:
             unused = self.losses.since(self._at_last_look)
-            why = "the camera has stalled" if not unused.came else f"of those that came {unused.came_text}"
+            why = (
+                "the camera has stalled"
+                if not unused.discarded
+                else f"of those that came {unused.discarded_text}"
+            )
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
             self._fail(error, self._named(error))
@@ -313,7 +317,7 @@ class FrameStream:
             self._begun.set()
 
     def _first_queue(self, first: Frame) -> FrameQueue:
-        capacity = most_waiting(first, self.policy)
+        capacity = queue_capacity(first, self.policy)
         # what is made on demand waits for the thread that takes it
         self._backlog = None if self.policy == "wait" else Backlog(capacity, first.image.nbytes)
         self._first, self._queue = first, FrameQueue(capacity, self.policy)
@@ -322,17 +326,17 @@ class FrameStream:
     def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
         """The same, with the frames that came and could not be used: the trigger is no cause of those."""
         unused = self.losses.since(self._at_last_look)
-        if not unused.came:
+        if not unused.discarded:
             return lost
         name = str(lost).partition(": ")[0]
         return FrameTimeout(
-            f"{name}: no usable frame; of those that came {unused.came_text}; use a lower rate or "
+            f"{name}: no usable frame; of those that came {unused.discarded_text}; use a lower rate or "
             "size, another port or cable; rig camera show lists what the camera reports"
         )
 
     def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
         deadline_s = time.monotonic() + self._reconnect_s
-        before = self._counts.now
+        before = self._counts.latest
         while not self._stop.is_set() and time.monotonic() < deadline_s:
             try:
                 self._camera.close()
@@ -345,7 +349,7 @@ class FrameStream:
                 self._stop.wait(0.25)
             else:
                 # a driver that has noticed the loss counts on, any other begins again
-                if self._counts.now.reconnects == before.reconnects:
+                if self._counts.latest.reconnects == before.reconnects:
                     self._counts_before += before
                 if differences:
                     self._events.append((EventKind.CAMERA_BACK, f"with other settings: {differences}"))

@@ -12,7 +12,7 @@ import numpy as np
 from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, Frame, PluggedCamera
 from acquisition.cameras.genicam import GenicamFeatures, NumericFeature
 from acquisition.cameras.pixel_formats import Format, plane_of
-from acquisition.frames.losses import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError
 
 
@@ -291,7 +291,7 @@ class BufferReader:
         now_ns = time.monotonic_ns()
         arrived_ns = self._arrived_ns(now_ns, buffer.get_system_timestamp())
         was_full = self._underruns.before(arrived_ns, now_ns, underruns)
-        lost: Place = "dropped_by_host" if was_full else "dropped_by_bus"
+        lost: LossCause = "dropped_by_host" if was_full else "dropped_by_bus"
         number = self.numbers.number(buffer.get_frame_id(), lost)
         if number is None:
             return None

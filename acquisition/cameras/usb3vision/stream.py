@@ -31,7 +31,7 @@ from acquisition.cameras.usb3vision.packets import (
     parse_trailer,
 )
 from acquisition.cameras.usb3vision.transfers import Transfers
-from acquisition.frames.losses import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError, RigError
 
 logger = logging.getLogger(__name__)
@@ -346,7 +346,7 @@ class UsbFrameStream:
             return None
         self._misfits = 0
         self._leader = None
-        lost: Place = "dropped_by_bus" if self._disturbed else "dropped_by_camera"
+        lost: LossCause = "dropped_by_bus" if self._disturbed else "dropped_by_camera"
         number = self._numbers.number(leader.block, lost, leader.timestamp)
         if number is None:
             return None

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from acquisition.camera import Frame, ShutterKind
-from acquisition.frames.guard import MOST_PPM
+from acquisition.frames.guard import MAX_DRIFT_PPM
 from calibration import Axes, Shutter, relate_clocks
 from processing.errors import DataError
 from processing.spot import FixedLight, Spot, SpotFlag, fixed_light
@@ -75,7 +75,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
 
     The clock of frames that are made on demand has no rate in real time.
     """
-    limit = f"jitter {limits.max_clock_jitter_us:g} µs, rate {MOST_PPM:g} ppm"
+    limit = f"jitter {limits.max_clock_jitter_us:g} µs, rate {MAX_DRIFT_PPM:g} ppm"
     if frames and frames[0].device_time_ns < 0:
         return Verdict("clock", True, measured="the camera has none; the host's is used", limit=limit)
     try:
@@ -94,7 +94,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
         return judged("clock", False, (wrong_by, remedy), rate, limit)
     jitter_us = relation.frame_jitter_s * 1e6
     ok = jitter_us <= limits.max_clock_jitter_us
-    if ok and not on_demand and 3.0 * relation.u_drift_ppm > MOST_PPM:
+    if ok and not on_demand and 3.0 * relation.u_drift_ppm > MAX_DRIFT_PPM:
         reason = "unknown: these frames came too irregularly, or too few of them, to tell the clock's rate"
         measured = f"jitter {jitter_us:.1f} µs, rate unknown ({rate})"
         return Verdict("clock", True, reason, measured=measured, limit=limit, made=False)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Frame
-from acquisition.frames.queue import MOST_BYTES, Backlog, FrameQueue, most_waiting
+from acquisition.frames.queue import MAX_QUEUE_BYTES, Backlog, FrameQueue, queue_capacity
 
 
 def frame(sequence: int) -> Frame:
@@ -78,12 +78,12 @@ def sized(width_px: int, height_px: int, number: int = 0) -> Frame:
 
 def test_memory_bounds_what_waits_whatever_the_size_of_a_frame() -> None:
     for width_px, height_px in ((16, 16), (256, 256), (640, 480), (1280, 1024)):
-        count = most_waiting(sized(width_px, height_px), "every")
-        assert count * width_px * height_px <= MOST_BYTES
-        assert count * (width_px * height_px + 2048) >= 0.9 * MOST_BYTES
-    assert most_waiting(sized(20_000, 20_000), "every") == 8
-    assert most_waiting(sized(256, 256), "every") / 2000.0 > 1.0  # s
-    assert most_waiting(sized(256, 256), "wait") == 64
+        count = queue_capacity(sized(width_px, height_px), "every")
+        assert count * width_px * height_px <= MAX_QUEUE_BYTES
+        assert count * (width_px * height_px + 2048) >= 0.9 * MAX_QUEUE_BYTES
+    assert queue_capacity(sized(20_000, 20_000), "every") == 8
+    assert queue_capacity(sized(256, 256), "every") / 2000.0 > 1.0  # s
+    assert queue_capacity(sized(256, 256), "wait") == 64
 
 
 def test_a_backlog_is_said_once_and_so_is_its_end() -> None:
@@ -92,10 +92,10 @@ def test_a_backlog_is_said_once_and_so_is_its_end() -> None:
     said = []
     for number in range(50):
         queue.put(sized(640, 480, number))
-        said.append(backlog.see(len(queue)))
+        said.append(backlog.message_for(len(queue)))
     while len(queue):
         queue.take(3, 0.0)
-        said.append(backlog.see(len(queue)))
+        said.append(backlog.message_for(len(queue)))
     begun, ended = [text for text in said if text]
     assert begun.startswith("13 frames wait to be processed, 4 of 31 MB")
     assert "lost and counted" in begun
@@ -104,4 +104,4 @@ def test_a_backlog_is_said_once_and_so_is_its_end() -> None:
 
 def test_a_few_frames_that_wait_are_nothing_to_say() -> None:
     backlog = Backlog(870, 307_200)
-    assert not any(backlog.see(waiting) for waiting in (1, 50, 100, 3, 0))
+    assert not any(backlog.message_for(waiting) for waiting in (1, 50, 100, 3, 0))

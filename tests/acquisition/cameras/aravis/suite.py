@@ -15,7 +15,7 @@ from acquisition.cameras import drivers
 from acquisition.cameras.aravis.camera import AravisCamera
 from acquisition.cameras.aravis.library import find_cameras, load_library
 from acquisition.cameras.drivers import AravisSettings
-from acquisition.frames.losses import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError
 from rig.devices.clocks import wait_for_network_clock
 from rig.devices.frame_stream import FrameStream
@@ -107,7 +107,7 @@ def test_frames_come_whole_while_their_ids_roll_over(
     ids: list[int] = []
     number = BlockNumbers.number
 
-    def noted(self: BlockNumbers, frame_id: int, lost: Place) -> int | None:
+    def noted(self: BlockNumbers, frame_id: int, lost: LossCause) -> int | None:
         ids.append(frame_id)
         return number(self, frame_id, lost)
 
