@@ -19,7 +19,7 @@ from acquisition.record.recover import RECOVERY
 from acquisition.record.topics import SPOT, WINDOW
 from processing.errors import RecordError
 
-Severity = Literal["error", "warning", "note"]
+FindingLevel = Literal["error", "warning", "note"]
 _MOST_SHOWN = 10
 
 
@@ -30,7 +30,7 @@ class Finding(NamedTuple):
     during the run, as the record states. A `note` is for information.
     """
 
-    severity: Severity
+    severity: FindingLevel
     text: str
 
 

@@ -24,7 +24,7 @@ class EventKind(StrEnum):
     """The first frame of the record."""
     STOP = "stop"
     """The last frame, with the reason of the end."""
-    STOPPED = "stopped"
+    ENDED_EARLY = "stopped"
     """A person ended the run before its end, or the program had to end, with the reason; `STOP` follows."""
     FAILED = "failed"
     """An error ended the run before its end, with the reason; `STOP` follows."""
@@ -81,7 +81,7 @@ class EventKind(StrEnum):
     """The swing was pushed within a half-cycle: a draught, a knock."""
     WAITED = "waited"
     """What the run has waited for before it began, and how long."""
-    POSTERIOR = "posterior"
+    LIVE_FIT = "posterior"
     """Parameters are no longer fitted while the run is measured."""
     CAMERA_CLOCK = "camera clock"
     """The clock stepped or frame times were wrong; with what was done."""
@@ -97,7 +97,7 @@ class EventKind(StrEnum):
 
 WARNING_KINDS: Final = frozenset(
     {
-        EventKind.STOPPED,
+        EventKind.ENDED_EARLY,
         EventKind.FAILED,
         EventKind.GAP,
         EventKind.SPOT_LOST,
@@ -148,14 +148,14 @@ class Event(NamedTuple):
 
 
 _ENDS: Final = (EventKind.STOP, EventKind.REJECTED)
-CUT_SHORT: Final = (EventKind.STOPPED, EventKind.FAILED)
+EARLY_ENDS: Final = (EventKind.ENDED_EARLY, EventKind.FAILED)
 """Kinds of early ends of runs."""
 
 
 def end_of(events: Sequence[Event]) -> Event | None:
-    """The end event of a run, of kind STOP (regular), REJECTED, STOPPED or FAILED; None if missing."""
+    """The end event of a run, of kind STOP (regular), REJECTED, ENDED_EARLY or FAILED; None if missing."""
     place = max((place for place, event in enumerate(events) if event.kind in _ENDS), default=None)
     if place is None:
         return None
     end, before = events[place], events[place - 1] if place else None
-    return end if before is None or before.kind not in CUT_SHORT else end._replace(kind=before.kind)
+    return end if before is None or before.kind not in EARLY_ENDS else end._replace(kind=before.kind)

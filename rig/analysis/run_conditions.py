@@ -283,7 +283,7 @@ def _end(end: Event | None) -> Verdict:
         remedy = "remove the cause, then measure again: rig run --resume"
         measured = "none" if end is None else end.text
         return Verdict("end", False, reason, remedy, measured=measured, limit="its own")
-    early = "ended early" if end.kind == EventKind.STOPPED else ""
+    early = "ended early" if end.kind == EventKind.ENDED_EARLY else ""
     return Verdict("end", True, early, measured=end.text, limit="its own")
 
 

@@ -20,7 +20,7 @@ from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, start_session
 from rig.desk.lighting import Lighting, Safety
-from rig.desk.sessions import LookingAgain, SessionIndex
+from rig.desk.sessions import SessionCommands, SessionIndex
 from rig.desk.store import DeskStore
 from rig.devices import NoSession
 from rig.measure import HandOver, hand_over, session_folder
@@ -64,7 +64,7 @@ class Desk:
         self.safety = Safety(self.rig, self.following, lambda: self.aligner, by)
         self.aligner: Aligner | None = None
         self.jobs: dict[str, Job] = {}
-        self.looking_again = LookingAgain()
+        self.session_commands = SessionCommands()
         self.sessions = SessionIndex(self.config.session.output)
         self._session: tuple[subprocess.Popen[bytes], Path] | None = None
         self._handed_over: tuple[tuple[object, ...], HandOver | None] | None = None
@@ -294,7 +294,7 @@ class Desk:
         self.end_aligning()
         for job in self.jobs.values():
             job.end()
-        self.looking_again.end()
+        self.session_commands.end()
         self.sessions.stop()
         self.place.close()
 

@@ -223,7 +223,7 @@ def served_file(output: Path, name: str) -> Path | None:
     return path if shown else None
 
 
-class LookingAgain:
+class SessionCommands:
     """Commands about closed sessions; they need no camera. One of each name runs at a time."""
 
     def __init__(self) -> None:

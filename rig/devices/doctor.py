@@ -63,12 +63,12 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
         devices = Devices(config)
     try:
         with devices.state as state:
-            yield check_trip(state, stated.named)
+            yield check_trip(state, stated.command_words)
             for verdict in check_controller(
-                devices.make_controller(), config.controller, config.laser, stated.named
+                devices.make_controller(), config.controller, config.laser, stated.command_words
             ):
-                lost = verdict.name == "controller" and not verdict.ok and config.rehearsal
-                remedy = f"{verdict.remedy}; {config.rehearsal}" if lost else verdict.remedy
+                lost = verdict.name == "controller" and not verdict.ok and config.rehearsal_hint
+                remedy = f"{verdict.remedy}; {config.rehearsal_hint}" if lost else verdict.remedy
                 yield replace(verdict, remedy=remedy)
             yield from check_laser(config.laser)
     except DeviceError as error:

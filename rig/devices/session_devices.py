@@ -179,9 +179,9 @@ class Devices(LitDevices):
         try:
             yield
         except DeviceError as error:
-            if not self._config.rehearsal:
+            if not self._config.rehearsal_hint:
                 raise
-            raise DeviceError(f"{error}; {self._config.rehearsal}") from None
+            raise DeviceError(f"{error}; {self._config.rehearsal_hint}") from None
 
     @contextmanager
     def camera(self, config: Configuration) -> Iterator[OpenCamera]:

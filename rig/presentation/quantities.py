@@ -71,7 +71,7 @@ def quantity(key: str, unit: str = "arcsec") -> QuantityDisplay:
 
 def declaration(key: str) -> Quantity | None:
     """Declaration of the quantity with this key; None for an unknown key."""
-    known = {**quantities_of(AmbientConditions), **quantities_of(Traces)}
+    known = {**quantities_of(AmbientConditions), **quantities_of(PlottedQuantities)}
     return known[key] if key in known else _balance_quantities().get(key) or _fit_quantities().get(key)
 
 
@@ -93,10 +93,10 @@ def _balance_quantities() -> Mapping[str, Quantity]:
 def _fit_quantities() -> Mapping[str, Quantity]:
     """Declared quantities of the fits; imported here, so that the viewer without fits starts fast."""
     from processing.fit import DerivedQuantity, FitQuality, Work
-    from processing.quantity import OfDecay, OfInstrument
+    from processing.quantity import DecayQuantities, InstrumentQuantities
 
     parameters = {key: parameter.quantity for key, parameter in law_parameters().items()}
-    kinds = (OfInstrument, DerivedQuantity, FitQuality, Work, OfDecay)
+    kinds = (InstrumentQuantities, DerivedQuantity, FitQuality, Work, DecayQuantities)
     return {name: one for kind in kinds for name, one in quantities_of(kind).items()} | parameters
 
 
@@ -141,7 +141,7 @@ SOURCES: Final[Mapping[str, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Traces:
+class PlottedQuantities:
     """Quantities plotted by the desk's page; amplitude and period are declared in `Balance`."""
 
     elapsed_s: Annotated[float, Quantity("t", "time since the record began", "s")]
@@ -166,7 +166,7 @@ class RerunStyle(NamedTuple):
     panel: str = ""
 
 
-BALANCE: Final[Mapping[str, RerunStyle]] = {
+BALANCE_STYLES: Final[Mapping[str, RerunStyle]] = {
     "period_s": RerunStyle("period"),
     "amplitude": RerunStyle("amplitude"),
     "transverse": RerunStyle("transverse", palette.X_COLOUR, "Transverse amplitude"),
@@ -183,9 +183,9 @@ BALANCE: Final[Mapping[str, RerunStyle]] = {
 """Styles by field of `Balance`."""
 
 
-def balance_drawn(key: str) -> RerunStyle:
+def balance_style(key: str) -> RerunStyle:
     """Style of a quantity of the balance in Rerun; one without an entry has its own name, no panel."""
-    return BALANCE.get(key) or RerunStyle(key)
+    return BALANCE_STYLES.get(key) or RerunStyle(key)
 
 
 def balance_panels(unit: str) -> dict[str, list[str]]:
@@ -194,7 +194,7 @@ def balance_panels(unit: str) -> dict[str, list[str]]:
     All quantities of a panel are shown in the same unit; `unit` is that of deflections.
     """
     panels: dict[str, list[str]] = {}
-    for key, drawn in BALANCE.items():
+    for key, drawn in BALANCE_STYLES.items():
         if drawn.panel:
             title = replace(quantity(key, unit), symbol=drawn.panel).label
             panels.setdefault(title, []).append(drawn.entity)
@@ -253,7 +253,7 @@ class KeyParser:
 class Keys:
     """Context manager that reads keys from the terminal at the standard input, if there is one.
 
-    `there` is True if keys can be read: this process is in the foreground of a terminal. The settings
+    `available` is True if keys can be read: this process is in the foreground of a terminal. The settings
     of the terminal are restored at the end.
     """
 
@@ -268,11 +268,11 @@ class Keys:
         self._before: list[Any] | None = None
 
     @property
-    def there(self) -> bool:
+    def available(self) -> bool:
         return self._descriptor >= 0
 
     def __enter__(self) -> Self:
-        if self.there:
+        if self.available:
             import termios
             import tty
 
@@ -291,7 +291,7 @@ class Keys:
 
     def pressed(self, wait_s: float) -> list[str]:
         """Keys pressed since the last call; waits at most `wait_s` for the first one."""
-        if not self.there:
+        if not self.available:
             time.sleep(max(wait_s, 0.0))
             return []
         ready, _, _ = select.select([self._descriptor], [], [], max(wait_s, 0.0))

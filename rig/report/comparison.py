@@ -34,16 +34,16 @@ _MIN_RUNS = 3
 """Fewest runs for a line with its u."""
 
 
-class RunUnderConditions(NamedTuple):
+class RunAtCondition(NamedTuple):
     """One run: value `at` of the ambient condition, and parameters of the exact fit with their u."""
 
     series: str
     run: str
-    at: float
+    ambient_value: float
     parameters: Mapping[str, Estimate]
 
 
-def chosen_surrounding(name: str) -> str:
+def ambient_condition_name(name: str) -> str:
     """Full name of an ambient condition, which may be given without its unit.
 
     Raises ConfigurationError for an unknown name.
@@ -56,7 +56,7 @@ def chosen_surrounding(name: str) -> str:
     return known[name]
 
 
-def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnderConditions]:
+def runs_with_condition(sessions: Mapping[str, SessionResults], name: str) -> list[RunAtCondition]:
     """The fitted runs for which an ambient condition is known.
 
     Raises RecordError for fewer than two.
@@ -68,7 +68,7 @@ def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnde
         if isfinite(at):
             exact = run.fits[FitMethod.EXACT]
             values = {key: exact.estimate(key) for key in DEFAULT_LAW.names()}
-            found.append(RunUnderConditions(label, run.record, at, values))
+            found.append(RunAtCondition(label, run.record, at, values))
     if len(found) < 2:
         raise RecordError(
             f"--against {name}: known for {len(found)} of {len(fitted)} fitted runs, two are needed: state "
@@ -77,14 +77,14 @@ def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnde
     return found
 
 
-def against_table(runs: Sequence[RunUnderConditions], name: str) -> Table:
+def ambient_table(runs: Sequence[RunAtCondition], name: str) -> Table:
     """Table of all runs for the CSV; shown is the fitted line of each parameter."""
     columns: list[str] = ["series", "run", name]
     for key in DEFAULT_LAW.names():
         columns += [key, f"u_{key}"]
     rows: list[list[Cell]] = []
     for run in runs:
-        cells: list[Cell] = [run.series, run.run, run.at]
+        cells: list[Cell] = [run.series, run.run, run.ambient_value]
         for key in DEFAULT_LAW.names():
             cells += run.parameters.get(key, (nan, nan))
         rows.append(cells)
@@ -101,7 +101,7 @@ def against_table(runs: Sequence[RunUnderConditions], name: str) -> Table:
     note += "chance: the probability of a slope this steep if there is no dependence."
     if not shown:
         note = f"{len(runs)} runs: too few, or all at the same value, for a line."
-    other = in_other_unit(name, {f"{run.series} {run.run}": run.at for run in runs})
+    other = in_other_unit(name, {f"{run.series} {run.run}": run.ambient_value for run in runs})
     note += f" {other}." if other else ""
     return Table(
         "against", f"Parameters against {over.name}", columns, rows,
@@ -109,11 +109,13 @@ def against_table(runs: Sequence[RunUnderConditions], name: str) -> Table:
     )  # fmt: skip
 
 
-def _line(runs: Sequence[RunUnderConditions], key: str) -> tuple[float, float, float]:
+def _line(runs: Sequence[RunAtCondition], key: str) -> tuple[float, float, float]:
     """Slope, its u, and the probability of one as large by chance; NaN without a line."""
     from scipy.special import stdtr
 
-    known = np.array([(run.at, *tuple(run.parameters[key])) for run in runs if key in run.parameters])
+    known = np.array(
+        [(run.ambient_value, *tuple(run.parameters[key])) for run in runs if key in run.parameters]
+    )
     if len(known) < _MIN_RUNS or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
         return nan, nan, nan
     weight = known[:, 2] ** -2.0
@@ -126,7 +128,7 @@ def _line(runs: Sequence[RunUnderConditions], key: str) -> tuple[float, float, f
     return slope, u, 2 * float(stdtr(dof, -abs(slope) / u)) if u else 0.0
 
 
-def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigure:
+def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:
     """One panel a parameter, one point a run with its standard uncertainty, one colour a series."""
     names = [key for key in DEFAULT_LAW.names() if any(key in run.parameters for run in runs)]
     margins = {"left": 0.1, "bottom": 0.13, "top": 0.86, "wspace": 0.5, "hspace": 0.45}
@@ -140,7 +142,7 @@ def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigur
             seen = [run for run in runs if run.series == label and key in run.parameters]
             if seen:
                 value, u = np.array([tuple(run.parameters[key]) for run in seen]).T * of.factor
-                at = np.array([run.at for run in seen]) * over.factor
+                at = np.array([run.ambient_value for run in seen]) * over.factor
                 axes.errorbar(
                     at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9,
                     color=colours[label], label=label,
@@ -163,7 +165,7 @@ _DECAY_QUANTITIES = ("mean_period_s", "log_decrement")
 """Compared if no run was fitted."""
 _SHOWN_FROM_U = 3.0
 """A difference of two single runs is shown if larger than so many u."""
-DIFFERENT = 0.05
+SIGNIFICANCE_LEVEL = 0.05
 """Significance level at which series differ, shared between pairs and parameters."""
 
 
@@ -177,7 +179,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     Raises RecordError for a folder without fits, ConfigurationError for one that is named twice and for an
     unknown `against`.
     """
-    over = chosen_surrounding(against) if against else ""
+    over = ambient_condition_name(against) if against else ""
     sessions = {}
     for folder in folders:
         found = read_results(folder)
@@ -187,11 +189,11 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         label: (series_of if fitted else decays_of)(found, folder)
         for (label, found), folder in zip(sessions.items(), folders, strict=True)
     }
-    seen = seen_runs(sessions, over) if over else []
+    seen = runs_with_condition(sessions, over) if over else []
     rows = {label: rows_of(found, series[label]) for label, found in sessions.items()}
     tables = [values_table(series, rows, _seismometer_note(sessions))]
     tables += [differences_table(compare_series(series))] if len(series) > 1 else []
-    tables += [against_table(seen, over)] if over else []
+    tables += [ambient_table(seen, over)] if over else []
     if output is not None:
         files = output.parent / output.stem
         compared = (*DEFAULT_LAW.names(), *_DECAY_QUANTITIES)
@@ -200,7 +202,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
             files.mkdir(parents=True, exist_ok=True)
             save_tables(tables, files)
             with styled():
-                drawings = [comparison_figure(names, rows), *([against_figure(seen, over)] if over else [])]
+                drawings = [comparison_figure(names, rows), *([ambient_figure(seen, over)] if over else [])]
                 figures = save_figures(drawings, files)
             body = [*figures, *(html.table(content) for content in tables)]
             page = html.page("Series compared", ", ".join(series), body)
@@ -333,7 +335,7 @@ def _seismometer_note(sessions: Mapping[str, SessionResults]) -> str:
 
 def differences_table(comparisons: Sequence[Comparison]) -> Table:
     """Every pair of series, parameter by parameter; of two single runs without a verdict."""
-    limit = DIFFERENT / max(sum(isfinite(item.p_value) for item in comparisons), 1)
+    limit = SIGNIFICANCE_LEVEL / max(sum(isfinite(item.p_value) for item in comparisons), 1)
     untested = sum(not isfinite(item.p_value) for item in comparisons)
     lines = []
     for item in comparisons:

@@ -202,7 +202,7 @@ class FitSettings(Section, frozen=True):
         return self.drag != "vacuum"
 
     @property
-    def opened(self) -> "FitSettings":
+    def with_free_drag(self) -> "FitSettings":
         """These settings with a free drag, for a measurement of it."""
         return self.model_copy(update={"drag": "open", "drag_s": None, "u_drag_s": 0.0})
 
@@ -269,19 +269,19 @@ class Configuration(Section, frozen=True):
         )
 
     @property
-    def named(self) -> str:
+    def command_words(self) -> str:
         """Words of the command line that select this rig: its file, and --set of its devices."""
         return self._named
 
-    def from_file(self, path: Path, overrides: Iterable[str] = ()) -> Self:
-        """Note the file for `named`."""
+    def remember_file(self, path: Path, overrides: Iterable[str] = ()) -> Self:
+        """Note the file for `command_words`."""
         devices = [text for text in overrides if text.strip().startswith(_DEVICE_KEYS)]
         # the origin of the values, not one of them
         self._named = shlex.join([str(path), *(word for text in devices for word in ("--set", text))])  # type: ignore[misc]
         return self
 
     @property
-    def rehearsal(self) -> str:
+    def rehearsal_hint(self) -> str:
         """Message: --set options by which a simulated camera runs without devices; else empty."""
         board = self.controller.kind == "serial"
         if not (self.simulated and (board or self.laser.kind in LASERS)):

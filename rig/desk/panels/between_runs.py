@@ -7,7 +7,7 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.desk import tables
 from rig.desk.desk import Desk
-from rig.desk.panels.runs import open_served
+from rig.desk.panels.runs import open_in_browser_tab
 from rig.desk.tab import DELIBERATE, Tab, at_once
 from rig.measure import HandOver, RunState
 from rig.settings import SessionSettings
@@ -189,11 +189,11 @@ class RunResult:
 
     def _fit(self) -> None:
         if self._drawn is not None:
-            self._desk.looking_again.fit(self._drawn.folder)
+            self._desk.session_commands.fit(self._drawn.folder)
             ui.notify(f"rig fit {self._drawn.folder.name} runs; what it says is below the list of sessions")
 
     def _open(self) -> None:
         over = self._drawn
         if over is None or over.report is None:
             return
-        open_served(self._desk, over.report)
+        open_in_browser_tab(self._desk, over.report)

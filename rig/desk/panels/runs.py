@@ -53,7 +53,7 @@ def build(desk: Desk, tab: Tab) -> None:
         output.refresh()
 
     which.on_value_change(choose)
-    find.on_value_change(listed.find_anew)
+    find.on_value_change(listed.search_again)
     tab.key("o", tab.act(actions.report))
     tab.key("v", tab.act(actions.view))
     tab.every(1.0, refresh)
@@ -88,7 +88,7 @@ class SessionList:
                 self._place = ui.label().props('role="status"')
                 self._older = ui.button("Older", on_click=lambda: self._turn(1)).props("outline dense")
 
-    async def find_anew(self) -> None:
+    async def search_again(self) -> None:
         """Search again from page 1."""
         self._first = 0
         await self.refresh()
@@ -150,7 +150,7 @@ class Actions:
             )
         ]
         self._wanted = ui.label().classes("dim")
-        self._ending = tab.button("End", desk.looking_again.end).props("flat")
+        self._ending = tab.button("End", desk.session_commands.end).props("flat")
         self.elements = (*self._buttons, self._wanted)
         self.mark(None)
 
@@ -163,23 +163,23 @@ class Actions:
 
     def refresh(self) -> None:
         """Show whether a command runs."""
-        self._ending.set_visibility(self._desk.looking_again.running)
+        self._ending.set_visibility(self._desk.session_commands.running)
 
     def report(self) -> None:
         """Open the report, or have it made."""
         row = self._chosen()
         if row.report is None:
-            self._desk.looking_again.report(row.folder)
+            self._desk.session_commands.report(row.folder)
             ui.notify("the report is being written; open it when it is finished")
         else:
-            open_served(self._desk, row.report)
+            open_in_browser_tab(self._desk, row.report)
 
     def view(self) -> None:
         """Show the session in Rerun."""
-        self._desk.looking_again.view(self._chosen().folder)
+        self._desk.session_commands.view(self._chosen().folder)
 
     def _fit(self) -> None:
-        self._desk.looking_again.fit(self._chosen().folder)
+        self._desk.session_commands.fit(self._chosen().folder)
 
     def _ask_resume(self) -> None:
         row = self._chosen()
@@ -199,7 +199,7 @@ class CommandOutput:
     """Output of the commands (report, view, fit) on old sessions, and the link to Rerun's page."""
 
     def __init__(self, desk: Desk) -> None:
-        self._again = desk.looking_again
+        self._again = desk.session_commands
         with ui.column().classes("full-width box q-mt-sm"):
             ui.label("output of the commands").classes("title")
             self._link = ui.link("open what rig view shows", "", new_tab=True)
@@ -214,7 +214,7 @@ class CommandOutput:
         self._link.set_visibility(bool(address))
 
 
-def open_served(desk: Desk, page: Path) -> None:
+def open_in_browser_tab(desk: Desk, page: Path) -> None:
     """Open a file of the output folder in a new browser tab."""
     name = page.absolute().relative_to(desk.config.session.output.absolute()).as_posix()
     ui.run_javascript(f"window.open({json.dumps(f'{SERVED}/{quote(name)}')}, '_blank')")
