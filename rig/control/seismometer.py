@@ -143,7 +143,7 @@ class SeismometerLines(DeviceThread):
             return FileTail(settings.file)
         return SerialPort(settings.port, settings.baud)
 
-    def _turn(self) -> float:
+    def _poll(self) -> float:
         try:
             if self._line is None or self._reader is None:
                 self._line = self._opened()

@@ -211,7 +211,7 @@ class EnvironmentService(DeviceThread):
             return replace(latest, environment=AirReading())
         return latest
 
-    def _turn(self) -> float:
+    def _poll(self) -> float:
         try:
             if self._line is None or self._reader is None:
                 self._line = self._open_line()

@@ -220,7 +220,7 @@ class LaserService(DeviceThread):
     ) -> "Future[T]":
         return self._worker.submit(lambda: self._guarded(call), timeout_s, urgent)
 
-    def _turn(self) -> float:
+    def _poll(self) -> float:
         try:
             if not self._is_open:
                 identity = self._laser.open()
@@ -261,7 +261,7 @@ class LaserService(DeviceThread):
         if refusal and not before:
             self._darken(self._laser)
             self._say(f"laser off: {refusal}")
-        # set only now: a command that failed is given again at the next turn
+        # set only now: a command that failed is given again at the next poll
         self._refused = refusal
 
     def _read(self) -> None:

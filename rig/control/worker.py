@@ -36,21 +36,21 @@ class _Job:
 
 
 class Worker:
-    """Runs `turn` regularly and jobs in between, all in one thread, so that callers never wait on a device.
+    """Runs `poll` regularly and jobs in between, all in one thread, so that callers never wait on a device.
 
     Parameters
     ----------
     name
         Name of the thread, also used in messages.
-    turn
+    poll
         Called first, and again after the seconds that it returned; a job may delay it.
     finish
         Called at the end of the thread, also after an error; releases the device.
     """
 
-    def __init__(self, name: str, turn: Callable[[], float], finish: Callable[[], None]) -> None:
+    def __init__(self, name: str, poll: Callable[[], float], finish: Callable[[], None]) -> None:
         self._name = name
-        self._turn = turn
+        self._poll = poll
         self._finish = finish
         self._jobs: queue.PriorityQueue[_Job] = queue.PriorityQueue()
         self._count = itertools.count()
@@ -107,12 +107,12 @@ class Worker:
 
     def _run(self) -> None:
         try:
-            next_turn_s = 0.0
+            next_poll_s = 0.0
             while not self._stopping.is_set():
                 now_s = time.monotonic()
-                if now_s >= next_turn_s:
-                    next_turn_s = now_s + self._turn()
-                self._work(min(next_turn_s - time.monotonic(), _LONGEST_WAIT_S))
+                if now_s >= next_poll_s:
+                    next_poll_s = now_s + self._poll()
+                self._work(min(next_poll_s - time.monotonic(), _LONGEST_WAIT_S))
         except BaseException as error:
             _log.exception("%s ended", self._name)
             self._failure = error
@@ -176,10 +176,10 @@ class DeviceThread(ABC):
         self.name = name
         self._longest_job_s = longest_job_s
         self._events: deque[str] = deque(maxlen=_EVENTS_KEPT)
-        self._worker = Worker(name, self._turn, self._finish)
+        self._worker = Worker(name, self._poll, self._finish)
 
     @abstractmethod
-    def _turn(self) -> float:
+    def _poll(self) -> float:
         """Regular work on the device; returns the time in s until the next call."""
 
     @abstractmethod
