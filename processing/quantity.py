@@ -84,7 +84,7 @@ class DerivedQuantity:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OfDecay:
+class DecayQuantities:
     """What every decay has, whether or not a law is fitted, and the theories of adhesion."""
 
     log_decrement: Annotated[float, Quantity("log decrement", "log decrement", unit="1")]
@@ -95,7 +95,7 @@ class OfDecay:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OfInstrument:
+class InstrumentQuantities:
     """What other kinds of pendulum are made to measure, first things first, and what belongs to it."""
 
     time_hardness_s: Annotated[float, Quantity("time hardness", "time hardness, ten single swings", "s")]

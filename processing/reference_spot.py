@@ -1,4 +1,4 @@
-"""A second spot on the sensor, from a mirror that stands still: what moves it moves the other spot too."""
+"""Correction of the pendulum's spot by a reference spot, from a mirror that stands still."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,20 +14,21 @@ from processing.units import seconds
 
 _BANDS_A_DECADE = 8
 """Bands over which the spectrum of the reference is averaged; in each the filter is constant."""
-_PADDED = 0.5
+_PADDED_FRACTION = 0.5
 """Part of the length by which a run is mirrored at its ends."""
-_ABOUT = 10
-"""Frames at an end of a run whose mean is its level."""
+_END_FRAMES = 10
+"""Frames averaged for the level at an end of a run."""
 _LONGEST_GAP_S = 0.5
-"""Lost frames over which the common motion is interpolated."""
-_FEWEST = 200
+"""Longest gap bridged by interpolation of the motion."""
+_MIN_FRAMES = 200
 _BLOCKS = 10
-_PAYS = 12.0
-"""Fall of -2 ln L of blocks with the gain that the others gave, from which on a reference is used."""
+"""Blocks of frames whose scatter is the uncertainty of the gain."""
+_MIN_FALL = 12.0
+"""Smallest fall of -2 ln L of the frames at rest for which a reference is used."""
 
 
 class ReferenceVerdict(StrEnum):
-    """What became of a reference spot."""
+    """Use or refusal of a reference."""
 
     USED = "used"
     NO_GAIN = "refused: the pendulum's spot is not quieter for it"
@@ -37,7 +38,7 @@ class ReferenceVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CommonMotion:
-    """What a reference spot says of the motion that both spots share, along one axis of the sensor, in px.
+    """Motion common to both spots, from the reference spot, along one axis of the sensor, in px.
 
     Attributes
     ----------
@@ -57,14 +58,14 @@ class CommonMotion:
 
 
 def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMotion:
-    """The motion of a reference spot without its noise; NaN where it was lost.
+    """Filter the noise out of a reference spot's motion; NaN in the input: lost.
 
     Raises DataError for too few frames.
     """
     found = np.isfinite(position_px) & np.isfinite(u_px)
-    if np.count_nonzero(found) < _FEWEST:
+    if np.count_nonzero(found) < _MIN_FRAMES:
         raise DataError(
-            f"the reference spot is found in {np.count_nonzero(found)} frames; {_FEWEST} are needed"
+            f"the reference spot is found in {np.count_nonzero(found)} frames; {_MIN_FRAMES} are needed"
         )
     time_s = seconds(times_ns - times_ns[0])
     step_s = float(np.median(np.diff(time_s)))
@@ -72,9 +73,9 @@ def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMo
     even = np.interp(even_s, time_s[found], position_px[found])
     even -= even.mean()
     noise = float(np.mean(u_px[found] ** 2))
-    pad = max(1, min(int(_PADDED * len(even)), len(even) - 1))
+    pad = max(1, min(int(_PADDED_FRACTION * len(even)), len(even) - 1))
     # about the level at each end, not about the noise of one frame, which would be a step
-    about = min(_ABOUT, len(even))
+    about = min(_END_FRAMES, len(even))
     low, high = float(even[:about].mean()), float(even[-about:].mean())
     padded = np.concatenate([2 * low - even[pad:0:-1], even, 2 * high - even[-2 : -2 - pad : -1]])
     spectrum = np.fft.rfft(padded)
@@ -101,7 +102,7 @@ def _in_bands(power: Floats) -> Floats:
 
 
 def _far(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
-    """Which times lie in a gap of the found ones that is longer."""
+    """Which times lie in a gap longer than `longest_s`."""
     after = np.clip(np.searchsorted(found_s, time_s), 0, len(found_s) - 1)
     before = np.clip(after - 1, 0, len(found_s) - 1)
     gap_s = np.where(
@@ -113,11 +114,11 @@ def _far(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
 
 
 @dataclass(frozen=True, slots=True)
-class LessReference:
-    """Positions of the pendulum's spot less what it shares with the reference, along one axis, in px.
+class CorrectedPositions:
+    """Positions of the pendulum's spot minus the common motion, along one axis, in px.
 
-    `fallen_back` are the frames in which the reference was lost: they are as they were, and their uncertainty
-    has the common motion in it. Refused, all of them are as they were.
+    `fallen_back` are the frames in which the reference was lost: their positions are unchanged, and their u
+    includes the common motion. If the reference is refused, all are unchanged.
     """
 
     position_px: Floats
@@ -125,22 +126,22 @@ class LessReference:
     fallen_back: Flags
     gain: Estimate
     verdict: ReferenceVerdict
-    gain_of_prediction: float = 0.0
+    likelihood_fall: float = 0.0
 
 
 def fitted_gain(position_px: Floats, u_px: Floats, common: CommonMotion, quiet: Flags) -> Estimate:
     """Motion of the pendulum's spot per motion of the reference, in frames in which the pendulum rests.
 
     The reference's noise is filtered out of the motion, so that it does not pull the gain towards 0. Frames
-    that follow one another are alike: the uncertainty is from the scatter between blocks.
+    that follow one another are correlated: the uncertainty is from the scatter of blocks.
 
     Raises DataError where too few frames are quiet.
     """
     use = quiet & common.known & np.isfinite(position_px) & np.isfinite(u_px)
-    if np.count_nonzero(use) < _FEWEST:
+    if np.count_nonzero(use) < _MIN_FRAMES:
         raise DataError(
-            f"{np.count_nonzero(use)} frames at rest have both spots; {_FEWEST} are needed for the gain of "
-            "the reference: state it, or let the pendulum rest for longer before it is released"
+            f"{np.count_nonzero(use)} frames at rest have both spots; {_MIN_FRAMES} are needed for the gain "
+            "of the reference: state it, or let the pendulum rest for longer before it is released"
         )
     gain = _gain(position_px[use], common.value[use])
     parts = np.array_split(np.arange(np.count_nonzero(use)), _BLOCKS)
@@ -154,35 +155,37 @@ def _gain(position: Floats, motion: Floats) -> float:
     return float(centred @ position / (centred @ centred))
 
 
-def refused(position_px: Floats, u_px: Floats, gain: Estimate, verdict: ReferenceVerdict) -> LessReference:
-    """The pendulum's spot as it was, and why."""
-    return LessReference(position_px, u_px, np.zeros(len(position_px), dtype=np.bool_), gain, verdict)
+def uncorrected(
+    position_px: Floats, u_px: Floats, gain: Estimate, verdict: ReferenceVerdict
+) -> CorrectedPositions:
+    """Unchanged positions, with the verdict."""
+    return CorrectedPositions(position_px, u_px, np.zeros(len(position_px), dtype=np.bool_), gain, verdict)
 
 
-def less_reference(
+def subtract_common_motion(
     position_px: Floats, u_px: Floats, common: CommonMotion, gain: Estimate, quiet: Flags
-) -> LessReference:
-    """Take off the common motion where that pays, as the frames in which the pendulum rests show it.
+) -> CorrectedPositions:
+    """Subtract the common motion, if that lowers -2 ln L of the frames at rest by enough.
 
     Parameters
     ----------
     position_px, u_px
         The pendulum's spot, NaN where it was lost.
     gain
-        Stated: of the two arms and of the pendulum's mirror; or `fitted_gain`.
+        Motion of the pendulum's spot over that of the reference.
     quiet
-        Frames in which the pendulum rests. Without any, a stated gain is believed.
+        Frames in which the pendulum rests. With too few, `gain` is not tested.
     """
     if not common.share > 0:
-        return refused(position_px, u_px, gain, ReferenceVerdict.QUIET)
+        return uncorrected(position_px, u_px, gain, ReferenceVerdict.QUIET)
     fall = _fall(position_px, common, gain.value, quiet)
-    if fall is not None and not fall > _PAYS:
-        return replace(refused(position_px, u_px, gain, ReferenceVerdict.NO_GAIN), gain_of_prediction=fall)
+    if fall is not None and not fall > _MIN_FALL:
+        return replace(uncorrected(position_px, u_px, gain, ReferenceVerdict.NO_GAIN), likelihood_fall=fall)
     size = float(np.sqrt(np.mean(common.value[common.known] ** 2)))
     of_common = np.where(common.known, common.u, size)
     variance = u_px**2 + (gain.value * of_common) ** 2
     variance += np.where(common.known, (gain.standard_uncertainty * common.value) ** 2, 0.0)
-    return LessReference(
+    return CorrectedPositions(
         position_px - gain.value * common.value,
         np.sqrt(variance),
         ~common.known,
@@ -193,9 +196,9 @@ def less_reference(
 
 
 def _fall(position: Floats, common: CommonMotion, gain: float, quiet: Flags) -> float | None:
-    """Fall of -2 ln L of the frames at rest; None without any. As many count as blocks of correlated ones."""
+    """Fall of -2 ln L of the frames at rest, by the number of independent ones; None: too few."""
     use = quiet & common.known & np.isfinite(position)
-    if np.count_nonzero(use) < _FEWEST:
+    if np.count_nonzero(use) < _MIN_FRAMES:
         return None
     before = position[use] - position[use].mean()
     after = before - gain * (common.value[use] - common.value[use].mean())
@@ -213,27 +216,30 @@ def _independent(values: Floats) -> float:
 
 
 _LAG = 16
-"""Frames over which a walk shows: noise of single frames hides it between neighbours."""
-_MEMORY = 1000
-_FEWEST_FRAMES = 32
+"""Distance in frames for the size of a walk; noise hides it between neighbours."""
+_MEMORY_FRAMES = 1000
+"""Differences in the running mean of their squares."""
+_MIN_DIFFERENCES = 32
 """Differences before a walk is believed."""
-_SEEN = 1.1
+_MIN_RATIO = 1.1
 """Their mean square over that of the noise alone, above which there is motion."""
-_DATUM = 16
-"""Frames whose mean is the place that all others are counted from."""
+_DATUM_FRAMES = 16
+"""First frames, whose mean is the origin of positions."""
 
 
 class _BeamAxis:
+    """Random-walk filter of the reference spot along one axis; `walk` is the variance per frame, px^2."""
+
     def __init__(self) -> None:
         self._recent: list[float] = []
         self._count = 0
         self._square = self._noise = 0.0
         self._datum = 0.0
-        self._of_datum = 0
+        self._datum_count = 0
         self.level, self.variance, self.walk = math.nan, math.inf, 0.0
 
     def take(self, place: float, u: float) -> tuple[float, float]:
-        """The motion since the datum and its variance, with a frame more; NaN: it was lost."""
+        """Take a frame (NaN: lost); motion from the datum in px, variance in px^2."""
         if math.isnan(self.level):
             if not math.isfinite(place):
                 return 0.0, 0.0
@@ -245,9 +251,9 @@ class _BeamAxis:
             part = self.variance / (self.variance + u * u) if u > 0 and self.variance < math.inf else 1.0
             self.level += part * (place - self.level)
             self.variance = part * u * u
-            if self._of_datum < _DATUM:
-                self._of_datum += 1
-                self._datum += (place - self._datum) / self._of_datum
+            if self._datum_count < _DATUM_FRAMES:
+                self._datum_count += 1
+                self._datum += (place - self._datum) / self._datum_count
         else:
             self._recent.clear()
         return self.level - self._datum, self.variance
@@ -258,10 +264,10 @@ class _BeamAxis:
             return
         difference = place - self._recent.pop(0)
         self._count += 1
-        share = 1.0 / min(self._count, _MEMORY)
+        share = 1.0 / min(self._count, _MEMORY_FRAMES)
         self._square += share * (difference * difference - self._square)
         self._noise += share * (2.0 * noise - self._noise)
-        moves = self._count >= _FEWEST_FRAMES and self._square > _SEEN * self._noise
+        moves = self._count >= _MIN_DIFFERENCES and self._square > _MIN_RATIO * self._noise
         self.walk = (self._square - self._noise) / _LAG if moves else 0.0
 
 
@@ -273,7 +279,7 @@ class CausalReference:
         self._axes = (_BeamAxis(), _BeamAxis())
 
     def take(self, place_px: Floats, u_px: Floats) -> tuple[Floats, Floats]:
-        """What the beam moves the pendulum's spot by in some more frames (n, 2), and its variance.
+        """Motion of the pendulum's spot by the beam in the next frames (n, 2), px, and variance.
 
         `place_px` and `u_px` are of the reference, NaN where it was lost.
         """

@@ -1,4 +1,4 @@
-"""What the drivers of GenICam cameras do alike, whichever library reads their features.
+"""Base classes for drivers of GenICam cameras, for any library that reads the features.
 
 Names are those of the Standard Feature Naming Convention (SFNC) and of older cameras.
 """
@@ -26,10 +26,10 @@ from acquisition.cameras.pixel_formats import (
 from acquisition.cameras.reading import DeviceCamera
 from processing.errors import DeviceError
 
-Quantity = Literal["exposure_us", "gain_db", "frame_rate_hz"]
+NumericFeature = Literal["exposure_us", "gain_db", "frame_rate_hz"]
 
-_KEPT: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
-"""Settings that stay as they were asked for before where they are left out."""
+_STICKY: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
+"""Settings that keep their last requested value if left out."""
 _FRAME_TRIGGERS: Final = ("FrameStart", "ExposureStart", "AcquisitionStart")
 _EDGES: Final[dict[Edge, str]] = {"rising": "RisingEdge", "falling": "FallingEdge"}
 _EXPOSURE: Final = "ExposureActive"
@@ -46,7 +46,7 @@ _AUTOMATIC: Final = (
     "AutoExposureControl",
 )
 """Enumerations that are set to "Off", in this order."""
-_BENDING: Final = ("GammaEnable", "GammaEnabled", "LUTEnable", "SharpnessEnable", "SharpeningEnable")
+_NONLINEAR: Final = ("GammaEnable", "GammaEnabled", "LUTEnable", "SharpnessEnable", "SharpeningEnable")
 """Switches that make DN no longer proportional to light; set to false."""
 _RESULTING_RATES: Final = (
     "AcquisitionResultingFrameRate",
@@ -54,7 +54,7 @@ _RESULTING_RATES: Final = (
     "ResultingFrameRateAbs",
     "AcquisitionResultingFrameRateAbs",
 )
-"""Frames per second that exposure, size and bus leave, by what different makers call it."""
+"""Highest frame rate that exposure, size and bus allow, under the makers' names."""
 
 
 class GenicamFeatures(ABC):
@@ -66,12 +66,12 @@ class GenicamFeatures(ABC):
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._asked = CameraSettings()
+        self._requested = CameraSettings()
 
     @property
     def plane(self) -> ColourPlane | None:
         """The colour that is read, of a sensor with a Bayer mosaic."""
-        return self._asked.colour_plane
+        return self._requested.colour_plane
 
     @property
     def rate_switch(self) -> str:
@@ -79,9 +79,11 @@ class GenicamFeatures(ABC):
         return "AcquisitionFrameRateEnable"
 
     @property
-    def waits(self) -> bool:
-        """Whether the camera shall wait for a trigger, by the rig's setting of it or by its own features."""
-        return self._asked.trigger is not None or any("Trigger" in name for name in self._asked.features)
+    def is_triggered(self) -> bool:
+        """Whether the camera is set to wait for a trigger, by camera.trigger or by camera.features."""
+        return self._requested.trigger is not None or any(
+            "Trigger" in name for name in self._requested.features
+        )
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None, in the order that cameras require; return all as read back.
@@ -90,11 +92,11 @@ class GenicamFeatures(ABC):
         """
         self.renew()
         self._leave_images_alone()
-        kept = {name: getattr(self._asked, name) for name in _KEPT if getattr(settings, name) is None}
+        kept = {name: getattr(self._requested, name) for name in _STICKY if getattr(settings, name) is None}
         asked = settings.model_copy(update=kept)
         self._set_binning(asked.binning or 1)
         self._wire(asked)
-        self._asked, settings = asked, in_sensor_px(asked)
+        self._requested, settings = asked, in_sensor_px(asked)
         self.set_format(settings.pixel_format)
         self.set_region(settings)
         self._set_times(settings)
@@ -123,7 +125,7 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def write(self, feature: str, value: FeatureValue) -> None:
-        """Set a feature; of a command, any value runs it."""
+        """Set a feature; any value runs a command."""
 
     def renew(self) -> None:  # noqa: B027 most libraries keep nothing
         """From here on read everything from the camera again."""
@@ -133,11 +135,11 @@ class GenicamFeatures(ABC):
         """All features that can be read now; `error` is raised by the library for those that cannot."""
 
     @abstractmethod
-    def number(self, key: Quantity) -> float | None:
+    def number(self, key: NumericFeature) -> float | None:
         """A quantity's present value; None where the camera has none, or none in use."""
 
     @abstractmethod
-    def set_number(self, key: Quantity, wanted: float) -> None:
+    def set_number(self, key: NumericFeature, wanted: float) -> None:
         """Set a quantity; DeviceError if the camera has none, or not this value."""
 
     @abstractmethod
@@ -146,7 +148,7 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def set_region(self, asked: CameraSettings) -> None:
-        """Set what is asked of the region, and leave the rest of it."""
+        """Set offset and size as far as given; leave the rest."""
 
     @abstractmethod
     def format_name(self) -> str:
@@ -158,28 +160,28 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def set_format_name(self, name: str) -> None:
-        """Set one of them."""
+        """Set this format."""
 
     def set_feature(self, name: str, value: FeatureValue) -> None:
         """Set a feature that the user names."""
         self.write(name, value)
 
-    def shown(self, name: str) -> FeatureValue:
-        """What a feature that the user names is now; empty if it cannot be read."""
+    def value_for_user(self, name: str) -> FeatureValue:
+        """Present value of a feature for the user; empty if it is not readable."""
         value = self.read(name)
         return "" if value is None else value
 
     def possible_rate(self) -> float | None:
-        """Frames per second that exposure, size and bus leave, if the camera says it."""
+        """Highest rate in Hz that exposure, size and bus allow; None: unknown."""
         rates_hz = (float(self.read(name) or 0) for name in _RESULTING_RATES)
         return next(filter(None, rates_hz), None)
 
     def stated_rate(self) -> float | None:
-        """Frames per second that may come, with a trigger too; None if the camera says nothing of it."""
+        """Highest frame rate in Hz to expect, triggered or not; None if the camera states none."""
         return min(filter(None, (self.number("frame_rate_hz"), self.possible_rate())), default=None)
 
     def free_rate(self, possible_hz: float | None) -> float | None:
-        """Frames per second without a trigger."""
+        """Rate in Hz without trigger, or None."""
         return min(filter(None, (self.number("frame_rate_hz"), possible_hz)), default=None)
 
     # ---- pixel formats
@@ -203,11 +205,11 @@ class GenicamFeatures(ABC):
     def usable_depths(self) -> str:
         """The depths that the camera offers, for a message."""
         there = names_by_depth(set(self.offered_formats()), self.plane)
-        return ", ".join(there) or "none that this camera has"
+        return ", ".join(there) or "(this camera has none)"
 
     def choose_usable_format(self) -> Format:
-        """Keep the present pixel format if the rig supports it, of a mosaic, too; otherwise set the first
-        supported one.
+        """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported one; returns the
+        format.
         """
         mosaic = format_of(self.format_name(), "red")
         if mosaic is None:
@@ -215,7 +217,7 @@ class GenicamFeatures(ABC):
         return mosaic or self.pixel_format()
 
     def set_format(self, wanted: PixelFormat | None) -> None:
-        """Set a format of this depth; without one the first that is supported, unless the present one is."""
+        """Set the format `wanted`; None: keep a supported one, else set the first supported one."""
         if wanted is None and self.present_format() is not None:
             return
         there = preferred_names(self.name, self.offered_formats(), self.plane)
@@ -246,9 +248,7 @@ class GenicamFeatures(ABC):
             self.write(latch, True)
 
     def _choose(self, feature: str, wanted: str, key: str) -> None:
-        """Set an enumeration for ``camera.KEY``; DeviceError with what the camera offers, if not this
-        value.
-        """
+        """Set an enumeration for ``camera.KEY``; DeviceError with the choices if `wanted` is not one."""
         if not self.writable(feature):
             raise DeviceError(f"{self.name}: has no {feature} that can be set; leave camera.{key} out")
         offered = self.choices(feature)
@@ -286,8 +286,8 @@ class GenicamFeatures(ABC):
             elif settings.ptp:
                 raise DeviceError(f"{self.name}: has no {_PTP[0]}; leave camera.ptp out")
 
-    def _wired(self, settings: CameraSettings) -> dict[str, str | bool]:
-        """What the camera says of its wiring, by the settings' names, as far as `settings` ask for it."""
+    def _read_wiring(self, settings: CameraSettings) -> dict[str, str | bool]:
+        """Wiring read back from the camera, by the names of those `settings` that are not None."""
         found: dict[str, str | bool] = {}
         if settings.trigger is not None and self.read("TriggerMode") == "On":
             found["trigger"] = str(self.read("TriggerSource"))
@@ -303,18 +303,18 @@ class GenicamFeatures(ABC):
     # ---- inside
 
     def _leave_images_alone(self) -> None:
-        """Switch off what the camera does by itself to its images, which another program may have left on;
-        the exposure is as long as it is set.
+        """Switch off automatic changes of images by the camera, which another program may have left on; let
+        exposure_us set the exposure.
         """
         for name in _AUTOMATIC:
             self._choose_if_possible(name, "Off")
-        for name in _BENDING:
+        for name in _NONLINEAR:
             if self.writable(name) and _is_on(self.read(name)):
                 self.write(name, False)
         self._choose_if_possible("ExposureMode", "Timed")
 
     def _set_binning(self, binning: int) -> None:
-        """Combine this many pixels in each direction, leave none out; 1 undoes what another program set."""
+        """Set the binning in both directions, without decimation; 1 undoes what another program set."""
         wanted = dict.fromkeys(_BINNING, binning) | dict.fromkeys(_DECIMATION, 1)
         for name, value in wanted.items():
             now = self.read(name)
@@ -335,7 +335,7 @@ class GenicamFeatures(ABC):
     def _set_times(self, settings: CameraSettings) -> None:
         """Set exposure and frame rate in the order in which they fit: each limits the other.
 
-        A trigger alone decides when frames are taken.
+        With a trigger, no frame rate is set.
         """
         exposure_us, rate_hz = settings.exposure_us, settings.frame_rate_hz
         if settings.trigger is not None:
@@ -343,7 +343,7 @@ class GenicamFeatures(ABC):
             if self.writable(self.rate_switch):
                 self.write(self.rate_switch, False)
         now_us = None if exposure_us is None else self.number("exposure_us")
-        wanted: list[tuple[Quantity, float | None]] = [
+        wanted: list[tuple[NumericFeature, float | None]] = [
             ("exposure_us", exposure_us),
             ("frame_rate_hz", rate_hz),
         ]
@@ -369,9 +369,9 @@ class GenicamFeatures(ABC):
             height_px=height_px,
             offset_x_px=x,
             offset_y_px=y,
-            features={name: self.shown(name) for name in settings.features},
+            features={name: self.value_for_user(name) for name in settings.features},
         )
-        return in_plane_px(applied.model_copy(update=self._wired(settings)), settings.colour_plane)
+        return in_plane_px(applied.model_copy(update=self._read_wiring(settings)), settings.colour_plane)
 
     def _check(self, key: str, wanted: float, low: float, high: float) -> None:
         if not low <= wanted <= high:
@@ -396,14 +396,14 @@ class GenicamCamera(DeviceCamera[_Features]):
     """A camera whose features can be read by name."""
 
     def feature_values(self) -> dict[str, FeatureValue]:
-        with self._lock, self._translated():
-            features = self._opened()
+        with self._lock, self._translate_errors():
+            features = self._open_device()
             features.latch_clock_state()
             return features.values(self._library_error())
 
     def feature_value(self, name: str) -> FeatureValue | None:
-        with self._lock, self._translated():
-            features = self._opened()
+        with self._lock, self._translate_errors():
+            features = self._open_device()
             features.renew()
             if name in CLOCK_STATES:
                 features.latch_clock_state()

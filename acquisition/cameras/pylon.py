@@ -17,13 +17,13 @@ from acquisition.camera import (
     PluggedCamera,
 )
 from acquisition.cameras.drivers import PylonSettings, kept_frames
-from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures, Quantity
+from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures, NumericFeature
 from acquisition.cameras.pixel_formats import Format, plane_of
 from acquisition.cameras.reading import CameraRun
 from processing.errors import DeviceError, MissingPackage
 from processing.units import NS_PER_S
 
-_NAMES: Final[dict[Quantity, tuple[str, ...]]] = {
+_NAMES: Final[dict[NumericFeature, tuple[str, ...]]] = {
     "exposure_us": ("ExposureTime", "ExposureTimeAbs"),
     "gain_db": ("Gain",),
     "frame_rate_hz": ("AcquisitionFrameRate", "AcquisitionFrameRateAbs"),
@@ -32,7 +32,7 @@ _TICKS_PER_S: Final = "GevTimestampTickFrequency"
 
 
 class PylonFeatures(GenicamFeatures):
-    """Features of an open camera; `camera` is pylon's object, `name` the camera's in messages."""
+    """Features of an open camera; `camera` is pylon's object, `name` is for messages."""
 
     def __init__(self, camera: Any, name: str) -> None:
         super().__init__(name)
@@ -67,14 +67,14 @@ class PylonFeatures(GenicamFeatures):
             raise DeviceError(f"{self.name}: has no feature {name}; leave camera.features.{name} out")
         self.write(name, value)
 
-    def shown(self, name: str) -> FeatureValue:
+    def value_for_user(self, name: str) -> FeatureValue:
         return str(self.node(name).ToString())
 
-    def number(self, key: Quantity) -> float | None:
+    def number(self, key: NumericFeature) -> float | None:
         node = self.node(*_NAMES[key])
         return None if node is None or not node.IsReadable() else float(node.Value)
 
-    def set_number(self, key: Quantity, wanted: float) -> None:
+    def set_number(self, key: NumericFeature, wanted: float) -> None:
         node = self.node(*_NAMES[key])
         if key == "frame_rate_hz" and self.node(self.rate_switch) is not None:
             self.write(self.rate_switch, True)
@@ -135,22 +135,22 @@ class PylonFeatures(GenicamFeatures):
 
     def tick_ns(self) -> float:
         """Length of a tick in ns: USB cameras count nanoseconds, GigE cameras report their tick frequency,
-        which another clock changes.
+        which may change (PTP).
         """
         per_s = self.read(_TICKS_PER_S)
         return NS_PER_S / float(per_s) if per_s else 1.0
 
 
 _NO_BLOCK: Final = 2**64 - 1
-"""A block whose number pylon does not know."""
+"""Block number that means "not known"."""
 _GIGE_BLOCKS: Final = 65535
-"""GigE cameras count from 65535 to 1, USB cameras on."""
+"""After this block number a GigE camera begins at 1."""
 
 
 class PylonCamera(GenicamCamera[PylonFeatures]):
     """A camera supported by pylon (USB3 Vision, GigE, emulation); pylon acquires and queues the frames.
 
-    Missing numbers of blocks are counted as dropped by the bus (pylon does not say which of them found no
+    Missing block numbers are counted as dropped by the bus (pylon does not say which of them found no
     buffer); damaged frames have an error status. A camera whose timestamps are all 0 (the emulation) has no
     clock.
     """
@@ -161,7 +161,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         self._camera: Any = None
         self._pylon: Any = None
         self._emulated = False
-        self._seen: tuple[Format | None, ColourPlane | None] = (None, None)
+        self._format_and_plane: tuple[Format | None, ColourPlane | None] = (None, None)
         self._tick_ns = 0.0
 
     def _library_error(self) -> type[Exception]:
@@ -185,7 +185,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             raise DeviceError(f"pylon: several cameras: {listed}; set camera.serial to one of them")
         device = chosen[0]
         self._name = f"pylon camera {device.GetModelName()} (serial {device.GetSerialNumber()})"
-        with self._lock, self._translated():
+        with self._lock, self._translate_errors():
             camera = pylon.InstantCamera(factory.CreateDevice(device))
             camera.Open()
             self._camera = camera
@@ -207,11 +207,11 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
 
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
-        with self._lock, self._translated():
-            features, camera = self._opened(), self._camera
+        with self._lock, self._translate_errors():
+            features, camera = self._open_device(), self._camera
             self._must_be_idle()
             self._begin((_GIGE_BLOCKS,))
-            self._seen = (features.present_format(), features.plane)
+            self._format_and_plane = (features.present_format(), features.plane)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
             frame_bytes = int(features.node("PayloadSize").Value)
             camera.MaxNumBuffer.Value = kept_frames(
@@ -241,7 +241,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             if number is None:
                 return None
             image = np.array(result.GetArray(), copy=True)
-            pixel_format, plane = self._seen
+            pixel_format, plane = self._format_and_plane
             if pixel_format is not None:
                 image = plane_of(image, pixel_format.colours, plane)
             image.flags.writeable = False
@@ -259,7 +259,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
 
 
 def load_pylon() -> Any:
-    """pypylon's module; DeviceError that says how to install it."""
+    """The module pypylon.pylon. Raises DeviceError if missing."""
     try:
         with warnings.catch_warnings():
             # importing its binary module raises warnings, and would fail if warnings are errors

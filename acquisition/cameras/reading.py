@@ -135,7 +135,7 @@ class DeviceCamera(Generic[_Opened]):
         self._features: _Opened | None = None
         self._run: CameraRun | None = None
         self._numbers = BlockNumbers(name, ())
-        self._before = CameraStatus()
+        self._past_counts = CameraStatus()
         self._was_lost = False
 
     def _library_error(self) -> type[Exception]:
@@ -147,8 +147,8 @@ class DeviceCamera(Generic[_Opened]):
         return False
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        with self._lock, self._translated():
-            device = self._opened()
+        with self._lock, self._translate_errors():
+            device = self._open_device()
             self._must_be_idle("stop it before settings are changed")
             return device.apply(settings)
 
@@ -157,7 +157,7 @@ class DeviceCamera(Generic[_Opened]):
         if run is None:
             raise DeviceError(f"{self._name}: is not started; call start before read")
         try:
-            with self._translated():
+            with self._translate_errors():
                 return run.read(timeout_s)
         except TimeoutError:
             raise FrameTimeout(f"{self._name}: no frame within {timeout_s:g} s; {self._SILENT}") from None
@@ -170,11 +170,11 @@ class DeviceCamera(Generic[_Opened]):
     def status(self) -> CameraStatus:
         """Counts since `start`, continued after a reconnection."""
         run = self._run
-        return self._before if run is None else self._before + self._numbers.status(run.delivered)
+        return self._past_counts if run is None else self._past_counts + self._numbers.status(run.delivered)
 
     def _begin(self, counters: tuple[int, ...] = (), *, has_clock: bool = False) -> BlockNumbers:
         """Count anew, or on after a loss of the camera; see `BlockNumbers`."""
-        self._before, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+        self._past_counts, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
         self._run = None
         self._numbers = BlockNumbers(self._name, counters, has_clock=has_clock)
         return self._numbers
@@ -186,7 +186,7 @@ class DeviceCamera(Generic[_Opened]):
         else:
             self._run.when_ended(action)
 
-    def _opened(self) -> _Opened:
+    def _open_device(self) -> _Opened:
         if self._features is None:
             raise DeviceError(f"{self._name}: is not open; call open first")
         return self._features
@@ -196,7 +196,7 @@ class DeviceCamera(Generic[_Opened]):
             raise DeviceError(f"{self._name}: is running; {remedy}")
 
     @contextmanager
-    def _translated(self) -> Iterator[None]:
+    def _translate_errors(self) -> Iterator[None]:
         """Convert the library's errors into DeviceError, those of an unplugged camera into CameraLost."""
         try:
             yield

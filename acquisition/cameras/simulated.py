@@ -19,7 +19,7 @@ from acquisition.camera import (
     without_features,
 )
 from acquisition.simulation.inputs import FaultSettings, RigInputs
-from acquisition.simulation.scene import PlannedFrames, Readings, Scene, block_frames
+from acquisition.simulation.scene import PlannedFrames, Scene, SensorSettings, block_frames
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from processing.units import nanoseconds, seconds
@@ -27,7 +27,7 @@ from processing.units import nanoseconds, seconds
 _log = logging.getLogger(__name__)
 _NAME = "simulated camera"
 _AHEAD_BYTES = 16 * 1024 * 1024
-"""Memory of this size comes in large pages, whose first use costs little."""
+"""Images drawn at once; such memory comes in large pages, which is fast."""
 
 
 class SimulatedCamera:
@@ -62,7 +62,7 @@ class SimulatedCamera:
         self._reader: _SimulatedFrames | None = None
         self._runs = settings.first_run
         sensor = settings.sensor
-        self._readings = Readings(
+        self._sensor_settings = SensorSettings(
             offset_x_px=0,
             offset_y_px=0,
             width_px=sensor.width_px,
@@ -86,7 +86,7 @@ class SimulatedCamera:
             serial=f"seed-{self._settings.seed}",
             width_px=sensor.width_px,
             height_px=sensor.height_px,
-            full_scale_dn=2**self._readings.bit_depth - 1,
+            full_scale_dn=2**self._sensor_settings.bit_depth - 1,
             has_clock=True,
             stamped="middle",
             shutter="Rolling" if sensor.row_time_s else "Global",
@@ -98,19 +98,21 @@ class SimulatedCamera:
         if self._reader is not None and self._reader.running:
             raise DeviceError(f"{_NAME}: cannot be configured while frames are running; stop it first")
         without_features(settings.model_copy(update={"binning": None}), _NAME)
-        binning = settings.binning or self._readings.binning
+        binning = settings.binning or self._sensor_settings.binning
         sensor = self._settings.sensor
         width_px, height_px = sensor.width_px // binning, sensor.height_px // binning
-        if binning != self._readings.binning:
-            self._readings = self._readings._replace(
+        if binning != self._sensor_settings.binning:
+            self._sensor_settings = self._sensor_settings._replace(
                 binning=binning, offset_x_px=0, offset_y_px=0, width_px=width_px, height_px=height_px
             )
         asked = {
-            name: value for name in Readings._fields if (value := getattr(settings, name, None)) is not None
+            name: value
+            for name in SensorSettings._fields
+            if (value := getattr(settings, name, None)) is not None
         }
         if settings.pixel_format is not None:
             asked["bit_depth"] = BITS_OF_FORMAT[settings.pixel_format]
-        new = self._readings._replace(**asked)
+        new = self._sensor_settings._replace(**asked)
         if settings.width_px is not None and settings.offset_x_px is None:
             new = new._replace(offset_x_px=min(new.offset_x_px, max(width_px - new.width_px, 0)))
         if settings.height_px is not None and settings.offset_y_px is None:
@@ -128,7 +130,7 @@ class SimulatedCamera:
                 f"{_NAME}: exposure_us = {new.exposure_us:g} is longer than a frame at "
                 f"frame_rate_hz = {new.frame_rate_hz:g}; at most {1e6 / new.frame_rate_hz:.6g} fit"
             )
-        self._readings = new
+        self._sensor_settings = new
         return CameraSettings(
             pixel_format=FORMAT_OF_BITS[new.bit_depth],
             **{name: value for name, value in new._asdict().items() if name != "bit_depth"},
@@ -143,11 +145,11 @@ class SimulatedCamera:
             if self._reader.lost or self._reader.stalled:
                 self._reader.resume()
                 return
-        scene = Scene(self._settings, self._faults, self._readings, self._runs, self._inputs)
+        scene = Scene(self._settings, self._faults, self._sensor_settings, self._runs, self._inputs)
         self._runs += 1
-        block = block_frames(self._readings.frame_rate_hz, self._inputs is not None)
+        block = block_frames(self._sensor_settings.frame_rate_hz, self._inputs is not None)
         self._reader = _SimulatedFrames(
-            scene, block, self._settings, self._faults, self._readings.frame_rate_hz, self._clock_ns
+            scene, block, self._settings, self._faults, self._sensor_settings.frame_rate_hz, self._clock_ns
         )
 
     def read(self, timeout_s: float) -> Frame | None:
@@ -167,7 +169,7 @@ class SimulatedCamera:
 
     @property
     def run(self) -> int:
-        """Number of the run whose frames come, or came last."""
+        """Number of the present run, or of the last one."""
         return max(self._runs - 1, self._settings.first_run)
 
     @property
@@ -334,7 +336,7 @@ class _SimulatedFrames:
                 return False
 
     def _skip_overrun(self, frame: int) -> int:
-        """Lose the oldest frames if the reader is late by more than the buffer holds; the next frame."""
+        """Lose the oldest frames if the reader is later than the buffer holds; returns the next one."""
         late = self._due(self._clock_ns()) - frame - self._settings.buffer_frames
         if late > 0:
             self._next += late
@@ -352,7 +354,7 @@ class _SimulatedFrames:
         return frame - self._plan.first
 
     def _draw(self, frame: int, row: int) -> None:
-        """Draw the image of a row of the plan, and on demand the next ones with it."""
+        """Draw the image of a row of the plan; in simulated time the next ones too."""
         plan = self._plan
         rows = slice(row, row + self._ahead)
         images = self._scene.draw_frames(
@@ -378,10 +380,10 @@ class _SimulatedFrames:
         self._delivered += 1
         device_ns = int(plan.device_time_ns[row])
         if self._settings.real_time:
-            device_ns = self._by_faulty_clock(frame, device_ns)
+            device_ns = self._faulty_clock_ns(frame, device_ns)
         return Frame(image, frame - self._numbered_from, device_ns, host_ns)
 
-    def _by_faulty_clock(self, frame: int, device_ns: int) -> int:
+    def _faulty_clock_ns(self, frame: int, device_ns: int) -> int:
         faults = self._faults
         if frame >= _frame_at(faults.clock_steps_at_s, self._rate_hz):
             device_ns += nanoseconds(faults.clock_step_s)

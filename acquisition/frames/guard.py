@@ -1,4 +1,4 @@
-"""Checks what a driver delivers and does, which may be somebody's own, before anything is made of it."""
+"""Checks of what a driver (perhaps a user's own) delivers and does, before it is used."""
 
 import logging
 import threading
@@ -18,41 +18,46 @@ from processing.units import seconds
 _log = logging.getLogger(__name__)
 
 _TYPES: Final = (np.dtype(np.uint8), np.dtype(np.uint16))
-_SEEN_ALONG: Final = 64
+_PIXELS_PER_AXIS: Final = 64
+"""Approximate number of pixels that are compared along each axis."""
 _MOST_BUFFERS: Final = 8
-"""Images that are held: drivers that fill a ring of buffers have hardly more."""
-_MOST: Final = 1 << 63
-_ENDS_S: Final = 10.0
-HANGS_S: Final = 10.0
-"""Longer than it was asked to wait: a `read` that has not returned then is not waited for."""
-_ELSEWHERE: Final = -1
-_LATEST_NS: Final = 1_000_000_000
-"""A frame that arrived later than so long from now has the time of another clock, that of the day."""
+"""Images kept for comparison; a driver's ring of buffers rarely has more."""
+_LIMIT: Final = 1 << 63
+"""End of the signed integers of 64 bits."""
+_END_PATIENCE_S: Final = 10.0
+READ_GRACE_S: Final = 10.0
+"""A `read` that exceeds its timeout by this much has hung, and is given up."""
+_NOT_READING: Final = -1
+"""State of a thread that is not in `read`."""
+_MAX_FUTURE_NS: Final = 1_000_000_000
+"""A host time further in the future than this is of another clock, such as UTC."""
 NO_TIME_NS: Final = 1 << 62
-"""Later than any clock, 146 years; sums of times no longer fit."""
-MOST_PPM: Final = 1000.0
-"""A quartz is right within 100 ppm: a clock that runs otherwise counts in another unit than was believed."""
+"""Times beyond this (146 years) are invalid; sums overflow."""
+MAX_DRIFT_PPM: Final = 1000.0
+"""Largest drift of a clock. A quartz is right within 100 ppm; beyond this, the driver misreads its unit."""
 _STRETCH_NS: Final = 2_000_000_000
-"""A delay of 2 ms, kept up from one stretch to the next, makes `MOST_PPM`."""
-_FEWEST: Final = 60
-_IN_A_ROW: Final = 3
-_SPREAD: Final = 0.2
-"""A wrong unit shows the same each time; a busy computer's delays do not within a fifth of themselves."""
+"""Length of a stretch: 2 ms more delay in the next makes `MAX_DRIFT_PPM`."""
+_MIN_FRAMES: Final = 60
+"""Fewest frames of a stretch."""
+_AGREEING_STRETCHES: Final = 3
+"""Consecutive stretches whose drifts must agree."""
+_MAX_SPREAD: Final = 0.2
+"""Largest relative spread of the drifts for a wrong unit; the delays of a busy computer vary more."""
 
 
 class _LastImage(NamedTuple):
-    """An image that was delivered, and some of its pixels as they were."""
+    """A delivered image, and a copy of some of its pixels."""
 
     number: int
     image: NDArray[Any]
     pixels: NDArray[Any]
 
 
-class CheckedFrames:
-    """Frames of one camera: each of the form of the first, with an image of its own and a number that rises.
+class FrameChecks:
+    """Checks frames of one camera: shape and type as the first, an own image array, rising numbers.
 
-    Numbers come out as plain integers: those of numpy overflow, or compute in floating point. Frames that are
-    not `in_real_time` have a clock of their own.
+    Numbers come out as plain integers: those of numpy overflow, or compute in floating point. Only frames
+    `in_real_time` are compared with the host's clock.
     """
 
     def __init__(self, *, in_real_time: bool = False) -> None:
@@ -61,26 +66,26 @@ class CheckedFrames:
         self._sequence: int | None = None
         self._newest: deque[_LastImage] = deque(maxlen=_MOST_BUFFERS)
 
-    def begin_again(self) -> None:
-        """The camera was started again: numbers begin anew. The form of its images stays what it was."""
+    def restart(self) -> None:
+        """Accept numbers from 0 again, after a restart; shape and type of images must stay."""
         self._sequence = None
         self._newest.clear()
 
-    def checked(self, frame: object) -> Frame:
-        """The frame; raises DeviceError, in one line, for what no camera may deliver."""
+    def check(self, frame: object) -> Frame:
+        """Check and return a frame; raises DeviceError, in one line, if invalid."""
         if not isinstance(frame, Frame):
             raise _refusal(f"read() returned {type(frame).__name__}", "return a Frame, or None at the end")
         image, *numbers = frame
-        if self._in_real_time and isinstance(frame.device_time_ns, int) and frame.device_time_ns >= _MOST:
-            # of a counter without a sign that shows nothing: one wrong time is no reason to end a run
-            numbers[1] = _MOST - 1
+        if self._in_real_time and isinstance(frame.device_time_ns, int) and frame.device_time_ns >= _LIMIT:
+            # "no value" of an unsigned counter: one wrong time is no reason to end a run
+            numbers[1] = _LIMIT - 1
             frame = frame._replace(device_time_ns=numbers[1])
-        if set(map(type, numbers)) != {int} or not -_MOST <= min(numbers) <= max(numbers) < _MOST:
+        if set(map(type, numbers)) != {int} or not -_LIMIT <= min(numbers) <= max(numbers) < _LIMIT:
             numbers = [_whole(name, one) for name, one in zip(Frame._fields[1:], numbers, strict=True)]
             frame = Frame(image, *numbers)
         number, _, host_time_ns = numbers
         since_ns = host_time_ns - time.monotonic_ns()
-        if self._in_real_time and since_ns > _LATEST_NS:
+        if self._in_real_time and since_ns > _MAX_FUTURE_NS:
             raise _refusal(
                 f"host_time_ns of frame {number} is {host_time_ns}, {seconds(since_ns):+.4g} s from now",
                 "it is what time.monotonic_ns() says when the frame arrives",
@@ -110,18 +115,18 @@ class CheckedFrames:
             )
         for before in self._newest:
             may_have_changed = before is self._newest[-1] or np.may_share_memory(before.image, image)
-            if may_have_changed and not np.array_equal(_some(before.image), before.pixels):
+            if may_have_changed and not np.array_equal(_sampled_pixels(before.image), before.pixels):
                 raise _refusal(
                     f"the image of frame {before.number} has changed since it was delivered",
                     "its driver fills the same buffers again and again; give each frame an image of its own: "
                     "image.copy()",
                 )
-        self._newest.append(_LastImage(number, image, _some(image).copy()))
+        self._newest.append(_LastImage(number, image, _sampled_pixels(image).copy()))
         return frame
 
 
-def checked_info(info: object, driver: str) -> CameraInfo:
-    """What `open` returned; raises DeviceError where it is none, or cannot be true."""
+def check_info(info: object, driver: str) -> CameraInfo:
+    """The CameraInfo of `open`; raises DeviceError for another type or value."""
     if not isinstance(info, CameraInfo):
         raise _refusal(f"open() of driver {driver!r} returned {type(info).__name__}", "return a CameraInfo")
     for name in ("width_px", "height_px", "full_scale_dn"):
@@ -131,8 +136,8 @@ def checked_info(info: object, driver: str) -> CameraInfo:
     return info
 
 
-def checked_settings(applied: object, driver: str) -> CameraSettings:
-    """What `configure` returned; raises DeviceError where it is none."""
+def check_applied_settings(applied: object, driver: str) -> CameraSettings:
+    """The settings of `configure`; DeviceError for another type."""
     if not isinstance(applied, CameraSettings):
         raise _refusal(
             f"configure() of driver {driver!r} returned {type(applied).__name__}",
@@ -142,8 +147,8 @@ def checked_settings(applied: object, driver: str) -> CameraSettings:
 
 
 @contextmanager
-def asking(camera: str, what: str) -> Iterator[None]:
-    """What a driver raises, which may be somebody's own, becomes a DeviceError of one line."""
+def driver_errors(camera: str, what: str) -> Iterator[None]:
+    """Turn a driver's exception, unless a RigError, into a DeviceError of one line."""
     try:
         yield
     except RigError:
@@ -154,10 +159,10 @@ def asking(camera: str, what: str) -> Iterator[None]:
         raise DeviceError(f"{camera}: {what} failed: {in_one_line(error)}") from error
 
 
-def ended(ending: Callable[[], object], name: str, patience_s: float = _ENDS_S) -> str:
-    """Call what stops or closes a camera, and wait no longer than that; returns what speaks against it.
+def end_within(ending: Callable[[], object], name: str, patience_s: float = _END_PATIENCE_S) -> str:
+    """Call `ending` (stop or close) and wait `patience_s` at most; returns the problem, or "".
 
-    What is measured is measured: it must not be lost to a driver that cannot end.
+    Measured data must not be lost because a driver hangs.
     """
     raised: list[Exception] = []
 
@@ -175,10 +180,10 @@ def ended(ending: Callable[[], object], name: str, patience_s: float = _ENDS_S) 
     return f"{name} failed: {in_one_line(raised[0])}" if raised else ""
 
 
-class Counts:
-    """The counts of a camera; of one that cannot tell them any more, those that it told last.
+class CameraCounts:
+    """The frame counts of a camera; the last known ones if it can no longer report them.
 
-    `take_remark` says so, once: frames that are missing are seen by their numbers all the same.
+    `take_remark` reports this, once; missing frames still show in the frame numbers.
     """
 
     def __init__(self, ask: Callable[[], object]) -> None:
@@ -187,8 +192,8 @@ class Counts:
         self._remark, self._has_said = "", False
 
     @property
-    def now(self) -> CameraStatus:
-        """Never raises."""
+    def latest(self) -> CameraStatus:
+        """Latest known counts; never raises."""
         try:
             found = self._ask()
             if not isinstance(found, CameraStatus):
@@ -208,39 +213,39 @@ class Counts:
         """The camera was lost, when it had told the counts `before`, and started again: a driver that has
         noticed the loss counts on, any other begins again.
         """
-        if self.now.reconnects == before.reconnects:
+        if self.latest.reconnects == before.reconnects:
             self._before = before
 
     def take_remark(self) -> str:
-        """What is to be said since the last call; usually nothing."""
+        """Warning since the last call; usually empty."""
         remark, self._remark = self._remark, ""
         return remark
 
 
-class HangingRead:
-    """Notices a `read` that does not return: told by the thread that reads, asked by the one that waits.
+class ReadMonitor:
+    """Detects a `read` that does not return; the reading thread reports to it, the waiting one asks it.
 
-    It counts the waits of the latter, not a clock: while the program stands still nobody waits.
+    It adds up the waits: a clock would also run while the program is suspended.
     """
 
-    def __init__(self, asked_s: float, hangs_s: float = HANGS_S) -> None:
+    def __init__(self, asked_s: float, hangs_s: float = READ_GRACE_S) -> None:
         self._asked_s, self._longest_s = asked_s, asked_s + hangs_s
         self._reads = 0
-        self._now = self._then = _ELSEWHERE
+        self._now = self._then = _NOT_READING
         self._waited_s = 0.0
 
-    def begins(self) -> None:
-        """A `read` begins."""
+    def enter(self) -> None:
+        """Note that a `read` begins."""
         self._reads += 1
         self._now = self._reads
 
-    def is_elsewhere(self) -> None:
-        """The thread does something that has a limit of its own."""
-        self._now = _ELSEWHERE
+    def leave(self) -> None:
+        """Note that the thread is in a call with its own limit."""
+        self._now = _NOT_READING
 
-    def after(self, waited_s: float) -> str:
-        """What is to be said after so long without a frame; 0 with one."""
-        same = self._now == self._then and self._now != _ELSEWHERE
+    def check(self, waited_s: float) -> str:
+        """Add a wait (0: a frame came); message if the `read` hangs."""
+        same = self._now == self._then and self._now != _NOT_READING
         self._waited_s = self._waited_s + waited_s if same and waited_s else 0.0
         self._then = self._now
         if self._waited_s < self._longest_s:
@@ -251,21 +256,21 @@ class HangingRead:
         )
 
 
-class ClockWatch:
+class ClockCheck:
     """Compares the clocks over the first seconds of frames, whatever the driver.
 
-    A wrong unit shows in any stretch of frames, each time as much. Of each stretch the frame counts that came
-    soonest after its time: those that a busy computer takes late say nothing. What still looks like a wrong
-    unit is refused if three in a row show the same.
+    A wrong unit shows as the same drift in every stretch of frames. Each stretch is represented by its
+    frame of smallest delay, since a busy computer takes others late. A drift above `MAX_DRIFT_PPM` is refused
+    if three in a row agree.
     """
 
     def __init__(self) -> None:
         self._found: list[float] = []
         self._done = False
-        self.begin_again()
+        self.restart()
 
-    def begin_again(self) -> None:
-        """The camera was opened again: the stretch begins again."""
+    def restart(self) -> None:
+        """Begin a new stretch, after the camera was reopened."""
         self._soonest: list[tuple[int, int]] = []
         self._since_ns, self._count = -1, 0
 
@@ -279,7 +284,7 @@ class ClockWatch:
             self._soonest = [*self._soonest[-1:], (late_ns, host_ns)]
         self._soonest[-1] = min(self._soonest[-1], (late_ns, host_ns))
         self._count += 1
-        if host_ns - self._since_ns < _STRETCH_NS or self._count < _FEWEST:
+        if host_ns - self._since_ns < _STRETCH_NS or self._count < _MIN_FRAMES:
             return
         self._count = 0
         if len(self._soonest) > 1:
@@ -288,36 +293,36 @@ class ClockWatch:
     def _compare(self) -> None:
         (late_before_ns, before_ns), (late_ns, host_ns) = self._soonest
         drift_ppm = 1e6 * (late_before_ns - late_ns) / max(host_ns - before_ns, 1)
-        if abs(drift_ppm) <= MOST_PPM:
+        if abs(drift_ppm) <= MAX_DRIFT_PPM:
             self._done = True
             return
-        self._found = [*self._found, drift_ppm][-_IN_A_ROW:]
+        self._found = [*self._found, drift_ppm][-_AGREEING_STRETCHES:]
         mean = sum(self._found) / len(self._found)
-        same = all(abs(drift - mean) < _SPREAD * abs(mean) for drift in self._found)
-        if len(self._found) == _IN_A_ROW and same:
+        same = all(abs(drift - mean) < _MAX_SPREAD * abs(mean) for drift in self._found)
+        if len(self._found) == _AGREEING_STRETCHES and same:
             raise DeviceError(
-                f"{as_fast(mean)}, at most {MOST_PPM:g} ppm are possible: its times cannot be used; "
-                "the driver misreads its unit, or the computer's clock was set: see rig doctor"
+                f"{clock_rate_text(mean)}, at most {MAX_DRIFT_PPM:g} ppm are possible: its times cannot be "
+                "used; the driver misreads its unit, or the computer's clock was set: see rig doctor"
             )
 
 
-def as_fast(drift_ppm: float) -> str:
+def clock_rate_text(drift_ppm: float) -> str:
     """The rate of the camera's clock in words."""
     return f"the camera's clock runs {1.0 + 1e-6 * drift_ppm:.6g} times as fast as the computer's"
 
 
 def _whole(name: str, value: object) -> int:
-    if isinstance(value, int | np.integer) and not isinstance(value, bool) and -_MOST <= value < _MOST:
+    if isinstance(value, int | np.integer) and not isinstance(value, bool) and -_LIMIT <= value < _LIMIT:
         return int(value)
     raise _refusal(
         f"{name} of a frame is {value!r} ({type(value).__name__})", "whole numbers of 64 bits are needed"
     )
 
 
-def _some(image: NDArray[Any]) -> NDArray[Any]:
-    """Some thousand of the pixels, from everywhere; nothing is copied."""
+def _sampled_pixels(image: NDArray[Any]) -> NDArray[Any]:
+    """View of some thousand pixels, spread over the image."""
     ny, nx = image.shape
-    return image[:: max(ny // _SEEN_ALONG, 1) | 1, :: max(nx // _SEEN_ALONG, 1) | 1]
+    return image[:: max(ny // _PIXELS_PER_AXIS, 1) | 1, :: max(nx // _PIXELS_PER_AXIS, 1) | 1]
 
 
 def _refusal(what: str, remedy: str) -> DeviceError:

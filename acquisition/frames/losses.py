@@ -18,9 +18,9 @@ logger = logging.getLogger(__name__)
 _LARGEST_GAP: Final = 1 << 31
 # The largest loss across the end of a counter.
 _LARGEST_LOSS: Final = 1000
-# So many frames in a row whose old numbers rise again: the camera counts again, none of them is late.
+# So many old but rising numbers in a row are no late frames: the camera has begun to count again.
 _RESTARTED_AFTER: Final = 3
-Place = Literal["dropped_by_camera", "dropped_by_bus", "dropped_by_host"]
+LossCause = Literal["dropped_by_camera", "dropped_by_bus", "dropped_by_host"]
 
 
 class BlockNumbers:
@@ -41,15 +41,15 @@ class BlockNumbers:
         self._stale: list[int] = []
 
     def status(self, delivered: int) -> CameraStatus:
-        """The counts, beside that of the frames delivered."""
+        """The counts, with `delivered` frames delivered."""
         since = CameraStatus(delivered, incomplete=self.lost_parts - self.faulty, error_status=self.faulty)
         return self._lost + since
 
-    def number(self, block: int | None, lost: Place, time: int = 0) -> int | None:
+    def number(self, block: int | None, lost: LossCause, time: int = 0) -> int | None:
         """Number of a whole frame; None for a block that came again or too late.
 
-        `block` is None where the driver does not know it. `lost` is where those were lost that are missing
-        before it. Raises CameraLost where the camera has reset itself.
+        `block` is None where the driver does not know it. `lost` is the place of loss of frames missing
+        before it, `time` the camera's clock in any unit. Raises CameraLost where the camera has reset itself.
         """
         # Number of frames since the last one delivered. Before the first one there is no block number to
         # compare with; damaged frames count nevertheless.
@@ -126,10 +126,10 @@ class FrameLosses:
     wrong_id: int = 0
 
     @classmethod
-    def of(
+    def from_status(
         cls, status: CameraStatus, *, unqueued: int = 0, while_unplugged: int = 0, wrong_time: int = 0
     ) -> Self:
-        """From a driver's counts, what our own queue refused, what the time of a gap tells, wrong times."""
+        """From a driver's counts, frames refused by our queue, missed in a gap, or with wrong times."""
         return cls(
             status.dropped_by_camera,
             status.dropped_by_bus,
@@ -152,13 +152,13 @@ class FrameLosses:
         return sum(self.counts) - self.wrong_id
 
     @property
-    def came(self) -> int:
+    def discarded(self) -> int:
         """Frames that came, in part at least, and were not used."""
         return self.incomplete + self.wrong_time + self.error_status + self.wrong_id
 
     @property
-    def came_text(self) -> str:
-        """The same in words, by their reasons."""
+    def discarded_text(self) -> str:
+        """`discarded` in words, by reason."""
         return str(
             FrameLosses(0, 0, 0, self.incomplete, 0, self.wrong_time, self.error_status, self.wrong_id)
         )
@@ -170,7 +170,7 @@ class FrameLosses:
     def __str__(self) -> str:
         words = (
             *("by the camera", "by the bus", "by this computer", "incomplete", "while unplugged"),
-            *("without a right time", "with an error status", "with a number that was before"),
+            *("with a wrong time", "with an error status", "with a repeated number"),
         )
         named = [f"{count} {word}" for count, word in zip(self.counts, words, strict=True) if count]
         return ", ".join(named) or "none"
@@ -180,40 +180,42 @@ _counts: Callable[[FrameLosses], tuple[int, ...]] = attrgetter(*(field.name for 
 """All counts; they are taken with every block of frames, for which `astuple` copies too deeply."""
 
 
-_LEARNED = 8
+_FRAMES_TO_LEARN = 8
 """Frames after which the frame time is known."""
 SMOOTHING = 0.1
 """Part of a deviation by which the frame time follows each frame."""
-_OF_ARRIVALS = 0.02
-"""The same of the usual delay and its scatter."""
-_LEAST_NS = 2_000_000.0
-"""Smaller disagreements are those of the computer's readings of frames, or of the exposure."""
-BY_HOST_NS = 60_000_000.0
-"""Disagreements with the computer's clock that late readings explain."""
-REGULAR = 0.2
-"""Mean deviation of frame times, of one, up to which a camera keeps a rate."""
+_DELAY_SMOOTHING = 0.02
+"""As SMOOTHING, for the delay and its scatter."""
+_MIN_DEVIATION_NS = 2_000_000.0
+"""Smallest disagreement of times that counts: smaller ones are by reading or exposure."""
+MAX_READING_DELAY_NS = 60_000_000.0
+"""Largest disagreement with the computer's clock by late reading."""
+MAX_IRREGULARITY = 0.2
+"""Largest mean deviation of a regular camera's intervals, as part of one."""
 _LEAST_SCATTER_NS = 20_000.0
-_OF_IRREGULAR: Final = 0.6
-"""Weight of an interval that is none of the camera's, of a frame: one that is out of line spoils two of them
-and is left out, one between two gaps is kept."""
-_NOT_ALIKE: Final = 0.5
-"""Part of an interval by which another one differs wholly."""
-_NEWEST: Final = 9
+"""Lower limit of the scatter of the delay."""
+_IRREGULAR_PENALTY: Final = 0.6
+"""Loss of a frame's score (1) by an irregular interval before it: a single outlier spoils two intervals and
+is left out, a frame between two gaps is kept."""
+_FULL_IRREGULARITY: Final = 0.5
+"""Relative deviation of a fully irregular interval."""
+_NEWEST_INTERVALS: Final = 9
+"""Newest intervals, whose median is the camera's present interval."""
 
 
-class UsualTimes:
-    """Learned from frames whose times hold, with which `joined` is called one by one.
+class FrameTiming:
+    """Frame interval and delay, learned by `learn` from frames of valid times.
 
-    `waited_for`: the last frame was, and has not lain in the driver.
+    `waited_for`: the last frame was read at arrival, not late from the driver.
     """
 
     def __init__(self) -> None:
-        self.scatter_ns = _LEAST_NS
+        self.scatter_ns = _MIN_DEVIATION_NS
         self.interval_ns = 0.0
-        self.begin_again()
+        self.restart()
 
-    def begin_again(self) -> None:
-        """The camera was opened again: its clock may show anything. The frame time is the last known."""
+    def restart(self) -> None:
+        """Forget times and delay, after the camera was reopened; keep the frame interval."""
         self.last: Frame | None = None
         self.waited_for = False
         self.deviation_ns = 0.0
@@ -223,31 +225,31 @@ class UsualTimes:
     @property
     def is_regular(self) -> bool:
         """Whether the camera is known to keep a rate."""
-        return self.learned >= _LEARNED and self.deviation_ns < REGULAR * self.interval_ns
+        return self.learned >= _FRAMES_TO_LEARN and self.deviation_ns < MAX_IRREGULARITY * self.interval_ns
 
     @property
     def allowed_ns(self) -> float:
-        """By so much a time may disagree with what is expected of it."""
-        return max(_LEAST_NS, 10 * self.deviation_ns) if self.is_regular else BY_HOST_NS
+        """Allowed deviation of a time from the expected one, in ns."""
+        return max(_MIN_DEVIATION_NS, 10 * self.deviation_ns) if self.is_regular else MAX_READING_DELAY_NS
 
     @property
     def allowed_by_arrival_ns(self) -> float:
-        """The same by the arrival of frames."""
-        return max(3 * _LEAST_NS, 6 * self.scatter_ns)
+        """`allowed_ns` by the arrival."""
+        return max(3 * _MIN_DEVIATION_NS, 6 * self.scatter_ns)
 
     def early_ns(self, moved: Frame) -> float:
-        """How much sooner than usual it came, by its time: as much as the clock has stepped, less what it was
-        read late."""
+        """Its time minus (arrival minus usual delay), in ns: the step of the clock, less the delay of a late
+        reading."""
         return moved.device_time_ns - (moved.host_time_ns - self.delay_ns)
 
     def off_by_rate_ns(self, frame: Frame, last: Frame) -> float:
-        """How far a time lies from what the camera's rate lets expect."""
+        """Deviation of a time from the camera's rate since `last`, ns."""
         return (
             frame.device_time_ns - last.device_time_ns - (frame.sequence - last.sequence) * self.interval_ns
         )
 
-    def joined(self, frame: Frame) -> Frame:
-        """The frame, whose time holds and is learned from."""
+    def learn(self, frame: Frame) -> Frame:
+        """Learn from a frame of valid time; returns it."""
         last, self.last = self.last, frame
         if last is not None:
             passed_ns, numbers = frame.time_ns - last.time_ns, frame.sequence - last.sequence
@@ -259,19 +261,19 @@ class UsualTimes:
                 self.interval_ns += (SMOOTHING if self.learned else 1.0) * off_ns
                 self.learned += 1
         delay_ns = float(frame.host_time_ns - frame.device_time_ns)
-        if math.isnan(self.delay_ns) or self.learned < _LEARNED:
+        if math.isnan(self.delay_ns) or self.learned < _FRAMES_TO_LEARN:
             # the first ones may be late
             self.delay_ns = min(delay_ns, delay_ns if math.isnan(self.delay_ns) else self.delay_ns)
         elif self.waited_for:
             # one that was not has lain in the driver, as long as nobody read
             later_ns = delay_ns - self.delay_ns
             most_ns = 2 * self.scatter_ns
-            self.delay_ns += _OF_ARRIVALS * min(max(later_ns, -most_ns), most_ns)
+            self.delay_ns += _DELAY_SMOOTHING * min(max(later_ns, -most_ns), most_ns)
             wider_ns = min(abs(later_ns), most_ns) - self.scatter_ns
-            self.scatter_ns = max(self.scatter_ns + _OF_ARRIVALS * wider_ns, _LEAST_SCATTER_NS)
+            self.scatter_ns = max(self.scatter_ns + _DELAY_SMOOTHING * wider_ns, _LEAST_SCATTER_NS)
         return frame
 
-    def carried(self, frame: Frame) -> Frame:
+    def time_by_arrival(self, frame: Frame) -> Frame:
         """The frame with the time of its arrival less the usual delay, smoothed by the camera's rate."""
         arrived_ns = frame.host_time_ns - self.delay_ns
         last = self.last
@@ -280,16 +282,16 @@ class UsualTimes:
             numbers = frame.sequence - last.sequence
             by_rate_ns = last.device_time_ns + numbers * self.interval_ns
             later_ns = arrived_ns - by_rate_ns
-            if self.learned >= _LEARNED and numbers > 0 and abs(later_ns) < BY_HOST_NS:
+            if self.learned >= _FRAMES_TO_LEARN and numbers > 0 and abs(later_ns) < MAX_READING_DELAY_NS:
                 most_ns = 2 * self.scatter_ns
-                time_ns = by_rate_ns + _OF_ARRIVALS * min(max(later_ns, -most_ns), most_ns)
+                time_ns = by_rate_ns + _DELAY_SMOOTHING * min(max(later_ns, -most_ns), most_ns)
             time_ns = max(time_ns, last.device_time_ns + 1)
         self.last = frame._replace(device_time_ns=round(time_ns))
         return self.last
 
 
 class RisingTimes(NamedTuple):
-    """Places of the frames that are in the line, and of the first one after the step."""
+    """Indices of the frames with consistent times, and of the first after the step."""
 
     kept: list[int]
     first_after_step: int | None = None
@@ -298,35 +300,35 @@ class RisingTimes(NamedTuple):
 def rising_times(
     times_ns: Sequence[float], numbers: Sequence[int], interval_ns: float, step_ns: float = 0.0
 ) -> RisingTimes:
-    """The most frames whose times rise from the last sure one on, in intervals like the camera's.
+    """Select the most frames whose times rise from the last sure one, at the camera's intervals.
 
     Times and numbers are counted from the last sure frame. The camera may keep another interval by now, which
-    the newest frames show; frames without numbers may be missing anywhere. With a step, times behind one
-    place are later by it, which is where the intervals are most regular without it.
+    the newest frames show; frames without numbers may be missing anywhere. With a step, times after one
+    frame are later by it; that frame is where intervals become most regular.
     """
     time = np.concatenate(([0.0], np.asarray(times_ns, dtype=np.float64)))
     number = np.concatenate(([0], np.asarray(numbers, dtype=np.int64)))
-    newest = (np.diff(time) / np.maximum(np.diff(number), 1))[-_NEWEST:]
+    newest = (np.diff(time) / np.maximum(np.diff(number), 1))[-_NEWEST_INTERVALS:]
     newest = newest[newest > 0]
     usual = [one for one in (interval_ns, float(np.median(newest)) if len(newest) else 0.0) if one > 0]
-    # of the best line to each frame, before the step and behind it: its worth, and the frame before
-    worth = np.full((2, len(time)), -np.inf)
-    worth[0, 0] = 0.0
+    # best sequence to each frame, before and after the step: its score, and the frame before
+    score = np.full((2, len(time)), -np.inf)
+    score[0, 0] = 0.0
     came = np.zeros((2, len(time)), np.int64)
     steps_at = np.zeros(len(time), np.bool_)
     for i in range(1, len(time)):
         passed_ns, between = time[i] - time[:i], np.maximum(number[i] - number[:i], 1)
-        onwards = worth[:, :i] + _worth(passed_ns, between, usual)
+        onwards = score[:, :i] + _score(passed_ns, between, usual)
         came[:, i] = np.argmax(onwards, axis=1)
-        worth[:, i] = np.max(onwards, axis=1)
+        score[:, i] = np.max(onwards, axis=1)
         if step_ns:
-            stepping = worth[0, :i] + _worth(passed_ns - step_ns, between, usual)
+            stepping = score[0, :i] + _score(passed_ns - step_ns, between, usual)
             at = int(np.argmax(stepping))
-            if stepping[at] > worth[1, i]:
-                worth[1, i], came[1, i], steps_at[i] = stepping[at], at, True
+            if stepping[at] > score[1, i]:
+                score[1, i], came[1, i], steps_at[i] = stepping[at], at, True
     after = 1 if step_ns else 0
-    i = int(np.argmax(worth[after]))
-    if worth[after, i] == -np.inf:
+    i = int(np.argmax(score[after]))
+    if score[after, i] == -np.inf:
         return RisingTimes([])
     kept: list[int] = []
     first_after: int | None = None
@@ -339,12 +341,12 @@ def rising_times(
     return RisingTimes(kept[::-1], first_after)
 
 
-def _worth(
+def _score(
     passed_ns: NDArray[np.float64], numbers: NDArray[np.int64], usual: list[float]
 ) -> NDArray[np.float64]:
-    """Of a frame with the interval before it; none where its time does not rise."""
+    """Score of frames: 1 (regular interval) to 0.4; -inf: time does not rise."""
     each_ns = passed_ns / numbers
     off = np.ones(len(each_ns))
     for one in usual:
-        off = np.minimum(off, np.abs(each_ns - one) / (_NOT_ALIKE * one))
-    return np.where(passed_ns > 0, 1.0 - _OF_IRREGULAR * off, -np.inf)
+        off = np.minimum(off, np.abs(each_ns - one) / (_FULL_IRREGULARITY * one))
+    return np.where(passed_ns > 0, 1.0 - _IRREGULAR_PENALTY * off, -np.inf)

@@ -13,13 +13,13 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 from acquisition.camera import Frame
-from acquisition.frames.guard import NO_TIME_NS, CheckedFrames, ClockWatch
+from acquisition.frames.guard import NO_TIME_NS, ClockCheck, FrameChecks
 from acquisition.frames.losses import (
-    BY_HOST_NS,
-    REGULAR,
+    MAX_IRREGULARITY,
+    MAX_READING_DELAY_NS,
     SMOOTHING,
+    FrameTiming,
     RisingTimes,
-    UsualTimes,
     rising_times,
 )
 from acquisition.record.events import EventKind
@@ -33,7 +33,7 @@ _MOST_WAITING = 12
 _LONGEST_WAIT, _MOST_WAITING_BYTES = 2000, 64 * 1024 * 1024
 """Of a reader that is behind: frames that it takes late do not say when they came."""
 _BEHIND_NS = 800_000_000.0
-"""`BY_HOST_NS` where a frame's reader had not waited for it, which may have lain in the driver as long."""
+"""`MAX_READING_DELAY_NS` where a reader had not waited for its frame, which lay in the driver so long."""
 _COUNTERS_NS: Final = tuple((1 << 32) * tick_ns for tick_ns in (1, 8, 10, 16, 20, 40, 100, 1000))
 """After which counters of 32 bits begin again, of usual ticks."""
 _NAMED_AFTER_S = 0.35
@@ -80,9 +80,9 @@ class FrameLine:
     def __init__(self, time_shift_ns: int = 0, *, in_real_time: bool = False) -> None:
         self._in_real_time = in_real_time
         self._to_middle_ns = time_shift_ns
-        self._delivered = CheckedFrames(in_real_time=in_real_time)
-        self._clock = ClockWatch()
-        self._usual = UsualTimes()
+        self._delivered = FrameChecks(in_real_time=in_real_time)
+        self._clock = ClockCheck()
+        self._usual = FrameTiming()
         self._waiting: list[_Doubtful] = []
         self._before_gap: Frame | None = None
         self._from_number = self._offset_ns = 0
@@ -98,12 +98,12 @@ class FrameLine:
         usual_ns = self._usual.interval_ns
         return 2 * S_PER_NS * usual_ns + _NAMED_AFTER_S if usual_ns else without_s
 
-    def begin_again(self) -> None:
+    def restart(self) -> None:
         """The camera was opened again: the next frame is its first, whatever its clock shows is new."""
-        self._delivered.begin_again()
-        self._clock.begin_again()
+        self._delivered.restart()
+        self._clock.restart()
         self._before_gap = self._usual.last or self._before_gap
-        self._usual.begin_again()
+        self._usual.restart()
         self.rejected += len(self._waiting)
         self._waiting.clear()
         self._offset_ns = 0
@@ -114,7 +114,7 @@ class FrameLine:
 
         Raises DeviceError, in one line, for what no camera may deliver.
         """
-        frame = self._delivered.checked(read)
+        frame = self._delivered.check(read)
         if self._in_real_time:
             self._clock.see(frame)
         shown_ns = frame.device_time_ns
@@ -126,14 +126,14 @@ class FrameLine:
         if self._from_number or time_ns != shown_ns:
             frame = Frame(frame.image, frame.sequence + self._from_number, time_ns, frame.host_time_ns)
         if shown_ns < 0 or not self._in_real_time:
-            passed = NumberedFrames([usual.joined(frame)])
+            passed = NumberedFrames([usual.learn(frame)])
         elif self._given_up:
-            passed = NumberedFrames([usual.carried(frame)])
+            passed = NumberedFrames([usual.time_by_arrival(frame)])
         else:
             off_ns = math.inf if usual.last is None or not has_time else self._off_ns(frame, usual.last)
             if has_time and (off_ns is None or usual.last is None):
                 # one of the clocks confirms the time
-                passed = self._after_doubts(frame) if self._waiting else NumberedFrames([usual.joined(frame)])
+                passed = self._after_doubts(frame) if self._waiting else NumberedFrames([usual.learn(frame)])
             else:
                 passed = self._doubted(_Doubtful(frame, off_ns or 0.0, shown_ns))
         if note is None:
@@ -212,8 +212,8 @@ class FrameLine:
             return None if passed_ns > 0 and near else off_ns
         # it came when the computer says, or was read late; so was the one before, of those that had
         # gathered while nobody read
-        latest_ns = by_host_ns + (BY_HOST_NS if usual.waited_for else _BEHIND_NS)
-        by_rate = usual.learned > 0 and abs(off_ns) < REGULAR * by_rate_ns
+        latest_ns = by_host_ns + (MAX_READING_DELAY_NS if usual.waited_for else _BEHIND_NS)
+        by_rate = usual.learned > 0 and abs(off_ns) < MAX_IRREGULARITY * by_rate_ns
         return None if passed_ns > 0 and (passed_ns <= latest_ns or by_rate) else passed_ns - by_host_ns
 
     def _by_computer(self, frame: Frame, last: Frame, off_ns: float) -> bool:
@@ -245,7 +245,7 @@ class FrameLine:
                 sooner = {place for place, time_ns in before if time_ns < frame.device_time_ns}
                 kept = [place for place in self._rising(usual.last, newest=[frame]).kept if place in sooner]
         frames, notes, _ = self._settled(kept)
-        return NumberedFrames([*frames, usual.joined(frame)], notes)
+        return NumberedFrames([*frames, usual.learn(frame)], notes)
 
     def _rising(self, last: Frame, step_ns: int = 0, newest: Iterable[Frame] = ()) -> RisingTimes:
         frames = [*(one.frame for one in self._waiting), *newest]
@@ -314,7 +314,7 @@ class FrameLine:
         if not step_ns:
             return NumberedFrames(frames, notes)
         self._offset_ns -= step_ns
-        again = step_ns < 0 and any(abs(step_ns - ns) < BY_HOST_NS for ns in self._steps_ns)
+        again = step_ns < 0 and any(abs(step_ns - ns) < MAX_READING_DELAY_NS for ns in self._steps_ns)
         self._steps_ns.append(step_ns)
         after = [one for one, place in zip(frames, rising.kept, strict=True) if place >= first]
         # a counter's new round is known exactly, and no step of the clock
@@ -341,7 +341,7 @@ class FrameLine:
             self._usual.delay_ns = float(last.host_time_ns - last.device_time_ns)
         elif math.isnan(self._usual.delay_ns):
             self._usual.delay_ns = 0.0
-        frames, shown_ns = [self._usual.carried(one) for one in waited], self._waiting[0].shown_ns
+        frames, shown_ns = [self._usual.time_by_arrival(one) for one in waited], self._waiting[0].shown_ns
         self._waiting.clear()
         u_ns = round(self._usual.scatter_ns)
         said = (
@@ -364,7 +364,7 @@ class FrameLine:
                 alone.append(one)
                 continue
             time_ns = one.frame.device_time_ns - (step_ns if place >= first else 0)
-            frames.append(self._usual.joined(one.frame._replace(device_time_ns=time_ns)))
+            frames.append(self._usual.learn(one.frame._replace(device_time_ns=time_ns)))
         self._waiting.clear()
         self.rejected += len(alone)
         if not alone:

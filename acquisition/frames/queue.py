@@ -24,7 +24,7 @@ MOST_BYTES = 256 * 1024 * 1024
 minute of 800 frames/s with windows of 100 x 100 pixels.
 """
 _LATE = 0.125
-"""Part of the memory from which on it is said."""
+"""Filled part that causes a warning."""
 
 
 class BoundedQueue(Generic[Item]):

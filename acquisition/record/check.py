@@ -19,7 +19,7 @@ from acquisition.record.recover import RECOVERY
 from acquisition.record.topics import SPOT, WINDOW
 from processing.errors import RecordError
 
-Severity = Literal["error", "warning", "note"]
+FindingLevel = Literal["error", "warning", "note"]
 _MOST_SHOWN = 10
 
 
@@ -30,12 +30,12 @@ class Finding(NamedTuple):
     during the run, as the record states. A `note` is for information.
     """
 
-    severity: Severity
+    severity: FindingLevel
     text: str
 
 
 @dataclass
-class _Frames:
+class _FrameTally:
     """Numbers and times of the frames of one topic, accumulated chunk by chunk.
 
     `not_rising` is how often a number was not larger than the one before, `backwards` how often a time was
@@ -52,7 +52,7 @@ class _Frames:
     _last: tuple[int, int] | None = None
 
     def add(self, heads: NDArray[np.void]) -> None:
-        """The frames of the next chunk, at least one."""
+        """Add the frames (at least one) of a chunk."""
         numbers, times_ns = heads["sequence"].astype(np.int64), heads["log_time_ns"]
         last, last_ns = self._last or (int(numbers[0]) - 1, int(times_ns[0]))
         earlier = np.concatenate(([last], numbers[:-1]))
@@ -83,7 +83,7 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         The file is not a record of this program, or `results` cannot be read.
     """
     with RecordReader(path) as reader:
-        frames = {SPOT.topic: _Frames(), WINDOW.topic: _Frames()}
+        frames = {SPOT.topic: _FrameTally(), WINDOW.topic: _FrameTally()}
         findings = [finding for file in reader.files for finding in _check_file(file, frames)]
         findings += [
             _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
@@ -94,13 +94,13 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     return findings
 
 
-def _check_file(file: ReadFile, frames: Mapping[str, _Frames]) -> list[Finding]:
+def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
     """Structure, chunks and attached files of one file; its frames are added to `frames`."""
     contents, name = file.contents, file.path.name
     findings = _errors(*(f"{name}: index: {text}" for text in contents.damage))
     if not contents.whole:
         lost = contents.size - contents.readable_bytes
-        where = f": {lost} bytes after the last complete record at {utc_text(contents.end_ns)}"
+        where = f": {lost} bytes after the last complete entry at {utc_text(contents.end_ns)}"
         if not contents.end_ns:
             where = f" before anything was measured, after {contents.readable_bytes} bytes"
         findings += _errors(f"{name} was cut short{where}; rig record recover makes a complete file of it")
@@ -120,7 +120,7 @@ def _errors(*texts: str) -> list[Finding]:
     return [Finding("error", text) for text in texts]
 
 
-def _check_chunks(file: ReadFile, frames: Mapping[str, _Frames]) -> list[Finding]:
+def _check_chunks(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
     channels = file.contents.channels
     findings: list[Finding] = []
     for place in file.contents.chunks:
@@ -144,7 +144,7 @@ _MISSING = ("lost_chunks", "lost_bytes_at_the_end", "lost_parts")
 
 
 def _check_recovery(recovery: Mapping[str, str]) -> Finding:
-    """What the record lacked from which this one was made: sound bytes may hold what was changed before."""
+    """Report what the damaged record lacked from which this one was recovered."""
     missing = [
         f"{name.replace('_', ' ')}: {recovery[name]}"
         for name in _MISSING
@@ -154,7 +154,7 @@ def _check_recovery(recovery: Mapping[str, str]) -> Finding:
     return Finding("warning" if missing else "note", text)
 
 
-def _check_frames(frames: Mapping[str, _Frames]) -> list[Finding]:
+def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
     findings = _errors(
         *(
             f"{topic}: the time decreases {found.backwards} times, first at "

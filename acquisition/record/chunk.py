@@ -1,4 +1,4 @@
-"""One chunk of an MCAP file: proved by its checksum, and taken apart into messages with numpy."""
+"""One chunk of an MCAP file: checked by its checksum, and split into messages with numpy."""
 
 import struct
 import zlib
@@ -15,10 +15,10 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from numpy.typing import NDArray
 
 HEAD: Final = struct.Struct("<BQ")
-"""Opcode and length of a record's content."""
+"""Opcode, and length of the content."""
 CHUNK_HEAD: Final = struct.Struct("<BQQQQII")
-"""Opcode, length, first and last log time, bytes without compression, their checksum, length of the
-compression's name, which follows, then the bytes' number and the bytes.
+"""Opcode, length, first and last log time, uncompressed size, its CRC-32, length of the compression's
+name; then follow that name, the compressed size and the data.
 """
 _COMPRESSIONS = {0: b"", 4: b"zstd"}
 """Names of the compressions of a chunk by their lengths."""
@@ -48,8 +48,8 @@ class Message(NamedTuple):
 
 
 def chunk_content(data: bytes, length: int) -> tuple[int, int, bytes, int] | None:
-    """Size and checksum of a chunk's content, compression, where it starts; None where none of this length
-    begins here.
+    """Uncompressed size, CRC-32, compression and offset of a chunk's content; None without a chunk of
+    `length` bytes.
     """
     if len(data) < CHUNK_HEAD.size:
         return None
@@ -63,8 +63,8 @@ def chunk_content(data: bytes, length: int) -> tuple[int, int, bytes, int] | Non
     return (size, crc, name, start) if agree else None
 
 
-def proved_content(record: bytes, length: int) -> bytes:
-    """The decompressed messages of a chunk of this length. Raises ChunkDamage."""
+def decompress_chunk(record: bytes, length: int) -> bytes:
+    """The decompressed content of a chunk. Raises ChunkDamage if damaged."""
     if len(record) < length:
         raise ChunkDamage("ends early, or its disk cannot give all of it")
     head = chunk_content(record, length)
@@ -139,7 +139,7 @@ class Damage(NamedTuple):
     start_ns: int
     end_ns: int
     topics: tuple[str, ...]
-    what: str
+    description: str
 
 
 class ChunkPlace(NamedTuple):
@@ -157,24 +157,24 @@ class ChunkPlaces:
 
     def __init__(self) -> None:
         self._numbers = array("Q")
-        self._sets = array("H")
-        self._known: dict[frozenset[int], int] = {}
+        self._set_numbers = array("H")
+        self._number_of_set: dict[frozenset[int], int] = {}
 
     def append(self, place: ChunkPlace) -> None:
         """Add the next chunk."""
         self._numbers.extend(place[:4])
-        self._sets.append(self._known.setdefault(place.channels, len(self._known)))
+        self._set_numbers.append(self._number_of_set.setdefault(place.channels, len(self._number_of_set)))
 
     def __len__(self) -> int:
-        return len(self._sets)
+        return len(self._set_numbers)
 
     def __iter__(self) -> Iterator[ChunkPlace]:
         return self.since(0)
 
     def since(self, first: int) -> Iterator[ChunkPlace]:
         """The chunks from this one on, counted from 0."""
-        channels = list(self._known)
-        rows = zip(*[iter(self._numbers[4 * first :])] * 4, self._sets[first:], strict=True)
+        channels = list(self._number_of_set)
+        rows = zip(*[iter(self._numbers[4 * first :])] * 4, self._set_numbers[first:], strict=True)
         for offset, length, start_ns, end_ns, known in rows:
             yield ChunkPlace(offset, length, start_ns, end_ns, channels[known])
 
@@ -186,8 +186,8 @@ class Contents:
     `whole` is False for a file without an ending; `readable_bytes` is the end of its last complete record.
     `indexed` is True if the chunks come from a summary with a correct checksum, so that their channels are
     reliable. `counts` are the numbers of messages by channel. `attachments` are the sizes of attached files,
-    `attachment_places` where their copies are. `damage` describes parts of the structure that could not be
-    read.
+    `attachment_places` the offsets of their copies. `damage` describes unreadable parts of the structure.
+    `size` is in bytes, `data_end` the end of the data section, `data_crc` its CRC-32.
     """
 
     size: int = 0

@@ -1,4 +1,4 @@
-"""What a record is called by: its SHA-256, its camera, its dates, its lock."""
+"""Identity of a record: its SHA-256, camera and dates; and its lock."""
 
 import datetime
 import functools
@@ -19,31 +19,31 @@ _BLOCK_BYTES = 1024 * 1024
 
 
 @functools.lru_cache(maxsize=256)
-def _known(path: Path, identity: tuple[int, ...]) -> str:
+def _cached_by_identity(path: Path, identity: tuple[int, ...]) -> str:
     return sha256_of(path)
 
 
-def known_sha256_of(path: Path) -> str:
-    """The same; of a file that this process has read and that is still the same one, without reading."""
+def cached_sha256(path: Path) -> str:
+    """`sha256_of`, remembered as long as device, inode, size and time of the file stay the same."""
     try:
         found = path.stat()
     except (OSError, ValueError):
         return sha256_of(path)
-    return _known(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
+    return _cached_by_identity(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
 
 
-def known_sha256_of_any(path: Path) -> str:
-    """The same; of a folder that of the names and hashes of its files, in order. Raises RecordError."""
+def cached_sha256_of_path(path: Path) -> str:
+    """SHA-256 of a file, or of a folder's sorted file names and hashes. Raises RecordError."""
     if not path.is_dir():
-        return known_sha256_of(path)
-    lines = [f"{known_sha256_of(each)}  {each.name}\n" for each in sorted(path.iterdir()) if each.is_file()]
+        return cached_sha256(path)
+    lines = [f"{cached_sha256(each)}  {each.name}\n" for each in sorted(path.iterdir()) if each.is_file()]
     return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 def sha256_of(path: Path) -> str:
     """Hexadecimal SHA-256 of a file, read in pieces.
 
-    Raises RecordError where any part cannot be read: the hash of anything else would be another file's name.
+    Raises RecordError where any part cannot be read: the hash of a part would identify another file.
     """
     digest = hashlib.sha256()
     try:
@@ -66,22 +66,22 @@ _SIMULATED = "simulated"
 
 
 def camera_metadata(info: CameraInfo) -> dict[str, dict[str, str]]:
-    """The section of the metadata that says what was measured with."""
+    """The section of the metadata that describes the camera."""
     names = ("driver", "vendor", "model", "serial", "width_px", "height_px", "full_scale_dn", "has_clock")
     return {_SECTION: {name: str(getattr(info, name)) for name in (*names, "shutter")}}
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedCamera:
-    """What a record says of its camera; `has_clock` is None where it does not."""
+    """The camera as a record states it; `has_clock` None: not stated."""
 
     simulated: bool
     has_clock: bool | None
     shutter: ShutterKind
 
     @classmethod
-    def of(cls, metadata: Mapping[str, Mapping[str, str]]) -> Self:
-        """From the metadata of a record of any version or program."""
+    def from_metadata(cls, metadata: Mapping[str, Mapping[str, str]]) -> Self:
+        """Read it from the metadata of any record."""
         camera = metadata.get(_SECTION, {})
         return cls(
             camera.get("driver") == _SIMULATED,
@@ -96,7 +96,7 @@ def utc(time_ns: int) -> datetime.datetime:
 
 
 def utc_text(time_ns: int) -> str:
-    """The same to the millisecond, for a person; a damaged time that is no date as the number it is."""
+    """UTC date and time to the millisecond, as text; an impossible (damaged) time as `N ns`."""
     try:
         moment = utc(time_ns)
     except (ValueError, OverflowError, OSError):
@@ -111,15 +111,15 @@ except ImportError:
     # Windows has no such locks
     fcntl = None
 
-_STILL_S = 30.0
-"""Without locks, a file that has not changed for so long is written by nobody."""
+_UNCHANGED_S = 30.0
+"""Without locks, a file unchanged for so long counts as closed."""
 
 
-def lock_for_writing(number: int) -> None:
-    """Hold the lock of an open file, as long as it is open; nothing where the system or its disk has none."""
+def lock_for_writing(descriptor: int) -> None:
+    """Lock an open file (its descriptor) until it is closed; does nothing where there are no locks."""
     if fcntl is not None:
         try:
-            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             return
 
@@ -140,4 +140,4 @@ def is_being_written(path: Path) -> bool:
         pass
     finally:
         os.close(number)
-    return time.time() - path.stat().st_mtime < _STILL_S
+    return time.time() - path.stat().st_mtime < _UNCHANGED_S

@@ -24,7 +24,7 @@ class EventKind(StrEnum):
     """The first frame of the record."""
     STOP = "stop"
     """The last frame, with the reason of the end."""
-    STOPPED = "stopped"
+    ENDED_EARLY = "stopped"
     """A person ended the run before its end, or the program had to end, with the reason; `STOP` follows."""
     FAILED = "failed"
     """An error ended the run before its end, with the reason; `STOP` follows."""
@@ -48,43 +48,43 @@ class EventKind(StrEnum):
     SLOW_DISK = "slow disk"
     """A write took seconds; frames waited in memory, and those that could not are counted as lost."""
     BACKLOG = "backlog"
-    """Frames wait in memory for the processor, which is late, and have been caught up with."""
+    """Many frames wait in memory to be processed, or no longer do."""
     STANDSTILL = "standstill"
     """All of the program stood still: it was stopped, or its computer had no time for it."""
     REST = "rest"
     WARM_UP = "warm-up"
     PREFLIGHT = "preflight"
     RELEASE = "release"
-    """Phases before the record: reached, or stopped."""
+    """`REST` to `RELEASE`: phases, begun or stopped."""
     MAGNET = "magnet"
     STARTER = "starter"
     BRAKE = "brake"
     CONTROLLER = "controller"
     LASER = "laser"
     SENSOR = "sensor"
-    """Messages of the device."""
+    """`MAGNET` to `SENSOR`: messages of that device."""
     TRIP = "trip"
     """The light was switched off by a trip, which stays until a person acknowledges it."""
     LASER_DARK = "laser dark"
     """It went dark during the run, with the reason."""
     LASER_UNKNOWN = "laser unknown"
-    """Nothing confirms any more during the run that it is lit, nor that it is dark; with what is known."""
+    """During the run nothing confirms any more whether the laser is lit; with what is known."""
     LASER_LIT = "laser lit"
     """It is lit after `LASER_DARK` or `LASER_UNKNOWN`."""
     BEAM = "beam"
     """The model of the beam was chosen, or is chosen again."""
     REST_STEP = "rest step"
-    """The rest position has moved at once, and stays where it is."""
+    """The rest position has jumped, to a new constant place."""
     LIGHT_STEP = "light step"
-    """The same of the background: a lamp was switched."""
+    """The background has jumped: a lamp was switched."""
     PUSH = "push"
     """The swing was pushed within a half-cycle: a draught, a knock."""
     WAITED = "waited"
     """What the run has waited for before it began, and how long."""
-    POSTERIOR = "posterior"
+    LIVE_FIT = "posterior"
     """Parameters are no longer fitted while the run is measured."""
     CAMERA_CLOCK = "camera clock"
-    """Its clock has stepped, or frames had wrong times; what was done with them."""
+    """The clock stepped or frame times were wrong; with what was done."""
     WATCHER_FAILED = "watcher failed"
     """What only watches the run (display, view, live fit, balance) has failed; the record is whole."""
     ADVICE = "advice"
@@ -92,12 +92,12 @@ class EventKind(StrEnum):
     NOTE = "note"
     """What an operator has noted, for displays; the record has it as `/note`."""
     CLOCK_STEP = "clock step"
-    """The computer's clock of the day was set: UTC of the record is that of its beginning."""
+    """The computer's date or time was set; the record keeps its first offset to UTC."""
 
 
 WARNING_KINDS: Final = frozenset(
     {
-        EventKind.STOPPED,
+        EventKind.ENDED_EARLY,
         EventKind.FAILED,
         EventKind.GAP,
         EventKind.SPOT_LOST,
@@ -138,7 +138,7 @@ class Event(NamedTuple):
 
     @property
     def level(self) -> Severity:
-        """How much it matters, which its kind says."""
+        """Severity, which the kind decides."""
         return level_of(self.kind)
 
     @property
@@ -148,14 +148,14 @@ class Event(NamedTuple):
 
 
 _ENDS: Final = (EventKind.STOP, EventKind.REJECTED)
-CUT_SHORT: Final = (EventKind.STOPPED, EventKind.FAILED)
-"""Kinds of ends that are none."""
+EARLY_ENDS: Final = (EventKind.ENDED_EARLY, EventKind.FAILED)
+"""Kinds of early ends of runs."""
 
 
 def end_of(events: Sequence[Event]) -> Event | None:
-    """The end of a run: STOP where it came to its end, REJECTED, STOPPED or FAILED; None without any."""
+    """The end event of a run, of kind STOP (regular), REJECTED, ENDED_EARLY or FAILED; None if missing."""
     place = max((place for place, event in enumerate(events) if event.kind in _ENDS), default=None)
     if place is None:
         return None
     end, before = events[place], events[place - 1] if place else None
-    return end if before is None or before.kind not in CUT_SHORT else end._replace(kind=before.kind)
+    return end if before is None or before.kind not in EARLY_ENDS else end._replace(kind=before.kind)

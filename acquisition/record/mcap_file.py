@@ -24,7 +24,7 @@ from processing.errors import RecordError
 _CHUNK_BYTES = 1024 * 1024
 _FULL_DISK = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 _INDEX_BYTES = 512
-"""At least what a chunk takes in the file's ending: one entry of about 100 bytes and 10 for each topic."""
+"""Upper limit of a chunk's entry in the file's ending, about 100 bytes and 10 for each topic."""
 _RESERVE_STEP_BYTES = 1024 * 1024
 _SPARE_BYTES = 64 * 1024
 
@@ -47,14 +47,14 @@ class Reserve:
             raise
 
     def hold(self, size: int) -> None:
-        """Make it at least so large."""
+        """Enlarge to `size` bytes."""
         while not self._file.closed and self.size < size:
             written = self._file.write(self._random.randbytes(min(_RESERVE_STEP_BYTES, size - self.size)))
             self.size += written or 0
             os.fsync(self._file.fileno())
 
     def release(self) -> bool:
-        """Give the room back; False where that was done before."""
+        """Free the space; False if that was done before."""
         if self._file.closed:
             return False
         try:
@@ -79,7 +79,7 @@ class _Disk:
         self._path = path
         self._reserve_bytes = reserve_bytes
         self._reserve_lock = threading.Lock()
-        self._forcing: threading.Thread | None = None
+        self._force_thread: threading.Thread | None = None
         self._failure: OSError | None = None
         # also readable, so that a record whose name was removed can be copied
         self._file = path.open("x+b", buffering=0)
@@ -137,15 +137,15 @@ class _Disk:
             _sync_file(self._file.fileno())
 
     def begin_force(self) -> None:
-        """The same in a thread, so that nobody waits; one that is still under way is not asked again."""
-        if self._forcing is None or not self._forcing.is_alive():
-            self._forcing = threading.Thread(target=self._force_aside, name="record sync", daemon=True)
-            self._forcing.start()
+        """Call `force` in a thread, so that no caller waits; nothing while one still runs."""
+        if self._force_thread is None or not self._force_thread.is_alive():
+            self._force_thread = threading.Thread(target=self._run_force, name="record sync", daemon=True)
+            self._force_thread.start()
 
     def wait_for_force(self) -> None:
         """Wait for the thread. Raises its error, once."""
-        if self._forcing is not None:
-            self._forcing.join()
+        if self._force_thread is not None:
+            self._force_thread.join()
         self.raise_failure()
 
     def raise_failure(self) -> None:
@@ -155,14 +155,14 @@ class _Disk:
             self._failure = None
             raise failure
 
-    def _force_aside(self) -> None:
+    def _run_force(self) -> None:
         try:
             self.force()
         except OSError as error:
             self._failure = self._failure or error
 
     def last_force(self) -> None:
-        """Flush the finished file, and save what was removed meanwhile under its name."""
+        """Flush the finished file; if its name was removed, copy it to its name."""
         _sync_file(self._file.fileno())
         if not self._has_its_name():
             self._copy_to_its_name()
@@ -339,11 +339,11 @@ class McapFile:
         self._disk.close()
 
 
-def _sync_file(number: int) -> None:
+def _sync_file(descriptor: int) -> None:
     """Flush to the disk; on macOS fsync alone leaves data in the drive's cache."""
     if sys.platform == "darwin":
         import fcntl
 
-        fcntl.fcntl(number, fcntl.F_FULLFSYNC)
+        fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
     else:
-        os.fsync(number)
+        os.fsync(descriptor)

@@ -33,7 +33,7 @@ from acquisition.record.chunk import (
     Contents,
     Damage,
     chunk_content,
-    proved_content,
+    decompress_chunk,
 )
 from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
@@ -110,7 +110,7 @@ class ReadFile:
 
     def open_chunk(self, place: ChunkPlace) -> bytes:
         """The decompressed messages of a chunk. Raises ChunkDamage."""
-        return proved_content(_read_at(self.file, place.offset, place.length), place.length)
+        return decompress_chunk(_read_at(self.file, place.offset, place.length), place.length)
 
     def attached(self, name: str) -> bytes | None:
         """The first intact copy of an attached file; None without any."""
@@ -169,7 +169,7 @@ class ReadFile:
         if offset not in self._damaged:
             self._damaged.add(offset)
             self.damages.append(damage)
-            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, damage.what)
+            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, damage.description)
 
     def data_crc_matches(self) -> bool:
         """Whether the data section is as it was written; True for a file that was cut before its checksum."""

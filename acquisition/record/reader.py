@@ -177,7 +177,7 @@ class RecordReader:
         each.
         """
         lines = [self.cut_notice] if self.truncated else []
-        lines += [f"damaged, not used: {damage.what}" for damage in self.damages]
+        lines += [f"damaged, not used: {damage.description}" for damage in self.damages]
         damage = [text for file in self.files for text in file.contents.damage]
         return lines + [f"the record's structure: {text}" for text in damage]
 

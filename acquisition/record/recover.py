@@ -28,7 +28,7 @@ class Recovery:
 
     `messages` are the numbers of recovered messages by topic, `start_ns` and `end_ns` (UTC) the times of the
     first and the last. `lost` are damaged chunks and attachments, `damage` describes other parts that were
-    not as written, `lost_bytes` is the number of bytes after the last complete record.
+    not as written, `lost_bytes` is the number of bytes after the last complete entry.
     """
 
     source: Path
@@ -45,7 +45,7 @@ def recover(source: Path, path: Path) -> Recovery:
     """Copy every intact message of a record, its metadata and attachments into new files.
 
     The source is not changed. The metadata `RECOVERY` of the new record state its source and what is missing;
-    those of an earlier recovery stay. The new files appear when they have been read again and proved.
+    those of an earlier recovery stay. The new files appear after they were read back and checked.
 
     Raises
     ------
@@ -62,16 +62,16 @@ def recover(source: Path, path: Path) -> Recovery:
             topics = (number_topics(reader.deflection_unit), PIXEL_TOPICS)
             for file, name, of_file in zip(reader.files, names, topics, strict=False):
                 copy = McapFile(name, schemas(of_file), _RESERVE_BYTES)
-                # before it is removed, for which it must be closed on Windows
+                # Windows removes only closed files
                 stack.callback(copy.abandon)
-                counts += _copied(file, copy)
+                counts += _copy_messages(file, copy)
                 copies.append(copy)
-            found = _described(reader, copies, path, counts)
+            found = _copy_metadata(reader, copies, path, counts)
             for copy in copies:
                 copy.finish()
                 if copy.full is not None:
                     raise copy.full
-            _prove(names, counts, path, source)
+            _verify(names, counts, path, source)
     except FileExistsError as error:
         raise RecordError(
             f"{error.filename}: exists already and is never overwritten; choose another name"
@@ -82,8 +82,8 @@ def recover(source: Path, path: Path) -> Recovery:
     return found
 
 
-def _copied(file: ReadFile, copy: McapFile) -> Counter[str]:
-    """Copy every intact message of a file; how many, by topic."""
+def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
+    """Copy all intact messages; their numbers by topic."""
     counts: Counter[str] = Counter()
     topics = file.contents.channels
     for place in file.contents.chunks:
@@ -100,10 +100,10 @@ def _copied(file: ReadFile, copy: McapFile) -> Counter[str]:
     return counts
 
 
-def _described(
+def _copy_metadata(
     reader: RecordReader, copies: Sequence[McapFile], path: Path, counts: Mapping[str, int]
 ) -> Recovery:
-    """Attach to the copies what the files had, and what was lost."""
+    """Copy attachments and metadata; returns the Recovery."""
     contents = reader.contents
     for name, data in reader.attachments.items():
         copies[0].add_attachment(name, "application/octet-stream", data, contents.start_ns)
@@ -111,7 +111,7 @@ def _described(
         file.contents.size - file.contents.readable_bytes for file in reader.files if not file.contents.whole
     )
     damage = tuple(text for file in reader.files for text in file.contents.damage)
-    lost_parts = [lost.what for lost in reader.damages if not lost.start_ns]
+    lost_parts = [lost.description for lost in reader.damages if not lost.start_ns]
     recovery = {
         "source": reader.path.name,
         "source_sha256": _sha256_if_readable(reader.path),
@@ -138,7 +138,7 @@ def _described(
     )
 
 
-def _prove(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:
+def _verify(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:
     """Read the copies again. Raises RecordError where they do not hold what was written."""
     found: Counter[str] = Counter()
     for name in names:
@@ -155,7 +155,7 @@ def _prove(names: Sequence[Path], counts: Mapping[str, int], path: Path, source:
 
 
 def _sha256_if_readable(path: Path) -> str:
-    """By which the source is known; nothing where its disk cannot give all of it."""
+    """SHA-256 of the source; empty if the disk cannot read all of it."""
     try:
         return sha256_of(path)
     except RecordError:

@@ -78,18 +78,18 @@ _MEANINGS = {
 
 
 def descriptor_of(
-    full_name: str, fields: Iterable[tuple[str, Kind]], about: str, meanings: Iterable[Meanings]
+    full_name: str, fields: Iterable[tuple[str, Kind]], description: str, meanings: Iterable[Meanings]
 ) -> bytes:
     """Serialised FileDescriptorSet, as it is stored in MCAP files.
 
-    `about` says what a message is. `meanings` become enumerations inside the message: a field keeps its 64
-    bits, since several flags may be set at once.
+    `description` says what a message is. `meanings` become enumerations inside the message: a field keeps its
+    64 bits, since several flags may be set at once.
     """
     package, _, name = full_name.rpartition(".")
     files = descriptor_pb2.FileDescriptorSet()
     file = files.file.add(name=f"{package}/{name}.proto", package=package, syntax="proto3")
     message = file.message_type.add(name=name)
-    _comment(file, about)
+    _comment(file, description)
     for place, (field, kind) in enumerate(fields):
         message.field.add(
             name=field,
@@ -136,14 +136,14 @@ _WIRE_FIXED64, _WIRE_LENGTH = 1, 2
 class MessageType:
     """A protobuf message: the numbers first, then texts or bytes (`tail`); field numbers count from 1.
 
-    `about` and `meanings` go into the description that is stored in a file.
+    `description` and `meanings` go into the description that is stored in a file.
     """
 
     full_name: str
     topic: str
     numbers: tuple[tuple[str, Kind], ...]
     tail: tuple[tuple[str, Kind], ...] = ()
-    about: str = dataclasses.field(default="", compare=False)
+    description: str = dataclasses.field(default="", compare=False)
     meanings: tuple[Meanings, ...] = dataclasses.field(default=(), compare=False)
 
     @property
@@ -154,7 +154,7 @@ class MessageType:
     @cached_property
     def descriptor(self) -> bytes:
         """Serialised FileDescriptorSet, as it is stored in MCAP files."""
-        return descriptor_of(self.full_name, (*self.numbers, *self.tail), self.about, self.meanings)
+        return descriptor_of(self.full_name, (*self.numbers, *self.tail), self.description, self.meanings)
 
     @cached_property
     def table_dtype(self) -> np.dtype[Any]:

@@ -1,4 +1,4 @@
-"""Topics of a record: names, message types, and values that are defined in no other package."""
+"""Topics of a record: their names, message types, and values that only records have."""
 
 import math
 from enum import IntEnum
@@ -56,17 +56,17 @@ class RecordedReference(NamedTuple):
     flags: int
 
     @classmethod
-    def of(cls, sequence: int, time_ns: int, spot: Spot) -> Self:
-        """The same from a spot as it was found."""
+    def from_spot(cls, sequence: int, time_ns: int, spot: Spot) -> Self:
+        """Record of a fitted reference spot."""
         position = spot.x_px, spot.y_px, spot.u_x_px, spot.u_y_px
         return cls(sequence, time_ns, *position, spot.amplitude_dn, spot.chi2_per_dof, spot.flags)
 
 
 class RecordedWitness(NamedTuple):
-    """A sample of a witness of the ground, in its own unit; NaN for columns that it does not have.
+    """A sample of the auxiliary seismometer, in its own unit; NaN for columns that it lacks.
 
-    `time_ns` is on the frames' clock, by the arrival of the frame before; `own_time_s` is the instrument's
-    own time, NaN without one. The columns' names are those of witness.columns in the configuration.
+    `time_ns` is on the frames' clock, shifted as the newest frame; `own_time_s` is the instrument's own time,
+    NaN without one. The configuration names the columns (witness.columns).
     """
 
     time_ns: int
@@ -78,9 +78,9 @@ class RecordedWitness(NamedTuple):
 
 
 class RecordedNote(NamedTuple):
-    """A line that an operator has noted; `host_time_ns` is when, `time_ns` the same on the frames' clock.
+    """A note of the operator; `host_time_ns` is the host's time, `time_ns` the same on the frames' clock.
 
-    One that was typed before the run began has the time of its first frame.
+    A note typed before the run has the time of the run's first frame.
     """
 
     time_ns: int
@@ -90,7 +90,7 @@ class RecordedNote(NamedTuple):
 
     @property
     def event(self) -> Event:
-        """As displays show it, among the events."""
+        """The note as an event, for displays."""
         return Event(
             self.time_ns, EventKind.NOTE, f"{self.author}: {self.text}" if self.author else self.text
         )
@@ -128,7 +128,7 @@ class RecordedLosses(NamedTuple):
 
 
 class RecordedClockStep(NamedTuple):
-    """A step of the camera's clock, taken off the times from this one on; size 0: its clock was given up."""
+    """A step of the camera's clock, subtracted from `time_ns` on; 0: the clock is no longer used."""
 
     time_ns: int
     step_ns: int
@@ -154,7 +154,7 @@ class RecordedLight(NamedTuple):
 
     `light` is what is known of the laser, `interlock` is closed, open or unknown, `trip` the number of the
     trip that waits for an acknowledgement (0: none), `darkness` why the laser does not emit although it
-    should, `refusal` why no light is allowed. The frames show the spot if `spot_seen` is 1, -1: nobody looks.
+    should, `refusal` why no light is allowed. `spot_seen`: 1 spot in the frames, 0 none, -1 not examined.
     """
 
     time_ns: int
@@ -171,9 +171,9 @@ class RecordedLight(NamedTuple):
 class RecordedHealth(NamedTuple):
     """How the session keeps up: frames that wait, age of the last ones, record and disk, clock, beam.
 
-    Counts are those since the record began. `frame_age_s` is NaN where frames are made on demand,
-    `disk_silent_s` how long a write has hung. `alarm` says what is wrong with light or disk (empty: nothing),
-    `beam` what is fitted to the spot.
+    Counts are those since the record began; `waiting_frames` are in the queue between camera and processing.
+    `frame_age_s` is NaN where frames are made on demand, `disk_silent_s` how long a write has hung. `alarm`
+    says what is wrong with light or disk (empty: nothing), `beam` the model of the beam.
     """
 
     time_ns: int
@@ -193,7 +193,7 @@ class RecordedHealth(NamedTuple):
 
 
 class RecordedEstimate(NamedTuple):
-    """A parameter of the contact as the first `half_cycles` of the run tell it: one row of the live fit.
+    """A parameter of the contact from the first `half_cycles` half-cycles: one row of the live fit.
 
     The rows of one fit have the same `time_ns`. `u_value` is infinite where the data do not determine it;
     `quantity` is the key in results.json, which ends in the unit.
@@ -207,9 +207,9 @@ class RecordedEstimate(NamedTuple):
 
 
 class RecordedFittedPoint(NamedTuple):
-    """A turning point and the full period about it beside the live fit of `time_ns`; NaN without a period.
+    """Fitted amplitude and full period at a turning point, of the live fit of `time_ns`; NaN: no period.
 
-    Residuals are (data - fit) in standard uncertainties of the data. Of many points some hundred are told.
+    Residuals are (data - fit) in standard uncertainties of the data. At most 300 points are recorded.
     """
 
     time_ns: int
@@ -221,7 +221,7 @@ class RecordedFittedPoint(NamedTuple):
 
 
 class RecordedWindow(NamedTuple):
-    """Raw pixels (ny, nx) around the spot; `origin_px` is the position (x, y) of the first on the sensor."""
+    """Raw pixels (ny, nx) around the spot; `origin_px` is the sensor position (x, y) of the first pixel."""
 
     sequence: int
     time_ns: int
@@ -251,10 +251,10 @@ def _message(
     topic: str,
     *numbers: tuple[str, Kind],
     tail: tuple[tuple[str, Kind], ...] = (),
-    about: str = "",
+    description: str = "",
     meanings: tuple[Meanings, ...] = (),
 ) -> MessageType:
-    return MessageType(f"{PACKAGE}.{name}", topic, numbers, tail, about, meanings)
+    return MessageType(f"{PACKAGE}.{name}", topic, numbers, tail, description, meanings)
 
 
 _FRAME = _ints("sequence", "time_ns", "device_time_ns", "host_time_ns")
@@ -277,11 +277,11 @@ def _balance(unit: DeflectionUnit) -> tuple[tuple[str, Kind], ...]:
     return *_ints(time_ns), *_doubles(*numbers)
 
 
-_ABOUT_SPOT = (
+_SPOT_DESCRIPTION = (
     "One camera frame: its number and times, the laser spot on the sensor, the deflection of the pendulum. "
     "Every u_NAME is the standard uncertainty (one sigma) of NAME. NaN where the spot was lost."
 )
-_ABOUT_SWING = (
+_SWING_DESCRIPTION = (
     "One half-cycle as detected during the measurement: its turning point. Every u_NAME is the standard "
     "uncertainty (one sigma) of NAME. Half-cycles with flags are not fitted."
 )
@@ -300,7 +300,7 @@ SPOT, SPOT_UNCALIBRATED = (
         *_FRAME,
         *_SPOT,
         *_doubles(*DEFLECTION_FIELDS[unit], *(() if prefix else ("x_arcsec", "y_arcsec"))),
-        about=_ABOUT_SPOT,
+        description=_SPOT_DESCRIPTION,
         meanings=(SpotFlag,),
     )
     for unit, prefix in _UNITS
@@ -312,7 +312,7 @@ SWING, SWING_UNCALIBRATED = (
         "/swing",
         *_turning_point(unit),
         *_doubles(*(() if prefix else ("amplitude_arcsec",)), "period_s"),
-        about=_ABOUT_SWING,
+        description=_SWING_DESCRIPTION,
         meanings=(HalfCycleFlag, TurningSide),
     )
     for unit, prefix in _UNITS
@@ -321,7 +321,7 @@ SWING, SWING_UNCALIBRATED = (
 BALANCE, BALANCE_UNCALIBRATED = (
     _message(f"{prefix}Balance", "/balance", *_balance(unit)) for unit, prefix in _UNITS
 )
-"""One state of the balance; in px, except the angle of the line, without a lever."""
+"""One state of the balance; without a lever in px, except the line's angle."""
 _PIXELS = (
     *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),

@@ -178,7 +178,7 @@ class RecordWriter:
         for sequence, time_ns, spot in zip(
             sequences, deflections.times_ns.tolist(), references, strict=bool(references)
         ):
-            self.write(RecordedReference.of(sequence, time_ns, spot))
+            self.write(RecordedReference.from_spot(sequence, time_ns, spot))
         self.flush_if_due()
 
     def write_window(

@@ -51,7 +51,7 @@ class Pointing:
         self._truth = settings.disturbances
         self._noise = noise
         self._period_s = frame_period_s
-        self._walked = np.zeros(2)
+        self._walk_px = np.zeros(2)
         self._air_px = air_px(settings, run) if self._truth.air_arcsec > 0 else ()
         self._common = settings.reference.air_common
         self._own_air_px = air_px(settings, run, _OWN_AIR) if self._air_px and self._common < 1 else ()
@@ -72,9 +72,9 @@ class Pointing:
         if truth.pointing_walk_px_per_sqrt_s > 0:
             step_px = truth.pointing_walk_px_per_sqrt_s * math.sqrt(self._period_s)
             # the sum continues from the last position, so that it does not depend on the length of the blocks
-            steps = np.vstack([self._walked, step_px * self._noise.normals(WALK, first, count, 2)])
+            steps = np.vstack([self._walk_px, step_px * self._noise.normals(WALK, first, count, 2)])
             path = np.cumsum(steps, axis=0)[1:]
-            self._walked = path[-1]
+            self._walk_px = path[-1]
             offset += path
         times_s = np.arange(first, first + count, dtype=np.float64) * self._period_s
         if truth.air_arcsec > 0:
@@ -89,7 +89,7 @@ class Pointing:
         return offset
 
     def _camera_px(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How far every spot moves, because the camera does."""
+        """Motion of all spots with the camera, (n, 2), px."""
         truth = self._truth
         creep = np.array([truth.camera_creep_x_px_per_min, truth.camera_creep_y_px_per_min])
         moved = times_s[:, None] * (creep / 60.0)
@@ -99,10 +99,10 @@ class Pointing:
         return np.asarray(moved)
 
     def reference_px(self, first: int, count: int) -> NDArray[np.float64]:
-        """The same of the beam to a reference spot, for the frames that were asked for last.
+        """Offset of the reference spot times the gain, (count, 2), px, for frames of the last `offset_px`.
 
-        As the pendulum's arm shows it. Its way through the air is another one, which has part of the air in
-        common; the camera moves it as far as the pendulum's spot, whatever the arms.
+        Its beam passes other air, correlated with the pendulum's by `air_common`; the camera moves both
+        spots equally.
         """
         seen = self._offset + (self._gain - 1) * self._camera
         if not self._own_air_px:
@@ -116,7 +116,7 @@ class Pointing:
 def air_px(
     settings: SimulationSettings, run: int, keys: tuple[int, int] = _AIR
 ) -> tuple[SmoothSeries, SmoothSeries]:
-    """What air in the beam does to the spot, x and y in px: a function of time, whatever the frame rate."""
+    """Motion of the spot by air in the beam, x and y in px over time, for any frame rate."""
     truth = settings.disturbances
     rms_px = truth.air_arcsec * ARCSEC_RAD * 2 * settings.optics.arm_m / settings.sensor.pixel_pitch_m
     span = math.log(truth.air_to_hz / truth.air_from_hz)

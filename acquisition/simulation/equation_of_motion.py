@@ -198,7 +198,7 @@ def direction_from_rest(angle: float, ground_rad: float, mode: ModeConstants) ->
 
 @kernel
 def direction_at(time_s: float, angle: float, pieces: Pieces, mode: ModeConstants) -> float:
-    """Which way the pendulum leaves a standstill at a time; 0 where friction holds it."""
+    """Direction (+1, -1) in which it starts at a time; 0: friction holds it."""
     return direction_from_rest(angle, value_after(stretch_at(pieces, time_s)[0], 0.0), mode)
 
 
@@ -206,9 +206,9 @@ def direction_at(time_s: float, angle: float, pieces: Pieces, mode: ModeConstant
 def _breaks_away(
     angle: float, longest_s: float, stretch: Stretch, mode: ModeConstants
 ) -> tuple[float, float]:
-    """How long friction still holds a pendulum that the ground shakes, and which way it leaves then (or 0).
+    """Time in s that friction still holds a pendulum on shaking ground, and direction of its start (or 0).
 
-    Looked at eight times between two knots, of which there are four in the shortest period of the band.
+    It is tested 8 times between two knots, of which there are four in the shortest period of the band.
     """
     for part in range(1, 9):
         low = longest_s * (part - 1) / 8

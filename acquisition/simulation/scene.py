@@ -50,7 +50,7 @@ class PlannedFrames(NamedTuple):
     beam_px: NDArray[np.float64]
 
 
-class Readings(NamedTuple):
+class SensorSettings(NamedTuple):
     """Settings of the camera, by its names: region, bit depth, exposure, gain, frame rate.
 
     Motion during an exposure is neglected. With `binning`, place and size of the region are in pixels of the
@@ -79,7 +79,7 @@ class Scene:
         self,
         settings: SimulationSettings,
         faults: FaultSettings,
-        readings: Readings,
+        readings: SensorSettings,
         run: int,
         inputs: RigInputs | None = None,
     ) -> None:
@@ -88,7 +88,7 @@ class Scene:
         area = readings.binning**2
         self._settings = settings
         self._faults = faults
-        self._readings = readings
+        self._sensor_settings = readings
         self._run = run
         self._fast, self._slow = motions(settings, run)
         add_draught(faults, self._fast, self._slow)
@@ -132,9 +132,9 @@ class Scene:
         first = self._next
         if self._inputs is not None:
             for state in self._inputs.take():
-                self._command(state, first / self._readings.frame_rate_hz)
+                self._command(state, first / self._sensor_settings.frame_rate_hz)
         self._next += count
-        period_s = 1 / self._readings.frame_rate_hz
+        period_s = 1 / self._sensor_settings.frame_rate_hz
         times_s = np.arange(first, first + count, dtype=np.float64) * period_s
         pulsed = self._commanded.pulse_us > 0
         offset_px = self._pointing.offset_px(first, count)
@@ -185,11 +185,11 @@ class Scene:
         state = self._commanded
         if not state.pulse_us:
             return 0.0
-        return 1e-6 * (state.pulse_delay_us + 0.5 * (state.pulse_us - self._readings.exposure_us))
+        return 1e-6 * (state.pulse_delay_us + 0.5 * (state.pulse_us - self._sensor_settings.exposure_us))
 
     def _seen_of_pulse(self, y_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Light that the row under the spot collects from a pulse, relative to that without pulses."""
-        state, exposure_us = self._commanded, self._readings.exposure_us
+        state, exposure_us = self._commanded, self._sensor_settings.exposure_us
         opens_us = np.zeros_like(y_px) if self._rolling is None else 1e6 * self._rolling.row_begins_s(y_px)
         ends_us = np.minimum(state.pulse_delay_us + state.pulse_us, opens_us + exposure_us)
         seen_us = ends_us - np.maximum(state.pulse_delay_us, opens_us)
@@ -233,7 +233,7 @@ class Scene:
 
         `slope` and `beam_px` (n, 2) are those of `PlannedFrames`; None: 0.
         """
-        readings = self._readings
+        readings = self._sensor_settings
         optics = self._settings.optics
         peak_e = self._peak_e * power
         binning = readings.binning

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from acquisition.record import pixels_beside
-from acquisition.record.digest import known_sha256_of_any
+from acquisition.record.digest import cached_sha256_of_path
 from calibration import Axes
 from processing.ambient import AmbientConditions
 from processing.decay_summary import mean_period
@@ -209,7 +209,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, 
 def _sha256_if_readable(path: Path) -> str:
     """By which results know their record; empty where its disk cannot give all of it."""
     try:
-        return known_sha256_of_any(path)
+        return cached_sha256_of_path(path)
     except RecordError:
         return ""
 

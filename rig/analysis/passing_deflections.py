@@ -14,11 +14,11 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.reference_gain import gain_in_swings
 from processing.reference_spot import (
-    LessReference,
+    CorrectedPositions,
     ReferenceVerdict,
     common_motion,
-    less_reference,
-    refused,
+    subtract_common_motion,
+    uncorrected,
 )
 from processing.spot import SPOT_DTYPE, FixedLight, Spot, SpotFlag, SpotTracker, fixed_light
 from rig.instrument import NO_STRAY_LIGHT, optics_of, sensor_model
@@ -153,7 +153,7 @@ class WithoutBeamMotion:
         )
         # nobody says when the pendulum rests: what is stated of the arms is believed
         quiet = np.zeros(len(spots), dtype=np.bool_)
-        self.found: dict[str, LessReference] = {}
+        self.found: dict[str, CorrectedPositions] = {}
         moved = spots[list(_FIELDS)].copy()
         for name in ("x_px", "y_px"):
             place, u = np.full(len(spots), np.nan), np.full(len(spots), np.nan)
@@ -163,9 +163,9 @@ class WithoutBeamMotion:
             stated = self._stated or _fitted(spots["time_ns"], ours_px, u_ours_px, place, u)
             if stated is None or not stated.value > _SEEN * stated.standard_uncertainty:
                 unknown = stated or Estimate(np.nan, np.inf)
-                less = refused(ours_px, u_ours_px, unknown, ReferenceVerdict.UNKNOWN_GAIN)
+                less = uncorrected(ours_px, u_ours_px, unknown, ReferenceVerdict.UNKNOWN_GAIN)
             else:
-                less = less_reference(ours_px, u_ours_px, common, stated, quiet)
+                less = subtract_common_motion(ours_px, u_ours_px, common, stated, quiet)
             self.found[name] = less
             moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
         self.change = change_of_places(config, spots, moved)
@@ -183,7 +183,7 @@ class WithoutBeamMotion:
         fallen = f"; {lost} frames without it are unchanged" if lost else ""
         return f"reference spot: {said}{fallen}"
 
-    def _gain(self, one: LessReference) -> str:
+    def _gain(self, one: CorrectedPositions) -> str:
         if self._stated is not None or not np.isfinite(one.gain.value):
             return ""
         return f" with a gain of {with_uncertainty(*one.gain)} from the run itself"

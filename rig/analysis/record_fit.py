@@ -54,7 +54,7 @@ def analyse_record(
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
         if not air_known:
-            config = config.model_copy(update={"fit": config.fit.opened})
+            config = config.model_copy(update={"fit": config.fit.with_free_drag})
         watched = KeyUseMonitor(config, overrides, "rig replay takes the recorded motion again")
         # what this reads, the recorded deflections were made with
         optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
@@ -142,7 +142,7 @@ def analyse_run(
         run,
         frames=frames,
         dropped_frames=dropped_frames,
-        simulated=RecordedCamera.of(reader.metadata).simulated,
+        simulated=RecordedCamera.from_metadata(reader.metadata).simulated,
         losses=reader.losses(),
         beam=judged,
         warnings=tuple(warnings),

@@ -170,7 +170,7 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
     synchronised = len(anchors) > 0 and bool(np.all(anchors["synchronised"]))
     u_host = U_SYNCHRONISED if synchronised else U_FREE_RUNNING
     blocks = [block[list(_FIELDS)] for block in reader.spot_blocks(fields=_FIELDS)]
-    if RecordedCamera.of(reader.metadata).has_clock is False or not blocks:
+    if RecordedCamera.from_metadata(reader.metadata).has_clock is False or not blocks:
         return RunClock(drift_ppm=math.nan, u_drift_ppm=math.nan, u_rate=u_host, synchronised=synchronised)
     table = np.concatenate(blocks)
     sequence, device_ns, host_ns = (table[name].astype(np.int64) for name in _FIELDS)
@@ -279,7 +279,7 @@ def _end(end: Event | None) -> Verdict:
         remedy = "remove the cause, then measure again: rig run --resume"
         measured = "none" if end is None else end.text
         return Verdict("end", False, reason, remedy, measured=measured, limit="its own")
-    early = "ended early" if end.kind == EventKind.STOPPED else ""
+    early = "ended early" if end.kind == EventKind.ENDED_EARLY else ""
     return Verdict("end", True, early, measured=end.text, limit="its own")
 
 

@@ -35,7 +35,7 @@ def has_apparatus(item: Budget | None) -> bool:
 
 
 def dominant_text(item: Budget) -> str:
-    """`E of the flat 71 %, swings (fit) 26 %`: what makes most of the variance, largest first."""
+    """`E of the flat 71 %, half-cycles 26 %`: what makes most of the variance, largest first."""
     lines = sorted(item.sources, key=lambda line: -line.share)
     named = [line for line in lines if line.share >= _LARGE] or lines[:1]
     return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)

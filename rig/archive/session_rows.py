@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from acquisition.record import records_of, recovered_beside
-from acquisition.record.digest import known_sha256_of_any, sha256_of, utc
-from acquisition.record.events import CUT_SHORT, end_of
+from acquisition.record.digest import cached_sha256_of_path, sha256_of, utc
+from acquisition.record.events import EARLY_ENDS, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW
 from processing.errors import RecordError
@@ -148,7 +148,7 @@ def _table_row(folder: Path, decay: RunResults, number: int) -> Row:
     row |= decay.surroundings.known() if decay.surroundings is not None else {}
     if not path.exists():
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
-    elif known_sha256_of_any(path) != decay.sha256:
+    elif cached_sha256_of_path(path) != decay.sha256:
         row |= {"state": "damaged", "flaw": "the table has changed since the results were made"}
     return row | row_of_results(decay)
 
@@ -169,7 +169,7 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
                 )
             elif not reader.sound:
                 row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
-            elif (end := end_of(reader.events())) is None or end.kind in CUT_SHORT:
+            elif (end := end_of(reader.events())) is None or end.kind in EARLY_ENDS:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"
                 row |= {"state": "cut short", "flaw": flaw}
             if not reader.truncated:

@@ -216,7 +216,7 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
             raise DataError(
                 f"{record}: its frames were made on demand; simulation.real_time = true paces them"
             )
-        if RecordedCamera.of(reader.metadata).has_clock is False:
+        if RecordedCamera.from_metadata(reader.metadata).has_clock is False:
             raise DataError(f"{record}: its camera has no clock of its own to compare")
         table = reader.spots()
         began = reader.utc(int(table["time_ns"][0]) if len(table) else 0)
@@ -302,7 +302,7 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
         config = recorded_configuration(reader)
         stated = reader.metadata.get("camera_settings", {}).get("exposure_us", "")
         rows = frame_shape(reader)[0]
-        is_global = RecordedCamera.of(reader.metadata).shutter is ShutterKind.GLOBAL
+        is_global = RecordedCamera.from_metadata(reader.metadata).shutter is ShutterKind.GLOBAL
     found: ShutterFit | PulsedShutterFit
     if config.laser.pulse_us:
         found, method = (

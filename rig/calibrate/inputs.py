@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, model_validator
 
 from acquisition import atomic_write
-from acquisition.cameras.files.sources import Unreadable, open_source
+from acquisition.cameras.files.sources import UnreadableFrame, open_source
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
 from calibration import CalibrationFile, Kind, LadderSteps, LeverGeometry, Source, write_calibration
@@ -183,7 +183,7 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
     source = open_source(path)
     try:
         stored = [source.read(index) for index in range(min(source.count, _MOST_FRAMES))]
-    except (Unreadable, OSError) as error:
+    except (UnreadableFrame, OSError) as error:
         raise DataError(f"{path}: {error}") from None
     finally:
         source.close()

@@ -188,7 +188,7 @@ def _budget_table(results: CampaignResults) -> Table:
 def source_words(source: str) -> str:
     """A source of a budget, or an effect, in words."""
     if source.startswith("misfit of "):
-        return f"law against decay ({quantity(source.removeprefix('misfit of ')).symbol})"
+        return f"model discrepancy ({quantity(source.removeprefix('misfit of ')).symbol})"
     return {"between runs": "scatter between runs", **SOURCES}.get(source, source)
 
 

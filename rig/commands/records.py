@@ -63,7 +63,7 @@ def _print_info(path: Path) -> None:
         print_line(line)
     print_line(f"schema {int(metadata['record']['schema_version'])}, written by {contents.library}")
     if contents.start_ns:
-        when = " of simulated time" if RecordedCamera.of(metadata).simulated else ""
+        when = " of simulated time" if RecordedCamera.from_metadata(metadata).simulated else ""
         lasted_s = seconds(contents.end_ns - contents.start_ns)
         print_line(f"{utc_text(contents.start_ns)} to {utc_text(contents.end_ns)}, {lasted_s:.1f} s{when}")
     for topic, count in counts.items():
@@ -192,7 +192,7 @@ def recover(
     for damage in recovery.lost:
         topics = ", ".join(damage.topics)
         span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
-        print_line(f"lost: {span}{damage.what}")
+        print_line(f"lost: {span}{damage.description}")
     for text in recovery.damage:
         print_line(f"damaged: {text}")
 

@@ -96,7 +96,7 @@ class LaserService(DeviceThread):
     ) -> "Future[T]":
         return self._queue(lambda: self._guarded(call), timeout_s, urgent)
 
-    def _turn(self) -> float:
+    def _poll(self) -> float:
         try:
             if not self._is_open:
                 identity = self._laser.open()

@@ -63,7 +63,7 @@ class SensorLines(DeviceThread):
     def _request(self, line: SerialLine, now_s: float) -> None:
         """Ask a sensor that writes only on request."""
 
-    def _turn(self) -> float:
+    def _poll(self) -> float:
         try:
             if self._line is None or self._reader is None:
                 self._line = self._open_line()

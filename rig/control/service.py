@@ -194,7 +194,7 @@ class ControlService(DeviceThread):
 
     # -- in the thread --------------------------------------------------------
 
-    def _turn(self) -> float:
+    def _poll(self) -> float:
         try:
             if not self._is_open:
                 self._open()
@@ -254,7 +254,7 @@ class ControlService(DeviceThread):
         if refusal and not before:
             self._controller.laser_off()
             self._say(f"laser off: {refusal}")
-        # set only now: a command that failed is given again at the next turn
+        # set only now: a command that failed is given again at the next poll
         self._refused = refusal
 
     def _keep_dark(self) -> None:

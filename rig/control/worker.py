@@ -28,6 +28,8 @@ class JobExpired(DeviceError):
 
 @dataclass(order=True, slots=True)
 class _Job:
+    """A job of the queue; `order` is (0 if urgent, else 1; number of the job)."""
+
     order: tuple[int, int]
     deadline_s: float = field(compare=False)
     call: Callable[[], Any] = field(compare=False)
@@ -37,7 +39,7 @@ class _Job:
 class DeviceThread(ABC):
     """Operates one device in one thread from `start` to `close`; a context manager.
 
-    It calls `_turn` regularly and does jobs in between, so that callers never wait on a device.
+    It calls `_poll` regularly and does jobs in between, so that callers never wait on a device.
 
     Parameters
     ----------
@@ -61,7 +63,7 @@ class DeviceThread(ABC):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     @abstractmethod
-    def _turn(self) -> float:
+    def _poll(self) -> float:
         """Regular work on the device, done first; returns the longest time in s until the next call."""
 
     @abstractmethod
@@ -136,7 +138,7 @@ class DeviceThread(ABC):
             while not self._stopping.is_set():
                 now_s = time.monotonic()
                 if now_s >= next_turn_s:
-                    next_turn_s = now_s + self._turn()
+                    next_turn_s = now_s + self._poll()
                 self._work(min(next_turn_s - time.monotonic(), _LONGEST_WAIT_S))
         except BaseException as error:
             _log.exception("%s ended", self.name)

@@ -164,7 +164,7 @@ def resume_dialog(desk: Desk, tab: Tab) -> Callable[[Path], None]:
     def ask(folder: Path) -> None:
         nonlocal asked
         asked = folder
-        what.set_text(f"Make the missing runs of {folder}?")
+        what.set_text(f"Measure the missing runs of {folder}?")
         begin.open()
 
     return ask

@@ -132,7 +132,7 @@ CATALOGUE: Final[Mapping[AlarmKey, Alarm]] = {
     ),
     AlarmKey.SESSION_DIED: Alarm(
         "its process was killed or crashed",
-        "check that the laser is dark; then press Resume to make the missing runs. Recorded data are kept",
+        "check that the laser is dark; then press Resume to measure the missing runs. Recorded data are kept",
         _URGENT,
         latched=True,
     ),

@@ -34,7 +34,7 @@ _OWN: Final[Mapping[str, AlarmKey]] = {
     EventKind.RECORD: AlarmKey.DISK_FULL,
 }
 """Events that are alarms of their own."""
-_CONDITIONS: Final = frozenset({EventKind.STOPPED, EventKind.SPOT_LOST, EventKind.CAMERA_LOST})
+_CONDITIONS: Final = frozenset({EventKind.ENDED_EARLY, EventKind.SPOT_LOST, EventKind.CAMERA_LOST})
 """Warnings that a person gave, or that hold for as long as a condition does."""
 _OF_DARKNESS: Final = frozenset({EventKind.LIGHT_STEP, EventKind.REST_STEP, EventKind.PUSH})
 _UNDER_TRIP: Final = frozenset({AlarmKey.LASER_DARK, AlarmKey.SPOT, AlarmKey.BALANCE})

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, Frame
-from acquisition.frames.guard import CheckedFrames
+from acquisition.frames.guard import FrameChecks
 from processing.errors import DeviceError, RigError
 from rig.control import LightPermit, LightRefused, SafetyNow, SafetyState, Stage
 from rig.devices import AlignmentFrame, Devices, LightWatch, find_exposure, take_look, watch_latest
@@ -21,7 +21,7 @@ class LitCamera:
 
     def __init__(self, camera: Camera, info: CameraInfo, permit: LightPermit) -> None:
         self._camera, self._info, self._permit = camera, info, permit
-        self._delivered = CheckedFrames()
+        self._delivered = FrameChecks()
 
     def open(self) -> CameraInfo:
         return self._info
@@ -31,13 +31,13 @@ class LitCamera:
 
     def start(self) -> None:
         # another region has images of another size
-        self._delivered = CheckedFrames()
+        self._delivered = FrameChecks()
         self._camera.start()
 
     def read(self, timeout_s: float) -> Frame | None:
         frame = self._camera.read(timeout_s)
         if frame is not None:
-            frame = self._delivered.checked(frame)
+            frame = self._delivered.check(frame)
             self._permit.frame_read(frame.image)
         # the reader looks at once
         self._permit.moved(Stage.PROCESSING)

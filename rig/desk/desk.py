@@ -157,7 +157,7 @@ class Desk:
             if not following.frozen:
                 return f"the session was frozen; its process ends, and closes its record if it can{lit}"
             os.kill(process, getattr(signal, "SIGKILL", signal.SIGTERM))
-        return f"the session was frozen; its process was killed, Resume makes the missing runs{lit}"
+        return f"the session was frozen; its process was killed, Resume measures the missing runs{lit}"
 
     def needs_camera(self, who: str) -> None:
         """Give the camera free; raises ConfigurationError if a session or a command has it. May wait."""

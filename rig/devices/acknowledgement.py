@@ -62,13 +62,13 @@ def _answer(devices: LitDevices, typed: str) -> None:
 class TypedAcknowledgement:
     """While a run waits in the dark: what a person types at the terminal, in whole lines.
 
-    First the trip's number, then `light`; each with Enter. `there` is False where nobody can type.
+    First the trip's number, then `light`; each with Enter. `available` is False where nobody can type.
     """
 
     def __init__(self, devices: LitDevices) -> None:
         self._devices = devices
         self._asked = ""
-        self.there = os.name == "posix" and at_terminal()
+        self.available = os.name == "posix" and at_terminal()
 
     def look(self, alarm: str) -> None:
         """Ask, once, and do what was answered; `alarm` is why the laser is dark, empty if it is lit.
@@ -77,9 +77,9 @@ class TypedAcknowledgement:
         """
         devices = self._devices
         asks = (_what_to_ask(devices) or _ASKS_LIGHT) if alarm else ""
-        if not self.there or asks != self._asked:
+        if not self.available or asks != self._asked:
             self._asked = asks
-            if self.there and asks:
+            if self.available and asks:
                 _forget_what_was_typed()
                 say(asks)
             return

@@ -141,7 +141,7 @@ def align_camera(
     saved: list[Path] = []
     terminal = Keys() if keys is None else keys
     console = Console() if console is None else console
-    with terminal, AligningScreen(console, HELP if terminal.there else "Ctrl-C ends") as screen:
+    with terminal, AligningScreen(console, HELP if terminal.available else "Ctrl-C ends") as screen:
         going = True
         while going:
             going, wish = False, None

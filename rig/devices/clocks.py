@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CLOCK_STATES, Camera, Frame, HasFeatures
-from acquisition.frames.guard import MOST_PPM, as_fast
+from acquisition.frames.guard import MAX_DRIFT_PPM, clock_rate_text
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import ClockAnchor, RecordedClockStep
 from calibration import ClockRelation, relate_clocks
@@ -114,9 +114,9 @@ def _ask(*command: str) -> str:
 
 def wrong_rate(relation: ClockRelation) -> str:
     """How fast the camera's clock runs, if that is not possible for one that counts ns; else empty."""
-    if abs(relation.drift_ppm) - 3.0 * relation.u_drift_ppm <= MOST_PPM:
+    if abs(relation.drift_ppm) - 3.0 * relation.u_drift_ppm <= MAX_DRIFT_PPM:
         return ""
-    return as_fast(relation.drift_ppm)
+    return clock_rate_text(relation.drift_ppm)
 
 
 _FOLLOWS: Final = "Slave"

@@ -63,12 +63,12 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
         devices = Devices(config)
     try:
         with devices.state as state:
-            yield check_trip(state, stated.named)
+            yield check_trip(state, stated.command_words)
             for verdict in check_controller(
-                devices.make_controller(), config.controller, config.laser, stated.named
+                devices.make_controller(), config.controller, config.laser, stated.command_words
             ):
-                lost = verdict.name == "controller" and not verdict.ok and config.rehearsal
-                remedy = f"{verdict.remedy}; {config.rehearsal}" if lost else verdict.remedy
+                lost = verdict.name == "controller" and not verdict.ok and config.rehearsal_hint
+                remedy = f"{verdict.remedy}; {config.rehearsal_hint}" if lost else verdict.remedy
                 yield replace(verdict, remedy=remedy)
             yield from check_laser(config.laser)
     except DeviceError as error:
@@ -188,7 +188,7 @@ def check_frames(
     on_demand
         Frames are made when they are read, and have no rate.
     """
-    lost = f"lost: {FrameLosses.of(status)}"
+    lost = f"lost: {FrameLosses.from_status(status)}"
     enough = len(arrivals) == _FRAMES and status.dropped == 0
     remedy = "" if enough else "another port or cable; a lower frame_rate_hz; a smaller region"
     if on_demand:

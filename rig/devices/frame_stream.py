@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameTimeout
-from acquisition.frames.guard import Counts, HangingRead, asking, ended
+from acquisition.frames.guard import CameraCounts, ReadMonitor, driver_errors, end_within
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.numbering import FrameLine
 from acquisition.frames.queue import MOST_BYTES, BoundedQueue, Policy, taken_from
@@ -139,7 +139,7 @@ class FrameStream:
         most = _MOST_ON_DEMAND if policy == "wait" else math.inf
         self._queue = BoundedQueue[Frame](most, policy, MOST_BYTES, fewest=_FEWEST)
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
-        self._counts = Counts(lambda: camera.status)
+        self._counts = CameraCounts(lambda: camera.status)
         self._thread: threading.Thread | None = None
         self._begun = threading.Event()
         self._first: Frame | None = None
@@ -148,13 +148,13 @@ class FrameStream:
         self._steps: deque[RecordedClockStep] = deque()
         self._lost_before = self._at_last_look = FrameLosses()
         self._look_ns = 0
-        self._hanging = HangingRead(timeout_s)
+        self._hanging = ReadMonitor(timeout_s)
         self.ended = ""
         self.failure: Exception | None = None
 
     def start_camera(self) -> None:
         """Start the camera; `begin` waits for its first frame."""
-        with asking("camera", "start()"):
+        with driver_errors("camera", "start()"):
             self._camera.start()
         if self.policy != "wait":
             self._standstill.begin()
@@ -216,7 +216,7 @@ class FrameStream:
         self._closed = True
         self._standstill.end()
         self._queue.close()
-        if remark := ended(self._camera.stop, "camera: stop()"):
+        if remark := end_within(self._camera.stop, "camera: stop()"):
             _log.warning("%s", remark)
             self._events.append((EventKind.CAMERA_STOP, remark))
         if self._thread is not None:
@@ -237,8 +237,8 @@ class FrameStream:
         self._lost_before = self._lost()
 
     def _lost(self) -> FrameLosses:
-        return FrameLosses.of(
-            self._counts.now,
+        return FrameLosses.from_status(
+            self._counts.latest,
             unqueued=self._queue.dropped,
             while_unplugged=self._line.missing,
             wrong_time=self._line.rejected + self._line.waiting,
@@ -249,7 +249,7 @@ class FrameStream:
 
     def _raise_if_it_hangs(self, waited_s: float) -> None:
         # what is made on demand may take as long as it likes
-        if (hangs := self._hanging.after(waited_s)) and self.policy != "wait":
+        if (hangs := self._hanging.check(waited_s)) and self.policy != "wait":
             error = DeviceError(hangs)
             self._fail(error, hangs)
             raise error
@@ -263,7 +263,7 @@ class FrameStream:
             on_demand = self.policy == "wait"
             patience_s = self._timeout_s if on_demand else self._line.patience_s(self._timeout_s)
             patience_s = min(patience_s if begun else _FIRST_S, self._timeout_s - silent_s)
-            self._hanging.begins()
+            self._hanging.enter()
             try:
                 read = self._camera.read(patience_s)
             except (FrameTimeout, CameraLost) as lost:
@@ -280,9 +280,9 @@ class FrameStream:
                     raise lost from None
                 opened_again = opened_again or isinstance(lost, FrameTimeout)
                 self._events.append((EventKind.CAMERA_LOST, str(lost)))
-                self._hanging.is_elsewhere()
+                self._hanging.leave()
                 self._reconnect(lost)
-                self._line.begin_again()
+                self._line.restart()
                 silent_s = 0.0
                 continue
             if read is None:
@@ -312,7 +312,8 @@ class FrameStream:
                     self._begun.set()
         except FrameTimeout as error:
             unused = self._lost().since(self._at_last_look)
-            why = "the camera has stalled" if not unused.came else f"of those that came {unused.came_text}"
+            came = f"of those that came {unused.discarded_text}"
+            why = came if unused.discarded else "the camera has stalled"
             self._fail(error, f"no frame for {self._timeout_s:g} s: {why}")
         except Exception as error:
             self._fail(error, self._named(error))
@@ -323,17 +324,17 @@ class FrameStream:
     def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
         """The same, with the frames that came and could not be used: the trigger is no cause of those."""
         unused = self._lost().since(self._at_last_look)
-        if not unused.came:
+        if not unused.discarded:
             return lost
         name = str(lost).partition(": ")[0]
         return FrameTimeout(
-            f"{name}: no usable frame; of those that came {unused.came_text}; use a lower rate or "
+            f"{name}: no usable frame; of those that came {unused.discarded_text}; use a lower rate or "
             "size, another port or cable; rig camera show lists what the camera reports"
         )
 
     def _reconnect(self, lost: FrameTimeout | CameraLost) -> None:
         deadline_s = time.monotonic() + self._reconnect_s
-        before = self._counts.now
+        before = self._counts.latest
         while not self._stop.is_set() and time.monotonic() < deadline_s:
             try:
                 self._camera.close()

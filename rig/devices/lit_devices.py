@@ -109,7 +109,7 @@ class LitDevices:
         if self.state.path is None:
             return "it is a simulated laser: start again"
         return (
-            f"check that nobody is in the beam path, then rig light acknowledge {self._config.named} "
+            f"check that nobody is in the beam path, then rig light acknowledge {self._config.command_words} "
             f"{trip.number}, or at the desk"
         )
 
@@ -132,8 +132,8 @@ class LitDevices:
             return light(self._config.laser, self.control, self.laser)
         except DeviceError as error:
             self.audit(AuditEntry.REFUSED, str(error))
-            if self.laser is not None and self.laser.snapshot.state is None and self._config.rehearsal:
-                raise DeviceError(f"{error}; {self._config.rehearsal}") from None
+            if self.laser is not None and self.laser.snapshot.state is None and self._config.rehearsal_hint:
+                raise DeviceError(f"{error}; {self._config.rehearsal_hint}") from None
             raise
 
     def _note_lit(self) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame, Image
-from acquisition.frames.guard import CheckedFrames
+from acquisition.frames.guard import FrameChecks
 from processing.errors import DeviceError
 
 _FLOOR = 0.1
@@ -156,14 +156,14 @@ def find_exposure(camera: Camera, info: CameraInfo, applied: CameraSettings, tar
 
 def _look(camera: Camera, info: CameraInfo) -> PictureFigures:
     camera.start()
-    delivered = CheckedFrames()
+    delivered = FrameChecks()
     try:
         seen: list[PictureFigures] = []
         while len(seen) < _FRAMES:
             frame = camera.read(_TIMEOUT_S)
             if frame is None:
                 raise DeviceError(f"{info.model}: no more frames; finding an exposure needs a live camera")
-            seen.append(figures(delivered.checked(frame).image, info.full_scale_dn))
+            seen.append(figures(delivered.check(frame).image, info.full_scale_dn))
     finally:
         camera.stop()
     return PictureFigures(

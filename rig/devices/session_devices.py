@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings
 from acquisition.cameras.simulated import SimulatedCamera
-from acquisition.frames.guard import asking, checked_info, checked_settings, ended
+from acquisition.frames.guard import check_applied_settings, check_info, driver_errors, end_within
 from acquisition.record.events import EventKind
 from acquisition.simulation.inputs import RigInputs
 from processing.errors import ConfigurationError, DeviceError
@@ -179,9 +179,9 @@ class Devices(LitDevices):
         try:
             yield
         except DeviceError as error:
-            if not self._config.rehearsal:
+            if not self._config.rehearsal_hint:
                 raise
-            raise DeviceError(f"{error}; {self._config.rehearsal}") from None
+            raise DeviceError(f"{error}; {self._config.rehearsal_hint}") from None
 
     @contextmanager
     def camera(self, config: Configuration) -> Iterator[OpenCamera]:
@@ -193,13 +193,13 @@ class Devices(LitDevices):
             camera = make_camera(config)
         name = f"camera.driver = {config.camera.driver!r}"
         try:
-            with asking(name, "open()"):
-                info = checked_info(camera.open(), config.camera.driver)
+            with driver_errors(name, "open()"):
+                info = check_info(camera.open(), config.camera.driver)
             if self.witness is not None:
                 self.witness.beside(camera)
             asked = camera_settings(config)
-            with asking(name, "configure()"):
-                applied = checked_settings(camera.configure(asked), config.camera.driver)
+            with driver_errors(name, "configure()"):
+                applied = check_applied_settings(camera.configure(asked), config.camera.driver)
             check_full_scale(config, info, applied)
             if asked.ptp:
                 wait_for_network_clock(camera)
@@ -209,7 +209,7 @@ class Devices(LitDevices):
         finally:
             if self._was_lit and not self.permit.begun and not config.on_demand:
                 self.see_dark(camera)
-            if remark := ended(camera.close, f"{name}: close()"):
+            if remark := end_within(camera.close, f"{name}: close()"):
                 # a terminal that was closed hears nothing, and holds nothing up
                 with suppress(OSError):
                     say(remark)

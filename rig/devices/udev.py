@@ -14,7 +14,7 @@ from acquisition import atomic_write
 from acquisition.camera import Camera, Frame
 from acquisition.cameras.usb3vision.link import UDEV_RULE
 from acquisition.cameras.usb3vision.node_map import READ_WRITE, WRITE_ONLY, FeatureReading
-from acquisition.frames.guard import CheckedFrames
+from acquisition.frames.guard import FrameChecks
 from acquisition.frames.queue import BoundedQueue
 from processing.errors import ConfigurationError, DeviceError
 from rig.control import udev_board, udev_matches
@@ -148,12 +148,12 @@ def watch_latest(
     camera, and frames that no camera may deliver, are raised here.
     """
     errors: list[Exception] = []
-    delivered, queue = CheckedFrames(), BoundedQueue[Frame](at_least, "latest")
+    delivered, queue = FrameChecks(), BoundedQueue[Frame](at_least, "latest")
 
     def acquire() -> None:
         try:
             while (frame := camera.read(_TIMEOUT_S)) is not None:
-                queue.put(delivered.checked(frame))
+                queue.put(delivered.check(frame))
                 if ended.is_set():
                     break
         except Exception as error:

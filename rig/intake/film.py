@@ -126,7 +126,7 @@ def film_trajectory(
     followed = "a dark object (the picture is inverted)" if seen.dark else "a bright spot"
     what = f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered)
     said = [
-        *camera.found,
+        *camera.remarks,
         *([_LOSSY.format(camera.lossy)] if camera.lossy else []),
         f"frames: {status.delivered} read, {lost}",
         what,

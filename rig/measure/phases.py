@@ -228,7 +228,7 @@ class PhasesBeforeRecord:
             frame_checks.shutter(
                 self._camera.info.shutter, config.shutter, config.axes, pulsed=config.laser.pulse_us > 0
             ),
-            *frame_checks.check_look(
+            *frame_checks.check_trial_frames(
                 look,
                 config,
                 self._camera.info.full_scale_dn,

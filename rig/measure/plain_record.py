@@ -209,7 +209,7 @@ def show_light(config: Configuration) -> int:
     print_line(f"{'trip':<10} {'none is latched' if trip is None else trip.text}")
     if trip is not None:
         print_line(f"{'remedy':<10} check that nobody is in the beam path, then")
-        print_line(f"{'':<10} rig light acknowledge {config.named} {trip.number}")
+        print_line(f"{'':<10} rig light acknowledge {config.command_words} {trip.number}")
     elif now.refusal:
         print_line(f"{'refused':<10} {now.refusal}")
     return 1 if now.refusal or trip is not None else 0

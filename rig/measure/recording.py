@@ -388,7 +388,7 @@ class Recording:
             happened.append((EventKind.SLOW_DISK, text))
         posterior = self._parts.posterior
         if posterior is not None and (remark := self._wall.past(_LIVE_FIT, "", posterior.take_remark)):
-            happened.append((EventKind.POSTERIOR, remark))
+            happened.append((EventKind.LIVE_FIT, remark))
         return [Event(self._counts.last_ns, kind, text) for kind, text in happened]
 
     def _state(self, phase: Phase, age_s: float) -> list[TimedMessage]:
@@ -397,7 +397,7 @@ class Recording:
         now_ns = counts.last_ns
         lost = counts.lost_text if phase is Phase.MEASURING else ""
         if lost:
-            lost += f" rig camera align {self._parts.plan.config.named}"
+            lost += f" rig camera align {self._parts.plan.config.command_words}"
         health = RecordedHealth(
             now_ns,
             counts.frames,

@@ -135,7 +135,7 @@ def resume_session(
             tree = unnumbered(deepcopy(file.state.configuration), f"{folder / STATE_NAME}: its configuration")
             apply_overrides(tree, overrides)
             config = validate_configuration(tree, str(folder / STATE_NAME), overrides)
-            config = config.from_file(source, overrides)
+            config = config.remember_file(source, overrides)
         else:
             config = load_configuration(instead, overrides)
         if instead is None and not overrides:

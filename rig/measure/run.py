@@ -75,7 +75,7 @@ class MeasurementRun:
         """State of the run; may be read from any thread."""
         return self._status.now
 
-    def request_stop(self, reason: str, how: EventKind = EventKind.STOPPED) -> bool:
+    def request_stop(self, reason: str, how: EventKind = EventKind.ENDED_EARLY) -> bool:
         """End the run before its end; the first reason given is recorded. Returns whether this is it."""
         return self._stop.because(reason, how)
 

@@ -121,7 +121,7 @@ class RunParts:
     def somebody_watches(self) -> bool:
         """Whether there is somebody who may ask for light again, and acknowledge a trip."""
         news, typed = self.plan.session_news, self.typed_leave
-        return (typed is not None and typed.there) or (news is not None and news.watched)
+        return (typed is not None and typed.available) or (news is not None and news.watched)
 
     def open_record(self, epoch_offset_ns: int, first: Frame, preflight: Sequence[Verdict]) -> RecordWriter:
         """Create the file with configuration, provenance and preflight table.

@@ -245,7 +245,7 @@ def _changes(before: Mapping[str, Any], after: Mapping[str, Any], above: str = "
 
 _ENDS: dict[str, RunState] = {
     EventKind.REJECTED: RunState.REJECTED,
-    EventKind.STOPPED: RunState.STOPPED,
+    EventKind.ENDED_EARLY: RunState.STOPPED,
     EventKind.FAILED: RunState.FAILED,
 }
 

@@ -136,7 +136,7 @@ def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool 
     if devices.permit.latched or devices.waits_for_asking:
         what = "nobody has asked for light since the trip" if trip is None else f"{trip.text}, and nobody has"
         what += "" if trip is None else " acknowledged it"
-        remedy = "rig run --resume makes the missing runs" if resumable else "start the session again"
+        remedy = "rig run --resume measures the missing runs" if resumable else "start the session again"
         if devices.state.path is not None and trip is not None:
             remedy = f"{devices.remedy}, then {remedy}"
         raise LightRefused(f"{what}; {remedy}")

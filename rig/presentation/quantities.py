@@ -1,4 +1,4 @@
-"""How the declared quantities are shown to the user: symbol, unit, factor, name; drawn, of the balance."""
+"""Display of the declared quantities, their styles in Rerun; and keys read from a terminal."""
 
 import contextlib
 import os
@@ -70,8 +70,8 @@ def quantity(key: str, unit: str = "arcsec") -> QuantityDisplay:
 
 
 def declaration(key: str) -> Quantity | None:
-    """What is declared of the quantity with this key; None of an unknown one."""
-    known = {**quantities_of(AmbientConditions), **quantities_of(Traces)}
+    """Declaration of the quantity with this key; None for an unknown key."""
+    known = {**quantities_of(AmbientConditions), **quantities_of(PlottedQuantities)}
     return known[key] if key in known else _balance_quantities().get(key) or _fit_quantities().get(key)
 
 
@@ -83,7 +83,7 @@ def unit_of(key: str) -> str:
 
 @cache
 def _balance_quantities() -> Mapping[str, Quantity]:
-    """Imported only here, because its compiled functions take longer to load than most commands."""
+    """Declared quantities of the balance; imported here, as its compiled functions load slowly."""
     from processing.balance import Balance
 
     return quantities_of(Balance)
@@ -91,18 +91,18 @@ def _balance_quantities() -> Mapping[str, Quantity]:
 
 @cache
 def _fit_quantities() -> Mapping[str, Quantity]:
-    """Imported only here, because the viewer's process does not need the fits and should start fast."""
+    """Declared quantities of the fits; imported here, so that the viewer without fits starts fast."""
     from processing.fit import DerivedQuantity, FitQuality, Work
-    from processing.quantity import OfDecay, OfInstrument
+    from processing.quantity import DecayQuantities, InstrumentQuantities
 
     parameters = {key: parameter.quantity for key, parameter in law_parameters().items()}
-    kinds = (OfInstrument, DerivedQuantity, FitQuality, Work, OfDecay)
+    kinds = (InstrumentQuantities, DerivedQuantity, FitQuality, Work, DecayQuantities)
     return {name: one for kind in kinds for name, one in quantities_of(kind).items()} | parameters
 
 
 @cache
 def law_parameters() -> Mapping[str, "Parameter"]:
-    """All parameters of all laws by their keys, and the drag and start values that every fit has beside."""
+    """All parameters of all laws by their keys, and drag and start values, which every fit has."""
     from processing.contact import AMPLITUDE, DRAG, LAWS, TIME
 
     own = [p for law in LAWS.values() for p in (*law.parameters, *law.uncalibrated.values())]
@@ -111,13 +111,13 @@ def law_parameters() -> Mapping[str, "Parameter"]:
 
 
 SOURCES: Final[Mapping[str, str]] = {
-    "swings": "swings (fit)",
+    "swings": "half-cycles",
     "ground": "motion of the ground",
-    "misfit": "law against decay",
+    "misfit": "model discrepancy",
     "friction_step": "a step of the friction",
-    "position_errors": "errors of position (map)",
+    "position_errors": "fixed-pattern error",
     "drifts": "drifts over the run, as fitted",
-    "steeper_drag": "a drag with the 3/2 power",
+    "steeper_drag": "boundary-layer drag",
     "air": "drag of the air, as known",
     "mass_kg": "mass",
     "ball_radius_m": "ball radius R",
@@ -141,17 +141,17 @@ SOURCES: Final[Mapping[str, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Traces:
-    """One point of every curve that a page draws of a run; amplitude and period are the balance's own."""
+class PlottedQuantities:
+    """Quantities plotted by the desk's page; amplitude and period are declared in `Balance`."""
 
     elapsed_s: Annotated[float, Quantity("t", "time since the record began", "s")]
     deflection_x: Annotated[float, Quantity("X", "deflection across the swing", *_ANGLE)]
     deflection_y: Annotated[float, Quantity("Y", "deflection along the swing", *_ANGLE)]
     amplitude_residual_in_u: Annotated[
-        float, Quantity("(a − fit) / u", "what a fit of the amplitudes leaves over its uncertainty", unit="1")
+        float, Quantity("(a − fit) / u", "residual of a fit of the amplitudes in u", unit="1")
     ]
     period_residual_in_u: Annotated[
-        float, Quantity("(T − fit) / u", "what a fit of the periods leaves over its uncertainty", unit="1")
+        float, Quantity("(T − fit) / u", "residual of a fit of the periods in u", unit="1")
     ]
     sharpness_per_px: Annotated[float, Quantity("sharpness", "larger is sharper", "1/px", "1/px")]
     level_dn: Annotated[float, Quantity("level", "grey value of a pixel", "DN", "DN")]
@@ -166,7 +166,7 @@ class RerunStyle(NamedTuple):
     panel: str = ""
 
 
-BALANCE: Final[Mapping[str, RerunStyle]] = {
+BALANCE_STYLES: Final[Mapping[str, RerunStyle]] = {
     "period_s": RerunStyle("period"),
     "amplitude": RerunStyle("amplitude"),
     "transverse": RerunStyle("transverse", palette.X_COLOUR, "Transverse amplitude"),
@@ -180,12 +180,12 @@ BALANCE: Final[Mapping[str, RerunStyle]] = {
     "drift_y_per_s": RerunStyle("drift_y", palette.Y_COLOUR, "Drift X, Y"),
     "period_ratio": RerunStyle("period_ratio", palette.BLUISH_GREEN, "T_V / T_U"),
 }
-"""By the name in `processing.balance.Balance`."""
+"""Styles by field of `Balance`."""
 
 
-def balance_drawn(key: str) -> RerunStyle:
-    """How a quantity of the balance is drawn; one that is not listed has its own name and no panel."""
-    return BALANCE.get(key) or RerunStyle(key)
+def balance_style(key: str) -> RerunStyle:
+    """Style of a quantity of the balance in Rerun; one without an entry has its own name, no panel."""
+    return BALANCE_STYLES.get(key) or RerunStyle(key)
 
 
 def balance_panels(unit: str) -> dict[str, list[str]]:
@@ -194,7 +194,7 @@ def balance_panels(unit: str) -> dict[str, list[str]]:
     All quantities of a panel are shown in the same unit; `unit` is that of deflections.
     """
     panels: dict[str, list[str]] = {}
-    for key, drawn in BALANCE.items():
+    for key, drawn in BALANCE_STYLES.items():
         if drawn.panel:
             title = replace(quantity(key, unit), symbol=drawn.panel).label
             panels.setdefault(title, []).append(drawn.entity)
@@ -253,31 +253,31 @@ class KeyParser:
 class Keys:
     """Context manager that reads keys from the terminal at the standard input, if there is one.
 
-    `there` is True if keys can be read: this process is in the foreground of a terminal. The settings
+    `available` is True if keys can be read: this process is in the foreground of a terminal. The settings
     of the terminal are restored at the end.
     """
 
     def __init__(self, stream: IO[Any] | None = None) -> None:
         stream = sys.stdin if stream is None else stream
-        self._number = -1
+        self._descriptor = -1
         with contextlib.suppress(OSError, ValueError, AttributeError):
             number = stream.fileno()
             if os.isatty(number) and _in_foreground(number):
-                self._number = number
+                self._descriptor = number
         self._parser = KeyParser()
         self._before: list[Any] | None = None
 
     @property
-    def there(self) -> bool:
-        return self._number >= 0
+    def available(self) -> bool:
+        return self._descriptor >= 0
 
     def __enter__(self) -> Self:
-        if self.there:
+        if self.available:
             import termios
             import tty
 
-            self._before = termios.tcgetattr(self._number)
-            tty.setcbreak(self._number)
+            self._before = termios.tcgetattr(self._descriptor)
+            tty.setcbreak(self._descriptor)
         return self
 
     def __exit__(
@@ -287,23 +287,23 @@ class Keys:
             import termios
 
             with contextlib.suppress(termios.error):
-                termios.tcsetattr(self._number, termios.TCSADRAIN, self._before)
+                termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
 
     def pressed(self, wait_s: float) -> list[str]:
         """Keys pressed since the last call; waits at most `wait_s` for the first one."""
-        if not self.there:
+        if not self.available:
             time.sleep(max(wait_s, 0.0))
             return []
-        ready, _, _ = select.select([self._number], [], [], max(wait_s, 0.0))
+        ready, _, _ = select.select([self._descriptor], [], [], max(wait_s, 0.0))
         if not ready:
             return self._parser.flush()
         try:
-            data = os.read(self._number, 1024)
+            data = os.read(self._descriptor, 1024)
         except OSError:
             data = b""
         if not data:
             # the terminal was closed; no more keys
-            self._number = -1
+            self._descriptor = -1
         return self._parser.feed(data)
 
 

@@ -1,4 +1,4 @@
-"""`rig compare`: series of several samples, days, humidities beside each other."""
+"""`rig compare`: compares series of several samples, days or humidities."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -30,23 +30,23 @@ from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, styled, th
 from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
 
-_FEWEST = 3
-"""Runs of a straight line with an uncertainty."""
+_MIN_RUNS = 3
+"""Fewest runs for a line with its u."""
 
 
-class RunUnderConditions(NamedTuple):
-    """One run of a series: where it lies, and the exact parameters with their standard uncertainties."""
+class RunAtCondition(NamedTuple):
+    """One run: value `at` of the ambient condition, and parameters of the exact fit with their u."""
 
     series: str
     run: str
-    at: float
+    ambient_value: float
     parameters: Mapping[str, Estimate]
 
 
-def chosen_surrounding(name: str) -> str:
-    """The name of a quantity of the surroundings, which may be given without its unit.
+def ambient_condition_name(name: str) -> str:
+    """Full name of an ambient condition, which may be given without its unit.
 
-    Raises ConfigurationError: there is none of that name.
+    Raises ConfigurationError for an unknown name.
     """
     known = {field.name: field.name for field in fields(AmbientConditions)}
     known |= {key.rpartition("_")[0]: key for key in list(known)}
@@ -56,10 +56,10 @@ def chosen_surrounding(name: str) -> str:
     return known[name]
 
 
-def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnderConditions]:
-    """The fitted runs of which a quantity of the surroundings is known.
+def runs_with_condition(sessions: Mapping[str, SessionResults], name: str) -> list[RunAtCondition]:
+    """The fitted runs for which an ambient condition is known.
 
-    Raises RecordError: it is known of fewer than two.
+    Raises RecordError for fewer than two.
     """
     found = []
     fitted = [(label, run) for label, one in sessions.items() for run in one.runs if run.fits]
@@ -68,7 +68,7 @@ def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnde
         if isfinite(at):
             exact = run.fits[FitMethod.EXACT]
             values = {key: exact.estimate(key) for key in DEFAULT_LAW.names()}
-            found.append(RunUnderConditions(label, run.record, at, values))
+            found.append(RunAtCondition(label, run.record, at, values))
     if len(found) < 2:
         raise RecordError(
             f"--against {name}: known for {len(found)} of {len(fitted)} fitted runs, two are needed: state "
@@ -77,14 +77,14 @@ def seen_runs(sessions: Mapping[str, SessionResults], name: str) -> list[RunUnde
     return found
 
 
-def against_table(runs: Sequence[RunUnderConditions], name: str) -> Table:
-    """Every run for the file; for the eye the straight line through all runs of each parameter."""
+def ambient_table(runs: Sequence[RunAtCondition], name: str) -> Table:
+    """Table of all runs for the CSV; shown is the fitted line of each parameter."""
     columns: list[str] = ["series", "run", name]
     for key in DEFAULT_LAW.names():
         columns += [key, f"u_{key}"]
     rows: list[list[Cell]] = []
     for run in runs:
-        cells: list[Cell] = [run.series, run.run, run.at]
+        cells: list[Cell] = [run.series, run.run, run.ambient_value]
         for key in DEFAULT_LAW.names():
             cells += run.parameters.get(key, (nan, nan))
         rows.append(cells)
@@ -101,7 +101,7 @@ def against_table(runs: Sequence[RunUnderConditions], name: str) -> Table:
     note += "chance: the probability of a slope this steep if there is no dependence."
     if not shown:
         note = f"{len(runs)} runs: too few, or all at the same value, for a line."
-    other = in_other_unit(name, {f"{run.series} {run.run}": run.at for run in runs})
+    other = in_other_unit(name, {f"{run.series} {run.run}": run.ambient_value for run in runs})
     note += f" {other}." if other else ""
     return Table(
         "against", f"Parameters against {over.name}", columns, rows,
@@ -109,12 +109,14 @@ def against_table(runs: Sequence[RunUnderConditions], name: str) -> Table:
     )  # fmt: skip
 
 
-def _line(runs: Sequence[RunUnderConditions], key: str) -> tuple[float, float, float]:
-    """Slope, its standard uncertainty and the chance of one so large; NaN where there is no line."""
+def _line(runs: Sequence[RunAtCondition], key: str) -> tuple[float, float, float]:
+    """Slope, its u, and the probability of one as large by chance; NaN without a line."""
     from scipy.special import stdtr
 
-    known = np.array([(run.at, *tuple(run.parameters[key])) for run in runs if key in run.parameters])
-    if len(known) < _FEWEST or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
+    known = np.array(
+        [(run.ambient_value, *tuple(run.parameters[key])) for run in runs if key in run.parameters]
+    )
+    if len(known) < _MIN_RUNS or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
         return nan, nan, nan
     weight = known[:, 2] ** -2.0
     x = known[:, 0] - np.average(known[:, 0], weights=weight)
@@ -126,7 +128,7 @@ def _line(runs: Sequence[RunUnderConditions], key: str) -> tuple[float, float, f
     return slope, u, 2 * float(stdtr(dof, -abs(slope) / u)) if u else 0.0
 
 
-def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigure:
+def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:
     """One panel a parameter, one point a run with its standard uncertainty, one colour a series."""
     names = [key for key in DEFAULT_LAW.names() if any(key in run.parameters for run in runs)]
     margins = {"left": 0.1, "bottom": 0.13, "top": 0.86, "wspace": 0.5, "hspace": 0.45}
@@ -140,7 +142,7 @@ def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigur
             seen = [run for run in runs if run.series == label and key in run.parameters]
             if seen:
                 value, u = np.array([tuple(run.parameters[key]) for run in seen]).T * of.factor
-                at = np.array([run.at for run in seen]) * over.factor
+                at = np.array([run.ambient_value for run in seen]) * over.factor
                 axes.errorbar(
                     at, value, u, fmt="o", ms=4, capsize=2.5, elinewidth=0.9,
                     color=colours[label], label=label,
@@ -159,25 +161,25 @@ def against_figure(runs: Sequence[RunUnderConditions], name: str) -> ReportFigur
     )
 
 
-_OF_ANY_DECAY = ("mean_period_s", "log_decrement")
-"""What is compared where no run was fitted."""
-_FAR = 3.0
-"""Uncertainties of the swings, beyond which a difference of two single runs is shown."""
-DIFFERENT = 0.05
-"""Chance, shared between all pairs and parameters, below which series are said to differ."""
+_DECAY_QUANTITIES = ("mean_period_s", "log_decrement")
+"""Compared if no run was fitted."""
+_SHOWN_FROM_U = 3.0
+"""A difference of two single runs is shown if larger than so many u."""
+SIGNIFICANCE_LEVEL = 0.05
+"""Significance level at which series differ, shared between pairs and parameters."""
 
 
 def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> list[Table]:
     """Tables of several sessions' exact parameters and of their differences.
 
-    With `output` (an HTML file) a page with the plot is written, figures and CSV beside it. `against` names a
-    quantity of the surroundings over which every run's parameters are tabulated and drawn, too; a single
-    session is enough for that.
+    With `output` (an HTML file) a page with the plot is written, figures and CSV beside it. `against` names
+    an ambient condition against which all runs' parameters are tabulated and plotted too; for that, one
+    session is enough.
 
     Raises RecordError for a folder without fits, ConfigurationError for one that is named twice and for an
     unknown `against`.
     """
-    over = chosen_surrounding(against) if against else ""
+    over = ambient_condition_name(against) if against else ""
     sessions = {}
     for folder in folders:
         found = read_results(folder)
@@ -188,20 +190,20 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         label: (series_of if fitted else decays_of)(found, folder)
         for (label, found), folder in zip(sessions.items(), folders, strict=True)
     }
-    seen = seen_runs(sessions, over) if over else []
+    seen = runs_with_condition(sessions, over) if over else []
     rows = {label: rows_of(found, series[label]) for label, found in sessions.items()}
-    tables = [values_table(series, rows, _witnesses_note(sessions))]
+    tables = [values_table(series, rows, _seismometer_note(sessions))]
     tables += [differences_table(compare_series(series))] if len(series) > 1 else []
-    tables += [against_table(seen, over)] if over else []
+    tables += [ambient_table(seen, over)] if over else []
     if output is not None:
         files = output.parent / output.stem
-        compared = (*DEFAULT_LAW.names(), *_OF_ANY_DECAY)
+        compared = (*DEFAULT_LAW.names(), *_DECAY_QUANTITIES)
         names = [name for name in compared if all(name in known for known in rows.values())]
         with written(output, "name"):
             files.mkdir(parents=True, exist_ok=True)
             save_tables(tables, files)
             with styled():
-                drawings = [comparison_figure(names, rows), *([against_figure(seen, over)] if over else [])]
+                drawings = [comparison_figure(names, rows), *([ambient_figure(seen, over)] if over else [])]
                 figures = save_figures(drawings, files)
             body = [*figures.values(), *(html.table(content) for content in tables)]
             page = html.page("Series compared", ", ".join(series), body)
@@ -229,14 +231,14 @@ def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
         raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
     dof = run.fits[FitMethod.EXACT].degrees_of_freedom
     rows = (row for name in DEFAULT_LAW.names() if (row := run.rows.get(name)) is not None)
-    alone = {row.quantity: _alone(Estimate(row.value, row.u), dof) for row in rows if row.determined}
+    alone = {row.quantity: _single_run(Estimate(row.value, row.u), dof) for row in rows if row.determined}
     if not alone:
         raise RecordError(f"{folder}: its run determines no parameter of the contact")
     return alone
 
 
 def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
-    """Period and decrement of a session of which nothing was fitted: its mean, or those of its one decay.
+    """Period and decrement of a session without fits: means of its decays, or those of its only one.
 
     Raises RecordError where it has no decay.
     """
@@ -245,15 +247,15 @@ def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
         raise RecordError(f"{folder}: has no decay ({session.runs[0].problem})")
     if len(runs) == 1:
         dof = max(runs[0].half_cycles - 2, 1)
-        return {name: _alone(runs[0].number(name), dof) for name in _OF_ANY_DECAY}
-    # one clock times all runs: it does not fall in their mean
+        return {name: _single_run(runs[0].number(name), dof) for name in _DECAY_QUANTITIES}
+    # all runs share one clock: its u is not averaged out
     by_clock = [
         0.0 if run.clock is None else run.clock.u_rate * run.number("mean_period_s").value for run in runs
     ]
     shared = {"mean_period_s": by_clock}
     return {
         name: combine(name, [run.number(name) for run in runs], shared.get(name, ()))
-        for name in _OF_ANY_DECAY
+        for name in _DECAY_QUANTITIES
     }
 
 
@@ -278,7 +280,7 @@ def _combined_of(session: SessionResults) -> Mapping[str, Combined]:
     return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
 
 
-def _alone(estimate: Estimate, dof: int) -> Combined:
+def _single_run(estimate: Estimate, dof: int) -> Combined:
     """One run as a series of its own: how runs scatter is not known, and no test is made."""
     value, u = estimate
     return Combined(
@@ -294,9 +296,9 @@ def _alone(estimate: Estimate, dof: int) -> Combined:
 def values_table(
     series: Mapping[str, Mapping[str, Combined]], found: Mapping[str, Mapping[str, ResultRow]], note: str
 ) -> Table:
-    """One row a quantity, one column a series; what is not determined as interval or bound."""
+    """One row a quantity, one column a series; undetermined ones as interval or bound."""
     known = {name for rows in found.values() for name in rows}
-    names = [name for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY, *_OF_ANY_DECAY) if name in known]
+    names = [name for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY, *_DECAY_QUANTITIES) if name in known]
     lines = []
     for name in names:
         items = [each.get(name) for each in found.values()]
@@ -313,29 +315,29 @@ def values_table(
     runs = ", ".join(f"{label}: {len(next(iter(one.values())).runs)}" for label, one in series.items())
     return Table.of(
         "values", "Parameters of each series", ("parameter", *columns), ("", *series), lines,
-        ("Means over the decays" if known <= set(_OF_ANY_DECAY) else "Exact fits")
+        ("Means over the decays" if known <= set(_DECAY_QUANTITIES) else "Exact fits")
         + f", value ± standard uncertainty of swings and apparatus, as far as stated. Runs: {runs}.{note}",
     )  # fmt: skip
 
 
-def _witnesses_note(sessions: Mapping[str, SessionResults]) -> str:
+def _seismometer_note(sessions: Mapping[str, SessionResults]) -> str:
     """Which of the series were fitted with an auxiliary seismometer; empty: none."""
     said = []
     for label, session in sessions.items():
         used = sum(run.witness is not None and run.witness.used for run in session.runs)
         said += [f"{label}: {used} of {len(session.runs)} runs"] if used else []
-    return f" With a witness of the ground: {', '.join(said)}." if said else ""
+    return f" With a seismometer: {', '.join(said)}." if said else ""
 
 
 def differences_table(comparisons: Sequence[Comparison]) -> Table:
     """Every pair of series, parameter by parameter; of two single runs without a verdict."""
-    limit = DIFFERENT / max(sum(isfinite(item.p_value) for item in comparisons), 1)
+    limit = SIGNIFICANCE_LEVEL / max(sum(isfinite(item.p_value) for item in comparisons), 1)
     untested = sum(not isfinite(item.p_value) for item in comparisons)
     lines = []
     for item in comparisons:
         verdict = "differ" if item.p_value < limit else "no difference seen"
         if not isfinite(item.p_value):
-            far = abs(item.difference) > _FAR * item.standard_uncertainty
+            far = abs(item.difference) > _SHOWN_FROM_U * item.standard_uncertainty
             verdict = "not tested" if far else "not tested, within the swings' u"
         difference, of = (item.difference, item.standard_uncertainty), quantity(item.name)
         chance = plain(item.p_value, 2) if isfinite(item.p_value) else "–"
@@ -354,7 +356,7 @@ def differences_table(comparisons: Sequence[Comparison]) -> Table:
         )
     if untested:
         said.append(
-            f"{untested} comparisons are of two single runs: their u is the swings' alone, and how runs of "
+            f"{untested} comparisons are of two single runs: their u is of half-cycles only, and how runs of "
             "one contact scatter, which may be many times more, is not known; measure series (rig fit A1 A2 "
             "A3 combines runs, rig compare --model default --by-sample takes their scatter)."
         )

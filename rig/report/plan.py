@@ -1,5 +1,5 @@
-"""Uncertainties of planned runs over their first and last amplitudes, and pairs of runs that tell an ageing
-contact: tables and picture of `rig plan`."""
+"""Tables and figure of `rig plan`: uncertainties of planned runs by first and last amplitude, and pairs of
+runs that reveal ageing of the contact."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from rig.report.drawing import ReportFigure
 
 _LINES = ("-", "--", ":", "-.")
-_LITTLE = 1.2
-"""Factor on u(b) by which not knowing the age may enlarge it in runs that are proposed."""
+_MAX_AGEING_FACTOR = 1.2
+"""Largest factor by which unknown ageing may enlarge u(b) in a proposed pair."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Plan:
 
     @property
     def scales(self) -> dict[str, float]:
-        """The values to which uncertainties are related; 0 for a drag that no run would tell from none."""
+        """The values to which uncertainties are related; 0 for a drag below its u in every run."""
         unseen = all(run.u.get(DRAG.key, 0.0) > abs(self.values.get(DRAG.key, 0.0)) for run in self.runs)
         return {name: 0.0 if name == DRAG.key and unseen else value for name, value in self.values.items()}
 
@@ -59,7 +59,7 @@ def plan_expected(
     counts: Sequence[int] = (1,),
     witness_noise: float | None = None,
 ) -> Plan:
-    """Runs between all first and last amplitudes, and series of so many of each.
+    """Plan runs between all first and last amplitudes, in series of `counts`.
 
     Raises DataError: no pair of amplitudes makes a run.
     """
@@ -81,7 +81,7 @@ def plan_expected(
 
 
 def _share(u: float, value: float, unit: str) -> str:
-    """An uncertainty over its value, or beside it where that is none: no drag."""
+    """Relative uncertainty in per cent; with its unit where the value is 0."""
     return percent(u / abs(value)) if value else f"{plain(u, 2)} {unit}".rstrip()
 
 
@@ -104,7 +104,7 @@ def plan_table(plan: Plan) -> Table:
         f"{plain(conditions.ground_rad_per_s2_rthz, 2)} rad/s²/√Hz"
     )
     if conditions.witness_noise is not None:
-        note += f", of which a witness leaves {plain(conditions.unknown_rad_per_s2_rthz, 2)}"
+        note += f", {plain(conditions.unknown_rad_per_s2_rthz, 2)} with the seismometer"
     note += "."
     if any(run.duration_s > plan.longest_s for run in plan.runs):
         note += f" * session.max_duration_s = {plan.longest_s:g} would end it earlier: raise it for this."
@@ -117,24 +117,24 @@ def plan_table(plan: Plan) -> Table:
 
 
 def plan_ageing(plan: Plan, waits_s: Sequence[float]) -> tuple[tuple[PlannedSeries, ...], PlannedSeries]:
-    """The planned run that tells b best by itself, pairs of it and every other that ends where it does, after
-    waiting, and the pair that is proposed.
+    """The run with the smallest u(b), its pairs with each run of equal last amplitude after each wait, and
+    the pair that is proposed.
 
-    That is the shortest in which not knowing the age enlarges u(b) by less than a fifth; without one, the
-    one that leaves u(b) smallest.
+    That is the shortest pair in which unknown ageing enlarges u(b) by less than a fifth; without one, the
+    pair with the smallest u(b).
     """
     best, known = min(plan.runs, key=lambda run: run.u["b"]), plan.conditions.known_drag_s
     seconds = sorted(
         (run for run in plan.runs if run.last_rad == best.last_rad), key=lambda run: -run.first_rad
     )
     pairs = [planned_series([best, run], wait_s, known) for run in seconds for wait_s in sorted(set(waits_s))]
-    good = [one for one in pairs if one.u["b"] < _LITTLE * one.u_steady["b"]]
+    good = [one for one in pairs if one.u["b"] < _MAX_AGEING_FACTOR * one.u_steady["b"]]
     proposed = min(good, key=lambda one: one.duration_s) if good else min(pairs, key=lambda one: one.u["b"])
     return (planned_series([best], known_drag_s=known), *pairs), proposed
 
 
 def _percent(share: float) -> str:
-    return percent(share) if share < 10 else "not told"
+    return percent(share) if share < 10 else "unknown"
 
 
 def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
@@ -165,7 +165,7 @@ def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
 
 
 def save_plan(plan: Plan, folder: Path, ageing: Table) -> None:
-    """plan.csv, plan.png, plan.svg, and plan.ageing.csv, in a folder, which is made; none may exist."""
+    """Write plan.csv, .png, .svg and .ageing.csv to a folder, made if needed; none may exist."""
     from rig.report.drawing import png, styled, svg
 
     folder.mkdir(parents=True, exist_ok=True)

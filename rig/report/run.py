@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.digest import known_sha256_of, sha256_of, utc
+from acquisition.record.digest import cached_sha256, sha256_of, utc
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import SPOT, SWING
 from processing.deflections import DeflectionUnit
@@ -97,7 +97,7 @@ def read_run(path: Path, results: RunResults | None) -> Exported:
         notes = tuple(reader.doubts())
         if configuration is None and CONFIGURATION_NAME in reader.contents.attachment_places:
             notes = (*notes, "the configuration is damaged and not part of this export")
-    provenance["sha256"] = known_sha256_of(path)
+    provenance["sha256"] = cached_sha256(path)
     if results is not None and results.sha256 != provenance["sha256"]:
         raise RecordError(
             f"{path}: differs from the record from which {RESULTS_NAME} was made (other hash); "

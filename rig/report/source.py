@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import Frame
-from acquisition.record.digest import RecordedCamera, known_sha256_of
+from acquisition.record.digest import RecordedCamera, cached_sha256
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import RecordedNote
 from processing.arrays import Floats
@@ -113,7 +113,7 @@ def read_source(source: Path | SessionResults) -> ReportSource:
         return ReportSource(folder, ("results", ""), source.series, runs)
     results = read_results(source)
     folder, path = source if source.is_dir() else source.parent, results_path(source)
-    name = path.name, known_sha256_of(path)
+    name = path.name, cached_sha256(path)
     runs = [
         _read_run(folder, run, number) if run.decay is None else decay_of_table(folder, results, run, number)
         for number, run in zip(results.numbers, results.runs, strict=True)
@@ -142,10 +142,10 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
             }
         notes += [_as_line(note, rate, spots) for note in reader.notes()]
         notes += [line for line in reader.doubts() if line not in results.warnings]
-    if results.sha256 != known_sha256_of(path):
+    if results.sha256 != cached_sha256(path):
         notes.append("the record is not the one that the results were made from: its hash differs")
     if configuration is not None:
-        simulated = RecordedCamera.of(provenance).simulated
+        simulated = RecordedCamera.from_metadata(provenance).simulated
         provenance["configuration"] = shown_configuration(json.loads(configuration), simulated=simulated)
     first_ns = results.stored.first_ns or (int(spots["time_ns"][0]) if len(spots) else 0)
     unit = ShownUnit(deflections.unit.shown, deflections.unit.shown_size)

@@ -8,7 +8,7 @@ from typing import Final
 from processing.contact import weight_moment
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import Budget, FitMethod
-from processing.quantity import OfInstrument
+from processing.quantity import InstrumentQuantities
 from processing.units import ARCSEC_RAD
 from rig.analysis import (
     INSTRUMENT,
@@ -246,7 +246,7 @@ def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
 
 
 _MOST_FIRST = 4
-_ORDER: Final = [field.name for field in fields(OfInstrument)]
+_ORDER: Final = [field.name for field in fields(InstrumentQuantities)]
 
 
 def _rows(results: RunResults) -> list[ResultRow]:

@@ -1,4 +1,4 @@
-"""The configuration as frozen models: a section each, and all of them together."""
+"""The configuration as frozen models: one per section, and one that holds all."""
 
 import shlex
 from collections.abc import Iterable
@@ -28,8 +28,8 @@ from rig.settings.sections import (
     TimebaseSettings,
 )
 
-_OF_THE_RIG = ("controller.", "laser.", "session.output")
-"""Keys that say which rig it is, and where its sessions are."""
+_DEVICE_KEYS = ("controller.", "laser.", "session.output")
+"""Keys of the devices and of the output folder."""
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
@@ -86,7 +86,7 @@ class PendulumSettings(Section, frozen=True):
     ball_material: str = "steel"
     flat_material: str = "glass_k8"
     contact_radius_m: float | None = Field(
-        default=None, gt=0, lt=1e-2, description="of the contact; if left out, Hertz's radius"
+        default=None, gt=0, lt=1e-2, description="if left out, Hertz's radius is taken"
     )
     u_contact_radius_m: float = Field(default=0.0, ge=0)
     mass_centre_height_m: float | None = Field(
@@ -100,13 +100,13 @@ class PendulumSettings(Section, frozen=True):
         default=None, gt=0, lt=10, description="across its axis of swing; for the estimate of the air's drag"
     )
     width_m: float | None = Field(
-        default=None, gt=0, lt=10, description="along that axis; both left out: from the moment of inertia"
+        default=None, gt=0, lt=10, description="along the axis of swing; without both: from the inertia"
     )
     expansion_per_k: float = Field(
         default=1.15e-5,
         ge=0,
         lt=1e-3,
-        description="of its body, changes the period; steel if left out",
+        description="of the pendulum's body; it changes the period",
     )
     gravity_m_per_s2: float = Field(default=STANDARD_GRAVITY_M_PER_S2, gt=0, lt=30)
     u_gravity_m_per_s2: float = Field(default=0.0, ge=0)
@@ -115,7 +115,7 @@ class PendulumSettings(Section, frozen=True):
 class ReferenceSettings(Section, frozen=True):
     """A second spot on the sensor, from a mirror that is fixed to the base: it sees pointing and air alone.
 
-    It has the rows of each frame from `from_row_px` on, the pendulum's spot those before.
+    It lies in the rows from `from_row_px` on, the pendulum's spot in those before.
     """
 
     from_row_px: int = Field(
@@ -168,7 +168,7 @@ class FitSettings(Section, frozen=True):
     )
     drag: Literal["air", "open", "vacuum"] = Field(
         default="air",
-        description="what is known of the drag: air, its estimate; open, nothing; vacuum, that there is none",
+        description="drag in the fit: air, with its estimate as prior; open, free; vacuum, none",
     )
     drag_s: float | None = Field(
         default=None,
@@ -183,13 +183,13 @@ class FitSettings(Section, frozen=True):
         description="by how much the contact's friction may change over a run, as a fraction of it",
     )
     u_adhesion_ageing: float | None = Field(
-        default=None, ge=0, lt=1, description="the same of c, the part of adhesion; as u_ageing if not stated"
+        default=None, ge=0, lt=1, description="as u_ageing, for c (adhesion); equal to it if not stated"
     )
     u_drag_drift: float | None = Field(
-        default=None, ge=0, lt=1, description="the same of the air's drag; by its temperature if not stated"
+        default=None, ge=0, lt=1, description="as u_ageing, for drag; from temperature if not stated"
     )
     u_temperature_change_k: float = Field(
-        default=1.0, ge=0, lt=100, description="over a run, where no sensor has read it"
+        default=1.0, ge=0, lt=100, description="change over a run without a sensor"
     )
     drifts: bool = Field(
         default=False,
@@ -202,8 +202,8 @@ class FitSettings(Section, frozen=True):
         return self.drag != "vacuum"
 
     @property
-    def opened(self) -> "FitSettings":
-        """The same with nothing known of the air, as its drag is measured."""
+    def with_free_drag(self) -> "FitSettings":
+        """These settings with a free drag, for a measurement of it."""
         return self.model_copy(update={"drag": "open", "drag_s": None, "u_drag_s": 0.0})
 
     @model_validator(mode="after")
@@ -212,7 +212,7 @@ class FitSettings(Section, frozen=True):
             return self
         if self.drag != "air":
             raise ValueError(
-                f"drag_s = {self.drag_s:g} is of the air, and drag = {self.drag!r}: state one of them"
+                f"drag_s = {self.drag_s:g} goes with drag = 'air', not {self.drag!r}: leave one out"
             )
         if not self.u_drag_s > 0:
             raise ValueError(f"drag_s = {self.drag_s:g} needs its standard uncertainty u_drag_s")
@@ -269,20 +269,20 @@ class Configuration(Section, frozen=True):
         )
 
     @property
-    def named(self) -> str:
-        """As a command for the same rig takes it: its file, with what --set states of the devices."""
+    def command_words(self) -> str:
+        """Words of the command line that select this rig: its file, and --set of its devices."""
         return self._named
 
-    def from_file(self, path: Path, overrides: Iterable[str] = ()) -> Self:
-        """The same, named after its file."""
-        devices = [text for text in overrides if text.strip().startswith(_OF_THE_RIG)]
-        # it tells where the values came from, and is none of them
+    def remember_file(self, path: Path, overrides: Iterable[str] = ()) -> Self:
+        """Note the file for `command_words`."""
+        devices = [text for text in overrides if text.strip().startswith(_DEVICE_KEYS)]
+        # the origin of the values, not one of them
         self._named = shlex.join([str(path), *(word for text in devices for word in ("--set", text))])  # type: ignore[misc]
         return self
 
     @property
-    def rehearsal(self) -> str:
-        """What a simulated camera needs to run without the rig's own devices; empty where none is."""
+    def rehearsal_hint(self) -> str:
+        """Message: --set options by which a simulated camera runs without devices; else empty."""
         board = self.controller.kind == "serial"
         if not (self.simulated and (board or self.laser.kind in LASERS)):
             return ""
@@ -305,7 +305,7 @@ class Configuration(Section, frozen=True):
 
     @property
     def stop_conditions(self) -> tuple[StopCondition, ...]:
-        """Those of `session.stop_when`."""
+        """`session.stop_when`, parsed."""
         return stop_conditions(self.session.stop_when, drag=self.fit.fits_drag)
 
     @property

@@ -84,7 +84,7 @@ def load_configuration(
     apply_overrides(tree, overrides)
     if not needs_camera and "camera" not in tree:
         tree["camera"] = {"driver": "files"}
-    return validate_configuration(tree, str(path), overrides).from_file(path, overrides)
+    return validate_configuration(tree, str(path), overrides).remember_file(path, overrides)
 
 
 def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:

@@ -124,19 +124,19 @@ class BalanceSettings(BalanceLimits):
 
     seconds: float = Field(default=14.0, gt=9, description="length of one measurement, about three periods")
     inertia_kg_m2: float | None = Field(
-        default=None, gt=0, description="about the contact; if left out, the height is not computed"
+        default=None, gt=0, description="about the contact; needed for the height of mass centre"
     )
     u_effect: float = Field(
         default=1.0,
         gt=0,
         le=2,
         description="relative uncertainty of the effect of a turn as computed from mass and thread; at 1 a "
-        "weight may be three times as strong or stand across; 0.2 if the drawing is trusted",
+        "weight may be 3 times as strong or on the other axis; 0.2 if the drawing is trusted",
     )
     gamma_pa: float = Field(
         default=0.0, ge=0, description="elastic adhesion, to compute T0 from T; 0: T0 = T"
     )
-    n: float = Field(default=0.1, ge=0)
+    n: float = Field(default=0.1, ge=0, description="exponent of the elastic adhesion")
     weight_x: WeightSettings = WeightSettings()
     weight_y: WeightSettings = WeightSettings()
     weight_height: WeightSettings = WeightSettings(mass_kg=0.005, pitch_m=0.7e-3)
@@ -190,8 +190,8 @@ class PreflightSettings(BaseModel, frozen=True, extra="forbid"):
     max_poor_fit_fraction: float = Field(
         default=0.01, ge=0, le=1, description="spots that the beam's model does not fit: above, a warning"
     )
-    min_peak_fraction: float = Field(default=0.15, ge=0, lt=1, description="peak of the spot over full scale")
-    max_peak_fraction: float = Field(default=0.95, gt=0, le=1, description="peak of the spot over full scale")
+    min_peak_fraction: float = Field(default=0.15, ge=0, lt=1, description="peak of the spot / full scale")
+    max_peak_fraction: float = Field(default=0.95, gt=0, le=1, description="peak of the spot / full scale")
     max_noise_arcsec: float = Field(default=0.1, gt=0, description="noise of one frame, at rest")
     max_vibration_arcsec: float = Field(default=0.2, gt=0, description="strongest line of the spectrum")
     max_rest_offset_arcsec: float = Field(
@@ -210,9 +210,9 @@ class PreflightSettings(BaseModel, frozen=True, extra="forbid"):
     min_humidity_percent: float = Field(default=0.0, ge=0, le=100)
     max_humidity_percent: float = Field(default=100.0, ge=0, le=100)
     wait_max_s: float = Field(
-        default=0.0, ge=0, description="after a no-go a session waits so long in all, with the laser dark"
+        default=0.0, ge=0, description="longest total wait after a no-go, with the laser dark"
     )
-    try_every_s: float = Field(default=300.0, gt=0, description="meanwhile the run is tried again so often")
+    try_every_s: float = Field(default=300.0, gt=0, description="time between tries during that wait")
 
 
 class PhaseSettings(BaseModel, frozen=True, extra="forbid"):
@@ -237,9 +237,9 @@ class StartSettings(BaseModel, frozen=True, extra="forbid"):
     )
     pretrigger_s: float = Field(default=2.0, gt=0, le=30, description="recorded time before the release")
     trigger_arcsec: float = Field(default=5.0, gt=0, description="a motion larger than this is the release")
-    lowest_amplitude: float = Field(default=0.9, gt=0, description="first amplitude over the wanted one")
-    highest_amplitude: float = Field(default=1.5, gt=0, description="first amplitude over the wanted one")
-    max_transverse_ratio: float = Field(default=0.05, gt=0, description="amplitude of fast over slow mode")
+    lowest_amplitude: float = Field(default=0.9, gt=0, description="first / wanted amplitude, at least")
+    highest_amplitude: float = Field(default=1.5, gt=0, description="first / wanted amplitude, at most")
+    max_transverse_ratio: float = Field(default=0.05, gt=0, description="fast amplitude / slow amplitude")
     attempts: int = Field(default=3, ge=1, le=100)
     patience_s: float = Field(
         default=40.0, gt=0, description="time allowed for two clean half-cycles and a balance"

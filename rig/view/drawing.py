@@ -12,7 +12,7 @@ from acquisition.record.events import Event, EventKind, Severity
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.units import ARCSEC_RAD
-from rig.presentation import QuantityDisplay, balance_drawn, balance_table, palette, quantity
+from rig.presentation import QuantityDisplay, balance_style, balance_table, palette, quantity
 from rig.view import layout
 from rig.view.graticule import spot_cross
 from rig.view.transverse import Breaks, Decimator, Gathering, Lissajous, TransverseCurves
@@ -182,7 +182,7 @@ class Drawing:
         # what has waited for the first balance
         self._draw_across(run, *[np.empty(0)] * 3)
         for name, (value, u) in numbers.items():
-            shown, drawn = quantity(name, unit), balance_drawn(name)
+            shown, drawn = quantity(name, unit), balance_style(name)
             if np.isfinite(value):
                 pair = shown.factor * value, shown.factor * u
                 path = f"{layout.BALANCE_ROOT}/{drawn.entity}"

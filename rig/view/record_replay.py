@@ -38,7 +38,7 @@ from rig.presentation import (
 )
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import Terminated
-from rig.view.replay import Replay, Replayed
+from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import ParameterDifference, ReplayDifferences, parameter_changes
 from rig.view.replay_player import HELP, MOST_FRAMES, Player
 from rig.view.scratch import ScratchHead, ScratchView
@@ -264,7 +264,9 @@ def replay_record(
                 metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
                 view.begin(replay.start_ns, ScratchHead(metadata, attachments, config.deflection_unit))
             keys = stack.enter_context(Keys())
-            line = stack.enter_context(ReplayLine(config.deflection_unit.shown, HELP if keys.there else ""))
+            line = stack.enter_context(
+                ReplayLine(config.deflection_unit.shown, HELP if keys.available else "")
+            )
             player = Player(
                 replay,
                 pace,
@@ -279,10 +281,10 @@ def replay_record(
             if mode == "web" and not player.ended_by_user:
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
                 _stay(keys)
-        partial = replay.partial or replay.sought or player.ended_by_user
+        partial = replay.partial or replay.was_restarted or player.ended_by_user
         run = replace(_analysed(reader, config, result), watched=watched)
         if partial:
-            part = f"replayed from {replay.begun_s:.2f} s to {replay.position_s:.2f} s of the record"
+            part = f"replayed from {replay.pipeline_start_s:.2f} s to {replay.position_s:.2f} s of the record"
             # the record's end is not that of the part
             run = replace(run, ended=None, warnings=(part, *run.warnings))
     results = session_results([run], output or record.parent)
@@ -323,7 +325,7 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
         return _analysed(reader, config, replay.finish())
 
 
-def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> AnalysedRun:
+def _analysed(reader: RecordReader, config: Configuration, result: ReplayResult) -> AnalysedRun:
     return analyse_run(
         reader,
         config,
@@ -336,12 +338,12 @@ def _analysed(reader: RecordReader, config: Configuration, result: Replayed) -> 
 
 
 def _say_differences(
-    record: Path, replay: Replay, result: Replayed, run: AnalysedRun, *, partial: bool, retracked: bool
+    record: Path, replay: Replay, result: ReplayResult, run: AnalysedRun, *, partial: bool, retracked: bool
 ) -> None:
     """Print differences from the recorded spots, half-cycles and fitted parameters."""
-    if replay.sought:
+    if replay.was_restarted:
         print_line(
-            f"restarted at {replay.begun_s:.2f} s by going back: "
+            f"restarted at {replay.pipeline_start_s:.2f} s by going back: "
             "the results are not compared with the recorded ones"
         )
         return

@@ -1,4 +1,4 @@
-"""Processes a record again in the same pipeline, at any speed and from any position."""
+"""Replay of a record through the same pipeline, at any speed and from any position."""
 
 import math
 from collections.abc import Iterator
@@ -36,10 +36,10 @@ class ReplayStep(NamedTuple):
     pictures: list[Frame]
 
 
-class Replayed(NamedTuple):
+class ReplayResult(NamedTuple):
     """Results of a replay; `dropped_frames` are missing in the record between the first and the last.
 
-    `beam` is what the spots say of the beam. `deflections` are in the pieces in which they were processed.
+    `beam` counts spots by beam model. `deflections` are in the pieces in which they were processed.
     """
 
     swings: list[HalfCycle]
@@ -119,7 +119,7 @@ class Replay:
         self._from_ns = self.start_ns + nanoseconds(from_s)
         self._to_ns = self._last_ns if math.isinf(to_s) else self.start_ns + nanoseconds(to_s)
         self.partial = from_s > 0 or self._to_ns < self._last_ns
-        self.sought = False
+        self.was_restarted = False
         self._table: NDArray[Any] = head[:0]
         self._row = 0
         self._comparison = ReplayComparison(self.start_ns)
@@ -136,9 +136,9 @@ class Replay:
         return seconds(self._position_ns - self.start_ns)
 
     @property
-    def begun_s(self) -> float:
+    def pipeline_start_s(self) -> float:
         """Time at which the pipeline was started, in seconds from the record's first frame."""
-        return seconds(self._begun_ns - self.start_ns)
+        return seconds(self._pipeline_start_ns - self.start_ns)
 
     @property
     def next_s(self) -> float:
@@ -158,14 +158,14 @@ class Replay:
 
     @property
     def clock(self) -> CameraClock:
-        """The camera's clock as the frames so far show it; not of frames made on demand."""
+        """State of the camera's clock so far; unknown for frames made on demand."""
         known = [step for time_ns, step in self._steps if time_ns <= self._position_ns]
         largest_s = max((seconds(step_ns) for step_ns in known), key=abs, default=0.0)
         return replace(self._clock, steps=len(known), largest_step_s=largest_s)
 
     def restart(self, time_s: float) -> None:
         """Start again at a time; the results so far are discarded."""
-        self.sought = True
+        self.was_restarted = True
         self._begin(self.start_ns + nanoseconds(max(time_s, 0.0)))
 
     def advance(self, until_s: float, most: int) -> ReplayStep | None:
@@ -183,28 +183,28 @@ class Replay:
         rows = rows[: max(1, int(np.searchsorted(rows["time_ns"], limit_ns, side="right")))]
         self._row += len(rows)
         self._position_ns = int(rows["time_ns"][-1])
-        spots = self._tracked_again(rows) if self._retrack else _spots(rows)
+        spots = self._track_again(rows) if self._retrack else _spots(rows)
         block = self._block(rows, spots)
         self._keep(rows, block)
         self._comparison.spots(rows, spots)
         return ReplayStep(rows["sequence"].astype(np.int64), block, self._pictures_of(rows))
 
-    def finish(self) -> Replayed:
+    def finish(self) -> ReplayResult:
         """Complete the last half-cycles; returns all results since the start."""
         swings = self._pipeline.finish()
         whole_end = math.isinf(self.next_s) and self._to_ns >= self._last_ns
         self._swings += swings
-        first = self._first_sequence if self.partial or self.sought else 0
+        first = self._first_sequence if self.partial or self.was_restarted else 0
         dropped = self._last_sequence + 1 - first - sum(map(len, self._deflections))
         # at the end of a part the last half-cycle lacks samples that it had when it was recorded
         compared = self._swings if whole_end else self._swings[: len(self._swings) - len(swings)]
         comparison = self._comparison.finish(
             self._reader.swings(),
             compared,
-            from_start=self._begun_ns == self.start_ns,
+            from_start=self._pipeline_start_ns == self.start_ns,
             to_end=whole_end,
         )
-        return Replayed(self._swings, self._deflections, dropped, comparison, self._beam)
+        return ReplayResult(self._swings, self._deflections, dropped, comparison, self._beam)
 
     def _begin(self, time_ns: int) -> None:
         shape = self._shape
@@ -216,7 +216,7 @@ class Replay:
         self._window: RecordedWindow | None = None
         self._images = self._reader.images(from_ns)
         self._image: Frame | None = None
-        self._begun_ns = self._position_ns = max(time_ns, self.start_ns)
+        self._pipeline_start_ns = self._position_ns = max(time_ns, self.start_ns)
         self._swings: list[HalfCycle] = []
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
@@ -243,7 +243,7 @@ class Replay:
             self._first_sequence = int(rows["sequence"][0])
         self._last_sequence = int(rows["sequence"][-1])
 
-    def _tracked_again(self, rows: NDArray[Any]) -> list[Spot]:
+    def _track_again(self, rows: NDArray[Any]) -> list[Spot]:
         """Track the spots again; windows and rows are both in the order of the frames."""
         spots: list[Spot] = []
         for sequence in rows["sequence"].tolist():

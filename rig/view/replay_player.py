@@ -11,7 +11,7 @@ from processing.spot import SpotFlag
 from processing.units import nanoseconds
 from rig.instrument import RecordContents, RunNow
 from rig.presentation import Keys
-from rig.view.replay import Replay, Replayed, ReplayStep
+from rig.view.replay import Replay, ReplayResult, ReplayStep
 from rig.view.scratch import ScratchView
 
 HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
@@ -92,7 +92,7 @@ class Player:
             wait_s = self._go_on()
         self._show()
 
-    def finish(self) -> Replayed:
+    def finish(self) -> ReplayResult:
         """Complete the last half-cycles, which are shown too."""
         result = self._replay.finish()
         if self._view is not None:
@@ -209,7 +209,7 @@ class Player:
 
     def _forget(self) -> None:
         """Reset the counts when the pipeline is restarted."""
-        start_ns, begun_s = self._replay.start_ns, self._replay.begun_s
+        start_ns, begun_s = self._replay.start_ns, self._replay.pipeline_start_s
         begun_ns = start_ns + nanoseconds(begun_s)
         self._now = RunNow()
         self._last_sequence = self._replay.next_sequence - 1

@@ -34,8 +34,8 @@ PLACES: dict[str, tuple[type, str]] = {
     "processing hangs": (FrameStream, "take"),
     "disk full": (RecordWriter, "write_spots"),
     "disk hangs": (RecordWriter, "write_spots"),
-    "control thread hangs": (ControlService, "_turn"),
-    "control thread dies": (ControlService, "_turn"),
+    "control thread hangs": (ControlService, "_poll"),
+    "control thread dies": (ControlService, "_poll"),
     "processing dies": (FrameStream, "take"),
     "camera fails": (SimulatedCamera, "read"),
 }

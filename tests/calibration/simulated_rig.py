@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.optics import spot_position_px
-from acquisition.simulation.scene import Readings, Scene
+from acquisition.simulation.scene import SensorSettings, Scene
 from acquisition.simulation.settings import (
     AxesTruth,
     ClockTruth,
@@ -121,7 +121,7 @@ def swing_for_axes(rig: Drawn, duration_s: float = 60.0) -> AxesFit:
 def stamp_frames(rig: Drawn, frames: int = 3000) -> ClockRelation:
     """Frames stamped by the simulated camera and by a host that now and then is late."""
     sensor = rig.settings.sensor
-    readings = Readings(0, 0, sensor.width_px, sensor.height_px, sensor.bit_depth, 100.0, 0.0, 100.0)
+    readings = SensorSettings(0, 0, sensor.width_px, sensor.height_px, sensor.bit_depth, 100.0, 0.0, 100.0)
     plan = Scene(rig.settings, FaultSettings(), readings, 0).plan(frames)
     late = rig.rng.random(frames) < 0.05
     delay_s = 1e-3 + rig.arrival_s * rig.rng.standard_normal(frames)

@@ -10,11 +10,11 @@ from processing.arrays import Flags, Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.reference_spot import (
-    LessReference,
+    CorrectedPositions,
     ReferenceVerdict,
     common_motion,
     fitted_gain,
-    less_reference,
+    subtract_common_motion,
 )
 from processing.spot import SpotTracker
 from tests.processing.spot.frames import EIGHT_BIT, exposed, light
@@ -61,10 +61,10 @@ def tracked(seed: int, related: bool = True, walk_px: float = 0.05) -> Tracked:
     return Tracked(times_ns, *found.T, 35.0 + swing, time_s < RELEASED / RATE_HZ)
 
 
-def corrected(run: Tracked, gain: Estimate | None = None) -> LessReference:
+def corrected(run: Tracked, gain: Estimate | None = None) -> CorrectedPositions:
     common = common_motion(run.times_ns, run.reference, run.u_reference)
     gain = gain or fitted_gain(run.spot, run.u, common, run.quiet)
-    return less_reference(run.spot, run.u, common, gain, run.quiet)
+    return subtract_common_motion(run.spot, run.u, common, gain, run.quiet)
 
 
 def errors(position: Floats, run: Tracked) -> Floats:

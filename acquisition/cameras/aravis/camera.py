@@ -27,8 +27,8 @@ from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
-_PATIENCE_S: Final = 0.4
-_LONGEST_S: Final = 15.0
+_CLOSE_RETURNS_S: Final = 0.4
+_CLOSE_ENDS_S: Final = 15.0
 # libaravis takes 6 s to notice the loss of a GigE camera, and may not monitor a USB camera at all: after a
 # silence of this length a register is read
 _ASK_AFTER_S: Final = 1.0
@@ -61,9 +61,9 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         self._has_clock = False
         self._closings = 0
         self._gone = threading.Event()
-        self._parting = _ClosingActions()
-        self._asking: threading.Thread | None = None
-        self._heard_s = 0.0
+        self._closing = _ClosingActions()
+        self._probe: threading.Thread | None = None
+        self._last_reply_s = 0.0
         self._buffers: BufferReader | None = None
 
     def _library_error(self) -> type[Exception]:
@@ -84,16 +84,16 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         """
         self.close()
         with self._lock:
-            self._parting.wait(self._name)
+            self._closing.wait(self._name)
             closings = self._closings
             self._library = load_library()
             found = find_camera(self._settings.serial)
             self._name = found.name
             self._gone = threading.Event()
-            with self._translated():
+            with self._translate_errors():
                 info, features = self._take_control(self._library, found)
             if closings != self._closings:
-                self._parting.leave(_nothing, features.give_up(), self._library.error)
+                self._closing.run(_no_action, features.give_up(), self._library.error)
                 raise DeviceError(f"{self._name}: was closed while it was opened")
             self._features = features
             return info
@@ -139,10 +139,10 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
 
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
-        with self._lock, self._translated():
-            features = self._opened()
+        with self._lock, self._translate_errors():
+            features = self._open_device()
             self._must_be_idle()
-            self._parting.wait(self._name)
+            self._closing.wait(self._name)
             camera, library = features.camera, self._library
             assert library is not None
             pixel_format = features.pixel_format()
@@ -163,7 +163,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
                 self._begin((SHORT_IDS,) if camera.is_gv_device() else ()),
                 features.plane,
             )
-            self._heard_s = time.monotonic()
+            self._last_reply_s = time.monotonic()
             self._stream = stream
             del stream
             self._run = CameraRun(self._next, self._end)
@@ -181,9 +181,9 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         if self._gone.is_set():
             raise CameraLost(f"{self._name}: is no longer connected; plug it in again")
         if buffer is None:
-            self._ask_whether_there(features)
+            self._test_connection(features)
             return None
-        self._heard_s = time.monotonic()
+        self._last_reply_s = time.monotonic()
         try:
             if run.stopped:
                 return None  # buffers that were cancelled are returned empty
@@ -191,12 +191,12 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         finally:
             stream.push_buffer(buffer)
 
-    def _ask_whether_there(self, features: AravisFeatures) -> None:
+    def _test_connection(self, features: AravisFeatures) -> None:
         """Test the connection of a silent camera by reading a register in a thread."""
         camera, library, gone = features.camera, self._library, self._gone
         now_s = time.monotonic()
-        is_asking = self._asking is not None and self._asking.is_alive()
-        if is_asking or camera is None or library is None or now_s - self._heard_s < _ASK_AFTER_S:
+        is_asking = self._probe is not None and self._probe.is_alive()
+        if is_asking or camera is None or library is None or now_s - self._last_reply_s < _ASK_AFTER_S:
             return
         address = _GIGE_CONTROL_REGISTER if camera.is_gv_device() else _USB_VERSION_REGISTER
 
@@ -206,9 +206,9 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             except library.error:
                 gone.set()
 
-        self._heard_s = now_s
-        self._asking = threading.Thread(target=ask, name=f"asks {self._name}", daemon=True)
-        self._asking.start()
+        self._last_reply_s = now_s
+        self._probe = threading.Thread(target=ask, name=f"asks {self._name}", daemon=True)
+        self._probe.start()
 
     def _end(self) -> None:
         """Stop the camera and drop the stream, which is no longer read."""
@@ -217,58 +217,61 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         camera = None if features is None else features.camera
         if self._library is None:
             return
-        action = _nothing if camera is None or gone.is_set() else camera.stop_acquisition
+        action = _no_action if camera is None or gone.is_set() else camera.stop_acquisition
         del camera
-        self._parting.leave(action, held, self._library.error)
+        self._closing.run(action, held, self._library.error)
 
     def close(self) -> None:
         self._closings += 1
         self.stop()
         features, self._features = self._features, None
         if features is not None and self._library is not None:
-            self._parting.leave(_nothing, features.give_up(), self._library.error)
+            self._closing.run(_no_action, features.give_up(), self._library.error)
 
 
 class _ClosingActions:
     """Runs the final actions on a camera in threads, one after the other, and waits for them only briefly:
-    libaravis waits 2.5 s for each reply of one that is gone.
+    libaravis waits 2.5 s for each reply of a lost camera.
     """
 
     def __init__(self) -> None:
         self._threads: list[threading.Thread] = []
 
-    def leave(self, action: Callable[[], None], held: list[Any], error: type[Exception]) -> None:
-        """Run the action, then clear the list `held`; returns soon, whether this is finished or not.
+    def run(self, action: Callable[[], None], held: list[Any], error: type[Exception]) -> None:
+        """Run the action, then clear the list `held`; returns after 0.4 s at most, finished or not.
 
         There must be no other references to the objects in the list, because dropping the last reference to a
         camera waits for its reply.
         """
         self._threads = [thread for thread in self._threads if thread.is_alive()]
         thread = threading.Thread(
-            target=_leave, args=(action, held, error, list(self._threads)), name="leaves camera", daemon=True
+            target=_run_action,
+            args=(action, held, error, list(self._threads)),
+            name="leaves camera",
+            daemon=True,
         )
         del action
         self._threads.append(thread)
         thread.start()
-        thread.join(_PATIENCE_S)
+        thread.join(_CLOSE_RETURNS_S)
 
     def wait(self, name: str) -> None:
         """Wait until all actions are finished; a camera that is still being released must not be opened.
 
         Raises DeviceError if that takes too long.
         """
-        deadline_s = time.monotonic() + _LONGEST_S
+        deadline_s = time.monotonic() + _CLOSE_ENDS_S
         for thread in list(self._threads):
             thread.join(max(deadline_s - time.monotonic(), 0.0))
             if thread.is_alive():
                 raise DeviceError(f"{name}: does not answer, and is still being closed; wait")
 
 
-def _nothing() -> None:
+def _no_action() -> None:
     """Empty action."""
 
 
-def _leave(
+def _run_action(
     action: Callable[[], None], held: list[Any], error: type[Exception], before: list[threading.Thread]
 ) -> None:
     for other in before:

@@ -10,9 +10,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, Frame, PluggedCamera
-from acquisition.cameras.genicam import GenicamFeatures, Quantity
+from acquisition.cameras.genicam import GenicamFeatures, NumericFeature
 from acquisition.cameras.pixel_formats import Format, plane_of
-from acquisition.frames.losses import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError
 
 
@@ -104,7 +104,7 @@ def find_camera(wanted: str | None) -> AravisDevice:
     return chosen[0]
 
 
-_CALLED: Final[dict[Quantity, str]] = {
+_CALLED: Final[dict[NumericFeature, str]] = {
     "exposure_us": "exposure_time",
     "gain_db": "gain",
     "frame_rate_hz": "frame_rate",
@@ -155,12 +155,12 @@ class AravisFeatures(GenicamFeatures):
         text = str(value).lower() if isinstance(value, bool) else str(value)
         self.camera.get_device().set_features_from_string(f"{feature}={text}")
 
-    def number(self, key: Quantity) -> float | None:
+    def number(self, key: NumericFeature) -> float | None:
         if not getattr(self.camera, f"is_{_CALLED[key]}_available")():
             return None
         return float(getattr(self.camera, f"get_{_CALLED[key]}")())
 
-    def set_number(self, key: Quantity, wanted: float) -> None:
+    def set_number(self, key: NumericFeature, wanted: float) -> None:
         if not getattr(self.camera, f"is_{_CALLED[key]}_available")():
             raise DeviceError(f"{self.name}: does not allow it to be set; leave camera.{key} out")
         # libaravis clips values out of range without an error
@@ -215,7 +215,7 @@ class AravisFeatures(GenicamFeatures):
 
     def run_on(self) -> None:
         """Select continuous acquisition, without a trigger unless one was asked for."""
-        if not self.waits:
+        if not self.is_triggered:
             self.camera.clear_triggers()
         self.camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
 
@@ -291,7 +291,7 @@ class BufferReader:
         now_ns = time.monotonic_ns()
         arrived_ns = self._arrived_ns(now_ns, buffer.get_system_timestamp())
         was_full = self._underruns.before(arrived_ns, now_ns, underruns)
-        lost: Place = "dropped_by_host" if was_full else "dropped_by_bus"
+        lost: LossCause = "dropped_by_host" if was_full else "dropped_by_bus"
         number = self.numbers.number(buffer.get_frame_id(), lost)
         if number is None:
             return None

@@ -23,8 +23,8 @@ from acquisition.cameras.files.frame_source import (
     FilesSettings,
     FrameSource,
     FrameTimes,
-    Stored,
-    Unreadable,
+    StoredImage,
+    UnreadableFrame,
     frame_times,
 )
 from acquisition.cameras.files.sources import open_source
@@ -34,12 +34,12 @@ _log = logging.getLogger(__name__)
 
 
 class FilesCamera:
-    """A `Camera` that plays recorded frames from the first to the last; each `start` begins at the first,
-    or, after the loss of the disk or share that they lie on, where it was; their numbers then go on.
+    """A `Camera` that plays recorded frames from the first to the last; each `start` begins at the first, or,
+    after their disk or share was lost, at the next one, with its own number.
 
     A frame that cannot be read, or has another size than the first, is skipped, counted in
     ``status.incomplete``, logged, and leaves a gap in the sequence. The timestamps serve as the camera's
-    clock. Exposure, gain and bit depth cannot be changed: `configure` returns None for them. A region of
+    clock. Exposure and gain are unknown (`configure` returns None), the bit depth is fixed. A region of
     interest is cut out.
     """
 
@@ -61,7 +61,7 @@ class FilesCamera:
         self._shape: tuple[int, ...] = ()
         self._skipped: list[tuple[int, str]] = []
         self._first_label = ""
-        self.found: Sequence[str] = ()
+        self.remarks: Sequence[str] = ()
         self.lossy = ""
         self.pixel_aspect = 1.0
 
@@ -75,10 +75,10 @@ class FilesCamera:
             _log.warning(
                 "%s: the codec %s is usually lossy, which makes positions less accurate", path, source.lossy
             )
-        for line in source.said:
+        for line in source.warnings:
             _log.warning("%s: %s", path, line)
         self.lossy, self.pixel_aspect = source.lossy, source.pixel_aspect
-        self.found = [*filter(None, [source.summary]), *source.said]
+        self.remarks = [*filter(None, [source.summary]), *source.warnings]
         self._times = frame_times(self._settings, source)
         image, full_scale_dn, self._first_label = self._first_image(source)
         self._dtype, self._shape = image.dtype, image.shape
@@ -160,7 +160,7 @@ class FilesCamera:
                 self._dropped_earlier += number - (self._times.sequence[index - 1] if index else -1) - 1
                 try:
                     image = self._image(source, index)
-                except Unreadable as error:
+                except UnreadableFrame as error:
                     self._incomplete += 1
                     self._skipped.append((index, str(error)))
                     continue
@@ -197,7 +197,7 @@ class FilesCamera:
         )
 
     def _say_skipped(self, source: FrameSource) -> None:
-        """One line for frames that were skipped one after another."""
+        """Log one line on consecutive frames that were skipped."""
         if self._skipped:
             (first, reason), (last, _) = self._skipped[0], self._skipped[-1]
             more = f" and {len(self._skipped) - 1} more, to {source.label(last)}" if last > first else ""
@@ -215,7 +215,7 @@ class FilesCamera:
             try:
                 stored = source.read(index)
                 return *self._grey(stored, source.label(index)), source.label(index)
-            except Unreadable as error:
+            except UnreadableFrame as error:
                 reasons.append(str(error))
             except OSError as error:
                 raise DeviceError(f"{self._settings.path}: cannot be read: {error.strerror}") from None
@@ -231,7 +231,7 @@ class FilesCamera:
                 f"{self._dtype}; convert them to one depth"
             )
         if image.shape != self._shape:
-            raise Unreadable(
+            raise UnreadableFrame(
                 f"is {image.shape[1]}x{image.shape[0]} px, {self._first_label} is "
                 f"{self._shape[1]}x{self._shape[0]} px"
             )
@@ -241,7 +241,7 @@ class FilesCamera:
             image = image[y0 : y0 + region.height_px, x0 : x0 + region.width_px].copy()
         return image
 
-    def _grey(self, stored: Stored, label: str) -> tuple[Image, int]:
+    def _grey(self, stored: StoredImage, label: str) -> tuple[Image, int]:
         """One channel of a frame at the requested bit depth, and its full scale."""
         pixels, full_scale, coloured = stored
         if coloured and self._settings.colour != "brightness":
@@ -260,7 +260,7 @@ class FilesCamera:
         if pixels.shape[2] == 1:
             return pixels[:, :, 0]
         if pixels.shape[2] < 3:
-            raise Unreadable(f"{pixels.shape[2]} channels")
+            raise UnreadableFrame(f"{pixels.shape[2]} channels")
         blue, green, red = (pixels[:, :, channel] for channel in range(3))
         if np.array_equal(blue, green) and np.array_equal(green, red):
             return green

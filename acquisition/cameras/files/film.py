@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.cameras.files.film_index import FilmIndex, ffmpeg_error, film_index, opened_film, pyav
+from acquisition.cameras.files.film_index import FilmIndex, ffmpeg_error, film_index, open_film, pyav
 from acquisition.cameras.files.formats import is_whole, slices_of
-from acquisition.cameras.files.frame_source import FrameSource, FrameTimes, Stored, Unreadable
+from acquisition.cameras.files.frame_source import FrameSource, FrameTimes, StoredImage, UnreadableFrame
 from processing.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def known_pixel_format(label: str, name: str) -> None:
         )
 
 
-def film_pixels(frame: "VideoFrame", label: str) -> Stored:
+def film_pixels(frame: "VideoFrame", label: str) -> StoredImage:
     """The samples of a decoded frame, as stored: grey, or blue, green and red.
 
     Raises DeviceError for a pixel format that is not listed, and for interlaced frames.
@@ -123,19 +123,19 @@ def film_pixels(frame: "VideoFrame", label: str) -> Stored:
     if layout.kind is _Kind.PALETTE:
         numbers, palette = frame.planes[0], np.frombuffer(bytes(frame.planes[1]), dtype="<u4")
         colours = palette.view(np.uint8).reshape(-1, 4)[:, :3]
-        return Stored(colours[_rows(numbers, np.dtype(np.uint8), frame.width)], 255, False)
+        return StoredImage(colours[_rows(numbers, np.dtype(np.uint8), frame.width)], 255, False)
     full_scale = 2**layout.bits - 1
     if layout.kind is _Kind.RGB:
         # planes are in the order green, blue, red
         planes = [_samples(frame.planes[k], layout, frame.width, 0) for k in (1, 0, 2)]
-        return Stored(np.dstack(planes), full_scale, False)
+        return StoredImage(np.dstack(planes), full_scale, False)
     parts = [_samples(frame.planes[0], layout, frame.width, place) for place in layout.places]
     if layout.kind is _Kind.PACKED_RGB:
-        return Stored(np.dstack(parts), full_scale, False)
+        return StoredImage(np.dstack(parts), full_scale, False)
     if layout.grey or frame.format.name.startswith("yuvj") or frame.color_range == _FULL_RANGE:
-        return Stored(parts[0], full_scale, not layout.grey and _has_chroma(frame, layout))
+        return StoredImage(parts[0], full_scale, not layout.grey and _has_chroma(frame, layout))
     # of the limited range 16 is black and 235 white, in 8 bits
-    return Stored(parts[0], 235 << (layout.bits - 8), _has_chroma(frame, layout))
+    return StoredImage(parts[0], 235 << (layout.bits - 8), _has_chroma(frame, layout))
 
 
 def _rows(plane: "VideoPlane", dtype: np.dtype[Any], samples: int) -> NDArray[Any]:
@@ -196,7 +196,7 @@ class FilmSource(FrameSource):
         self.times = FrameTimes(index.time_ns, index.sequence)
         self.tick_s = float(index.tick_s)
         self.pixel_aspect = float(index.pixel_aspect)
-        self.said = index.said
+        self.warnings = index.warnings
         self.lossy = "" if index.codec in _LOSSLESS else index.codec
         self._checksums = index.codec == "ffv1" and any(map(slices_of, index.first_packets))
         if index.codec == "ffv1" and not self._checksums:
@@ -211,24 +211,24 @@ class FilmSource(FrameSource):
         self._position = 0
         self._spoilt: dict[int, str] = {}
         # raises at once what would else come in the midst of a run
-        self._container = opened_film(path)
+        self._container = open_film(path)
         for _ in zip(self._decoded(), range(_ORDER_SEEN), strict=False):
             pass
         self.close()
 
-    def read(self, index: int) -> Stored:
+    def read(self, index: int) -> StoredImage:
         if self._container is None or index < self._position:
             self.close()
-            self._container = opened_film(self._path)
+            self._container = open_film(self._path)
             self._frames = self._decoded()
         self._position = index
         if index >= len(self._index.ticks):
-            raise Unreadable("the film is cut off before this frame; copy it again")
+            raise UnreadableFrame("the film is cut off before this frame; copy it again")
         while self._held is None or self._held[0] < index:
             self._held = next(self._frames, (_FAR, None))  # type: ignore[assignment]
         place, frame = self._held
         if place != index or index in self._spoilt:
-            raise Unreadable(self._spoilt.get(index, "the decoder delivers no picture of this packet"))
+            raise UnreadableFrame(self._spoilt.get(index, "the decoder delivers no picture of this packet"))
         return film_pixels(frame, self.label(index))
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
 """The frames that a film's container holds: one entry a packet, with its time as the container states it.
 
-Nothing is decoded here. A rate that the file states is believed only where every packet lies on it; it then
-takes the rounding to the container's ticks (whole ms in Matroska) off the times.
+Nothing is decoded here. A rate that the file states is used only if all packets' times lie on it; it then
+replaces times that are rounded to the container's ticks (1 ms in Matroska).
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def pyav() -> Any:
-    """The module. Raises DeviceError with the remedy where it is not installed."""
+    """The module av. Raises DeviceError with the remedy if it is missing."""
     try:
         import av
     except ImportError:
@@ -28,15 +28,15 @@ def pyav() -> Any:
             "film to a "
             "folder of images"
         ) from None
-    # what is wrong with a film is counted and said by those who read it
+    # the readers of a film report its faults
     av.logging.set_level(None)
-    # what a decoder says twice it means twice
+    # a repeated message is a second fault
     av.logging.set_skip_repeated(False)
     return av
 
 
-def opened_film(path: Path) -> "InputContainer":
-    """The container. Raises DeviceError for what FFmpeg takes for no film."""
+def open_film(path: Path) -> "InputContainer":
+    """Open a film. Raises DeviceError if FFmpeg cannot read it as one."""
     av = pyav()
     try:
         container: InputContainer = av.open(str(path))
@@ -49,7 +49,7 @@ def opened_film(path: Path) -> "InputContainer":
 
 
 def ffmpeg_error() -> type[Exception]:
-    """What reading a damaged film raises."""
+    """FFmpeg's class of errors."""
     error: type[Exception] = pyav().FFmpegError
     return error
 
@@ -64,10 +64,10 @@ _SECOND_NS: Final = 1_000_000_000
 class FilmIndex:
     """Packets of a film that are shown, in the order of their times.
 
-    `ticks` are the container's own times, `time_ns` those since the first frame, `sequence` counts the frames
-    that are missing between others too. `rate_hz` is the constant rate on which all lie, else None. `said`
-    are lines on what is not as it should be. `cut_off` frames at the end are announced by the container and
-    absent; they have times.
+    `ticks` are times in units of `tick_s`, `time_ns` times since the first frame, `sequence` numbers that
+    count missing frames too. `rate_hz` is the constant rate on which all times lie, else None. `said` are
+    warnings. `cut_off` is the number of frames at the end that the container announces but lacks; they have
+    times too.
     """
 
     ticks: Sequence[int]
@@ -77,7 +77,7 @@ class FilmIndex:
     rate_hz: Fraction | None
     key_ticks: Sequence[int]
     cut_off: int
-    said: tuple[str, ...]
+    warnings: tuple[str, ...]
     codec: str
     pixel_format: str
     first_packets: Sequence[bytes]
@@ -85,14 +85,14 @@ class FilmIndex:
 
 
 def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
-    """Read through the container once.
+    """Index of a film, read once.
 
     Raises
     ------
     DeviceError
         No film, no picture in it, or packets without times.
     """
-    container = opened_film(path)
+    container = open_film(path)
     try:
         if not container.streams.video:
             raise DeviceError(f"{path}: holds no picture; name a film")
@@ -178,7 +178,7 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         rate_hz=rate_hz,
         key_ticks=[tick for tick in ticks if shown[tick]],
         cut_off=cut_off,
-        said=tuple(said),
+        warnings=tuple(said),
         codec=context.name,
         pixel_format=context.pix_fmt or "",
         first_packets=kept,
@@ -212,7 +212,7 @@ def _middle(values: Sequence[int]) -> int:
 def _cut_off(
     container: Any, stream: "VideoStream", ticks: Sequence[int], total: int, tick_s: Fraction, last: int
 ) -> int:
-    """How many frames the container announces beyond its last packet, of containers that do so exactly."""
+    """Number of frames announced beyond the last packet; 0 for containers that do not say exactly."""
     steps = [after - before for before, after in pairwise(ticks)]
     step = _middle(steps) if steps else last
     start, kind = stream.start_time or 0, container.format.name

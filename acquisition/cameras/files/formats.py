@@ -1,7 +1,7 @@
-"""What libraries do not tell of images in files: all images of a portable map, of a TIFF, damaged FFV1.
+"""Readers of what libraries miss: all images of a PGM, PPM or TIFF file, damage of FFV1 video.
 
-OpenCV rescales some portable maps and reads the first image of each; the images of a TIFF file are counted by
-its directories, of which ImageJ writes one.
+OpenCV rescales some portable maps and reads the first image of each; a TIFF file has a directory per image,
+but one of ImageJ has one for all.
 """
 
 import re
@@ -17,7 +17,7 @@ _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
 _HEADER: Final = re.compile(rb"\s*P([56])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
 
 
-class _Portable(NamedTuple):
+class _PortableMapHeader(NamedTuple):
     """What the header of a binary PGM (1 channel) or PPM (3) image states, and where its pixels begin."""
 
     channels: int
@@ -35,16 +35,16 @@ class _Portable(NamedTuple):
         return self.pixels_at + self.channels * self.nx * self.ny * self.dtype.itemsize
 
 
-def _portable(data: bytes | mmap, begin: int) -> _Portable | None:
+def _portable(data: bytes | mmap, begin: int) -> _PortableMapHeader | None:
     header = _HEADER.match(data, begin)
     if header is None:
         return None
     kind, nx, ny, largest = (int(one) for one in header.groups())
-    return _Portable(3 if kind == 6 else 1, nx, ny, largest, header.end())
+    return _PortableMapHeader(3 if kind == 6 else 1, nx, ny, largest, header.end())
 
 
 def portable_images(data: bytes | mmap) -> list[tuple[int, int]]:
-    """Where each image of a portable map begins and ends; the last may end behind the end of the file."""
+    """First byte and end of each image of a portable map; the last may end beyond the file."""
     found, begin = list[tuple[int, int]](), 0
     while header := _portable(data, begin):
         found.append((begin, header.end))
@@ -78,12 +78,13 @@ _ORDERS: Final[dict[bytes, _Order]] = {b"II": "little", b"MM": "big"}
 _MOST_PAGES = 10_000_000
 _SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 16: 8}
 """Bytes of the types of a TIFF tag that are read here: byte, text, short, long, and long of BigTIFF."""
-_LONGEST_NOTE = 1 << 20
-WIDTH, HEIGHT, BITS, COMPRESSION, _NOTE, PLACES = 256, 257, 258, 259, 270, 273
+_MAX_TEXT_BYTES = 1 << 20
+WIDTH, HEIGHT, BITS, COMPRESSION, _NOTE, STRIP_OFFSETS = 256, 257, 258, 259, 270, 273
+"""Numbers of TIFF tags; the last two are ImageDescription and StripOffsets."""
 
 
 class TiffHead(NamedTuple):
-    """Directories of a TIFF file, numbers that the first one holds, and its note.
+    """Number of directories of a TIFF file; tags and note of the first one.
 
     `cut_off`: a directory, to which the file or a page refers, lies beyond the end of the file.
     """
@@ -96,7 +97,7 @@ class TiffHead(NamedTuple):
 
 
 def tiff_head(path: Path) -> TiffHead:
-    """What a TIFF file says of itself; nothing of a file that is none, which is for others to report."""
+    """Read the directories of a TIFF file; for another file 0 of them, and no error."""
     size = path.stat().st_size
     tags: dict[int, list[int]] = {}
     count = 0
@@ -108,7 +109,7 @@ def tiff_head(path: Path) -> TiffHead:
         big = int.from_bytes(head[2:4], order) == 43
         offset = int.from_bytes(head[8:16] if big else head[4:8], order)
         while offset and count < _MOST_PAGES:
-            following = _following(file, offset, size, order, big)
+            following = _next_directory(file, offset, size, order, big)
             if following is None:
                 break
             tags = tags or _tags(file, offset, order, big)
@@ -118,7 +119,7 @@ def tiff_head(path: Path) -> TiffHead:
 
 
 def _tags(file: BinaryIO, offset: int, order: _Order, big: bool) -> dict[int, list[int]]:
-    """Whole numbers, and bytes of texts, by the tags of a directory."""
+    """Integers, or bytes of a text, by tag of a directory."""
     count_bytes, entry_bytes, place_bytes = _directory(big)
     file.seek(offset)
     entries = file.read(count_bytes + entry_bytes * int.from_bytes(file.read(count_bytes), order))
@@ -130,7 +131,7 @@ def _tags(file: BinaryIO, offset: int, order: _Order, big: bool) -> dict[int, li
         data = entries[at + entry_bytes - place_bytes : at + entry_bytes]
         if length > place_bytes:
             file.seek(int.from_bytes(data, order))
-            data = file.read(min(length, _LONGEST_NOTE))
+            data = file.read(min(length, _MAX_TEXT_BYTES))
         if size:
             found[tag] = [
                 int.from_bytes(data[k : k + size], order) for k in range(0, min(length, len(data)), size)
@@ -139,11 +140,11 @@ def _tags(file: BinaryIO, offset: int, order: _Order, big: bool) -> dict[int, li
 
 
 def _directory(big: bool) -> tuple[int, int, int]:
-    """Bytes of a directory's number of entries, of an entry, and of a place in the file."""
+    """Sizes in bytes of a directory's entry count, an entry, and a file offset."""
     return (8, 20, 8) if big else (2, 12, 4)
 
 
-def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool) -> int | None:
+def _next_directory(file: BinaryIO, offset: int, size: int, order: _Order, big: bool) -> int | None:
     """Place of the directory after the one at `offset`, 0 after the last; None if the file ends before."""
     count_bytes, entry_bytes, place_bytes = _directory(big)
     if offset + count_bytes > size:
@@ -162,8 +163,8 @@ def _following(file: BinaryIO, offset: int, size: int, order: _Order, big: bool)
 # A frame is divided into slices. Each ends with its size (3 bytes, big-endian), and where the encoder wrote
 # checksums, with a status byte and a CRC-32 that makes the remainder over the whole slice zero.
 
-_SIZE: Final = 3
-_FOOTER: Final = 8
+_SLICE_SIZE_BYTES: Final = 3
+_FOOTER_BYTES: Final = 8
 _ONES: Final = 0xFFFFFFFF
 # the CRC of RFC 9043 takes the most significant bit first, zlib's the least
 _REVERSED: Final = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -174,8 +175,8 @@ def slices_of(packet: bytes) -> list[bytes]:
     found = []
     end = len(packet)
     while end > 0:
-        at = end - _FOOTER
-        begin = at - int.from_bytes(packet[at : at + _SIZE], "big")
+        at = end - _FOOTER_BYTES
+        begin = at - int.from_bytes(packet[at : at + _SLICE_SIZE_BYTES], "big")
         if at < 0 or begin < 0:
             return []
         found.append(packet[begin:end])

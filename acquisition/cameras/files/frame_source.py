@@ -235,11 +235,11 @@ def missing_frames(time_ns: Sequence[int], numbers: Sequence[int], source: str) 
 ONE_IMAGE = "is one image; name the folder that holds the images, or a film"
 
 
-class Unreadable(Exception):
+class UnreadableFrame(Exception):
     """One frame cannot be read; the message gives the reason."""
 
 
-class Stored(NamedTuple):
+class StoredImage(NamedTuple):
     """Pixels as stored, (ny, nx) or (ny, nx, channels), and their largest possible value.
 
     `coloured`: the pixels are the luminance of a picture that has colour beside it.
@@ -265,7 +265,7 @@ class FrameSource(ABC):
     """Times that the frames have by themselves, in ns from the first, and their numbers."""
     tick_s: float = 0.0
     """Resolution of these times."""
-    said: Sequence[str] = ()
+    warnings: Sequence[str] = ()
     """Lines on what is not as it should be: missing, cut off, out of order."""
     summary: str = ""
     """One line on what was found, for a person; may be empty."""
@@ -278,8 +278,8 @@ class FrameSource(ABC):
         self._path = path
 
     @abstractmethod
-    def read(self, index: int) -> Stored:
-        """Frame `index`. Raises Unreadable for a damaged frame, OSError if the source is not accessible."""
+    def read(self, index: int) -> StoredImage:
+        """Frame `index`. Raises UnreadableFrame for a damaged one, OSError if the source is out of reach."""
 
     def label(self, index: int) -> str:
         """Name of the frame in messages."""

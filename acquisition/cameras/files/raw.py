@@ -11,8 +11,8 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_valid
 from acquisition.cameras.files.frame_source import (
     FrameSource,
     FrameTimes,
-    Stored,
-    Unreadable,
+    StoredImage,
+    UnreadableFrame,
     missing_frames,
     numbers_by_steps,
 )
@@ -98,36 +98,36 @@ class RawSource(FrameSource):
         said = [f"ends {missing} frames before the {self.count} that {self._sidecar.name} states"]
         self.times = _times(layout, self.count)
         gaps = [] if self.times is None else missing_frames(*self.times, f"the times in {self._sidecar.name}")
-        self.said = [*(said if missing else []), *gaps]
+        self.warnings = [*(said if missing else []), *gaps]
         when = "" if layout.frame_rate_hz is None else f"{layout.frame_rate_hz:.9g} frames/s, "
         self.summary = (
             f"{self.count} frames, {when}raw {layout.pixel_format}, {layout.width_px}x{layout.height_px} px"
         )
 
-    def read(self, index: int) -> Stored:
+    def read(self, index: int) -> StoredImage:
         if index >= self._whole:
-            raise Unreadable("the file is cut off before the end of this frame; copy it again")
+            raise UnreadableFrame("the file is cut off before the end of this frame; copy it again")
         layout = self._layout
         with self._path.open("rb") as file:
             file.seek(layout.header_bytes + index * layout.frame_bytes)
             data = file.read(layout.frame_bytes)
         if len(data) < layout.frame_bytes:
-            raise Unreadable("the file became shorter")
+            raise UnreadableFrame("the file became shorter")
         raw = np.frombuffer(data, np.uint8)
         if layout.pixel_format in _COLOURED:
             pixels = raw.reshape(layout.height_px, layout.width_px, 3)
             # blue first, as all colours here
-            return Stored(pixels[:, :, ::-1] if layout.pixel_format == "RGB8" else pixels, 255)
+            return StoredImage(pixels[:, :, ::-1] if layout.pixel_format == "RGB8" else pixels, 255)
         known = BY_NAME[layout.pixel_format]
         if layout.byte_order == "big":
             raw = raw.view(">u2").astype(np.uint16).view(np.uint8)
         image = known.image(raw, layout.width_px, layout.height_px)
         if image.max() > known.full_scale_dn:
-            raise Unreadable(
+            raise UnreadableFrame(
                 f"a pixel of {image.max()} is above {known.full_scale_dn}, the largest of {known.name}; "
                 f"{self._sidecar.name} states another pixel_format or byte_order than the file has"
             )
-        return Stored(image, known.full_scale_dn)
+        return StoredImage(image, known.full_scale_dn)
 
     def _counted(self) -> tuple[int, int]:
         """Whole frames in the file, and frames that it should hold."""

@@ -19,14 +19,14 @@ from acquisition.cameras.files.formats import (
     BITS,
     COMPRESSION,
     HEIGHT,
-    PLACES,
+    STRIP_OFFSETS,
     WIDTH,
     portable_images,
     read_portable,
     tiff_head,
 )
-from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, Stored
-from acquisition.cameras.files.frame_source import Unreadable as Unreadable
+from acquisition.cameras.files.frame_source import ONE_IMAGE, FrameSource, StoredImage
+from acquisition.cameras.files.frame_source import UnreadableFrame as UnreadableFrame
 from acquisition.cameras.files.raw import RawSource, is_raw
 from processing.errors import DeviceError
 
@@ -39,7 +39,7 @@ _FILMS = (
     ".3gp", ".nut", ".gif",
 )  # fmt: skip
 _LISTED = 5
-"""Places that a message names one by one."""
+"""Most places that a message names."""
 
 
 def open_source(path: Path) -> FrameSource:
@@ -69,9 +69,9 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
 
 
 def numbers_in(names: Sequence[str]) -> list[int] | None:
-    """The number of each image by its name, from 0 in steps of 1; None where names do not count.
+    """The number of each image by its name, from 0 in steps of 1; None if names are not usable.
 
-    Names count where they differ in one number alone, which rises evenly but for images that are missing.
+    Usable names differ in one number only, which rises evenly except where images are missing.
     """
     parts = [re.split(r"(\d+)", name) for name in names]
     if len(names) < 3 or len({len(one) for one in parts}) > 1:
@@ -92,13 +92,13 @@ class _Images:
     """The images of one file: one, unless a subclass says otherwise."""
 
     count = 1
-    said: Sequence[str] = ()
+    warnings: Sequence[str] = ()
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def read(self, page: int) -> Stored:
-        """Raises Unreadable for a damaged image, OSError if the file is not accessible."""
+    def read(self, page: int) -> StoredImage:
+        """Raises UnreadableFrame for a damaged image, OSError if the file is not accessible."""
         assert page == 0
         return _stored(_decode(self._path.read_bytes()))
 
@@ -114,26 +114,26 @@ class _PortableImages(_Images):
                 self._places = portable_images(data) or self._places
                 rest = len(data) - self._places[-1][1]
             if rest >= self._places[0][1] - self._places[0][0] > 0:
-                self.said = [f"{path}: {rest} bytes behind its last image are none; they are left out"]
+                self.warnings = [f"{path}: {rest} bytes after its last image are ignored: no image"]
         self.count = len(self._places)
 
-    def read(self, page: int) -> Stored:
+    def read(self, page: int) -> StoredImage:
         begin, end = self._places[page]
         with self._path.open("rb") as file:
             file.seek(begin)
             try:
                 pixels, largest = read_portable(file.read(end - begin))
             except ValueError as error:
-                raise Unreadable(str(error)) from None
+                raise UnreadableFrame(str(error)) from None
         # some programs write the maximum of the image; the full scale is the next 2^bits - 1
-        return Stored(pixels, max(2 ** largest.bit_length() - 1, 255))
+        return StoredImage(pixels, max(2 ** largest.bit_length() - 1, 255))
 
 
 class _TiffImages(_Images):
-    """TIFF; of a file that is cut off one image more is counted, which cannot be read.
+    """Images of a TIFF file; one that is cut off counts one more, which is unreadable.
 
     ImageJ writes one directory for any number of images, whose pixels follow each other, and their number
-    into a note; so does tifffile where it is told to.
+    into a note (ImageDescription), as tifffile can.
     """
 
     def __init__(self, path: Path) -> None:
@@ -143,37 +143,37 @@ class _TiffImages(_Images):
             self._decoded = int(cv2.imcount(str(path), cv2.IMREAD_UNCHANGED))
         self.count = max(self._decoded + head.cut_off, 1)
         shape = [(head.tags.get(tag) or [0])[0] for tag in (HEIGHT, WIDTH)]
-        noted = _noted(path, head.note, shape)
+        noted = _images_by_note(path, head.note, shape)
         self._pixels_at, self._shape = -1, shape
         if noted <= self.count:
             return
         if head.cut_off:
             self.count = noted
         elif head.directories > 1:
-            self.said = [f"{path}: its note states {noted} images, of which it holds {self.count}"]
+            self.warnings = [f"{path}: its note states {noted} images, of which it holds {self.count}"]
         else:
             bits = head.tags.get(BITS, [1])
             plain = head.tags.get(COMPRESSION, [1]) == [1] and len(bits) == 1 and bits[0] in (8, 16)
-            if not plain or not head.tags.get(PLACES):
+            if not plain or not head.tags.get(STRIP_OFFSETS):
                 raise DeviceError(
                     f"{path}: its note states {noted} images and it has one directory, whose pixels are not "
                     "plain grey values of 8 or 16 bits; save it as a sequence of images"
                 )
-            self.count, self._pixels_at = noted, head.tags[PLACES][0]
+            self.count, self._pixels_at = noted, head.tags[STRIP_OFFSETS][0]
             self._dtype = np.dtype(f"{'>' if head.order == 'big' else '<'}u{bits[0] // 8}")
 
-    def read(self, page: int) -> Stored:
+    def read(self, page: int) -> StoredImage:
         if self._pixels_at >= 0:
             wanted = math.prod(self._shape) * self._dtype.itemsize
             with self._path.open("rb") as file:
                 file.seek(self._pixels_at + page * wanted)
                 raster = file.read(wanted)
             if len(raster) < wanted:
-                raise Unreadable("the file is cut off before this image; copy it again")
+                raise UnreadableFrame("the file is cut off before this image; copy it again")
             stored = np.frombuffer(raster, self._dtype).reshape(self._shape)
             return _stored(stored.astype(self._dtype.newbyteorder("=")))
         if page >= self._decoded > 0:
-            raise Unreadable("the file is cut off before this image; copy it again")
+            raise UnreadableFrame("the file is cut off before this image; copy it again")
         try:
             with _quiet():
                 good, pages = cv2.imreadmulti(str(self._path), page, 1, flags=cv2.IMREAD_UNCHANGED)
@@ -182,14 +182,14 @@ class _TiffImages(_Images):
             good = False
         if not good or len(pages) != 1:
             self._path.stat()
-            raise Unreadable("the image cannot be decoded")
+            raise UnreadableFrame("the image cannot be decoded")
         return _stored(pages[0])
 
 
-def _noted(path: Path, note: str, shape: Sequence[int]) -> int:
+def _images_by_note(path: Path, note: str, shape: Sequence[int]) -> int:
     """The number of images that a note in a TIFF states; 0 if it states none.
 
-    Raises DeviceError where they are not one after the other in time.
+    Raises DeviceError if the images are not a series in time.
     """
     if note.startswith("ImageJ"):
         stated = {name: int(number) for name, number in re.findall(r"^(\w+)=(\d+)\s*$", note, re.MULTILINE)}
@@ -237,7 +237,7 @@ class ImageSource(FrameSource):
             except OSError as error:
                 raise DeviceError(f"{path}: cannot be listed: {error.strerror}") from None
             files = images_in(inside)
-            said = _left_out(path, inside, files)
+            said = _ignored_files(path, inside, files)
         self._files = [path / name for name in files]
         self._images = [_images_of(file) for file in self._files]
         self._places = [(k, page) for k, one in enumerate(self._images) for page in range(one.count)]
@@ -249,17 +249,17 @@ class ImageSource(FrameSource):
             self._one_image()
         if self.count > len(files):
             self.summary = f"{self.count} images in {len(files)} file{'s' if len(files) > 1 else ''}"
-        self.said = [*said, *(line for one in self._images for line in one.said)]
+        self.warnings = [*said, *(line for one in self._images for line in one.warnings)]
         self.lossy = "jpeg" if self._files[0].suffix.lower() in _LOSSY else ""
 
-    def read(self, index: int) -> Stored:
+    def read(self, index: int) -> StoredImage:
         file, page = self._places[index]
         try:
             return self._images[file].read(page)
         except OSError as error:
             if not self._path.exists():
                 raise
-            raise Unreadable(str(error.strerror)) from None
+            raise UnreadableFrame(str(error.strerror)) from None
 
     def label(self, index: int) -> str:
         file, page = self._places[index]
@@ -269,19 +269,19 @@ class ImageSource(FrameSource):
         """Raise DeviceError: one image is no film."""
         try:
             self.read(0)
-        except Unreadable as error:
+        except UnreadableFrame as error:
             raise DeviceError(f"{self._path}: cannot be read as an image: {error}") from None
         raise DeviceError(f"{self._path}: {ONE_IMAGE}")
 
     def _numbered(self, files: Sequence[str]) -> list[str]:
-        """Number the images by their files' names; lines on those that are missing."""
+        """Number the images by their files' names; warnings of missing images."""
         if len(files) < 3:
             # one file, or two, cannot miss any between them
             return []
         numbers, counts = numbers_in(files), [one.count for one in self._images]
         # the last file may have been left half full
         if numbers is None or len(set(counts[:-1])) > 1 or counts[-1] > counts[0]:
-            return ["the images' names do not count evenly: missing ones cannot be told"]
+            return ["the numbers in the images' names are uneven: no gap can be found"]
         self.numbers = [numbers[k] * counts[0] + page for k, page in self._places]
         gaps = [i for i, (before, after) in enumerate(pairwise(numbers)) if after - before > 1]
         count = counts[0] * sum(numbers[i + 1] - numbers[i] - 1 for i in gaps)
@@ -294,8 +294,8 @@ class ImageSource(FrameSource):
         )
 
 
-def _left_out(path: Path, inside: Sequence[str], images: Sequence[str]) -> list[str]:
-    """Lines on what lies beside the images; raises DeviceError where there are none."""
+def _ignored_files(path: Path, inside: Sequence[str], images: Sequence[str]) -> list[str]:
+    """Warnings of other files in the folder; raises DeviceError without images."""
     others = [name for name in inside if name not in set(images) and not name.startswith(".")]
     films = sum(is_film(path / name) for name in others)
     if not images and films:
@@ -330,27 +330,27 @@ class StackSource(FrameSource):
         self._stack: NDArray[Any] = stack
         self.count = len(stack)
 
-    def read(self, index: int) -> Stored:
+    def read(self, index: int) -> StoredImage:
         return _stored(np.array(self._stack[index]))
 
 
 def _decode(data: bytes) -> NDArray[Any]:
     if not data:
-        raise Unreadable("the file is empty")
+        raise UnreadableFrame("the file is empty")
     with _quiet():
         try:
             pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error as error:
-            raise Unreadable(f"the file is damaged or too large ({error.err})") from None
+            raise UnreadableFrame(f"the file is damaged or too large ({error.err})") from None
     if pixels is None:
-        raise Unreadable("the file is damaged or no image")
+        raise UnreadableFrame("the file is damaged or no image")
     return pixels
 
 
-def _stored(pixels: NDArray[Any]) -> Stored:
+def _stored(pixels: NDArray[Any]) -> StoredImage:
     if pixels.dtype not in (np.uint8, np.uint16):
-        raise Unreadable(f"pixels of type {pixels.dtype}; 8 or 16 bits without sign are needed")
-    return Stored(pixels, int(np.iinfo(pixels.dtype).max))
+        raise UnreadableFrame(f"pixels of type {pixels.dtype}; 8 or 16 bits without sign are needed")
+    return StoredImage(pixels, int(np.iinfo(pixels.dtype).max))
 
 
 @contextlib.contextmanager

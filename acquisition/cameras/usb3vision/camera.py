@@ -96,7 +96,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 self._channel = GenCpChannel(link.send, link.receive, link.name, timeout_s=_REPLY_S)
                 identity = read_identity(self._channel)
                 silence_events(self._channel, identity.event_address)
-                features = self._learned(self._channel, identity)
+                features = self._read_features(self._channel, identity)
                 self._registers = StreamRegisters(self._channel, identity.stream_address, link.name)
                 self._has_clock = identity.timestamp_increment_ns > 0
                 # an acquisition that a program left running when it was killed
@@ -113,7 +113,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             self._link, self._features = link, features
             return info
 
-    def _learned(self, channel: GenCpChannel, identity: Identity) -> Features:
+    def _read_features(self, channel: GenCpChannel, identity: Identity) -> Features:
         """The camera's features; DeviceError if its description is invalid or incomplete."""
         xml = read_description(channel, identity.manifest_address, self._name)
         features = Features(NodeMap(xml, channel, self._name))
@@ -147,8 +147,8 @@ class Usb3VisionCamera(GenicamCamera[Features]):
 
     def start(self) -> None:
         """Set up the stream, then let the camera run."""
-        with self._lock, self._translated():
-            features, link, registers = self._opened(), self._link, self._registers
+        with self._lock, self._translate_errors():
+            features, link, registers = self._open_device(), self._link, self._registers
             assert link is not None
             assert registers is not None
             self._must_be_idle()
@@ -194,7 +194,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
     def stop(self) -> None:
         if self._run is not None:
             self._run.request_stop()
-        with self._locked_soon() as locked:
+        with self._lock_briefly() as locked:
             if locked:
                 self._end_run()
 
@@ -222,7 +222,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             self._registers.enable(on)
 
     def _try_each(self, *steps: Callable[[], None], within_s: float | None = None) -> None:
-        """Each step may fail if the camera does not answer; the others are tried nevertheless.
+        """Call each step, also after others failed because the camera does not answer.
 
         Raises CameraLost where it is unplugged.
         """
@@ -239,7 +239,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
     def close(self) -> None:
         if self._run is not None:
             self._run.request_stop()
-        with self._locked_soon() as locked:
+        with self._lock_briefly() as locked:
             if not locked:
                 return  # the call that holds the lock has been told to abort and will release the camera
             self._end_run()
@@ -252,11 +252,11 @@ class Usb3VisionCamera(GenicamCamera[Features]):
     @property
     def features(self) -> Features:
         """All features of the open camera, for ``rig camera show`` and ``rig camera set``."""
-        return self._opened()
+        return self._open_device()
 
     @contextmanager
-    def _locked_soon(self) -> Iterator[bool]:
-        """Acquire the lock; a call that holds it while waiting for a silent camera is made to fail."""
+    def _lock_briefly(self) -> Iterator[bool]:
+        """Yield whether the lock was acquired; a call that holds it for a silent camera is aborted."""
         locked = self._lock.acquire(timeout=_LOCK_S)
         channel = self._channel
         if not locked and channel is not None:

@@ -4,7 +4,7 @@ import logging
 from typing import Any, Final
 
 from acquisition.camera import CameraSettings, FeatureValue, PixelFormat
-from acquisition.cameras.genicam import GenicamFeatures, Quantity
+from acquisition.cameras.genicam import GenicamFeatures, NumericFeature
 from acquisition.cameras.pixel_formats import names_by_depth
 from acquisition.cameras.usb3vision.node_map import NodeMap
 from processing.errors import DeviceError
@@ -22,7 +22,7 @@ ALIASES: Final[dict[str, tuple[str, ...]]] = {
         "AcquisitionFrameRateControlEnabled",
     ),
 }
-_NAMES: Final[dict[Quantity, str]] = {
+_NAMES: Final[dict[NumericFeature, str]] = {
     "exposure_us": "ExposureTime",
     "gain_db": "Gain",
     "frame_rate_hz": "AcquisitionFrameRate",
@@ -98,13 +98,13 @@ class Features(GenicamFeatures):
     def renew(self) -> None:
         self.nodes.forget()
 
-    def number(self, key: Quantity) -> float | None:
+    def number(self, key: NumericFeature) -> float | None:
         if key == "frame_rate_hz" and self.get_if_readable(self.rate_switch) is False:
             return None
         value = self.get_if_readable(_NAMES[key])
         return None if value is None else float(value)
 
-    def set_number(self, key: Quantity, wanted: float) -> None:
+    def set_number(self, key: NumericFeature, wanted: float) -> None:
         if key == "frame_rate_hz":
             if "Off" in self.choices("AcquisitionFrameRateAuto") and self.writable(
                 "AcquisitionFrameRateAuto"
@@ -199,5 +199,5 @@ class Features(GenicamFeatures):
         """Select continuous acquisition, without a trigger unless one was asked for."""
         if "Continuous" in self.choices("AcquisitionMode") and self.writable("AcquisitionMode"):
             self.write("AcquisitionMode", "Continuous")
-        if not self.waits:
+        if not self.is_triggered:
             self.run_freely()

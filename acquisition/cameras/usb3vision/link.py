@@ -36,7 +36,7 @@ UDEV_RULE: Final = (
     'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
     f'ENV{{ID_USB_INTERFACES}}=="*:{VISION_CLASS:02x}{VISION_SUBCLASS:02x}*"'
 )
-"""What matches such cameras of any maker in a rule of udev; `rig doctor --install-udev` writes it."""
+"""Condition of the udev rule for cameras of any maker, which `rig doctor --install-udev` writes."""
 
 # Error codes of the operating systems for a device that has been unplugged
 _GONE: Final = {errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN}
@@ -115,7 +115,7 @@ class UsbLink:
             self.device.ctrl_transfer(_TO_ENDPOINT, _SET_FEATURE, _ENDPOINT_HALT, self.stream_in)
         except usb.core.USBError as error:
             if is_gone(error):
-                raise self.translated(error, "resetting its stream") from error
+                raise self.device_error(error, "resetting its stream") from error
             logger.debug("%s: halting the stream endpoint: %s", self.name, error)
         self.clear_halt(self.stream_in)
 
@@ -129,7 +129,7 @@ class UsbLink:
                 self._claimed.append(number)
         except usb.core.USBError as error:
             self.release()
-            raise self.translated(error, "claiming it") from error
+            raise self.device_error(error, "claiming it") from error
 
     def _is_configured(self) -> bool:
         try:
@@ -182,16 +182,16 @@ class UsbLink:
         if error.errno in (errno.EPIPE, errno.EOVERFLOW):
             self.clear_halt(endpoint)
             raise TimeoutError(f"the control endpoint stalled ({doing})") from error
-        raise self.translated(error, doing) from error
+        raise self.device_error(error, doing) from error
 
     def clear_halt(self, endpoint: int) -> None:
         """Clear the halt of a stalled endpoint."""
         try:
             self.device.clear_halt(endpoint)
         except usb.core.USBError as error:
-            raise self.translated(error, "clearing a stalled endpoint") from error
+            raise self.device_error(error, "clearing a stalled endpoint") from error
 
-    def translated(self, error: usb.core.USBError, doing: str) -> DeviceError:
+    def device_error(self, error: usb.core.USBError, doing: str) -> DeviceError:
         """A DeviceError for an error of the bus."""
         if is_gone(error):
             return CameraLost(f"{self.name}: is no longer connected ({doing}); plug it in again")
@@ -226,14 +226,14 @@ class UsbSpeed(IntEnum):
 
     @property
     def text(self) -> str:
-        """As data sheets call it."""
+        """Name in data sheets."""
         names = {UsbSpeed.SUPER: "SuperSpeed", UsbSpeed.SUPER_PLUS: "SuperSpeed+"}
         return names.get(self, f"{self.name.lower()} speed")
 
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera on the bus; texts are empty if they cannot be read, and `accessible` is False then.
+    """A camera on the bus; unreadable texts are empty; `accessible` False: no permission or driver.
 
     `device` is pyusb's object.
     """

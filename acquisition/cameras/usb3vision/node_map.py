@@ -24,10 +24,10 @@ _PORT: Final = "Device"
 _NUMBERS: Final = ("Integer", "Float")
 _VALUES: Final = (*_NUMBERS, "Boolean", "Enumeration", "String")
 _NO_LIMIT: Final = 1e300
-"""Floats without a limit end at the largest one."""
+"""A bound beyond this means "no limit"."""
 _SWITCH: Final = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
-_THROWN: Final = re.compile(r"\s*: \w+Exception thrown.*", re.DOTALL)
-"""Where in its sources GenApi raised an error, which follows what is wrong."""
+_SOURCE_PLACE: Final = re.compile(r"\s*: \w+Exception thrown.*", re.DOTALL)
+"""End of a GenApi message: the place in its sources."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class NodeMap:
             def get_access_mode(self) -> Any:
                 return genapi.EAccessMode.RW
 
-        with self._asking("the camera's description is not valid"):
+        with self._locked("the camera's description is not valid"):
             # the text is already decoded: the parser would fail on a declaration of another encoding
             self._nodes.load_xml_from_string(re.sub(r"^\s*<\?xml[^>]*\?>", "", xml, count=1))
             if not self._nodes.connect(Port(), _PORT):
@@ -103,7 +103,7 @@ class NodeMap:
 
     def access(self, name: str) -> str:
         """What can be done with a feature at present, one of `ACCESS`, whether or not the camera has it."""
-        with self._asking(f"{name} cannot be read"):
+        with self._locked(f"{name} cannot be read"):
             return ACCESS[self._node(name).get_access_mode()] if name in self else NOT_IMPLEMENTED
 
     def readable(self, name: str) -> bool:
@@ -120,23 +120,23 @@ class NodeMap:
 
     def choices(self, name: str) -> tuple[str, ...]:
         """Values that an enumeration takes at present; none for other features."""
-        with self._asking(f"{name} cannot be read"):
+        with self._locked(f"{name} cannot be read"):
             return tuple(getattr(self._node(name), "symbolics", ())) if name in self else ()
 
     def limits(self, name: str) -> tuple[float | None, float | None]:
         """Smallest and largest value of a number at present; None without such a limit, or where unknown."""
         if self.kind(name) not in _NUMBERS or not self.readable(name):
             return None, None
-        with self._asking(f"{name} cannot be read"):
+        with self._locked(f"{name} cannot be read"):
             low, high = self._node(name).min, self._node(name).max
             return (low if low > -_NO_LIMIT else None), (high if high < _NO_LIMIT else None)
 
     def get(self, name: str) -> Any:
         """Value of a feature: int, float, bool, bytes (a register), or str (a text or a choice).
 
-        That of a command is whether the camera is still executing it.
+        For a command: whether the camera is still executing it.
         """
-        with self._asking(f"{name} cannot be read"):
+        with self._locked(f"{name} cannot be read"):
             node, kind = self._node(name), self.kind(name)
             if not self.readable(name):
                 raise DeviceError(f"{self.name}: {name} cannot be read: it is {self.access(name)}")
@@ -149,8 +149,8 @@ class NodeMap:
             return node.value
 
     def set(self, name: str, value: Any) -> None:
-        """Set a feature to a value, or to its text; of a command, any value runs it."""
-        with self._asking(f"{name} cannot be set to {value!r}"):
+        """Set a feature to a value, or to its text; any value runs a command."""
+        with self._locked(f"{name} cannot be set to {value!r}"):
             node, kind = self._node(name), self.kind(name)
             if not self.writable(name):
                 raise DeviceError(f"{self.name}: {name} cannot be set: it is {self.access(name)}")
@@ -202,7 +202,7 @@ class NodeMap:
         return FeatureReading(name, kind, access, value, *self.limits(name), unit, choices)
 
     def _allowed(self, name: str, value: Any) -> Any:
-        """A value as its feature takes it; DeviceError, which says what is allowed, if that is not this."""
+        """The value in the feature's type; DeviceError with the allowed values if it is not one."""
         node, kind, stated = self._node(name), self.kind(name), f"{self.name}: {name} = {value}"
         if kind == "Enumeration" and value not in node.symbolics:
             listed = ", ".join(node.symbolics)
@@ -228,13 +228,13 @@ class NodeMap:
         return int(number) if whole else float(number)
 
     @contextmanager
-    def _asking(self, problem: str) -> Iterator[None]:
+    def _locked(self, problem: str) -> Iterator[None]:
         """Hold the lock, and turn GenApi's errors into a DeviceError that begins with this problem."""
         with self._lock:
             try:
                 yield
             except (self._genapi.GenericException, UnicodeDecodeError, RuntimeError) as refused:
-                reason = re.sub(r"\s+", " ", _THROWN.sub("", str(refused))).strip()
+                reason = re.sub(r"\s+", " ", _SOURCE_PLACE.sub("", str(refused))).strip()
                 raise DeviceError(f"{self.name}: {problem}: {reason}") from refused
 
 

@@ -99,7 +99,7 @@ _USUAL_PACKET: Final = 1024
 class Identity:
     """Contents of the bootstrap registers.
 
-    `timestamp_increment_ns` is the resolution of the timestamps, which are in ns whatever it is (GenCP 1.3.1,
+    `timestamp_increment_ns` is the resolution of the timestamps; their unit is always ns (GenCP 1.3.1,
     5.4.16 and 5.4.18); 0 for a camera without a clock.
     """
 

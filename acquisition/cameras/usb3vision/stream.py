@@ -30,7 +30,7 @@ from acquisition.cameras.usb3vision.packets import (
     parse_trailer,
 )
 from acquisition.cameras.usb3vision.transfers import Transfers
-from acquisition.frames.losses import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError, RigError
 
 logger = logging.getLogger(__name__)
@@ -39,9 +39,9 @@ logger = logging.getLogger(__name__)
 _PATIENCE_S: Final = 0.3
 # Sizes of block counters that are shorter than the standard's 64 bits.
 COUNTERS: Final = (1 << 16, 1 << 32)
-# So many frames in a row that are sent in another way than planned: this camera does so.
-_LEARNED_AFTER: Final = 2
-_UNLEARNED_AFTER: Final = 6
+# After so many frames in a row with other parts than planned, these are expected.
+_FRAMES_TO_LEARN: Final = 2
+_LOSSES_TO_UNLEARN: Final = 6
 # So many consecutive frames of a wrong size or format are a wrong setting and not an error of the bus.
 _MOST_MISFITS: Final = 10
 
@@ -67,7 +67,9 @@ class _Part(Enum):
     PAYLOAD = 1
     TRAILER = 2
     SEARCH = 3
+    """A read that looks for the next leader."""
     EMPTY = 4
+    """The empty packet after a payload of whole packets."""
 
 
 class _Payload:
@@ -81,7 +83,7 @@ class _Payload:
         return len(self._pieces)
 
     def append(self, piece: NDArray[np.uint8]) -> None:
-        """One more piece, in order."""
+        """Add the next piece."""
         self._pieces.append(piece)
         self.byte_count += piece.size
 
@@ -103,8 +105,8 @@ class _Payload:
 class UsbFrameStream:
     """The frames of one run, which `step` assembles; `numbers` numbers them, and counts the others.
 
-    The system has reads to fill for `Transfers.frames_ahead` frames, from the construction on; what comes
-    beyond them before the next call waits in the camera's memory, and is lost there if that is full.
+    From construction on, reads for `Transfers.frames_ahead` frames are queued; data beyond them wait in the
+    camera's memory until the next call, and are lost if it is full.
 
     A frame is delivered only if its leader, all of its bytes and its trailer have arrived and agree with
     each other and with the expected format. All others are counted: ``error_status`` if the camera says so
@@ -145,7 +147,7 @@ class UsbFrameStream:
             self._fill()
 
     def step(self, timeout_s: float) -> Frame | None:
-        """Take one transfer; the frame that it completes, if any."""
+        """Take a transfer; the frame it completes, or None."""
         try:
             self._fill()
             part, planned, buffer = self._ring[0]
@@ -205,7 +207,7 @@ class UsbFrameStream:
             # Later reads may already have received bytes, which are lost by cancelling them, so that the next
             # part is unknown: search for a leader.
             next_part = -1
-        if next_part <= 0 and self._numbers.lost_parts >= _UNLEARNED_AFTER:
+        if next_part <= 0 and self._numbers.lost_parts >= _LOSSES_TO_UNLEARN:
             self._parts = self._planned_parts  # what was learned does not hold (any more)
         self._transfers.cancel()
         self._ring.clear()
@@ -231,15 +233,15 @@ class UsbFrameStream:
         self._leader = None
 
     def _deviates(self) -> bool:
-        """Note that this frame is not sent as planned; whether two in a row are, which then is expected."""
+        """Note a frame not sent as planned; True from the second in a row on: then it is expected."""
         self._deviations += not self._deviated
         self._deviated = True
-        return self._deviations >= _LEARNED_AFTER
+        return self._deviations >= _FRAMES_TO_LEARN
 
     # ---- parts of a frame
 
     def _take_empty(self, part: _Part) -> None:
-        """A packet without bytes: it ends a payload of whole packets, where the standard has none."""
+        """Take an empty packet: some cameras end a payload of whole packets with one."""
         if part is _Part.EMPTY:
             return
         *before, trailer = self._parts
@@ -342,7 +344,7 @@ class UsbFrameStream:
             return None
         self._misfits = 0
         self._leader = None
-        lost: Place = "dropped_by_bus" if self._disturbed else "dropped_by_camera"
+        lost: LossCause = "dropped_by_bus" if self._disturbed else "dropped_by_camera"
         number = self._numbers.number(leader.block, lost, leader.timestamp)
         if number is None:
             return None

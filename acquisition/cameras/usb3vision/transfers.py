@@ -114,7 +114,7 @@ class BlockingTransfers:
         self._filled = 0
 
 
-def unplugged(link: UsbLink) -> CameraLost:
+def unplugged_error(link: UsbLink) -> CameraLost:
     """The exception for a camera that is disconnected while frames are read."""
     return CameraLost(f"{link.name}: is no longer connected (reading frames); plug it in again")
 
@@ -122,7 +122,7 @@ def unplugged(link: UsbLink) -> CameraLost:
 def stream_error(error: usb.core.USBError, link: UsbLink) -> CameraLost | StreamHalted:
     """The exception for an error of pyusb while the stream is read."""
     if is_gone(error):
-        return unplugged(link)
+        return unplugged_error(link)
     if error.errno == errno.EPIPE:
         return StreamHalted(f"{link.name}: the stream endpoint has stalled")
     return StreamHalted(f"{link.name}: error while reading frames: {error}")
@@ -189,8 +189,8 @@ class LibusbTransfers:
         self._handle = c_void_p(_address(link.handle.handle))
         self._declare()
         self._reads: deque[_Read] = deque()
-        self._by_address: dict[int, _Read] = {}
-        self._callback = _Callback(self._ended)
+        self._read_at_address: dict[int, _Read] = {}
+        self._callback = _Callback(self._on_end)
 
     @staticmethod
     def suits(link: UsbLink) -> bool:
@@ -214,9 +214,9 @@ class LibusbTransfers:
         lib.libusb_free_transfer.restype = None
         lib.libusb_handle_events_timeout_completed.argtypes = [c_void_p, POINTER(_TimeValue), POINTER(c_int)]
 
-    def _ended(self, transfer: Any) -> None:
+    def _on_end(self, transfer: Any) -> None:
         """Called by libusb at the end of a read, in the thread that handles its events."""
-        read = self._by_address.get(ctypes.addressof(transfer.contents))
+        read = self._read_at_address.get(ctypes.addressof(transfer.contents))
         if read is not None:
             read.host_time_ns = time.monotonic_ns()
             read.done.value = 1
@@ -233,22 +233,23 @@ class LibusbTransfers:
         fields.buffer = buffer.ctypes.data
         fields.callback = self._callback
         read = _Read(transfer, buffer)
-        self._by_address[ctypes.addressof(fields)] = read
+        self._read_at_address[ctypes.addressof(fields)] = read
         error = self._lib.libusb_submit_transfer(transfer)
         if error:
             self._free(read)
             if error == _ERROR_NO_DEVICE:
-                raise unplugged(self._link)
+                raise unplugged_error(self._link)
             if error == _ERROR_NO_MEMORY:
                 raise DeviceError(
                     f"{self._link.name}: the system has no memory for {len(self._reads) + 1} transfers; "
-                    f"set fewer transfers, or raise /sys/module/usbcore/parameters/usbfs_memory_mb"
+                    "lower camera.usb3vision.transfers "
+                    "or raise /sys/module/usbcore/parameters/usbfs_memory_mb"
                 )
             raise StreamHalted(f"{self._link.name}: a read could not be started (libusb error {error})")
         self._reads.append(read)
 
     def _free(self, read: _Read) -> None:
-        self._by_address.pop(ctypes.addressof(read.transfer.contents), None)
+        self._read_at_address.pop(ctypes.addressof(read.transfer.contents), None)
         self._lib.libusb_free_transfer(read.transfer)
 
     def _handle_events(self, timeout_s: float, done: c_int) -> None:
@@ -271,7 +272,7 @@ class LibusbTransfers:
         if status == _COMPLETED:
             return CompletedTransfer(count, read.host_time_ns)
         if status == _NO_DEVICE:
-            raise unplugged(self._link)
+            raise unplugged_error(self._link)
         meaning = _STATUS_NAMES.get(status, f"status {status}")
         raise StreamHalted(f"{self._link.name}: a read of the stream ended with: {meaning}")
 

@@ -16,8 +16,8 @@ class V4l2Camera(DeviceCamera[LinuxSource]):
     Notes
     -----
     The driver numbers frames. Gaps count as lost by the host if all buffers were full, else as lost on the
-    bus; frames that the driver marks as damaged have an error status. A camera that is opened again is the
-    same one, although its device may have another number.
+    bus; frames that the driver marks as damaged have an error status. `open` finds the same camera again,
+    also under another device number.
     """
 
     _SILENT = "is it still plugged in?"
@@ -25,7 +25,7 @@ class V4l2Camera(DeviceCamera[LinuxSource]):
     def __init__(self, settings: V4l2Settings | None = None) -> None:
         super().__init__("video camera")
         self._settings = settings or V4l2Settings()
-        self._known: VideoDevice | None = None
+        self._last_device: VideoDevice | None = None
 
     def open(self) -> CameraInfo:
         if sys.platform != "linux":
@@ -34,15 +34,15 @@ class V4l2Camera(DeviceCamera[LinuxSource]):
             )
         self.close()
         with self._lock:
-            source = LinuxSource(self._settings, self._known)
+            source = LinuxSource(self._settings, self._last_device)
             info = source.open()
-            self._features, self._known = source, source.found
+            self._features, self._last_device = source, source.found
             return info
 
     def start(self) -> None:
         """Begin with fresh buffers."""
         with self._lock:
-            source = self._opened()
+            source = self._open_device()
             self._must_be_idle()
             if self._run is not None and not self._run.stop(1.0):
                 raise DeviceError(f"{self._name}: still waits for a frame of the last run; close and open it")
@@ -51,7 +51,7 @@ class V4l2Camera(DeviceCamera[LinuxSource]):
             self._run = CameraRun(lambda timeout_s: source.next(timeout_s, numbers), source.stop)
 
     def close(self) -> None:
-        """Stop and give the device back, at the latest when a read that waits has come to its end."""
+        """Stop, and release the device, at the latest when a waiting read has ended."""
         self.stop()
         with self._lock:
             source, self._features = self._features, None
@@ -60,7 +60,7 @@ class V4l2Camera(DeviceCamera[LinuxSource]):
 
     def feature_values(self) -> dict[str, FeatureValue]:
         """All controls of the device that can be read now."""
-        return self._opened().feature_values()
+        return self._open_device().feature_values()
 
     def feature_value(self, name: str) -> FeatureValue | None:
         """Value of one control; None if it cannot be read now."""

@@ -20,7 +20,7 @@ class Layout(NamedTuple):
     """Grey values in a buffer: their `pixel_format`, type, distance in a row and first position (in
     values).
 
-    `packed` are the pixels of a group in MIPI's packing: a byte with the high bits of each, then one with the
+    `packed` is the number of pixels in a MIPI group: a byte with the high bits of each, then one with the
     low bits of all, least significant first; 0 if pixels are whole bytes. `colours` are those of the first
     two pixels of the first row of a Bayer mosaic.
     """
@@ -69,7 +69,7 @@ def choose(offered: list[str], wanted: PixelFormat | None, *, mosaic: bool = Fal
     return next(fitting, None)
 
 
-def possible(offered: list[str], *, mosaic: bool = False) -> list[PixelFormat]:
+def pixel_formats_of(offered: list[str], *, mosaic: bool = False) -> list[PixelFormat]:
     """Pixel formats that follow from the offered layouts, grey or with a Bayer mosaic."""
     return list(dict.fromkeys(LAYOUTS[fourcc].pixel_format for fourcc in _usable(offered, mosaic)))
 
@@ -95,21 +95,21 @@ def to_image(data: memoryview, layout: PixelLayout, plane: ColourPlane | None = 
     row, column, pitch = (*place_in_mosaic(kind.colours, plane), PITCH) if plane else (0, 0, 1)
     rows = rows[row::pitch]
     if kind.packed:
-        return _own(_unpacked(rows, layout.width_px, kind.packed)[:, column::pitch])
+        return _read_only_copy(_unpacked(rows, layout.width_px, kind.packed)[:, column::pitch])
     pixels = rows[:, : layout.width_px * kind.step * np.dtype(kind.dtype).itemsize]
     if kind.dtype != "u1":
-        return _own(pixels.view(kind.dtype)[:, column::pitch].astype(np.uint16))
-    return _own(pixels[:, kind.offset :: kind.step][:, column::pitch])
+        return _read_only_copy(pixels.view(kind.dtype)[:, column::pitch].astype(np.uint16))
+    return _read_only_copy(pixels[:, kind.offset :: kind.step][:, column::pitch])
 
 
-def _own(part: NDArray[np.generic]) -> Image:
+def _read_only_copy(part: NDArray[np.generic]) -> Image:
     image: Any = np.array(part, order="C")
     image.flags.writeable = False
     return cast("Image", image)
 
 
 def _unpacked(rows: NDArray[np.uint8], width_px: int, group: int) -> NDArray[np.uint16]:
-    """Pixels of rows of groups of `group` bytes and one more with their low bits."""
+    """Pixels from rows of groups: `group` high bytes, then one of low bits."""
     groups = -(-width_px // group)
     data = rows[:, : groups * (group + 1)].reshape(len(rows), groups, group + 1)
     bits = 8 // group
@@ -150,7 +150,7 @@ def list_devices() -> list[VideoDevice]:
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """The same for ``rig doctor``; DeviceError on systems without Video4Linux."""
+    """All cameras for ``rig doctor``; DeviceError on systems but Linux."""
     if sys.platform != "linux":
         raise DeviceError("v4l2: there are such cameras on Linux only")
     cameras = []
@@ -199,12 +199,12 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
 
 
 def find_again(known: VideoDevice) -> VideoDevice:
-    """The device that was open before: it may have another number now, and another device its old one.
+    """Find the device `known` again, whose number may have changed.
 
     Raises DeviceError while it is not there, or cannot be opened.
     """
     same = [one for one in list_devices() if (one.name, one.serial) == (known.name, known.serial)]
-    # of two cameras of one kind without serial numbers their place on the bus tells which is which
+    # two cameras of one model without serial numbers differ by their place on the bus
     for told in ("bus", "path"):
         if len(same) > 1:
             same = [one for one in same if getattr(one, told) == getattr(known, told)]
@@ -217,7 +217,7 @@ def find_again(known: VideoDevice) -> VideoDevice:
 
 
 def _is_readable(formats: list[str]) -> bool:
-    return bool(possible(formats) or possible(formats, mosaic=True))
+    return bool(pixel_formats_of(formats) or pixel_formats_of(formats, mosaic=True))
 
 
 def refusal(path: str, error: OSError) -> str:

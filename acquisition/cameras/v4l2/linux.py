@@ -30,7 +30,7 @@ from acquisition.cameras.v4l2.devices import (
     find_again,
     find_device,
     image_bytes,
-    possible,
+    pixel_formats_of,
     refusal,
     to_image,
 )
@@ -353,7 +353,7 @@ class LinuxSource:
 
 
 def _no_format(offered: list[str], wanted: PixelFormat | None, mosaic: bool) -> str:
-    there = possible(offered, mosaic=mosaic)
+    there = pixel_formats_of(offered, mosaic=mosaic)
     if there:
         return f"pixel format {wanted} is not supported; there are {', '.join(there)}"
     if mosaic:

@@ -8,7 +8,7 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.desk import tables
 from rig.desk.desk import Desk
-from rig.desk.panels.runs import fit_again, open_served
+from rig.desk.panels.runs import fit_again, open_in_browser_tab
 from rig.desk.tab import DELIBERATE, Tab, at_once, box
 from rig.measure import HandOver, RunState
 from rig.settings import SessionSettings
@@ -189,4 +189,4 @@ class RunResult:
         over = self._drawn
         if over is None or over.report is None:
             return
-        open_served(self._desk, over.report)
+        open_in_browser_tab(self._desk, over.report)

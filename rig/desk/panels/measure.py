@@ -1,4 +1,4 @@
-"""Measure: begin a session, watch it at arm's length, brake, stop; what it gave, and what comes next."""
+"""Measure panel: start a session, watch it from a distance, brake, stop; last result, next session."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -20,15 +20,15 @@ from rig.instrument import Phase
 from rig.presentation import quantity
 
 _SIZE = (420, 300)
-_IF_SOUND = "Stop the session? The record is closed and fitted; nothing is lost."
-_IF_FROZEN = (
+_ASK_STOP = "Stop the session? The record is closed and fitted; nothing is lost."
+_ASK_KILL = (
     "The session does not answer. End its process? The laser is switched off; the record stays, at worst "
-    "without its last second, and is fitted by Fit again; Resume makes the missing runs."
+    "without its last second. Then: Fit again fits it, Resume measures missing runs."
 )
 
 
 def build(desk: Desk, tab: Tab) -> None:
-    """Build the panel: between sessions the last result and the form of the next, during one what it does."""
+    """Build the panel: the last result and the form of the next session, or the state of the running one."""
     with ui.column().classes("full-width") as before:
         RunResult(desk, tab)
         build_form(desk, tab).props(f'id="{NEXT_RUN}"').style("scroll-margin-top: 120px")
@@ -69,12 +69,12 @@ def build(desk: Desk, tab: Tab) -> None:
 
 
 class RunNumbers:
-    """What is read at arm's length: amplitude, time left, light; with it Stop and Brake."""
+    """Large display of amplitude, time left and light, with Stop and Brake."""
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
         with ui.dialog().props('aria-label="stop the session"') as self._sure, ui.card():
-            self._asked = ui.label(_IF_SOUND)
+            self._asked = ui.label(_ASK_STOP)
             with ui.row():
                 ui.button("Stop it", on_click=lambda: self._sure.submit(True)).props('color="negative"')
                 ui.button("Go on", on_click=lambda: self._sure.submit(False)).props("outline")
@@ -99,12 +99,12 @@ class RunNumbers:
                 self._brakes.props('outline size="lg" aria-label="Brake on or off"')
 
     def refresh(self, news: Mapping[str, Any]) -> bool:
-        """Show what a session has said; returns whether its values are from before."""
+        """Show the state of a session; returns whether its values are old."""
         following, state = self._desk.following, news.get("state") or {}
         value = state.get("amplitude")
         no_frame_s, is_dark = following.frames_age_s, bool(news.get("darkness"))
         is_blind = no_frame_s > STALE_S or is_dark
-        from_before = ": values are from before" if value is not None else ""
+        from_before = ": values are old" if value is not None else ""
         self._before.set_text(
             f"it is dark{from_before}" if is_dark
             else f"no frame for {no_frame_s:.0f} s{from_before}" if is_blind
@@ -127,7 +127,7 @@ class RunNumbers:
 
     async def _stop(self) -> None:
         following = self._desk.following
-        self._asked.set_text(_IF_FROZEN if following.frozen else _IF_SOUND)
+        self._asked.set_text(_ASK_KILL if following.frozen else _ASK_STOP)
         if following.running and await self._sure:
             ui.notify(await run.io_bound(self._desk.stop_session))
 
@@ -154,7 +154,7 @@ class RunFacts:
             self._events.props('role="log" aria-label="events" tabindex="0"')
 
     def refresh(self, news: Mapping[str, Any]) -> None:
-        """Show what a session has said."""
+        """Show the session's state."""
         learned = words.estimate_rows(news.get("state") or {})
         self._learned.set_content(tables.table(learned, "parameters so far"))
         self._state.set_content(tables.table(news.get("rows") or [], "state of the run"))
@@ -171,13 +171,13 @@ class RunFacts:
         ui.notify(said)
 
 
-_EVERY_S = 1.0
+_REDRAW_S = 1.0
 _KEYS = {"decay": "amplitude", "period": "period_s"}
 _MOST_PARAMETERS = 3
 
 
 def _with_fit(key: str) -> tuple[ChartCurve, ...]:
-    """Curves of a quantity, of its fit, and of what the fit leaves over."""
+    """Curves of a quantity, of its fit, and of its residuals."""
     left = f"{key.removesuffix('_s')}_residual_in_u"
     return (
         ChartCurve(key, name="measured", style="points"),
@@ -187,7 +187,7 @@ def _with_fit(key: str) -> tuple[ChartCurve, ...]:
 
 
 class RunCharts:
-    """A choice, and the chart that is chosen; built where it is made."""
+    """Charts of the run, and the toggle that selects one."""
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
@@ -198,7 +198,7 @@ class RunCharts:
             self._charts[name] = Chart(name, "elapsed_s", _with_fit(key))
         self._charts["parameters"] = Chart("parameters", "elapsed_s", ())
         self._choose()
-        tab.every(_EVERY_S, self._refresh)
+        tab.every(_REDRAW_S, self._refresh)
 
     def _choose(self) -> None:
         for name, chart in self._charts.items():
@@ -239,7 +239,7 @@ def _parameters(estimates: Mapping[str, Sequence[Sequence[float]]]) -> tuple[lis
 
 
 def _marks(events: Sequence[Mapping[str, Any]], run: str) -> list[Mark]:
-    """Events of the run at their times; those of an earlier one have another beginning."""
+    """Times and texts of the run's events, without those of earlier runs."""
     return [
         (float(one["elapsed_s"]), f"{one['kind']}: {one['text']}")
         for one in tuple(events)

@@ -26,7 +26,7 @@ _COLUMNS = ("begun", "name", "sample", "runs", "state", *LastRun._fields, "condi
 _STATED = ("begun", "sample", "runs", "state", "conditions", "operator")
 _LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
   <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
-_ON_A_PAGE, _LAST_LINES = 15, 14
+_ROWS_PER_PAGE, _LAST_LINES = 15, 14
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${props.row.folder}`" />'
 
 
@@ -58,7 +58,7 @@ def build(desk: Desk, tab: Tab) -> None:
         output.refresh()
 
     which.on_value_change(choose)
-    find.on_value_change(listed.find_anew)
+    find.on_value_change(listed.search_again)
     tab.key("o", tab.act(actions.report))
     tab.key("v", tab.act(actions.view))
     tab.every(1.0, refresh)
@@ -84,7 +84,7 @@ class PagedTable(ABC):
         """Show what is found now."""
 
     async def _turn(self, pages: int) -> None:
-        self._first = max(0, self._first + pages * _ON_A_PAGE)
+        self._first = max(0, self._first + pages * _ROWS_PER_PAGE)
         await self.refresh()
 
     def _show_place(self, shown: int, found: int, every: int, where: str, nothing: str) -> None:
@@ -113,15 +113,15 @@ class SessionList(PagedTable):
         self._table.add_slot("body-cell-balance", _LAMP)
         self._table.on_select(self._mark)
 
-    async def find_anew(self) -> None:
-        """Other words are searched for."""
+    async def search_again(self) -> None:
+        """Search again from page 1."""
         self._first = 0
         await self.refresh()
 
     async def refresh(self) -> None:
         """Show what is found now."""
         desk = self._desk
-        page = desk.sessions.page(desk.following.folder, self._words(), self._first, _ON_A_PAGE)
+        page = desk.sessions.page(desk.following.folder, self._words(), self._first, _ROWS_PER_PAGE)
         self._rows = {str(row.folder): row for row in page.rows}
         if self._marked in self._rows:
             self._on_mark(self._rows[self._marked])
@@ -150,7 +150,7 @@ class SessionList(PagedTable):
 
 
 class Actions:
-    """What is done with the session that is marked."""
+    """Buttons that act on the marked session."""
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
@@ -163,7 +163,7 @@ class Actions:
                 ("Report", self.report, "open the report, key o"),
                 ("Rerun", self.view, "show the session in Rerun, key v"),
                 ("Fit again", self._fit, "refit all runs into a new folder"),
-                ("Resume …", self._ask_resume, "make the missing runs"),
+                ("Resume …", self._ask_resume, "measure missing runs"),
             )
         ]
         self._wanted = ui.label().classes("dim")
@@ -172,7 +172,7 @@ class Actions:
         self.mark(None)
 
     def mark(self, row: SessionRow | None) -> None:
-        """Another one is marked, or none."""
+        """Mark this session, or none."""
         self._marked = row
         for button in self._buttons:
             button.set_enabled(row is not None)
@@ -189,7 +189,7 @@ class Actions:
             self._desk.jobs.begin("report", str(row.folder), uses_camera=False)
             ui.notify("the report is being written; open it when it is finished")
         else:
-            open_served(self._desk, row.report)
+            open_in_browser_tab(self._desk, row.report)
 
     def view(self) -> None:
         """Show the session in Rerun."""
@@ -249,8 +249,8 @@ def fit_again(desk: Desk, folder: Path) -> None:
     desk.jobs.begin("fit", str(folder), "-o", str(next_free(folder, "fit")), uses_camera=False)
 
 
-def open_served(desk: Desk, page: Path) -> None:
-    """Open a file of the sessions' folder in a tab of its own."""
+def open_in_browser_tab(desk: Desk, page: Path) -> None:
+    """Open a file of the output folder in a new browser tab."""
     name = page.absolute().relative_to(desk.config.session.output.absolute()).as_posix()
     ui.run_javascript(f"window.open({json.dumps(f'{SERVED}/{quote(name)}')}, '_blank')")
 
@@ -268,8 +268,8 @@ def _head(column: str) -> str:
     return f"{symbol} / ({shown.unit})" if shown.unit else symbol
 
 
-_AGAIN_S = 30.0
-"""After so long what others may have added is looked for."""
+_REREAD_S = 30.0
+"""Interval of reading the archive for added runs."""
 
 
 class ArchivedRuns(PagedTable):
@@ -291,13 +291,13 @@ class ArchivedRuns(PagedTable):
         if self._asked is None or words != self._asked[0]:
             self._first = 0
         now, now_s = (words, self._first), time.monotonic()
-        if now == self._asked and now_s - self._asked_s < _AGAIN_S:
+        if now == self._asked and now_s - self._asked_s < _REREAD_S:
             return
         self._asked, self._asked_s = now, now_s
         if not self._table.rows:
             self._place.set_text(f"{archive} is read …")
         try:
-            found = await run.io_bound(find_runs, archive, words, self._first, _ON_A_PAGE)
+            found = await run.io_bound(find_runs, archive, words, self._first, _ROWS_PER_PAGE)
         except RigError as error:
             self._table.rows = []
             self._place.set_text(str(error))

@@ -1,4 +1,4 @@
-"""What some seconds of frames say before a run: spot, exposure, rate, clock, disk.
+"""Checks of trial frames before a run: spot, exposure, rate, clock, disk.
 
 Each check turns plain values into one verdict with reason and remedy.
 """
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from acquisition.camera import Frame, ShutterKind
-from acquisition.frames.guard import MOST_PPM
+from acquisition.frames.guard import MAX_DRIFT_PPM
 from calibration import Axes, Shutter, relate_clocks
 from processing.errors import DataError
 from processing.spot import FixedLight, Spot, SpotFlag, fixed_light
@@ -28,9 +28,10 @@ from rig.measure.preflight.rest_checks import (
 from rig.presentation import Verdict, with_uncertainty
 from rig.settings import Configuration, PreflightSettings
 
-_SPOT_BYTES = 260
-_PICTURES = 48
-"""In which it is looked for light that stays where it is."""
+_RECORDED_SPOT_BYTES = 260
+"""Bytes that one frame's numbers take in the record."""
+_LIGHT_FRAMES = 48
+"""Frames searched for light that does not move."""
 
 
 def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
@@ -74,7 +75,7 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
 
     The clock of frames that are made on demand has no rate in real time.
     """
-    limit = f"jitter {limits.max_clock_jitter_us:g} µs, rate {MOST_PPM:g} ppm"
+    limit = f"jitter {limits.max_clock_jitter_us:g} µs, rate {MAX_DRIFT_PPM:g} ppm"
     if frames and frames[0].device_time_ns < 0:
         return Verdict("clock", True, measured="the camera has none; the host's is used", limit=limit)
     try:
@@ -93,21 +94,21 @@ def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool
         return judged("clock", False, (wrong_by, remedy), rate, limit)
     jitter_us = relation.frame_jitter_s * 1e6
     ok = jitter_us <= limits.max_clock_jitter_us
-    if ok and not on_demand and 3.0 * relation.u_drift_ppm > MOST_PPM:
+    if ok and not on_demand and 3.0 * relation.u_drift_ppm > MAX_DRIFT_PPM:
         reason = "unknown: these frames came too irregularly, or too few of them, to tell the clock's rate"
         measured = f"jitter {jitter_us:.1f} µs, rate unknown ({rate})"
         return Verdict("clock", True, reason, measured=measured, limit=limit, made=False)
-    remedy = "a fixed frame_rate_hz, the camera's own clock, no free-running trigger"
+    remedy = "set frame_rate_hz, use the camera's clock, no free-running trigger"
     wrong = "frames come unevenly; turning times suffer", remedy
     return judged("clock", ok, wrong, f"jitter {jitter_us:.1f} µs, {rate}", limit)
 
 
 def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: PreflightSettings) -> Verdict:
     """Check the measured frame rate against the requested one, and the losses."""
-    limit = f"{100 * limits.max_frame_rate_error:g} %, losses {100 * limits.max_dropped_fraction:g} %"
+    limit = f"rate {100 * limits.max_frame_rate_error:g} %, losses {100 * limits.max_dropped_fraction:g} %"
     span_s = seconds(frames[-1].time_ns - frames[0].time_ns) if len(frames) > 1 else 0.0
     if span_s <= 0:
-        wrong = "the camera hardly delivers", "see the camera"
+        wrong = "hardly a frame arrives", "check cable and trigger"
         return judged("frame rate", False, wrong, "too few frames", limit)
     numbers = frames[-1].sequence - frames[0].sequence
     rate_hz = numbers / span_s
@@ -131,23 +132,23 @@ def disk(
 
 
 def _room(size_bytes: float) -> str:
-    """In GB, or, where that would be next to nothing, in MB."""
+    """The size in GB, or in MB below 1 GB, as text."""
     return f"{size_bytes / 1e9:.1f} GB" if size_bytes >= 1e9 else f"{size_bytes / 1e6:.1f} MB"
 
 
 def _fixed_light(look: TrialFrames) -> FixedLight | None:
     pairs = list(zip(look.frames, look.spots[-len(look.frames) :], strict=True))
-    return fixed_light([(frame.image, spot) for frame, spot in pairs[:: max(1, len(pairs) // _PICTURES)]])
+    return fixed_light([(frame.image, spot) for frame, spot in pairs[:: max(1, len(pairs) // _LIGHT_FRAMES)]])
 
 
-def check_look(
+def check_trial_frames(
     look: TrialFrames, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
 ) -> list[Verdict]:
     """All checks that are made from some seconds of frames."""
     limits, at = config.preflight, look.deflections
     span_s = max(float(at.times_s[-1]), 1e-9) if len(at) else 1.0
     rate_hz, longest_s = len(look.frames) / span_s, config.session.max_duration_s
-    bytes_per_frame = _SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
+    bytes_per_frame = _RECORDED_SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
     bytes_per_frame += look.frames[0].image.nbytes / (config.record.full_frame_interval_s * rate_hz)
     return [
         spot_found(look.spots, limits),
@@ -173,8 +174,8 @@ def check_look(
 
 
 _ANY_HUMIDITY = (0.0, 100.0)
-_ALONG_ROWS = 0.1
-"""Part of the slow swing that may go across the rows of a sensor whose slow axis lies along them."""
+_MAX_ACROSS_ROWS = 0.1
+"""Largest |cos(slow_angle_rad)| at which the slow axis counts as along the rows."""
 
 
 def air(
@@ -194,18 +195,18 @@ def air(
     if not expected:
         return Verdict("environment", True, measured="no sensor is configured", limit=limit, made=False)
     if math.isnan(temperature_c) and optional and not asks_humidity:
-        reason = "the controller has none, or it is silent"
+        reason = "the controller has no sensor, or no reading"
         remedy = "plug a BME280 in, or state [environment]"
         return Verdict("environment", True, reason, remedy, measured="no reading", limit=limit)
     if math.isnan(temperature_c):
         return judged("environment", False, ("the sensor is silent", "see rig doctor"), "no reading", limit)
     words = f"{temperature_c:.1f} °C, {humidity_percent:.0f} %, {pressure_pa / 100:.0f} hPa"
     if asks_humidity and math.isnan(humidity_percent):
-        wrong = "it does not report humidity", "a sensor that does, or no limits of it"
+        wrong = "it does not report humidity", "use one that does, or no humidity limits"
         return judged("environment", False, wrong, words, limit)
     ok = limits.min_temperature_c <= temperature_c <= limits.max_temperature_c
     ok = ok and (not asks_humidity or damp[0] <= humidity_percent <= damp[1])
-    return judged("environment", ok, ("out of range", "wait, or widen"), words, limit)
+    return judged("environment", ok, ("out of range", "wait, or widen the limits"), words, limit)
 
 
 def controller(now: DevicesNow, wanted: bool) -> Verdict:
@@ -229,7 +230,7 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
 def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool = False) -> Verdict:
     """Check that the row time of a rolling shutter is known where the spot swings across the rows.
 
-    `word` is the camera's own for its shutter. Without `axes` the slow axis is taken along the columns. A
+    `word` is the camera's name of its shutter. Without `axes` the slow axis is taken along the columns. A
     `pulsed` laser lights all rows at one time.
     """
     limit = "global, or its row time known"
@@ -243,7 +244,7 @@ def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool
     if known is not None:
         row_us = with_uncertainty(1e6 * known.row_time_s, 1e6 * known.u_row_time_s)
         return Verdict("shutter", True, measured=f"rolling, {row_us} µs a row", limit=limit)
-    if across < _ALONG_ROWS:
+    if across < _MAX_ACROSS_ROWS:
         return Verdict("shutter", True, measured="rolling, the slow axis lies along the rows", limit=limit)
     reason = "each row is exposed at its own time: half-periods differ, [shutter] does not say by how much"
     remedy = "turn the camera so that the slow axis lies along the rows, or set a global reset, "

@@ -57,7 +57,7 @@ def test_pixels_and_times_come_back_as_they_are(
     camera, frames = play(path, frame_rate_hz=None)
     assert np.array_equal([frame.image for frame in frames], wanted)
     assert [frame.device_time_ns for frame in frames] == [40_000_000 * k for k in range(COUNT)]
-    assert len(camera.found) == 1
+    assert len(camera.remarks) == 1
 
 
 def test_red_is_the_first_of_rgb_and_the_last_of_bgr(tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_listed_times_hold_and_a_jump_of_them_is_counted_and_placed(tmp_path: Pa
     camera, frames = play(written(tmp_path, pictures().tobytes(), layout), frame_rate_hz=None)
     assert [frame.device_time_ns for frame in frames] == [time_ns - times_ns[0] for time_ns in times_ns]
     assert camera.status.dropped_by_camera == 3
-    assert "3 frames are missing by the times in swing.raw.toml: 3 after 0.160 s" in camera.found[1]
+    assert "3 frames are missing by the times in swing.raw.toml: 3 after 0.160 s" in camera.remarks[1]
 
 
 def test_without_times_they_come_from_elsewhere_or_are_asked_for(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_a_file_that_is_cut_off_is_counted_where_its_frames_are_stated(tmp_path:
     path = written(tmp_path, data, LAYOUT | {"frames": COUNT})
     camera, frames = play(path, frame_rate_hz=None)
     assert (len(frames), camera.status.incomplete) == (COUNT - 2, 2)
-    assert camera.found[1] == f"ends 2 frames before the {COUNT} that swing.raw.toml states"
+    assert camera.remarks[1] == f"ends 2 frames before the {COUNT} that swing.raw.toml states"
     assert np.array_equal(frames[-1].image, pictures()[COUNT - 3])
 
 

@@ -363,7 +363,7 @@ def test_a_clock_that_began_again_is_shifted_and_said_so() -> None:
     line = FrameLine()
     for number in range(10):
         joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
-    line.begin_again()
+    line.restart()
     host_ns = HOST_NS + 9 * 10**7 + 2 * 10**9
     frame, note = joined_one(line, 0, 12345, host_ns)
     assert frame.device_time_ns == 10**12 + 9 * 10**7 + 2 * 10**9
@@ -378,7 +378,7 @@ def test_a_clock_that_another_one_set_meanwhile_is_shifted_too() -> None:
     line = FrameLine(in_real_time=True)
     for number in range(10):
         joined_one(line, number, 10**9 + number * 10**7, HOST_NS + number * 10**7)
-    line.begin_again()
+    line.restart()
     passed = line.take(Frame(IMAGE, 0, 1_700_000_000 * 10**9, HOST_NS + 9 * 10**7 + 10**9))
     (frame,), (step,), ((_, note),) = passed.frames, passed.steps, passed.notes
     assert (frame.sequence, frame.device_time_ns) == (109, 10**9 + 9 * 10**7 + 10**9)
@@ -392,7 +392,7 @@ def test_a_camera_that_comes_back_without_times_continues_its_numbers_all_the_sa
     line = FrameLine(in_real_time=True)
     for number in range(20):
         joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
-    line.begin_again()
+    line.restart()
     passed = [
         line.take(Frame(IMAGE, n, 2**62 if n < senseless else 500 + n * 10**7, HOST_NS + 10**9 + n * 10**7))
         for n in range(40)
@@ -411,14 +411,14 @@ def test_what_waits_when_a_camera_is_lost_is_counted() -> None:
         joined_one(line, number, 10**12 + number * 10**7, HOST_NS + number * 10**7)
     assert line.take(Frame(IMAGE, 20, 7, HOST_NS + 20 * 10**7)).frames == []
     assert (line.waiting, line.rejected) == (1, 0)
-    line.begin_again()
+    line.restart()
     assert (line.waiting, line.rejected) == (0, 1)
 
 
 def test_a_camera_that_is_lost_after_its_first_frame_continues_its_numbers() -> None:
     line = FrameLine()
     first, _ = joined_one(line, 0, 10**12, HOST_NS)
-    line.begin_again()
+    line.restart()
     again, note = joined_one(line, 0, 7, HOST_NS + 3 * 10**9)
     assert (first.sequence, again.sequence) == (0, 1)
     assert again.device_time_ns == first.device_time_ns + 3 * 10**9
@@ -429,7 +429,7 @@ def test_the_middle_of_the_exposure_continues_over_a_clock_that_began_again() ->
     line = FrameLine(time_shift_ns=-(10**6))
     joined = [joined_one(line, n, 10**12 + n * 10**7, HOST_NS + n * 10**7)[0] for n in range(10)]
     assert [frame.device_time_ns for frame in joined] == [10**12 - 10**6 + n * 10**7 for n in range(10)]
-    line.begin_again()
+    line.restart()
     again, _ = joined_one(line, 0, 500, HOST_NS + 9 * 10**7 + 10**9)
     assert (again.device_time_ns - joined[-1].device_time_ns, again.sequence) == (10**9, 9 + 100)
     assert joined_one(line, 1, -1, HOST_NS + 10**9)[0].device_time_ns == -1

@@ -105,7 +105,7 @@ def test_a_backlog_is_said_once_and_so_is_its_end() -> None:
         queue.take(3, 0.0)
         said.append(queue.remark())
     begun, ended = [text for text in said if text]
-    assert begun.startswith("13 frames wait for the processor, 4 of 31 MB")
+    assert begun.startswith("13 frames wait to be processed, 4 of 31 MB")
     assert "lost and counted" in begun
     assert ended == "caught up; at most 50 frames waited, 15 MB"
 

@@ -169,12 +169,12 @@ def test_an_attachment_is_read_from_its_second_copy(tmp_path: Path, whole: bytes
     path.write_bytes(flipped(whole, first))
     with RecordReader(path) as reader:
         assert reader.attachments["configuration.toml"] == b"[session]\n"
-        assert "attachment configuration.toml: its checksum" in reader.damages[0].what
+        assert "attachment configuration.toml: its checksum" in reader.damages[0].description
     path.write_bytes(flipped(flipped(whole, first), last))
     with RecordReader(path) as reader:
         assert "configuration.toml" not in reader.attachments
     copy = tmp_path / "copy.mcap"
-    assert any("configuration.toml" in damage.what for damage in recover(path, copy).lost)
+    assert any("configuration.toml" in damage.description for damage in recover(path, copy).lost)
     (told,) = check_record(copy)
     assert told.severity == "warning"
     assert "lost parts: attachment configuration.toml: its checksum does not match" in told.text
@@ -349,4 +349,4 @@ def test_a_length_that_claims_the_world_takes_no_memory(tmp_path: Path, whole: b
     with RecordReader(path) as reader:
         reader.spots()
         reader.events()
-        assert any("head has changed" in damage.what for damage in reader.damages)
+        assert any("head has changed" in damage.description for damage in reader.damages)

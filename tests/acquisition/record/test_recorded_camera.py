@@ -26,9 +26,9 @@ def test_what_is_written_is_read_as_the_same_values(
     word: str, kind: ShutterKind, has_clock: bool, driver: str
 ) -> None:
     written = camera_metadata(replace(INFO, driver=driver, shutter=word, has_clock=has_clock))
-    assert RecordedCamera.of(written) == RecordedCamera(driver == "simulated", has_clock, kind)
+    assert RecordedCamera.from_metadata(written) == RecordedCamera(driver == "simulated", has_clock, kind)
 
 
 def test_a_record_that_says_nothing_is_no_camera_without_a_clock() -> None:
-    assert RecordedCamera.of({}) == RecordedCamera(False, None, ShutterKind.UNKNOWN)
-    assert RecordedCamera.of({"camera": {"has_clock": "perhaps"}}).has_clock is None
+    assert RecordedCamera.from_metadata({}) == RecordedCamera(False, None, ShutterKind.UNKNOWN)
+    assert RecordedCamera.from_metadata({"camera": {"has_clock": "perhaps"}}).has_clock is None

@@ -11,7 +11,7 @@ from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.motion import motions
 from acquisition.simulation.optics import spot_position_px
-from acquisition.simulation.scene import Readings, Scene
+from acquisition.simulation.scene import Scene, SensorSettings
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 from acquisition.simulation.true_path import axes_motion
 from processing.errors import ConfigurationError
@@ -39,7 +39,7 @@ def integrated(pixel: np.ndarray, centre_px: np.ndarray, sigma_px: float) -> np.
 @pytest.mark.parametrize("first_row", ["top", "bottom"])
 def test_every_row_sees_the_spot_at_its_own_time(first_row: str) -> None:
     settings = settings_of(30e-6, first_row)
-    readings = Readings(0, TOP, 120, ROWS, 16, 100.0, 0.0, 100.0)
+    readings = SensorSettings(0, TOP, 120, ROWS, 16, 100.0, 0.0, 100.0)
     scene = Scene(settings, FaultSettings(), readings, 0)
     plan = scene.plan(121)
     fast, slow = motions(settings, 0)
@@ -64,8 +64,10 @@ def test_every_row_sees_the_spot_at_its_own_time(first_row: str) -> None:
 def test_a_binned_image_is_the_mean_of_the_sensors_pixels(row_time_s: float) -> None:
     """In a region, too, and with each row of the sensor at its own time."""
     settings = settings_of(row_time_s)
-    whole = Scene(settings, FaultSettings(), Readings(0, 0, 120, 402, 16, 100.0, 0.0, 50.0), 0)
-    part = Scene(settings, FaultSettings(), Readings(10, 30, 20, 100, 16, 100.0, 0.0, 50.0, binning=3), 0)
+    whole = Scene(settings, FaultSettings(), SensorSettings(0, 0, 120, 402, 16, 100.0, 0.0, 50.0), 0)
+    part = Scene(
+        settings, FaultSettings(), SensorSettings(10, 30, 20, 100, 16, 100.0, 0.0, 50.0, binning=3), 0
+    )
     plan = whole.plan(200)
     frame = int(np.argmin(np.abs(plan.y_px - 240.0)))
     image = whole.draw(frame, plan.x_px[frame], plan.y_px[frame], 1.0, plan.slope[frame]).astype(float)
@@ -80,7 +82,7 @@ def test_rows_of_a_binned_image_are_later_by_as_many_row_times(binning: int) -> 
     """The time that is right for the rows of the image is that at which the spot was there."""
     settings = settings_of(20e-6)
     rows = 640 // binning
-    scene = Scene(settings, FaultSettings(), Readings(0, 0, 40, rows, 16, 100.0, 0.0, 50.0, binning), 0)
+    scene = Scene(settings, FaultSettings(), SensorSettings(0, 0, 40, rows, 16, 100.0, 0.0, 50.0, binning), 0)
     plan = scene.plan(200)
     frames = range(40, 200, 40)
     images = [scene.draw(n, plan.x_px[n], plan.y_px[n], 1.0, plan.slope[n]).astype(float) for n in frames]
@@ -118,7 +120,7 @@ def test_a_readout_longer_than_a_frame_is_refused() -> None:
 
 
 def test_a_global_shutter_draws_the_same_frames_as_ever() -> None:
-    plan = Scene(settings_of(0.0), FaultSettings(), Readings(0, 0, 120, 640, 16, 100.0, 0.0, 100.0), 0).plan(
-        10
-    )
+    plan = Scene(
+        settings_of(0.0), FaultSettings(), SensorSettings(0, 0, 120, 640, 16, 100.0, 0.0, 100.0), 0
+    ).plan(10)
     assert not plan.slope.any()

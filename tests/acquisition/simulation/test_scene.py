@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from scipy.signal import welch
 
 from acquisition.simulation.inputs import FaultSettings, RigInputs
-from acquisition.simulation.scene import PlannedFrames, Readings, Scene
+from acquisition.simulation.scene import PlannedFrames, Scene, SensorSettings
 from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.true_path import true_path, true_turning_points
 
@@ -20,7 +20,7 @@ ONE_ARCSEC_PX = 1.0 * 2 * ARCSEC_RAD / 4.8e-6
 
 def scene(faults: dict[str, Any] | None = None, run: int = 0, **changes: Any) -> Scene:
     settings = SimulationSettings.model_validate(changes)
-    readings = Readings(
+    readings = SensorSettings(
         0, 0, settings.sensor.width_px, settings.sensor.height_px, 8, 100.0, 0.0, settings.clock.frame_rate_hz
     )
     return Scene(settings, FaultSettings.model_validate(faults or {}), readings, run)
@@ -243,7 +243,7 @@ def test_images_agree_with_the_plan_and_the_trajectory() -> None:
     }
     changes: dict[str, Any] = {**small, "optics": {"peak_dn": 2500.0}}
     settings = SimulationSettings.model_validate(changes)
-    readings = Readings(0, 0, 64, 128, 12, 100.0, 0.0, 100.0)
+    readings = SensorSettings(0, 0, 64, 128, 12, 100.0, 0.0, 100.0)
     view = Scene(settings, FaultSettings(), readings, 0)
     frames = view.plan(150)
     truth = true_path(settings, 1.49)
@@ -260,7 +260,7 @@ def commanded(inputs: RigInputs) -> Scene:
     settings = SimulationSettings.model_validate(
         {"release": {"way": "by command"}, "fast": {"amplitude_arcsec": 0.0}, "axes": {"leakage": 0.0}}
     )
-    return Scene(settings, FaultSettings(), Readings(0, 0, 320, 640, 8, 100.0, 0.0, 100.0), 0, inputs)
+    return Scene(settings, FaultSettings(), SensorSettings(0, 0, 320, 640, 8, 100.0, 0.0, 100.0), 0, inputs)
 
 
 def slow_arcsec(view: Scene, seconds: float) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation.inputs import FaultSettings
-from acquisition.simulation.scene import Readings, Scene
+from acquisition.simulation.scene import SensorSettings, Scene
 from acquisition.simulation.settings import (
     AxesTruth,
     FastModeTruth,
@@ -67,7 +67,7 @@ def settings_of(row_time_s: float, *, along_rows: bool, seed: int) -> Simulation
 def spots_of(settings: SimulationSettings, duration_s: float) -> tuple[NDArray[np.int64], list[Spot]]:
     """Times of the frames, and the spots in them."""
     sensor = settings.sensor
-    readings = Readings(0, 0, sensor.width_px, sensor.height_px, 8, 100.0, 0.0, RATE_HZ)
+    readings = SensorSettings(0, 0, sensor.width_px, sensor.height_px, 8, 100.0, 0.0, RATE_HZ)
     plan = Scene(settings, FaultSettings(), readings, 0).plan(round(duration_s * RATE_HZ))
     noise = U_PX * np.random.default_rng(settings.seed).standard_normal((2, len(plan.x_px)))
     empty = Spot(*[0.0] * (len(Spot._fields) - 1), 0)  # type: ignore[arg-type]

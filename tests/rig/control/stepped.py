@@ -371,7 +371,7 @@ def stepped_clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 def turn(device: DeviceThread) -> float:
     """One turn of a service and the jobs that wait, as its thread does them; seconds to the next one."""
-    pause_s = device._turn()
+    pause_s = device._poll()
     while not device._jobs.empty():
         device._work(0.0)
     return pause_s

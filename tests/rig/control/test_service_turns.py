@@ -433,7 +433,7 @@ class Worker(DeviceThread):
         self._turn_once, self._finish_once = turn, finish
         super().__init__("test")
 
-    def _turn(self) -> float:
+    def _poll(self) -> float:
         return self._turn_once()
 
     def _finish(self) -> None:

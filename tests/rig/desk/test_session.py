@@ -181,7 +181,7 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
         page.wait_text("Session died")
         page.wait(f"{resume}.offsetParent !== null")
         page.ask(f"{resume}.click()")
-        page.wait_text(f"Make the missing runs of {folder}?")
+        page.wait_text(f"Measure the missing runs of {folder}?")
         page.in_dialog()
         page.wait(measuring)
         assert states(folder)[0] == "interrupted"

@@ -13,13 +13,13 @@ import pytest
 
 from acquisition.camera import CameraInfo, CameraSettings, CameraStatus, Frame, FrameTimeout
 from acquisition.frames.guard import (
-    CheckedFrames,
-    ClockWatch,
-    Counts,
-    HangingRead,
-    asking,
-    checked_info,
-    ended,
+    CameraCounts,
+    ClockCheck,
+    FrameChecks,
+    ReadMonitor,
+    check_info,
+    driver_errors,
+    end_within,
 )
 from processing.errors import DeviceError
 from rig.devices import Devices, OpenCamera, frame_stream
@@ -52,56 +52,56 @@ def frame(number: int = 0, ny: int = 12, nx: int = 10, **instead: Any) -> Frame:
     ],
 )
 def test_what_no_camera_may_deliver(second: object, said: str) -> None:
-    delivered = CheckedFrames()
-    delivered.checked(frame(0))
+    delivered = FrameChecks()
+    delivered.check(frame(0))
     with pytest.raises(DeviceError, match=said) as raised:
-        delivered.checked(second)
+        delivered.check(second)
     assert "\n" not in str(raised.value)
 
 
 def test_a_time_of_day_is_no_time_of_arrival() -> None:
-    delivered = CheckedFrames(in_real_time=True)
+    delivered = FrameChecks(in_real_time=True)
     with pytest.raises(DeviceError, match=r"host_time_ns of frame 0 is .* s from now; .*monotonic_ns"):
-        delivered.checked(frame(0, host_time_ns=time.time_ns()))
-    delivered.checked(frame(1, host_time_ns=time.monotonic_ns()))
+        delivered.check(frame(0, host_time_ns=time.time_ns()))
+    delivered.check(frame(1, host_time_ns=time.monotonic_ns()))
 
 
 def test_a_buffer_that_is_filled_again() -> None:
-    delivered, buffer = CheckedFrames(), np.zeros((480, 160), np.uint8)
-    delivered.checked(frame(0, image=buffer))
+    delivered, buffer = FrameChecks(), np.zeros((480, 160), np.uint8)
+    delivered.check(frame(0, image=buffer))
     buffer[:] = 7
     with pytest.raises(DeviceError, match=r"image of frame 0 has changed since it was delivered.*copy"):
-        delivered.checked(frame(1, image=buffer))
+        delivered.check(frame(1, image=buffer))
 
 
 def test_the_image_that_has_changed_is_named_by_its_own_number_also_behind_a_gap() -> None:
-    delivered, buffer = CheckedFrames(), np.zeros((480, 160), np.uint8)
-    delivered.checked(frame(3, image=buffer))
+    delivered, buffer = FrameChecks(), np.zeros((480, 160), np.uint8)
+    delivered.check(frame(3, image=buffer))
     buffer[:] = 7
     with pytest.raises(DeviceError, match="image of frame 3 has changed"):
-        delivered.checked(frame(9, image=buffer))
+        delivered.check(frame(9, image=buffer))
 
 
 @pytest.mark.parametrize("buffers", [1, 2, 4])
 def test_a_ring_of_buffers_is_found_as_one_buffer_is(buffers: int) -> None:
     """Frames whose times are in doubt wait for others, and would be overwritten."""
-    delivered, ring = CheckedFrames(), np.zeros((buffers, 480, 160), np.uint8)
+    delivered, ring = FrameChecks(), np.zeros((buffers, 480, 160), np.uint8)
     for number in range(buffers):
         ring[number] = 50 + number
-        delivered.checked(frame(number, image=ring[number]))
+        delivered.check(frame(number, image=ring[number]))
     ring[0] = 0
     with pytest.raises(DeviceError, match=r"image of frame 0 has changed.*copy"):
-        delivered.checked(frame(buffers, image=ring[0]))
+        delivered.check(frame(buffers, image=ring[0]))
 
 
 def test_numbers_of_numpy_become_plain_ones_and_the_same_image_may_come_again() -> None:
-    delivered, still = CheckedFrames(), np.zeros((480, 160), np.uint16)
+    delivered, still = FrameChecks(), np.zeros((480, 160), np.uint16)
     for number in range(3):
         times: Any = np.int32(number), np.uint64(number), np.int64(number)
-        found = delivered.checked(Frame(still, *times))
+        found = delivered.check(Frame(still, *times))
         assert [type(value) for value in found[1:]] == [int, int, int]
-    delivered.begin_again()
-    assert delivered.checked(Frame(still, 0, -1, 3)).sequence == 0
+    delivered.restart()
+    assert delivered.check(Frame(still, 0, -1, 3)).sequence == 0
 
 
 def clock_at(rate: float, late_s: float = 0.0) -> list[Frame]:
@@ -115,7 +115,7 @@ def clock_at(rate: float, late_s: float = 0.0) -> list[Frame]:
 
 
 def watch_clock(frames: list[Frame]) -> None:
-    watch = ClockWatch()
+    watch = ClockCheck()
     for frame in frames:
         watch.see(frame)
 
@@ -176,15 +176,15 @@ INFO = CameraInfo("own", "Example", "Own", "1", 10, 12, 255, has_clock=True)
     ],
 )
 def test_what_is_opened_says_what_it_is(info: object, said: str) -> None:
-    assert checked_info(INFO, "own") is INFO
+    assert check_info(INFO, "own") is INFO
     with pytest.raises(DeviceError, match=said):
-        checked_info(info, "own")
+        check_info(info, "own")
 
 
 def test_counts_that_cannot_be_told_any_more_end_no_run() -> None:
     told: list[object] = [CameraStatus(delivered=3), None, None]
-    counts = Counts(lambda: told.pop(0))
-    assert [counts.now.delivered for _ in range(3)] == [3, 3, 3]
+    counts = CameraCounts(lambda: told.pop(0))
+    assert [counts.latest.delivered for _ in range(3)] == [3, 3, 3]
     assert "status is NoneType" in counts.take_remark()
     assert not counts.take_remark()
 
@@ -195,9 +195,9 @@ def test_a_camera_that_does_not_end_holds_nothing_up() -> None:
     def failing() -> None:
         raise ValueError("no such\nhandle")
 
-    assert not ended(lambda: None, "own: close()")
-    assert ended(failing, "own: close()") == "own: close() failed: ValueError: no such handle"
-    said = ended(let_go.wait, "own: close()", patience_s=0.01)
+    assert not end_within(lambda: None, "own: close()")
+    assert end_within(failing, "own: close()") == "own: close() failed: ValueError: no such handle"
+    said = end_within(let_go.wait, "own: close()", patience_s=0.01)
     let_go.set()
     assert said == "own: close() has not returned for 0.01 s, and is left to itself"
 
@@ -205,13 +205,13 @@ def test_a_camera_that_does_not_end_holds_nothing_up() -> None:
 def test_what_a_driver_raises_is_one_line() -> None:
     with (
         pytest.raises(DeviceError, match=r"^own: start\(\) failed: KeyError: 'gain'$"),
-        asking("own", "start()"),
+        driver_errors("own", "start()"),
     ):
         raise KeyError("gain")
 
 
 def test_a_read_that_never_returns_ends_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame_stream, "HangingRead", partial(HangingRead, hangs_s=0.5))
+    monkeypatch.setattr(frame_stream, "ReadMonitor", partial(ReadMonitor, hangs_s=0.5))
     let_go = Event()
 
     def make(number: int) -> object:

@@ -15,7 +15,7 @@ import pytest
 from acquisition.camera import Camera, CameraInfo, CameraSettings, CameraStatus, Frame, FrameTimeout
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
-from acquisition.frames.guard import HangingRead
+from acquisition.frames.guard import ReadMonitor
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.queue import Policy
 from acquisition.record.reader import RecordReader
@@ -133,7 +133,7 @@ def hanging() -> Iterator[Hanging]:
 
 
 def test_a_first_read_that_never_returns_is_said(hanging: Hanging, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.devices.frame_stream.HangingRead", partial(HangingRead, hangs_s=0.2))
+    monkeypatch.setattr("rig.devices.frame_stream.ReadMonitor", partial(ReadMonitor, hangs_s=0.2))
     stream = FrameStream(cast(Camera, hanging), CameraSettings(), timeout_s=0.3)
     with pytest.raises(DeviceError, match=r"read\(\) has not returned .* its driver hangs"):
         stream.begin()

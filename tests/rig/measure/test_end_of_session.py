@@ -16,7 +16,7 @@ def test_a_result_with_what_limits_it_and_what_to_do() -> None:
     assert found.ended is RunState.COMPLETE
     assert found.headline.startswith("b = 0.0300 ± 0.0042")
     assert found.of == "the whole budget, swings and apparatus"
-    assert [one.name for one in found.limits] == ["ageing of the friction", "swings (fit)"]
+    assert [one.name for one in found.limits] == ["ageing of the friction", "half-cycles"]
     assert sum(one.share for one in found.limits) == pytest.approx(1.0, abs=0.05)
     assert found.next_steps == ["wait until the contact has settled, or state its history"]
     assert any("dropped frames" in one for one in found.remarks)
@@ -28,7 +28,7 @@ def test_a_session_that_was_killed_is_to_be_resumed(tmp_path: Path) -> None:
     file.close()
     found = hand_over(tmp_path)
     assert found.ended is RunState.INTERRUPTED
-    assert found.next_steps[0] == "make the missing runs: Sessions, Resume"
+    assert found.next_steps[0] == "measure the missing runs: Sessions, Resume"
     assert (found.headline, found.report) == ("", None)
 
 

@@ -64,7 +64,7 @@ def test_a_second_signal_ends_a_session_whose_output_nobody_reads(tmp_path: Path
     with RecordReader(record) as reader:
         end = end_of(reader.events())
     assert end is not None
-    assert (end.kind, end.text) == (EventKind.STOPPED, "terminated")
+    assert (end.kind, end.text) == (EventKind.ENDED_EARLY, "terminated")
     (entry,) = json.loads((tmp_path / "out" / "session.json").read_text())["entries"]
     assert entry["state"] == "stopped"
 

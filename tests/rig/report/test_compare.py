@@ -125,7 +125,7 @@ def test_a_series_fitted_with_a_witness_is_called_so(tmp_path: Path) -> None:
     tree["runs"][2]["witness"] = {"verdict": "refused: it does not cover the run"}
     (folders[0] / "results.json").write_text(json.dumps(tree))
     values, _ = compare(folders, None)
-    assert values.note.endswith("With a witness of the ground: a: 1 of 3 runs.")
+    assert values.note.endswith("With a seismometer: a: 1 of 3 runs.")
     (folders[0] / "results.json").write_text(json.dumps(tree | {"runs": tree["runs"][:1]}))
     assert "witness" not in compare(folders, None)[0].note
 

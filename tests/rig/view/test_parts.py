@@ -20,9 +20,9 @@ from processing.quantity import quantities_of
 from processing.units import ARCSEC_RAD
 from rig.presentation import palette
 from rig.presentation.quantities import (
-    BALANCE,
-    balance_drawn,
+    BALANCE_STYLES,
     balance_numbers,
+    balance_style,
     balance_table,
     declaration,
     law_parameters,
@@ -142,18 +142,18 @@ def test_the_balances_numbers_come_in_units_that_a_person_reads() -> None:
     assert [quantity(key).unit for key in some] == ["arcsec", "arcsec/min", "deg/min", ""]
     assert [quantity(key, "px").unit for key in some] == ["px", "px/min", "deg/min", ""]
     assert quantity("rest_x", "px").factor == pytest.approx(1.0)
-    assert set(shown) <= set(BALANCE)
+    assert set(shown) <= set(BALANCE_STYLES)
 
 
 def test_every_number_of_a_balance_has_a_unit_and_a_place_and_an_unknown_one_a_name() -> None:
     fields = [field.name for field in dataclasses.fields(Balance)]
     numbers = {name for name in fields if f"u_{name}" in fields}
-    assert numbers == set(BALANCE)
+    assert numbers == set(BALANCE_STYLES)
     assert all(declaration(name) for name in numbers)
-    for panel in {drawn.panel for drawn in BALANCE.values()} - {""}:
-        assert len({quantity(key).unit for key, drawn in BALANCE.items() if drawn.panel == panel}) == 1
+    for panel in {drawn.panel for drawn in BALANCE_STYLES.values()} - {""}:
+        assert len({quantity(key).unit for key, drawn in BALANCE_STYLES.items() if drawn.panel == panel}) == 1
     assert quantity("a_new_number").label == "a new number"
-    assert balance_drawn("a_new_number").entity == "a_new_number"
+    assert balance_style("a_new_number").entity == "a_new_number"
 
 
 def test_the_parameters_of_every_law_are_shown_as_the_law_says() -> None:

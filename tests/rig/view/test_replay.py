@@ -183,7 +183,7 @@ def test_forwards_nothing_is_left_out(record: Path) -> None:
     assert script.at(1.9).elapsed_s == pytest.approx(11.9, abs=0.3)
     assert script.at(2.9).elapsed_s == pytest.approx(49.4, abs=0.3)
     assert [prompt for _, _, prompt in script.shown if prompt is not None] == []
-    assert not replay.sought
+    assert not replay.was_restarted
     assert result.comparison.identical
 
 
@@ -194,7 +194,7 @@ def test_backwards_the_pipeline_begins_again(record: Path) -> None:
     assert script.at(4.4).elapsed_s == pytest.approx(20.0, abs=0.8)
     assert script.at(5.4).elapsed_s == pytest.approx(5.0, abs=0.05)
     assert script.at(5.4).frames == 0
-    assert replay.sought
+    assert replay.was_restarted
     assert sum(map(len, result.deflections)) == 95 * RATE_HZ - 1
 
 

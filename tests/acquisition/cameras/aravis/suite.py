@@ -15,7 +15,7 @@ from acquisition.cameras import drivers
 from acquisition.cameras.aravis.camera import AravisCamera
 from acquisition.cameras.aravis.library import find_cameras, load_library
 from acquisition.cameras.drivers import AravisSettings
-from acquisition.frames.losses import BlockNumbers, Place
+from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError
 from rig.devices.clocks import wait_for_network_clock
 from rig.devices.frame_stream import FrameStream
@@ -55,7 +55,7 @@ class Triggered(AravisCamera):
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         applied = super().configure(settings)
-        features = self._opened()
+        features = self._open_device()
         features.run_on = lambda: features.camera.set_trigger("Software")  # type: ignore[method-assign]
         return applied
 
@@ -107,7 +107,7 @@ def test_frames_come_whole_while_their_ids_roll_over(
     ids: list[int] = []
     number = BlockNumbers.number
 
-    def noted(self: BlockNumbers, frame_id: int, lost: Place) -> int | None:
+    def noted(self: BlockNumbers, frame_id: int, lost: LossCause) -> int | None:
         ids.append(frame_id)
         return number(self, frame_id, lost)
 
@@ -326,7 +326,7 @@ def richer(tmp_path: Path) -> Iterator[AravisCamera]:
 
 def test_what_another_program_left_on_is_switched_off_unless_asked(richer: AravisCamera) -> None:
     left_on = {"GainAuto": "Continuous", "ExposureAuto": "Continuous", "GammaEnable": "true"}
-    features = richer._opened()
+    features = richer._open_device()
     for name, value in left_on.items():
         features.write(name, value)
     features.camera.set_trigger("Line0")
