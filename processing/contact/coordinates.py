@@ -167,7 +167,9 @@ class Coordinates:
                 found = self._straight.scaled(searched)
             out[[*range(len(self._own) + 1), -2]] = found
             out[[-3, -1]] = moved[[-3, -1]]
-        return out[:, 0].real, out[:, 1:].imag / 1e-30
+        # a trial step may lie anywhere; the caller rejects values that overflow
+        with np.errstate(over="ignore", invalid="ignore"):
+            return out[:, 0].real, out[:, 1:].imag / 1e-30
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         scaled, by_scaled = self._scaled(columns)

@@ -44,7 +44,9 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
         found = lever_from_geometry(table.geometry)
         details = {"u_scale_relative": found.lever.u_scale_relative, **details_of(found, "lever")}
         values = found.lever.model_dump(exclude_none=True)
-        return file_calibration("lever", filing, "geometry, traced", values, details, [ladder])
+        exact = [name for name in ("u_arm_m", "u_pixel_pitch_m") if not getattr(table.geometry, name)]
+        notes = [f"{' and '.join(exact)} not stated: counted as exact in every budget"] if exact else []
+        return file_calibration("lever", filing, "geometry, traced", values, details, [ladder], notes)
     fit, sources, began = _climb(ladder, table)
     binning = _binning(ladder, table)
     if table.kind == "tilt":

@@ -87,8 +87,9 @@ def _list_instruments() -> None:
 
 def _write_example(name: str, file: Path | None) -> None:
     from rig.presentation import answer, say
-    from rig.settings import copy_shipped, refuse_existing
+    from rig.settings import copy_shipped, refuse_existing, shipped
 
+    shipped(name)
     file = file or Path(f"{name}.toml")
     refuse_existing(file)
     for path in copy_shipped(name, file):

@@ -4,7 +4,7 @@ import re
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from serial.tools import list_ports
 
@@ -119,7 +119,7 @@ def check_controller(
             f"{air.temperature_c:.2f} °C, {air.humidity_percent:.1f} %, {air.pressure_pa / 100:.1f} hPa"
             if sensor
             else "no reading",
-            "" if sensor else "plug the BME280 in, or set environment.kind to none or serial",
+            "" if sensor else "plug the BME280 in, or set environment_sensor.kind to none or serial",
         )
     )
     return tuple(checks)
@@ -213,10 +213,15 @@ def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) ->
                 if parse_environment(pattern, last) is not None:
                     return (Verdict("environment sensor", True, last[:80]),)
     except PortLost as error:
-        return (Verdict.failed("environment sensor", error, ports_here()),)
+        found = Verdict.failed("environment sensor", error, ports_here())
+        without = "; or measure without it: --set environment_sensor.kind=none"
+        return (replace(found, remedy=found.remedy + without),)
     reason = f"{last[:80]!r} does not match the pattern" if last else f"no line within {patience_s:g} s"
     return (
         Verdict(
-            "environment sensor", False, reason, "check port, baud rate, request and pattern in [environment]"
+            "environment sensor",
+            False,
+            reason,
+            "check port, baud rate, request and pattern in [environment_sensor]",
         ),
     )

@@ -88,7 +88,7 @@ class SimulatedBoard:
         self._firmware = Firmware(self)  # type: ignore[no-untyped-call]
 
     def open_line(self) -> SerialLine:
-        """Connect the cable; raises PortLost after `faults.unplug_at_s`."""
+        """Connect the cable; raises PortLost after `SerialFaults.unplug_at_s`."""
         if self.unplugged():
             raise PortLost("simulated controller: unplugged by [controller.faults]")
         with self.changed:
@@ -99,7 +99,7 @@ class SimulatedBoard:
         return _SimulatedLine(self)
 
     def unplugged(self) -> bool:
-        """Whether the cable is unplugged by `faults.unplug_at_s`."""
+        """Whether the cable is unplugged by `SerialFaults.unplug_at_s`."""
         at_s = self.faults.unplug_at_s
         return at_s is not None and time.monotonic() - self.begun_s >= at_s
 

@@ -13,7 +13,9 @@ from pydantic.dataclasses import dataclass, is_pydantic_dataclass
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from processing.errors import ConfigurationError
 from processing.units import unit_of_name
+from rig.settings.number_input import quantity, states_unit
 
 _Place = tuple[int | str, ...]
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -44,12 +46,23 @@ def in_words(root: type, fault: ErrorDetails) -> str:
     if isinstance(fault["input"], str) and re.fullmatch(r"[+-]?\d+,\d+", fault["input"]):
         pointed = fault["input"].replace(",", ".")
         return f"{path} = {fault['input']!r}: should be a number, with a point: {pointed}"
+    if fault["type"] == "float_parsing" and states_unit(fault["input"]):
+        return f"{path} = {fault['input']!r}: {_without_unit(fault['input'], str(fault['loc'][-1]))}"
     of_value = fault["type"].startswith("value_error")
     expected = fault["msg"].removeprefix("Value error, ") if of_value else f"should be {wanted(fault)}"
     if of_value and isinstance(fault["input"], Mapping):
         # of a whole section, whose message names keys and values itself
         return f"{path}: {expected.removeprefix(f'{path}: ')}"
     return f"{path} = {_shown(fault['input'])}: {expected}"
+
+
+def _without_unit(text: str, key: str) -> str:
+    """How a number is stated in a file, where its unit stands in the key."""
+    try:
+        value, _ = quantity(text, unit_of_name(key))
+    except ConfigurationError as error:
+        return str(error).partition(": ")[2]
+    return f"should be a number alone, in the unit that the key ends with: {value:g}"
 
 
 def wanted(fault: ErrorDetails) -> str:

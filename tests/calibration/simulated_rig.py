@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.optics import spot_position_px
-from acquisition.simulation.scene import SensorSettings, Scene
+from acquisition.simulation.scene import Scene, SensorSettings
 from acquisition.simulation.settings import (
     AxesTruth,
     ClockTruth,

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation.inputs import FaultSettings
-from acquisition.simulation.scene import SensorSettings, Scene
+from acquisition.simulation.scene import Scene, SensorSettings
 from acquisition.simulation.settings import OpticsTruth, SensorTruth, SimulationSettings
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -19,7 +19,9 @@ def even_frames(
         sensor=sensor.model_copy(update={"ambient_dn": ambient_dn}),
         optics=OpticsTruth(peak_dn=0),
     )
-    readings = SensorSettings(0, 0, sensor.width_px, sensor.height_px, sensor.bit_depth, exposure_us, 0.0, 100.0)
+    readings = SensorSettings(
+        0, 0, sensor.width_px, sensor.height_px, sensor.bit_depth, exposure_us, 0.0, 100.0
+    )
     scene = Scene(settings, FaultSettings(), readings, run)
     plan = scene.plan(count)
     return [scene.draw(i, plan.x_px[i], plan.y_px[i], 1.0) for i in range(count)]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.simulation.inputs import FaultSettings
-from acquisition.simulation.scene import SensorSettings, Scene
+from acquisition.simulation.scene import Scene, SensorSettings
 from acquisition.simulation.settings import (
     AxesTruth,
     FastModeTruth,

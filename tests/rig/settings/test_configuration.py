@@ -119,6 +119,10 @@ def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[session\n", "is not TOML"),
+        (
+            "[pendulum]\nball_radius_m = 6.05 mm\n",
+            "ball_radius_m is a number alone, in the unit that its name",
+        ),
         ('extends = "none.toml"\n', "extends = 'none.toml': no such file in "),
         ("extends = 3\n", "must be the name of a file"),
         ('extends = "self.toml"\n', "extends itself"),
@@ -128,6 +132,20 @@ def test_a_wrong_file_is_one_line(tmp_path: Path, text: str, message: str) -> No
     with pytest.raises(ConfigurationError, match=message) as caught:
         load_configuration(write(tmp_path / "self.toml", text))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ("6.05 mm", "should be a number alone, in the unit that the key ends with: 0.00605"),
+        ("6.05 g", "has the unit g; m is meant"),
+    ],
+)
+def test_a_unit_in_a_file_is_told_what_number_is_meant(tmp_path: Path, stated: str, said: str) -> None:
+    text = f'[camera]\ndriver = "simulated"\n[pendulum]\nmass_kg = 0.4\nball_radius_m = "{stated}"\n'
+    with pytest.raises(ConfigurationError) as caught:
+        load_configuration(write(tmp_path / "mine.toml", text))
+    assert f"pendulum.ball_radius_m = '{stated}': {said}" in str(caught.value)
 
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ its camera for that; its keys must be named in the driver's source.
 """
 
 import ast
+import re
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -29,6 +30,9 @@ from tests.rig.settings import stated_values as stated
 from tests.rig.settings.example_configuration import _is_table_of
 from tests.rig.settings.key_readers import Key, is_read, keys_read
 
+ROOT = Path(__file__).parents[3]
+FILES = ("toml", "mcap", "json", "jsonl", "py", "md", "html")
+DEVICE_KEYS = ("kind", "port", "driver", "when")
 OBSERVED: dict[str, Callable[[Configuration], Any]] = {
     "environment": stated.metadata,
     "session.operator": stated.metadata,
@@ -255,3 +259,26 @@ def test_a_planted_key_changes_nothing(model: type[BaseModel]) -> None:
         for value in (1.0, 2.0)
     )
     assert OBSERVED[name](after) == OBSERVED[name](before)
+
+
+NO_KEYS = ("rig/report/drawing.py",)
+"""Files whose dotted words are those of another program."""
+
+
+def test_keys_that_messages_name_exist() -> None:
+    """A remedy named `environment.kind`, which is a key of no section."""
+    sections = {name: section_of(field) for name, field in section_fields(Configuration).items()}
+    wrong = []
+    for package in ("rig", "acquisition", "calibration", "processing"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            if path.relative_to(ROOT).as_posix() in NO_KEYS:
+                continue
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            texts = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)]
+            for text in filter(lambda one: isinstance(one, str), texts):
+                for section, key in re.findall(r"(?<![\w./-])([a-z_]+)\.([a-z_0-9]+)(?![\w/(])", str(text)):
+                    known = sections.get(section)
+                    is_wrong = known is not None and key not in section_fields(known)
+                    if key not in FILES and (is_wrong or (section not in sections and key in DEVICE_KEYS)):
+                        wrong.append(f"{path.relative_to(ROOT)}: {section}.{key}")
+    assert wrong == []
