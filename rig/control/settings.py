@@ -104,8 +104,8 @@ def _named_groups(pattern: str) -> str:
         raise ValueError(f"pattern {pattern!r} is not a regular expression: {error}") from None
     if not groups or groups - _QUANTITIES:
         raise ValueError(
-            f"pattern {pattern!r} names {', '.join(sorted(groups)) or 'nothing'}; it must name at least one of "
-            f"{', '.join(f'(?P<{name}>...)' for name in sorted(_QUANTITIES))}, and nothing else"
+            f"pattern {pattern!r} names {', '.join(sorted(groups)) or 'nothing'}; it must name at least "
+            f"one of {', '.join(f'(?P<{name}>...)' for name in sorted(_QUANTITIES))}, and nothing else"
         )
     return pattern
 
