@@ -389,7 +389,8 @@ class SimulationSettings(SimulationSection, frozen=True):
     def _consistent(self) -> Self:
         if self.reference.relative > 0 and self.optics.ghost_relative > 0:
             raise ValueError(
-                "simulation.reference.relative and simulation.optics.ghost_relative: one further spot is drawn, not two"
+                "simulation.reference.relative and simulation.optics.ghost_relative: one further spot is "
+                "drawn, not two"
             )
         if self.clock.jitter_s * self.clock.frame_rate_hz > 0.4:
             raise ValueError(
