@@ -110,7 +110,7 @@ class BoundedQueue(Generic[Item]):
             if begins:
                 memory = f"{size / 1e6:.0f} of {self.most_bytes / 1e6:.0f} MB"
                 return (
-                    f"{waiting} frames wait for the processor, {memory}; once full, frames are lost and "
+                    f"{waiting} frames wait to be processed, {memory}; once full, frames are lost and "
                     "counted: close other programs, or set a lower camera.frame_rate_hz or a smaller region"
                 )
         elif self._longest and size <= 0.1 * _LATE * self.most_bytes:

@@ -351,11 +351,8 @@ def expose(
     with _opened_camera(config, set_) as (camera, info, applied):
         found = find_exposure(camera, info, applied, target)
         answer(found=found)
-        print_line(
-            f"peak {100 * found.peak:.1f} % of full scale; for the configuration, above its first section, "
-            "or below [camera] without 'camera.':"
-        )
-        print_line(f"camera.exposure_us = {found.exposure_us:.6g}")
+        print_line(f"peak {100 * found.peak:.1f} % of full scale; in the configuration, below [camera]:")
+        print_line(f"exposure_us = {found.exposure_us:.6g}")
 
 
 def _figures_line(seen: "PictureFigures") -> str:

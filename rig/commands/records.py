@@ -7,7 +7,6 @@ import typer
 
 from acquisition.record import records_in, recovered_beside
 from processing.errors import RigError
-from processing.units import seconds
 from rig.commands.arguments import Record, in_json, new_file, one_record, output_option, there
 
 _HIDDEN = {"record"}
@@ -37,6 +36,7 @@ def _print_info(path: Path) -> None:
     """Print what a record tells of its decay, the result beside it, and what it contains."""
     from acquisition.record.digest import RecordedCamera, utc_text
     from acquisition.record.reader import RecordReader
+    from processing.units import seconds
     from rig.presentation import answer, print_line
 
     with RecordReader(path) as reader:

@@ -28,7 +28,7 @@ def test_the_second_copy_is_taken(record: Path, tmp_path: Path) -> None:
     path.write_bytes(record.read_bytes().replace(MASS, OTHER, 1))
     with RecordReader(path) as reader:
         assert recorded_configuration(reader).pendulum.mass_kg == float(MASS)
-        assert "attachment configuration.json: its checksum" in reader.damages[0].what
+        assert "attachment configuration.json: its checksum" in reader.damages[0].description
 
 
 @pytest.mark.parametrize("bytes_cut", [0, 37])

@@ -203,7 +203,7 @@ def of_parts(board: FirmwareBoard, laser: dict[str, Any]) -> Configuration:
         "laser": {"max_power_w": 0.001, "power_w": 0.0005, **laser},
         "controller": {"kind": "serial", "port": board.port},
     }
-    return validate_configuration(tree, "test").from_file(
+    return validate_configuration(tree, "test").remember_file(
         Path("my rig.toml"), ["laser.kind=x", "session.runs=2"]
     )
 
