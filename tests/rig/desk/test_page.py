@@ -281,6 +281,7 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy(shown: Shown, desk
         page.wait_text(sentence(alarm.remedy))
         page.wait("(window.looks = (window.looks || 0) + 1) > 15")
         assert page.ask(f"{of_preflight}.length") == 1
+    page.wait_text(f"last session: {folder.name}")
 
 
 def test_a_panel_that_cannot_be_drawn_says_so_once_and_holds_nothing_up(
@@ -293,10 +294,15 @@ def test_a_panel_that_cannot_be_drawn_says_so_once_and_holds_nothing_up(
     # a row without the keys of this version
     with OrderSocket(folder, news(), {}, lambda: {"preflight": [{"name": "spot", "ok": False}]}):
         page.wait_text("Rig is not brought up to date: KeyError")
+        # each part of the panel says it once, at its own time
+        page.wait("(window.looks = (window.looks || 0) + 1) > 30")
+        page.ask("window.looks = 0")
         page.ask("document.querySelectorAll('.errors button').forEach(one => one.click())")
         page.wait("(window.looks = (window.looks || 0) + 1) > 15")
         assert page.ask("document.querySelectorAll('.errors > *').length") == 0
         assert page.ask("document.documentElement.classList.contains('dead')") is False
+    # the next test needs the camera, which the session had
+    page.wait_text(f"last session: {folder.name}")
 
 
 def test_exposure_region_and_focus_are_set_and_seen(shown: Shown) -> None:
