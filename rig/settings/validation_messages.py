@@ -58,11 +58,14 @@ def in_words(root: type, fault: ErrorDetails) -> str:
 
 def _without_unit(text: str, key: str) -> str:
     """How a number is stated in a file, where its unit stands in the key."""
+    unit = unit_of_name(key)
+    meant = f"should be a number alone, in {unit}" if unit else "should be a number alone"
     try:
-        value, _ = quantity(text, unit_of_name(key))
-    except ConfigurationError as error:
-        return str(error).partition(": ")[2]
-    return f"should be a number alone, in the unit that the key ends with: {value:g}"
+        value, _ = quantity(text, unit)
+    except ConfigurationError:
+        # of another unit
+        return meant
+    return f"{meant}: {value:g}"
 
 
 def wanted(fault: ErrorDetails) -> str:

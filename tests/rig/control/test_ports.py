@@ -158,7 +158,7 @@ def test_the_check_of_a_missing_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
         (LaserSettings, {"power_w": math.nan}, "finite number"),
         (LaserSettings, {"kind": "obis"}, "port is missing"),
         (EnvironmentSettings, {"pattern": "("}, "not a regular expression"),
-        (EnvironmentSettings, {"pattern": "(?P<temp>.*)"}, "is needed and no other"),
+        (EnvironmentSettings, {"pattern": "(?P<temp>.*)"}, "it must name at least one of"),
         (EnvironmentSettings, {"kind": "serial"}, "port is missing"),
     ],
 )

@@ -137,8 +137,8 @@ def test_a_wrong_file_is_one_line(tmp_path: Path, text: str, message: str) -> No
 @pytest.mark.parametrize(
     ("stated", "said"),
     [
-        ("6.05 mm", "should be a number alone, in the unit that the key ends with: 0.00605"),
-        ("6.05 g", "has the unit g; m is meant"),
+        ("6.05 mm", "should be a number alone, in m: 0.00605"),
+        ("6.05 g", "should be a number alone, in m"),
     ],
 )
 def test_a_unit_in_a_file_is_told_what_number_is_meant(tmp_path: Path, stated: str, said: str) -> None:
