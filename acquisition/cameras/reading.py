@@ -1,4 +1,4 @@
-"""What the drivers of devices have alike: life cycle, and frames read in the thread which asks for them."""
+"""Base of the drivers of devices: life cycle, and frames read in the thread which asks for them."""
 
 import threading
 import time
@@ -12,6 +12,7 @@ from processing.errors import DeviceError, RigError
 
 _POLL_S: Final = 0.05  # longest wait for the camera, after which `read` checks for `stop`
 _STOP_S: Final = 0.4
+"""Longest wait of `stop` for a read that is under way."""
 
 
 class CameraRun:
@@ -119,15 +120,15 @@ _Opened = TypeVar("_Opened", bound=AppliesSettings)
 
 
 class DeviceCamera(Generic[_Opened]):
-    """What the drivers' cameras have alike: settings, frames until a stop, counts over a reconnection.
+    """Base of the drivers' cameras: settings, frames until a stop, counts kept over a reconnection.
 
     `_features` is the open device, `_run` its frames since `start`; a driver sets both, and `_name`.
     """
 
     _HINT: ClassVar[str] = ""
-    """What a message of the library is followed by."""
+    """Text appended to the library's messages."""
     _SILENT: ClassVar[str] = "is its trigger on?"
-    """What may be wrong where no frame comes."""
+    """Question appended to the message that no frame came."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -139,7 +140,7 @@ class DeviceCamera(Generic[_Opened]):
         self._was_lost = False
 
     def _library_error(self) -> type[Exception]:
-        """What the library raises."""
+        """The library's exception."""
         return DeviceError
 
     def _is_gone(self) -> bool:
@@ -180,7 +181,7 @@ class DeviceCamera(Generic[_Opened]):
         return self._numbers
 
     def _when_unread(self, action: Callable[[], None]) -> None:
-        """What must not happen during a read: now, or when the one that is under way has come to its end."""
+        """Do what must not happen during a read: now, or at the end of the read that is under way."""
         if self._run is None:
             action()
         else:

@@ -19,11 +19,11 @@ class HasSize(Protocol):
 
 Item = TypeVar("Item", bound=HasSize)
 
-MOST_BYTES = 256 * 1024 * 1024
-"""What waits for a processor that is late: 1.7 s of 500 frames/s of 640 x 480; or for a slow disk: half a
+MAX_QUEUE_BYTES = 256 * 1024 * 1024
+"""Most that may wait for a late processor: 1.7 s of 500 frames/s of 640 x 480; or for a slow disk: half a
 minute of 800 frames/s with windows of 100 x 100 pixels.
 """
-_LATE = 0.125
+_WARN_FRACTION = 0.125
 """Filled part that causes a warning."""
 
 
@@ -101,11 +101,11 @@ class BoundedQueue(Generic[Item]):
             return self._closed and not self._items
 
     def remark(self) -> str:
-        """What is to be said of many frames that wait, and once they no longer do; nothing as long as they
-        are few, or still many, or are made on demand.
+        """Message when many frames begin to wait, and one when they no longer do; else, and for frames that
+        are made on demand, an empty text.
         """
         waiting, size = len(self._items), self.waiting_bytes
-        if size > max(_LATE * self.most_bytes, self._longest_bytes) and self._policy != "wait":
+        if size > max(_WARN_FRACTION * self.most_bytes, self._longest_bytes) and self._policy != "wait":
             begins, self._longest, self._longest_bytes = not self._longest, waiting, size
             if begins:
                 memory = f"{size / 1e6:.0f} of {self.most_bytes / 1e6:.0f} MB"
@@ -113,7 +113,7 @@ class BoundedQueue(Generic[Item]):
                     f"{waiting} frames wait to be processed, {memory}; once full, frames are lost and "
                     "counted: close other programs, or set a lower camera.frame_rate_hz or a smaller region"
                 )
-        elif self._longest and size <= 0.1 * _LATE * self.most_bytes:
+        elif self._longest and size <= 0.1 * _WARN_FRACTION * self.most_bytes:
             said = f"caught up; at most {self._longest} frames waited, {self._longest_bytes / 1e6:.0f} MB"
             self._longest = self._longest_bytes = 0
             return said

@@ -13,7 +13,7 @@ from acquisition.camera import Camera, CameraLost, CameraSettings, Frame, FrameT
 from acquisition.frames.guard import CameraCounts, ReadMonitor, driver_errors, end_within
 from acquisition.frames.losses import FrameLosses
 from acquisition.frames.numbering import FrameLine
-from acquisition.frames.queue import MOST_BYTES, BoundedQueue, Policy, taken_from
+from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, Policy, taken_from
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError, RigError, in_one_line
@@ -137,7 +137,7 @@ class FrameStream:
         self._closed = False
         # frames on demand are not lost while it is full; a short one keeps them in the processor's cache
         most = _MOST_ON_DEMAND if policy == "wait" else math.inf
-        self._queue = BoundedQueue[Frame](most, policy, MOST_BYTES, fewest=_FEWEST)
+        self._queue = BoundedQueue[Frame](most, policy, MAX_QUEUE_BYTES, fewest=_FEWEST)
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
         self._counts = CameraCounts(lambda: camera.status)
         self._thread: threading.Thread | None = None

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from acquisition.camera import Frame, Image
-from acquisition.frames.queue import MOST_BYTES, BoundedQueue, taken_from
+from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, taken_from
 from acquisition.record.events import Event
 from acquisition.record.topics import TimedMessage
 from acquisition.record.writer import RecordWriter
@@ -67,7 +67,7 @@ class Recorder:
     def __init__(
         self,
         writer: RecordWriter,
-        most_waiting_bytes: int = MOST_BYTES,
+        most_waiting_bytes: int = MAX_QUEUE_BYTES,
         permit: LightPermit | None = None,
     ) -> None:
         self._writer = writer

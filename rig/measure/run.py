@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from acquisition.camera import Frame
-from acquisition.frames.queue import MOST_BYTES
+from acquisition.frames.queue import MAX_QUEUE_BYTES
 from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import RecordedLosses, RecordedPhase
 from processing import decay_summary
@@ -183,7 +183,7 @@ class MeasurementRun:
         recorder = Recorder(
             parts.open_record(epoch_offset_ns, frames[0], preflight),
             # frames made on demand wait for the disk, and no memory has to hold them
-            MOST_BYTES // 16 if self._stream.policy == "wait" else MOST_BYTES,
+            MAX_QUEUE_BYTES // 16 if self._stream.policy == "wait" else MAX_QUEUE_BYTES,
             permit=self._stream.permit,
         )
         # of one that is recorded at once any start is accepted

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Frame
-from acquisition.frames.queue import MOST_BYTES, BoundedQueue, Policy
+from acquisition.frames.queue import MAX_QUEUE_BYTES, BoundedQueue, Policy
 
 
 def frame(sequence: int) -> Frame:
@@ -79,17 +79,17 @@ def sized(width_px: int, height_px: int, number: int = 0) -> Frame:
 
 @pytest.mark.parametrize("size_px", [(256, 256), (640, 480), (1280, 1024), (20_000, 20_000)])
 def test_memory_bounds_what_waits_whatever_the_size_of_a_frame(size_px: tuple[int, int]) -> None:
-    queue = BoundedQueue[Frame](math.inf, "every", MOST_BYTES, fewest=8)
+    queue = BoundedQueue[Frame](math.inf, "every", MAX_QUEUE_BYTES, fewest=8)
     image = np.broadcast_to(np.zeros(1, np.uint8), size_px)
     count = 0
     while queue.put(Frame(image, count, count, count)):
         count += 1
     assert queue.dropped == 1
-    if image.nbytes > MOST_BYTES:
+    if image.nbytes > MAX_QUEUE_BYTES:
         assert count == 8
     else:
-        assert count * (image.nbytes + 2048) >= 0.9 * MOST_BYTES
-        assert queue.waiting_bytes <= MOST_BYTES
+        assert count * (image.nbytes + 2048) >= 0.9 * MAX_QUEUE_BYTES
+        assert queue.waiting_bytes <= MAX_QUEUE_BYTES
     assert len(queue.take(count, 0.0)) == count
     assert queue.waiting_bytes == 0
 
