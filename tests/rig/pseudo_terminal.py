@@ -23,15 +23,11 @@ LIMIT_S = 180.0
 class Terminal:
     """`rig` at a pseudo-terminal: what it writes there, and keys for it.
 
-    Its standard output is kept apart, unless it is to be `on_screen`; it is so many `columns` wide.
+    Its standard output is kept apart, unless it is to be `on_screen`.
     """
 
-    def __init__(
-        self, *words: str | Path, cwd: Path | None = None, on_screen: bool = False, columns: int = 0
-    ) -> None:
+    def __init__(self, *words: str | Path, cwd: Path | None = None, on_screen: bool = False) -> None:
         self.master, slave = pty.openpty()
-        if columns:
-            fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
         self.before = termios.tcgetattr(slave)
         self._slave = slave
         self.process = subprocess.Popen(
@@ -68,15 +64,6 @@ class Terminal:
         output, _ = self.process.communicate(timeout=LIMIT_S)
         self._read(0.0)
         return output or ""
-
-    def wait_for_end(self) -> None:
-        """Read what it writes until it has ended."""
-        deadline_s = time.monotonic() + LIMIT_S
-        while self.process.poll() is None:
-            assert time.monotonic() < deadline_s, f"still running: {self.screen[-500:]!r}"
-            self._read(0.2)
-        while (before := self.screen) != (self._read(0.0) or self.screen):
-            assert len(self.screen) > len(before)
 
     @property
     def settings(self) -> list[object]:

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from rig.presentation import Table, Verdict, print_line, print_tables, print_verdicts
 from tests.rig.command_line import CONFIGS, SMALL, set_words
-from tests.rig.pseudo_terminal import Terminal, rig_at_terminal
+from tests.rig.pseudo_terminal import rig_at_terminal
 
 WIDTH = 80
 DEMO = CONFIGS / "demo.toml"
@@ -90,7 +90,6 @@ def test_no_line_ends_within_a_number(
     columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("rig.presentation.printing.columns_of", lambda _: columns)
-    monkeypatch.setattr("rig.presentation.printing.columns_of", lambda _: columns)
     print_line(LONG)
     print_tables([Table("t", "", ("", "text"), [[LONG]], ("", "text"), [["b", LONG]])])
     print_verdicts(Console(width=columns), [Verdict("b", False, "", remedy=LONG)])
@@ -103,17 +102,9 @@ def test_no_line_ends_within_a_number(
 
 def shown(words: list[str], folder: Path) -> str:
     """What a command writes on a terminal of 80 columns."""
-    if words[0] != "run":
-        done = rig_at_terminal(*words, cwd=folder, columns=WIDTH)
-        assert done.returncode in (0, 1), done.stdout
-        return done.stdout
-    terminal = Terminal(*words, cwd=folder, on_screen=True, columns=WIDTH)
-    try:
-        terminal.wait_for_end()
-        assert terminal.process.returncode in (0, 1), terminal.screen
-        return terminal.screen
-    finally:
-        terminal.close()
+    done = rig_at_terminal(*words, cwd=folder, columns=WIDTH)
+    assert done.returncode in (0, 1), done.stdout
+    return done.stdout
 
 
 def lines_of(screen: str) -> list[str]:

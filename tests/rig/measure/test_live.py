@@ -16,7 +16,7 @@ import pytest
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
-from tests.rig.pseudo_terminal import Terminal
+from tests.rig.pseudo_terminal import rig_at_terminal
 
 pytestmark = [
     pytest.mark.slow,
@@ -61,25 +61,14 @@ class Live(NamedTuple):
         return entry["state"], entry["reason"]
 
 
-def at_a_terminal(folder: Path, values: dict[str, str]) -> Live:
-    """Run at a pseudo-terminal whose screen is read."""
-    words = set_words(values)
-    terminal = Terminal("run", CONFIGS / "basement.toml", "-o", folder, *words, on_screen=True)
-    try:
-        while terminal.process.poll() is None:
-            terminal._read(0.5)
-        terminal.end()
-        return Live(folder, terminal.screen)
-    finally:
-        terminal.close()
-
-
 @pytest.mark.skipif(os.name != "posix", reason="a pseudo-terminal is POSIX's")
 def test_a_run_comes_to_its_end_on_a_terminal_and_says_what_an_uncalibrated_clock_does(
     tmp_path: Path,
 ) -> None:
     """The same swing by a true clock, made on demand, says what the period is."""
-    run = at_a_terminal(tmp_path / "live", LIVE | {"simulation.clock.drift_ppm": f"{DRIFT_PPM:g}"})
+    drifting = LIVE | {"simulation.clock.drift_ppm": f"{DRIFT_PPM:g}"}
+    words = ("run", CONFIGS / "basement.toml", "-o", tmp_path / "live", *set_words(drifting))
+    run = Live(tmp_path / "live", rig_at_terminal(*words, cwd=tmp_path, columns=200).stdout)
     assert "Traceback" not in run.screen
     assert run.state == ("complete", "final amplitude reached")
     twin = LIVE | {"simulation.real_time": "false"}
