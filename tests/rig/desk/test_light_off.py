@@ -72,8 +72,12 @@ def session_of(config: Path) -> tuple[Path, int]:
     return folder.parent, int(json.loads(folder.read_text())["pid"])
 
 
-def test_light_off_darkens_the_live_picture_and_stays_so_until_acknowledged(rig: Rig) -> None:
-    board, _, page, config = rig
+GREY = "getComputedStyle(document.querySelector('.q-tab-panels')).filter.includes('grayscale')"
+
+
+def test_light_off_darkens_the_live_picture_until_acknowledged_and_a_desk_that_dies_is_said(rig: Rig) -> None:
+    """Of a desk that hangs, and then dies, the page says so, and it finds the next one."""
+    board, desk, page, config = rig
     page.click("Live picture")
     board.wait_lit(True)
     page.wait(f"{LAMP.format('laser')} === 'laser on'")
@@ -102,6 +106,28 @@ def test_light_off_darkens_the_live_picture_and_stays_so_until_acknowledged(rig:
     audit = (config.parent / "runs" / "audit.jsonl").read_text()
     told = [json.loads(line)["what"] for line in audit.splitlines()]
     assert {"lit", "dark", "latch", "refused", "acknowledge"} <= set(told)
+    page.wait(f"{LAMP.format('laser')} === 'laser on'")
+    page.ask(RECORD)
+    desk.send(signal.SIGSTOP)
+    page.wait_text("Not connected: the desk does not answer (last heard at")
+    page.wait_text("start rig desk again: this page reconnects automatically")
+    assert page.ask(GREY)
+    page.wait("window.rigBeep && window.told.some(one => one[2] === 'desk lost')")
+    desk.kill()
+    # no last value; on a busy machine the picture may have stood still, and its light gone off, just before
+    page.wait(f"/^laser (unknown; on|off), confirmed /.test({LAMP.format('laser')})")
+    page.wait(f"{LAMP.format('age')}.includes('not connected')")
+    page.wait("document.getElementById('light-off').innerText.includes('no connection: key switch')")
+    page.point_at("document.getElementById('light-off')")
+    page.wait_text("DID NOT REACH THE DESK")
+    again = DeskProcess(config)
+    try:
+        assert again.address == desk.address
+        page.wait(f"!{GREY} && !window.rigBeep && document.querySelector('.q-tab') !== null")
+        page.click("Live picture")
+        page.wait_text("nearest edge")
+    finally:
+        again.end()
 
 
 def test_light_off_darkens_a_frozen_session_from_another_tab_with_a_dialog_open(
@@ -137,45 +163,6 @@ def test_light_off_darkens_a_frozen_session_from_another_tab_with_a_dialog_open(
     assert not board.lit
 
 
-def test_typed_text_lights_nothing_and_a_held_key_does(rig: Rig) -> None:
-    board, _, page, _ = rig
-    for key in "12345":
-        page.key(key)
-        page.ask("document.activeElement.blur()")
-        page.type("glass ball as pm rxb ")
-    page.key("1")
-    button = "[...document.querySelectorAll('[data-deliberate]')].find(b => b.innerText === 'LIVE PICTURE')"
-    page.wait(f"{button}.offsetParent !== null")
-    page.wait(f"({button}.focus(), document.activeElement === {button})")
-    page.type("glass ball ")
-    page.key("3")
-    page.click("Start …")
-    page.wait_text("The laser will be lit")
-    page.type("glass ball\r as ")
-    page.wait("document.querySelector('.q-dialog') !== null")
-    page.click("Not now")
-    page.wait("document.querySelector('.q-dialog') === null")
-    assert board.changes == []
-    assert "session is starting" not in page.text()
-    page.key("1")
-    page.wait(f"{button}.offsetParent !== null && !document.querySelector('[class*=enter-active]')")
-
-    def hold() -> None:
-        page.browser.call("Input.dispatchKeyEvent", type="keyUp", key=" ")
-        page.ask(f"{button}?.focus()")
-        page.browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ", text=" ")
-        page.ask("new Promise(held => setTimeout(held, 2000))")
-
-    # a dialog that closes gives the focus back later, which ends a hold
-    deadline_s = time.monotonic() + 120.0
-    while not board.lit:
-        assert time.monotonic() < deadline_s, page.text()
-        if page.ask(f"{button}?.offsetParent != null"):
-            hold()
-        time.sleep(0.1)
-    page.browser.call("Input.dispatchKeyEvent", type="keyUp", key=" ")
-
-
 EVERYTHING = (
     "[...document.querySelectorAll('button, a, input, textarea, select, [tabindex]')]"
     ".filter(e => e.offsetParent && !e.disabled && e.tabIndex >= 0 && !e.closest('#safety'))"
@@ -192,7 +179,10 @@ HELD_UP = """(() => {
 """What is pressed comes later, as from a network that was away, and at a desk that was frozen."""
 
 
-def test_what_is_typed_at_anything_and_what_is_heard_late_light_nothing(rig: Rig) -> None:
+LIVE_PICTURE = "[...document.querySelectorAll('[data-deliberate]')].find(b => b.innerText === 'LIVE PICTURE')"
+
+
+def test_what_is_typed_and_what_is_heard_late_light_nothing_and_a_held_key_does(rig: Rig) -> None:
     """On each panel whatever can have the focus gets a text; dialogs that open get the rest of it.
 
     Who pressed in vain has gone to look why, into the beam's way.
@@ -203,9 +193,21 @@ def test_what_is_typed_at_anything_and_what_is_heard_late_light_nothing(rig: Rig
     file = SessionFile.made(killed, config, 1, stored_configuration(load_configuration(config)))
     file.note(1, "run-1.mcap", RunState.RECORDING)
     file.close()
+    page.key("3")
+    page.click("Start …")
+    page.wait_text("The laser will be lit")
+    page.type("glass ball\r as ")
+    page.wait("document.querySelector('.q-dialog') !== null")
+    page.click("Not now")
+    page.wait("document.querySelector('.q-dialog') === null")
+    assert board.changes == []
+    assert "session is starting" not in page.text()
     walked = 0
     for key in "12345":
         chosen = f"document.querySelectorAll('.q-tab')[{int(key) - 1}]?.ariaSelected === 'true'"
+        page.wait_while(chosen, partial(page.key, key))
+        page.ask("document.activeElement.blur()")
+        page.type("glass ball as pm rxb ")
         page.wait_while(chosen, partial(page.key, key))
         if key == "5":
             page.wait_text("interrupted")
@@ -239,8 +241,22 @@ def test_what_is_typed_at_anything_and_what_is_heard_late_light_nothing(rig: Rig
     page.wait_text("s before the desk heard of it: press it again")
     assert board.changes == []
     page.ask("window.rigNormal()")
-    page.click("Live picture")
-    board.wait_lit(True)
+    # a dialog that closes gives the focus back later, which ends a hold
+    deadline_s = time.monotonic() + 120.0
+    while not board.lit:
+        assert time.monotonic() < deadline_s, page.text()
+        if page.ask(f"{LIVE_PICTURE}?.offsetParent != null"):
+            hold(page)
+        time.sleep(0.1)
+    page.browser.call("Input.dispatchKeyEvent", type="keyUp", key=" ")
+
+
+def hold(page: Page) -> None:
+    """Hold the space bar on the button of the live picture for 2 s."""
+    page.browser.call("Input.dispatchKeyEvent", type="keyUp", key=" ")
+    page.ask(f"{LIVE_PICTURE}?.focus()")
+    page.browser.call("Input.dispatchKeyEvent", type="keyDown", key=" ", text=" ")
+    page.ask("new Promise(held => setTimeout(held, 2000))")
 
 
 def ask_for_keys(page: Page) -> None:
@@ -284,34 +300,3 @@ def test_a_trip_in_a_calibrations_recording_is_an_alarm_and_the_recording_can_be
     page.click("Start the session")
     page.wait_text("acknowledge it first")
     assert not board.lit
-
-
-GREY = "getComputedStyle(document.querySelector('.q-tab-panels')).filter.includes('grayscale')"
-
-
-def test_a_desk_that_hangs_and_dies_is_said_by_the_page_which_finds_the_next_one(rig: Rig) -> None:
-    board, desk, page, config = rig
-    page.click("Live picture")
-    board.wait_lit(True)
-    page.wait(f"{LAMP.format('laser')} === 'laser on'")
-    page.ask(RECORD)
-    desk.send(signal.SIGSTOP)
-    page.wait_text("Not connected: the desk does not answer (last heard at")
-    page.wait_text("start rig desk again: this page reconnects automatically")
-    assert page.ask(GREY)
-    page.wait("window.rigBeep && window.told.some(one => one[2] === 'desk lost')")
-    desk.kill()
-    # no last value; on a busy machine the picture may have stood still, and its light gone off, just before
-    page.wait(f"/^laser (unknown; on|off), confirmed /.test({LAMP.format('laser')})")
-    page.wait(f"{LAMP.format('age')}.includes('not connected')")
-    page.wait("document.getElementById('light-off').innerText.includes('no connection: key switch')")
-    page.point_at("document.getElementById('light-off')")
-    page.wait_text("DID NOT REACH THE DESK")
-    again = DeskProcess(config)
-    try:
-        assert again.address == desk.address
-        page.wait(f"!{GREY} && !window.rigBeep && document.querySelector('.q-tab') !== null")
-        page.click("Live picture")
-        page.wait_text("nearest edge")
-    finally:
-        again.end()
