@@ -67,8 +67,9 @@ def test_a_run_comes_to_its_end_on_a_terminal_and_says_what_an_uncalibrated_cloc
 ) -> None:
     """The same swing by a true clock, made on demand, says what the period is."""
     drifting = LIVE | {"simulation.clock.drift_ppm": f"{DRIFT_PPM:g}"}
-    words = ("run", CONFIGS / "basement.toml", "-o", tmp_path / "live", *set_words(drifting))
-    run = Live(tmp_path / "live", rig_at_terminal(*words, cwd=tmp_path, columns=200).stdout)
+    folder = tmp_path / "live"
+    words = [str(CONFIGS / "basement.toml"), "-o", str(folder), *set_words(drifting)]
+    run = Live(folder, rig_at_terminal("run", *words, cwd=tmp_path, columns=200).stdout)
     assert "Traceback" not in run.screen
     assert run.state == ("complete", "final amplitude reached")
     twin = LIVE | {"simulation.real_time": "false"}
