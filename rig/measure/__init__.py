@@ -9,13 +9,8 @@ from rig.measure.plain_record import (
     show_light,
     take_frames,
 )
-from rig.measure.posterior import (
-    FIRST_HALF_CYCLES,
-    LivePosterior,
-    check_stop_when,
-    live_posterior,
-)
-from rig.measure.posterior_worker import FittedModel, Posterior
+from rig.measure.posterior import LivePosterior, check_stop_when, live_posterior
+from rig.measure.posterior_worker import FIRST_HALF_CYCLES, Posterior
 from rig.measure.resuming import measure_sessions, resume_session
 from rig.measure.run import LEAST_FREE_BYTES
 from rig.measure.run_status import estimate_texts

@@ -1,70 +1,80 @@
-"""The process that fits: half-cycles come in on its standard input, parameters go out on its output.
+"""The process that fits: it follows the record of a run, and parameters go out on its standard output.
 
-Messages are pickled. It ends when its input does, and thus with the process that started it.
+It ends with the record, or with the process that writes that.
 """
 
+import math
 import os
 import pickle
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from acquisition.record.topics import RecordedFittedPoint
+from acquisition.record.reader import Piece, RecordReader
+from acquisition.record.topics import REFERENCE, SPOT, SWING, RecordedFittedPoint
 from calibration import Axes
 from processing.balance import Balance
 from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
 from processing.decay_summary import full_periods, mean_period
-from processing.deflections import Deflections, DeflectionUnit
-from processing.errors import DataError
+from processing.deflections import Deflections, DeflectionUnit, joined
+from processing.errors import DataError, RecordError
 from processing.estimate import Estimate
 from processing.fit import (
-    NO_EVIDENCE,
-    Evidence,
     FitOfSwings,
     FitResult,
     LinearisedFit,
     fitted_twice,
+    points_in_true_time,
     with_misfit,
 )
-from processing.least_squares import Loss
-from processing.swing import HalfCycle, TurningPoints, turning_points
-from rig.analysis import PassingDeflections, PlaneBalances, follow_plane
+from processing.spot import Spot
+from processing.swing import HalfCycle, HarmonicsWatch, TurningPoints, turning_points
+from rig.analysis import (
+    PassingDeflections,
+    PlaneBalances,
+    clock_rate_of,
+    evidence_of,
+    follow_plane,
+    known_drag,
+    loss_of,
+    stated_surroundings,
+)
+from rig.instrument import (
+    BeamCorrection,
+    Block,
+    frame_shape,
+    optics_of,
+    pendulum_on_ball,
+    recorded_configuration,
+)
+from rig.settings import Configuration
+
+FIRST_HALF_CYCLES = 40
+"""Fewer determine nothing: u of b and c is then larger than their values for every pair of the paper."""
+_GROWTH = 1.04
+"""So many times more half-cycles are worth another fit: u falls by a tenth where it falls fastest."""
+_SHARE = 0.02
+"""Largest part of a core that fits may have."""
+_LOOK_S = 0.5
+_EARLY_NS = 120_000_000_000
+"""Deflections that are kept until the first half-cycles are found in them."""
 
 
-class FittedModel(NamedTuple):
-    """The exact fit as the final analysis makes it.
-
-    `clock_rate` is how many true seconds pass in one of the swings' clock, `axes` are the pendulum's.
-    """
-
-    pendulum: PendulumOnBall
-    drag: bool = True
-    loss: Loss = "linear"
-    clock_rate: float = 1.0
-    axes: Axes | None = None
-
-
-class PosteriorInput(NamedTuple):
-    """What has come since the last message: half-cycles without a flag, and the deflections, in rad.
-
-    All of the same `run`, which are `half_cycles`, are fitted, restrained by the `evidence`.
-    """
-
-    run: int
-    half_cycles: int
-    swings: Sequence[HalfCycle]
-    deflections: Deflections
-    evidence: Evidence = NO_EVIDENCE
+def following(half_cycles: int) -> int:
+    """How many half-cycles are worth a fit after one of so many."""
+    return max(half_cycles + 1, round(_GROWTH * half_cycles))
 
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Parameters by key, from the first `half_cycles` unflagged ones of a run; none before the first fit.
+    """Parameters by key, from the first `half_cycles` unflagged ones of a run; none where they have no fit.
 
     `points` are these beside the fit.
     """
@@ -72,13 +82,6 @@ class Posterior:
     half_cycles: int = 0
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     points: Sequence[RecordedFittedPoint] = ()
-
-
-class Answer(NamedTuple):
-    """A fit, without estimates where there is none, and the processor time that it took."""
-
-    fit: Posterior
-    cpu_s: float
 
 
 _MOST = 300
@@ -185,36 +188,141 @@ class MeasuredRun:
         self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]
 
 
+class FollowedMotion:
+    """Deflections and half-cycles as a record tells them, in rad.
+
+    The beam's motion is subtracted where the record has a reference spot, as it is from what a run shows.
+    """
+
+    def __init__(self, reader: RecordReader, config: Configuration) -> None:
+        self._reader = reader
+        optics = optics_of(config, reader.full_scale_dn)
+        self._less: BeamCorrection | None = None
+        if optics.reference_gain is not None:
+            deflector = optics.deflector(frame_shape(reader))
+            self._less = BeamCorrection(deflector, optics.reference_gain, beside=False)
+        # of frames whose other spot was not flushed with them
+        self._spots, self._references = (reader.rows(kind.topic, ()) for kind in (SPOT, REFERENCE))
+
+    def unread(self) -> Iterator[tuple[Sequence[HalfCycle], Deflections]]:
+        """What was flushed since the last call, piece by piece: half-cycles, and deflections up to them."""
+        for piece in self._reader.unread():
+            spots = self._reader.rows(SPOT.topic, piece.get(SPOT.topic, ()))
+            if self._less is None:
+                swings = self._reader.swings(piece.get(SWING.topic, ()))
+                yield swings, self._reader.deflections(spots)
+            else:
+                yield self._corrected(self._less, spots, piece)
+
+    def _corrected(
+        self, less: BeamCorrection, spots: NDArray[Any], piece: Piece
+    ) -> tuple[Sequence[HalfCycle], Deflections]:
+        new = self._reader.rows(REFERENCE.topic, piece.get(REFERENCE.topic, ()))
+        spots, references = np.append(self._spots, spots), np.append(self._references, new)
+        both = min(len(spots), len(references))
+        self._spots, self._references = spots[both:], references[both:]
+        deflections = self._reader.deflections(spots[:both])
+        block = Block(_places(spots[:both]), deflections, [], [], _places(references[:both]))
+        shown = less.shown(deflections.times_ns.tolist(), block)
+        return shown.swings, shown.deflections
+
+
+def _places(rows: NDArray[Any]) -> list[Spot]:
+    """Spots of which place and flags are known, from rows of either topic of spots."""
+    unknown = [math.nan] * (len(Spot._fields) - 5)
+    names = [*Spot._fields[:4], "flags"]
+    return [Spot._make((*place, *unknown, flags)) for *place, flags in rows[names].tolist()]
+
+
+class FollowedRun:
+    """The unflagged half-cycles that the record of a run tells so far, and the fit to them.
+
+    Raises RecordError if the record states no pendulum.
+    """
+
+    def __init__(self, reader: RecordReader) -> None:
+        self._config = config = recorded_configuration(reader)
+        pendulum = pendulum_on_ball(config)
+        if pendulum is None:
+            raise RecordError(f"{reader.path}: states no pendulum on a ball; nothing can be fitted")
+        self._pendulum, self._clock_rate = pendulum, clock_rate_of(config)
+        self._motion = FollowedMotion(reader, config)
+        self._run = MeasuredRun(axes=config.axes)
+        self._waveform = HarmonicsWatch()
+        self._swings: list[HalfCycle] = []
+        self._taken = 0
+        self._untaken: list[Deflections] = []
+
+    @property
+    def half_cycles(self) -> int:
+        """Unflagged ones so far."""
+        return len(self._swings)
+
+    def read(self) -> None:
+        """Read what was flushed since the last call."""
+        for swings, deflections in self._motion.unread():
+            self._waveform.update(deflections)
+            self._waveform.add(swings)
+            if len(deflections):
+                self._untaken.append(deflections)
+                if not self._swings:
+                    # where nothing swings, what half-cycles may need that are found late
+                    early_ns = int(deflections.times_ns[-1]) - _EARLY_NS
+                    while int(self._untaken[0].times_ns[-1]) < early_ns:
+                        self._untaken.pop(0)
+            self._swings += [swing for swing in swings if not swing.flags]
+
+    def fitted(self) -> Posterior:
+        """The fit as the final analysis of these half-cycles makes it; without estimates where none is."""
+        config, pendulum = self._config, self._pendulum
+        self._run.take(self._swings[self._taken :], joined(self._untaken, DeflectionUnit.RAD))
+        self._taken, self._untaken = len(self._swings), []
+        with suppress(DataError):
+            period_s = mean_period(points_in_true_time(self._swings, self._clock_rate))
+            drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
+            evidence = evidence_of(drag, self._waveform.found())
+            how = FitOfSwings(pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit))
+            swings, fit = self._run.fitted(how)
+            points = fitted_points(swings, how.points(swings), fit, pendulum)
+            return Posterior(self._taken, {name: fit.estimate(name) for name in fit.contact_names}, points)
+        return Posterior(self._taken)
+
+
+def fits(reader: RecordReader, *, in_step: bool) -> Iterator[Posterior]:
+    """Fits of a run while its record grows: each time that they are worth it, at most in 2 % of the time.
+
+    `in_step`: one for each line on the standard input, which says that the record was flushed.
+    """
+    run, warm, due_half_cycles, due_s = FollowedRun(reader), False, FIRST_HALF_CYCLES, 0.0
+    for _ in _flushed(reader) if in_step else reader.follow(_LOOK_S):
+        run.read()
+        if not in_step and (run.half_cycles < due_half_cycles or time.monotonic() < due_s):
+            continue
+        if not warm:
+            # the first fit of a process loads its kernels, which says nothing of what a fit costs
+            run.fitted()
+            warm = True
+        began_s = time.process_time()
+        yield run.fitted()
+        due_half_cycles = following(run.half_cycles)
+        due_s = time.monotonic() + (time.process_time() - began_s) / _SHARE
+
+
+def _flushed(reader: RecordReader) -> Iterator[None]:
+    for _ in sys.stdin.buffer:
+        reader.update()
+        yield None
+
+
 def main() -> None:
-    """Fit until the input ends."""
-    incoming, outgoing = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    """Fit the run whose record is the first argument; a second argument means `in_step`."""
+    outgoing = os.fdopen(os.dup(1), "wb")
     # nothing that a library prints may get between the answers
     os.dup2(2, 1)
     if hasattr(os, "nice"):
         os.nice(10)
-    of_run, run = -1, MeasuredRun()
-    warm = False
-    # the end of the input, or of who reads the answers
-    with suppress(EOFError, OSError):
-        model: FittedModel = pickle.load(incoming)
-        while True:
-            asked: PosteriorInput = pickle.load(incoming)
-            if asked.run != of_run:
-                of_run, run = asked.run, MeasuredRun(axes=model.axes)
-            run.take(asked.swings, asked.deflections)
-            if not warm:
-                # the first fit of a process loads its kernels, which says nothing of what a fit costs
-                _fitted(run, asked, model)
-                warm = True
-            pickle.dump(_fitted(run, asked, model), outgoing)
+    # the end of who reads the answers
+    with suppress(OSError), RecordReader(Path(sys.argv[1])) as reader:
+        for found in fits(reader, in_step=len(sys.argv) > 2):
+            pickle.dump(found, outgoing)
             outgoing.flush()
-
-
-def _fitted(run: MeasuredRun, asked: PosteriorInput, model: FittedModel) -> Answer:
-    began_s, found = time.process_time(), Posterior()
-    how = FitOfSwings(model.pendulum, model.clock_rate, model.drag, asked.evidence, model.loss)
-    with suppress(DataError):
-        swings, fit = run.fitted(how)
-        points = fitted_points(swings, how.points(swings), fit, model.pendulum)
-        found = Posterior(asked.half_cycles, {name: fit.estimate(name) for name in fit.contact_names}, points)
-    return Answer(found, time.process_time() - began_s)

@@ -45,6 +45,8 @@ class Entry:
     events: Sequence[Event] = ()
     messages: Sequence[TimedMessage] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
+    flushed: threading.Event | None = None
+    """Set once all that was put so far can be read in the file, or cannot be written."""
 
     @property
     def memory_bytes(self) -> int:
@@ -110,6 +112,12 @@ class Recorder:
         """Size of the record so far."""
         return self._writer.bytes_written
 
+    def flush(self) -> None:
+        """Wait until all that was put so far can be read in the file; see `error` afterwards."""
+        flushed = threading.Event()
+        self.put(Entry(flushed=flushed))
+        flushed.wait()
+
     def close(self) -> None:
         """Write the queued entries and close the file; see `error` afterwards."""
         self._entries.close()
@@ -123,6 +131,8 @@ class Recorder:
                 (entry,) = self._entries.take(1, _IDLE_S) or [Entry()]
                 if self.error is None:
                     self._keep_error(self._write, entry)
+                if entry.flushed is not None:
+                    entry.flushed.set()
             self._keep_error(self._writer.close)
         finally:
             self._permit.ended(Stage.RECORDER)
@@ -164,6 +174,8 @@ class Recorder:
             for event in entry.events:
                 writer.write_event(*event)
             writer.flush_if_due()
+            if entry.flushed is not None:
+                writer.flush()
             # asked here, because a disk that hangs does not answer this either
             if began_s - self._looked_s > _FREE_SPACE_INTERVAL_S:
                 self._looked_s = began_s

@@ -232,7 +232,7 @@ class Recording:
         parts, first_ns = self._parts, self._first.time_ns
         self._status.begin_record()
         if parts.posterior is not None:
-            self._wall.past(_LIVE_FIT, None, parts.posterior.begin)
+            self._wall.past(_LIVE_FIT, None, parts.posterior.begin, parts.plan.record)
         events = [
             *before,
             *(Event(first_ns, EventKind.WAITED, text) for text in parts.plan.waited),
@@ -290,9 +290,6 @@ class Recording:
             times_ns = [one.time_ns for one in taken]
             shown = self._wall.past(_LESS_BEAM, block, self._less.shown, times_ns, block)
             said = [Event(times_ns[-1], EventKind.BEAM, text) for text in self._less.take_news()]
-        if parts.posterior is not None:
-            waiting = self._stream.waits_on_purpose
-            self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, shown.deflections, waiting)
         self._half_cycles += len(shown.swings)
         entry = counts.entry(taken, block, self._pipeline)
         self._last = taken[-1]
@@ -300,14 +297,19 @@ class Recording:
         messages += self._notes()
         stepped: list[Event] = self._wall.past("the watch for steps", [], self._steps.take, block)
         entry.events = [*entry.events, *said, *stepped, *of_clocks, *self._device_events()]
+        entry.messages = messages
+        self._recorder.put(entry)
+        if parts.posterior is not None:
+            ways = self._recorder.flush, self._stream.waits_on_purpose
+            self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, *ways)
         due = bool(shown.swings) or self._on_demand or taken_ns - self._published_ns > _PUBLISHED_NS
         if due:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - taken[0].host_time_ns)
-            messages += self._state(Phase.MEASURING, age_s)
-        entry.messages = messages
-        self._recorder.put(entry)
+            state = self._state(Phase.MEASURING, age_s)
+            self._recorder.put(Entry(messages=state))
+            messages = [*messages, *state]
         if (news := parts.plan.session_news) is not None:
             self._wall.past(_LOOKING, None, partial(news.look, recorded=True), taken, shown)
         if due or entry.events or messages or shown.balances:

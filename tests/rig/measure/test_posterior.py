@@ -1,4 +1,4 @@
-"""Parameters while a run is measured: the process that fits, its end, and how often it fits."""
+"""Parameters while a run is measured: the process that reads the record and fits, and how often it does."""
 
 import os
 import signal
@@ -6,16 +6,20 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
-import numpy as np
 import pytest
 
-from processing.deflections import slow_deflections
-from processing.fit import NO_EVIDENCE, Evidence, fit_exact
-from processing.swing import HalfCycle, SwingHarmonics, TurningPoints, turning_points
-from rig.measure import FIRST_HALF_CYCLES, FittedModel, LivePosterior, Posterior
-from rig.measure.posterior import following
+from acquisition.record.writer import RecordWriter
+from processing.fit import fit_exact
+from processing.swing import HalfCycle, TurningPoints, turning_points
+from rig.instrument import configuration_attachments, pendulum_on_ball
+from rig.measure import FIRST_HALF_CYCLES, LivePosterior, Posterior
+from rig.measure.posterior_worker import following
+from rig.settings import load_configuration
 from tests.processing.fit.decays import decay, paper_pair
+from tests.rig.command_line import CONFIGS
+from tests.waiting import until
 
 PARAMETERS, PENDULUM = paper_pair("glass_k8")
 POINTS = decay(PARAMETERS, PENDULUM, noise_arcsec=0.005, seed=4)
@@ -33,33 +37,66 @@ def swings(points: TurningPoints) -> list[HalfCycle]:
     ]
 
 
-def fed(posterior: LivePosterior, half_cycles: Sequence[HalfCycle]) -> Iterator[Posterior]:
-    """What is known after each half-cycle."""
-    for swing in half_cycles:
-        posterior.take([swing], NO_SAMPLES)
-        yield posterior.latest
+def opened(record: Path) -> RecordWriter:
+    """A record of a rig in vacuum, without a frame."""
+    config = load_configuration(
+        CONFIGS / "demo.toml",
+        ["fit.drag='vacuum'", f"pendulum.mass_kg={PENDULUM.mass_kg}", "pendulum.ball_radius_m=6.05e-3"],
+    )
+    assert pendulum_on_ball(config) == PENDULUM
+    return RecordWriter(record, 10**18, attachments=configuration_attachments(config, Path("none")))
 
 
-NO_SAMPLES = slow_deflections(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+class Growing:
+    """A record that grows by half-cycles, and the live fit that is told of them."""
 
+    def __init__(self, posterior: LivePosterior, folder: Path) -> None:
+        self.posterior, self._folder, self._records = posterior, folder, list[RecordWriter]()
 
-def nothing_beside(_: Sequence[HalfCycle], __: SwingHarmonics) -> Evidence:
-    """What restrains a fit in vacuum beside the half-cycles."""
-    return NO_EVIDENCE
+    def begin(self) -> None:
+        """Begin with another record."""
+        record = self._folder / f"run-{len(self._records) + 1}.mcap"
+        self._records.append(opened(record))
+        self.posterior.begin(record)
+
+    def by(self, half_cycles: Sequence[HalfCycle]) -> Iterator[Posterior]:
+        """What is known after each half-cycle."""
+        for swing in half_cycles:
+            self._records[-1].write_swing(swing)
+            self.posterior.take([swing], self._records[-1].flush)
+            yield self.posterior.latest
+
+    def grow(self, half_cycles: Sequence[HalfCycle]) -> Posterior:
+        """What is known after all of them."""
+        return list(self.by(half_cycles))[-1]
+
+    def go_on(self) -> None:
+        """Write what is no half-cycle, and make everything readable."""
+        self._records[-1].write_event(0, "note", "it swings")
+        self._records[-1].flush()
+
+    def close(self) -> None:
+        """End the process, and close the records."""
+        self.posterior.close()
+        for record in self._records:
+            record.close()
 
 
 @pytest.fixture
-def in_step() -> Iterator[LivePosterior]:
-    """Fits that the half-cycles wait for."""
-    posterior = LivePosterior(FittedModel(PENDULUM, drag=False), nothing_beside, in_step=True)
-    yield posterior
-    posterior.close()
+def growing(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Growing]:
+    """With fits that the half-cycles wait for; with the parameter False, with fits beside them."""
+    found = Growing(LivePosterior(in_step=getattr(request, "param", True)), tmp_path)
+    found.begin()
+    yield found
+    found.close()
 
 
-def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(in_step: LivePosterior) -> None:
+beside_a_measurement = pytest.mark.parametrize("growing", [False], indirect=True)
+
+
+def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(growing: Growing) -> None:
     measured = swings(POINTS)[: FIRST_HALF_CYCLES + 12]
-    in_step.begin()
-    known = list(fed(in_step, measured))
+    known = list(growing.by(measured))
     counts = [FIRST_HALF_CYCLES]
     while following(counts[-1]) <= len(measured):
         counts.append(following(counts[-1]))
@@ -72,71 +109,88 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(in_step: LivePosteri
         assert u == pytest.approx(cut.estimate(name).standard_uncertainty, rel=0.02)
         assert value == pytest.approx(cut.estimate(name).value, abs=0.02 * u)
     # a rejected start: what it told is forgotten
-    in_step.begin()
-    assert in_step.latest == Posterior()
+    growing.begin()
+    assert growing.posterior.latest == Posterior()
     # half-cycles that are no decay change nothing, and flagged ones are not fitted
     rising = swings(POINTS)[:FIRST_HALF_CYCLES][::-1]
-    assert list(fed(in_step, rising))[-1] == Posterior()
-    assert in_step.take_remark() == ""
-    in_step.begin()
-    in_step.take([HalfCycle(0, 0, 1.0, 1.0, 1.0, 2.0, 1.0, 0.0, 1, flags=1)] * FIRST_HALF_CYCLES, NO_SAMPLES)
-    assert in_step.latest == Posterior()
+    assert growing.grow(rising) == Posterior()
+    assert growing.posterior.worker_pid is not None
+    assert growing.posterior.take_remark() == ""
+    growing.begin()
+    flagged = [HalfCycle(0, 0, 1.0, 1.0, 1.0, 2.0, 1.0, 0.0, 1, flags=1)] * FIRST_HALF_CYCLES
+    assert growing.grow(flagged) == Posterior()
+    assert growing.posterior.worker_pid is None
 
 
-def test_frames_that_wait_for_a_fit_on_purpose_say_so(in_step: LivePosterior) -> None:
+def test_frames_that_wait_for_a_fit_on_purpose_say_so(growing: Growing) -> None:
     """A run that `stop_when` may end said that its camera had stalled while the first fit compiled."""
     measured = swings(POINTS)[:FIRST_HALF_CYCLES]
-    in_step.begin()
-    in_step.take(measured[:-1], NO_SAMPLES, lambda: pytest.fail("nothing is waited for"))
-    waited: list[int] = []
-    in_step.take(measured[-1:], NO_SAMPLES, lambda: waited.append(1))
-    assert waited
-    assert in_step.latest.half_cycles == FIRST_HALF_CYCLES
+    growing.grow(measured[:-1])
+    said: list[str] = []
+    posterior = growing.posterior
+    posterior.take(measured[-1:], lambda: said.append("flush"), lambda: said.append("waiting"))
+    assert said[:2] == ["waiting", "flush"]
+    assert "waiting" in said[2:]
 
 
-def test_without_the_process_that_fits_the_half_cycles_go_on_and_it_is_said_once(
-    in_step: LivePosterior,
-) -> None:
-    measured = swings(POINTS)
-    in_step.begin()
-    for _ in fed(in_step, measured[:FIRST_HALF_CYCLES]):
-        pass
-    before = in_step.latest
+def test_without_the_process_that_fits_the_half_cycles_go_on_and_it_is_said_once(growing: Growing) -> None:
+    measured, posterior = swings(POINTS), growing.posterior
+    before = growing.grow(measured[:FIRST_HALF_CYCLES])
     assert before.half_cycles == FIRST_HALF_CYCLES
-    assert in_step.worker_pid is not None
-    os.kill(in_step.worker_pid, signal.SIGTERM)
-    # at the next fit that is due; nothing waits for one that is gone
-    assert list(fed(in_step, measured[FIRST_HALF_CYCLES:]))[-1] == before
-    assert "has died" in in_step.take_remark()
-    assert in_step.take_remark() == ""
+    assert posterior.worker_pid is not None
+    os.kill(posterior.worker_pid, signal.SIGTERM)
+    # nothing waits for one that is gone
+    assert growing.grow(measured[FIRST_HALF_CYCLES:]) == before
+    assert "has died" in posterior.take_remark()
+    assert posterior.take_remark() == ""
 
 
-def test_beside_a_measurement_a_fit_waits_for_its_share_of_a_core() -> None:
-    """At least 50 times the processor time of the one before; that of 40 half-cycles is above 20 ms."""
-    asked_s = []
-
-    def asked(given: Sequence[HalfCycle], harmonics: SwingHarmonics) -> Evidence:
-        asked_s.append(time.monotonic())
-        return nothing_beside(given, harmonics)
-
-    posterior = LivePosterior(FittedModel(PENDULUM, drag=False), asked)
-    posterior.begin()
-    measured, sent = swings(POINTS), 0
-    for count in (FIRST_HALF_CYCLES, FIRST_HALF_CYCLES + 2, FIRST_HALF_CYCLES + 4):
-        posterior.take(measured[sent:count], NO_SAMPLES)
-        sent = count
-        while posterior.latest.half_cycles < count:
-            time.sleep(0.01)
+@pytest.mark.skipif(os.name != "posix", reason="processes are stopped by signals")
+@beside_a_measurement
+def test_beside_a_measurement_nothing_waits_for_a_process_that_is_stopped(growing: Growing) -> None:
+    measured, posterior = swings(POINTS), growing.posterior
+    growing.grow(measured[:FIRST_HALF_CYCLES])
+    growing.go_on()
+    until(lambda: posterior.latest.half_cycles == FIRST_HALF_CYCLES)
+    before, pid = posterior.latest, posterior.worker_pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    # would wait for ever
+    assert growing.grow(measured[FIRST_HALF_CYCLES:]) == before
     posterior.close()
-    assert len(asked_s) == 3
-    assert asked_s[2] - asked_s[1] > 1.0
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
 
 
-def test_the_process_ends_with_the_one_that_started_it() -> None:
+@beside_a_measurement
+def test_beside_a_measurement_a_fit_waits_for_its_share_of_a_core(growing: Growing) -> None:
+    """At least 50 times the processor time of the one before; that of 40 half-cycles is above 20 ms."""
+    fitted_s, measured, sent = [], swings(POINTS), 0
+    for count in (FIRST_HALF_CYCLES, FIRST_HALF_CYCLES + 2, FIRST_HALF_CYCLES + 4):
+        growing.grow(measured[sent:count])
+        sent = count
+        while growing.posterior.latest.half_cycles < count:
+            # as a record with frames does
+            growing.go_on()
+            time.sleep(0.05)
+        fitted_s.append(time.monotonic())
+    assert fitted_s[2] - fitted_s[1] > 1.0
+
+
+@pytest.mark.parametrize("in_step", [False, True])
+def test_the_process_ends_with_the_record_and_with_the_one_that_started_it(
+    in_step: bool, tmp_path: Path
+) -> None:
+    record = opened(tmp_path / "run-1.mcap")
+    program = "from rig.measure.posterior_worker import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-P", "-c", "from rig.measure.posterior_worker import main; main()"],
+        [sys.executable, "-P", "-c", program, str(record.path), *(["in step"] if in_step else [])],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    assert process.communicate(timeout=50)[0] == b""
+    if not in_step:
+        record.close()
+    assert process.communicate(timeout=50) == (b"", b"")
+    assert process.returncode == 0
+    record.close()

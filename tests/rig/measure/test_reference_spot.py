@@ -28,6 +28,7 @@ from rig.instrument import (
     recorded_configuration,
 )
 from rig.measure import measure_session
+from rig.measure.posterior_worker import FollowedMotion
 from rig.measure.recent_frames import RecentFrames
 from rig.measure.session import simulate_record
 from rig.settings import Configuration, ReferenceSettings, load_configuration
@@ -152,6 +153,24 @@ def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path, besid
     # the picture's spot is where it is seen
     assert all(one.spots is block.spots for one, block in zip(shown, blocks, strict=True))
     assert less.take_news() == [LESS_BEAM]
+
+
+def test_a_live_fit_reads_the_record_less_the_beams_motion_as_a_run_shows_it(recorded: Path) -> None:
+    with RecordReader(recorded) as reader:
+        config = recorded_configuration(reader)
+        blocks = blocks_of(reader, config)
+        read = list(FollowedMotion(reader, config).unread())
+    optics = optics_of(config, full_scale_dn=255.0)
+    assert optics.reference_gain is not None
+    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, beside=False)
+    shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
+    y, u_y = (np.concatenate([getattr(one.deflections, name) for one in shown]) for name in ("y", "u_y"))
+    assert np.array_equal(np.concatenate([deflections.y for _, deflections in read]), y)
+    assert np.array_equal(np.concatenate([deflections.u_y for _, deflections in read]), u_y)
+    swings = [swing for found, _ in read for swing in found]
+    assert len(swings) > 20
+    # texts, since NaN equals nothing
+    assert list(map(str, swings)) == [str(swing) for block in shown for swing in block.swings]
 
 
 def test_a_reference_that_is_lost_is_said_and_moves_nothing_at_once(recorded: Path) -> None:
