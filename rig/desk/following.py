@@ -77,10 +77,11 @@ class Heartbeat:
 class Following:
     """A thread that asks the running session for news, and looks for one while there is none.
 
-    `news` is what it said last (empty without a session), `events` its events, `folder` where it is and
-    `last_folder` where the last one was; `silent` is True while it is there and does not answer; `heard_s` is
-    the monotonic time of the last news, `heartbeat` tells when it last gave a sign of life. `camera_event` is
-    the last event of its camera, `ended` are alarms of sessions that have ended under its eyes.
+    `news` is what it said last (empty without a session), `events` those of its records, `folder` where it is
+    and `last_folder` where the last one was; `silent` is True while it is there and does not answer;
+    `heard_s` is the monotonic time of the last news, `heartbeat` tells when it last gave a sign of life.
+    `camera_event` is the last event of its camera, `ended` are alarms of sessions that have ended under its
+    eyes.
     """
 
     def __init__(self, output: Path) -> None:
@@ -99,7 +100,6 @@ class Following:
         self._count = 0
         self._pictures: OrderConnection | None = None
         self._last_picture: SessionPicture | None = None
-        self._heard = 0
         self._one_picture = threading.Lock()
         self._ended = threading.Event()
         self._wake = threading.Event()
@@ -214,7 +214,7 @@ class Following:
         for folder in islice(running_sessions(self._output), 1):
             with suppress(NoSession):
                 self._line = OrderConnection(folder)
-                self._heard, self.camera_event = 0, None
+                self.camera_event = None
                 self.events.clear()
                 self._read("")
                 self.folder = self.last_folder = folder
@@ -222,7 +222,7 @@ class Following:
 
     def _ask(self, line: OrderConnection) -> None:
         try:
-            news = line.news(self._heard)
+            news = line.news()
         except NoSession as why:
             if not self.silent:
                 self.silent, self._silent_s = True, time.monotonic()
@@ -239,22 +239,28 @@ class Following:
         if news["run"] != self.news.get("run"):
             # a camera that was lost in the run before is opened again
             self.camera_event = None
-        for event in news["events"]:
-            self._heard = max(self._heard, int(event["number"]))
-            self._keep(event, news["run"])
         self._read(news["record"])
         if (reader := self._reader) is not None and reader.begun:
             for elapsed_s, told in reader.take_events():
-                self._keep(_event_fields(reader, elapsed_s, told, news["run"]), news["run"])
+                self._keep(reader.began_s, elapsed_s, told, news["run"])
             news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
 
-    def _keep(self, event: dict[str, Any], run: str) -> None:
-        """The event with a number of its own: those of the session and of its record come by two ways."""
+    def _keep(self, began_s: float, elapsed_s: float, event: Event, run: str) -> None:
+        """An event of a record that began at `began_s`; the numbers go on from one record to the next."""
         self._count += 1
-        self.events.append({**event, "number": self._count})
-        if event["kind"] in OF_CAMERA and event["run"] == run:
-            self.camera_event = self.events[-1]
+        told = {
+            "number": self._count,
+            "run": run,
+            "elapsed_s": elapsed_s,
+            "kind": event.kind,
+            "level": event.level,
+            "text": event.text,
+            "at": clock(time.time() - time.monotonic() + began_s + elapsed_s),
+        }
+        self.events.append(told)
+        if event.kind in OF_CAMERA:
+            self.camera_event = told
 
     def _read(self, record: str) -> None:
         """Read this record from now on; none, if it is empty."""
@@ -263,18 +269,6 @@ class Following:
             self._reader = None
         if record and self._reader is None:
             self._reader = RecordFollower(Path(record))
-
-
-def _event_fields(reader: RecordFollower, elapsed_s: float, event: Event, run: str) -> dict[str, Any]:
-    """An event of a record as the session tells its own."""
-    return {
-        "run": run,
-        "elapsed_s": elapsed_s,
-        "kind": event.kind,
-        "level": event.level,
-        "text": event.text,
-        "at": clock(time.time() - time.monotonic() + reader.began_s + elapsed_s),
-    }
 
 
 def clock(at_s: float) -> str:

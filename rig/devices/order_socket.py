@@ -50,7 +50,7 @@ class OrderSocket:
         self._news, self._extra = session_news, extra
         self._answers: dict[str, Callable[[Any], Any]] = {
             BEAT: lambda _: None,
-            NEWS: lambda after: plain_values({**self._news.news(after), **self._extra()}),
+            NEWS: lambda _: plain_values({**self._news.news(), **self._extra()}),
             LOOK: self._news.picture,
         }
         self._orders = orders

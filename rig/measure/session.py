@@ -184,7 +184,7 @@ def _make_runs(
         if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
             devices.darken("preflight said no-go")
             file.forget(record.name)
-            session_news.note("preflight", f"no-go: {outcome.failure.against}", "warning")
+            session_news.waits(f"no-go: {outcome.failure.against}")
             # who asks for light while it waits gets it with the next try
             devices.lights_again = True
             if options.waiting(outcome.failure.against):

@@ -1,8 +1,8 @@
 """A session that tells what it is told: a process with a channel, for faults that no simulated rig has.
 
-`python -m tests.benchmarks.told_session FOLDER`. A line on standard input is a JSON object: `state`, `news`
-(kept until they are told otherwise) and `event` ([kind, text]). Frames come all the time, unless `frames` is
-false; `lost` says that the spot is not in them. `hang`: it says nothing more and hears nothing, for ever.
+`python -m tests.benchmarks.told_session FOLDER`. A line on standard input is a JSON object: `state` and
+`news` are kept until they are told otherwise. Frames come all the time, unless `frames` is false; `lost` says
+that the spot is not in them. `hang`: it says nothing more and hears nothing, for ever.
 """
 
 import ctypes
@@ -44,8 +44,6 @@ def main(folder: Path) -> None:
             state.update(values.get("state", {}))
             more.update(values.get("news", {}))
             how.update({key: values[key] for key in how if key in values})
-            if "event" in values:
-                told.note(*values["event"])
             told.state(dict(state), [])
         ended.set()
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Frame
+from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RigError
 from processing.spot import Spot
@@ -72,14 +73,20 @@ def test_the_camera_of_a_new_run_has_nothing_to_do_with_the_last_one(tmp_path: P
     folder.mkdir()
     told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
     follower = Following(tmp_path)
-    with OrderSocket(folder, told, {}):
-        told.begin_run("run 1", 255, None)
-        told.note("camera lost", "unplugged", "warning")
+    record = folder / "run-1.mcap"
+    with OrderSocket(folder, told, {}), RecordWriter(record, time.time_ns()) as writer:
+        told.begin_run("run 1", 255, None, record)
+        nothing = np.zeros(1)
+        at = Deflections(np.zeros(1, np.int64), *[nothing] * 4, DeflectionUnit.RAD)
+        writer.write_spots([0], [0], [0], [Spot(*[0.0] * 10, 0)], at)
+        writer.write_event(0, "camera lost", "unplugged")
+        writer.flush()
         follower.start()
         # known at once: the desk's first page is built then, and shows the panel of a session
         assert follower.folder == folder
         assert follower.news
-        assert follower.camera_event is not None
+        until(lambda: follower.camera_event is not None)
+        assert [event["kind"] for event in follower.events] == ["camera lost"]
         told.begin_run("run 2", 255, None)
         until(lambda: follower.news["run"] == "run 2" and follower.camera_event is None)
     follower.stop()
