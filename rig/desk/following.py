@@ -19,7 +19,8 @@ from rig.desk.alarm_list import AlarmKey, RaisedAlarm
 from rig.desk.alarming import OF_CAMERA
 from rig.desk.run_reader import RecordFollower
 from rig.devices import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
-from rig.measure import RunState, read_session
+from rig.measure import STATE_NAME, RunState, read_session
+from rig.settings import Configuration, unnumbered, validate_configuration
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
@@ -97,6 +98,7 @@ class Following:
         self.heartbeat = Heartbeat(lambda: self.folder)
         self._line: OrderConnection | None = None
         self._reader: RecordFollower | None = None
+        self._stated: Configuration | None = None
         self._count = 0
         self._pictures: OrderConnection | None = None
         self._last_picture: SessionPicture | None = None
@@ -140,6 +142,19 @@ class Following:
         """How old the last frame is that the running session has looked at; 0 before its first one."""
         told_s = self.news.get("frames_age_s")
         return 0.0 if told_s is None else float(told_s) + time.monotonic() - self.heard_s
+
+    @property
+    def config(self) -> Configuration | None:
+        """The configuration of what is measured: its record's, before that the session's; None without."""
+        reader = self._reader
+        recorded = None if reader is None else reader.config
+        return recorded or self._stated
+
+    @property
+    def unit(self) -> str:
+        """Of amplitudes and positions; empty where no configuration is known."""
+        config = self.config
+        return "" if config is None else config.deflection_unit.shown
 
     @property
     def devices(self) -> DevicesNow:
@@ -214,7 +229,7 @@ class Following:
         for folder in islice(running_sessions(self._output), 1):
             with suppress(NoSession):
                 self._line = OrderConnection(folder)
-                self.camera_event = None
+                self.camera_event, self._stated = None, _configuration_in(folder)
                 self.events.clear()
                 self._read("")
                 self.folder = self.last_folder = folder
@@ -269,6 +284,14 @@ class Following:
             self._reader = None
         if record and self._reader is None:
             self._reader = RecordFollower(Path(record))
+
+
+def _configuration_in(folder: Path) -> Configuration | None:
+    """That of the session in a folder; None where what runs there is no session."""
+    path = str(folder / STATE_NAME)
+    with suppress(RigError):
+        return validate_configuration(unnumbered(read_session(folder).configuration, path), path)
+    return None
 
 
 def clock(at_s: float) -> str:

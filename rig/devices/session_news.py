@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings, Frame, Image
-from processing.deflections import Deflections, DeflectionUnit
+from processing.deflections import Deflections
 from processing.spot import Spot, SpotFlag
 from processing.units import NS_PER_S
 from rig.instrument import Block
 from rig.presentation import Verdict, table_tree
-from rig.settings import Configuration
 
 PATH_S = 20.0
 """So much of the way a page draws."""
@@ -43,9 +42,7 @@ class SessionNews:
     has asked for one, at most ten times a second.
     """
 
-    def __init__(self, config: Configuration) -> None:
-        self._config = config
-        self._unit: DeflectionUnit = config.deflection_unit
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._asked_s = -math.inf
         self._picture_wanted = False
@@ -68,7 +65,6 @@ class SessionNews:
         self, title: str, full_scale_dn: int, applied: CameraSettings | None, record: Path | None = None
     ) -> None:
         """A run begins, with a camera that has read back these settings; its `record` will tell the rest."""
-        lever = self._config.lever
         with self._lock:
             self._begin()
             self.run = title
@@ -76,12 +72,6 @@ class SessionNews:
             self._camera = {
                 "full_scale_dn": full_scale_dn,
                 "applied": {} if applied is None else applied.model_dump(exclude_none=True),
-                "reference_px": None
-                if lever is None or lever.reference_x_px is None or lever.reference_y_px is None
-                else (lever.reference_x_px, lever.reference_y_px),
-                "reference_from_row_px": None
-                if self._config.reference is None
-                else self._config.reference.from_row_px,
             }
 
     def state(self, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
@@ -141,8 +131,6 @@ class SessionNews:
             "frames_age_s": now_s - self._frames_s,
             "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
             "record": self._record,
-            "unit": self._unit.shown,
-            "start_way": self._config.start.way,
             "camera": self._camera,
             "state": self._state,
             "rows": self._rows,

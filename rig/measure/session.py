@@ -101,7 +101,7 @@ def make_runs(
 
     Meanwhile the session can be watched, and takes orders, through its order socket.
     """
-    session_news, notes = SessionNews(config), Notes(file.folder, config.session.operator)
+    session_news, notes = SessionNews(), Notes(file.folder, config.session.operator)
     with OrderSocket(
         file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)
     ) as watched:

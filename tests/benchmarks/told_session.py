@@ -20,7 +20,6 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.devices import OrderSocket, SessionNews
 from rig.instrument import Block
-from rig.settings import Configuration
 
 _EACH_S = 0.1
 BEGUN = {"phase": "measuring", "temperature_c": 20.0, "elapsed_s": 1.0}
@@ -28,7 +27,7 @@ BEGUN = {"phase": "measuring", "temperature_c": 20.0, "elapsed_s": 1.0}
 
 def main(folder: Path) -> None:
     """Until standard input is closed."""
-    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews()
     told.begin_run("run 1", 255, None)
     state: dict[str, Any] = dict(BEGUN)
     more: dict[str, Any] = {}

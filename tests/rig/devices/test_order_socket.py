@@ -30,7 +30,6 @@ from rig.devices import (
     running_sessions,
 )
 from rig.instrument import Block
-from rig.settings import Configuration
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
@@ -41,7 +40,7 @@ def refuse(_: str) -> str:
 
 @pytest.fixture
 def told() -> SessionNews:
-    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    session_news = SessionNews()
     session_news.begin_run("run 1", 255, None)
     return session_news
 
