@@ -269,7 +269,7 @@ def balance_rig(
     folder = history_path(config, path).parent
     with (
         Devices(config, folder, "rig balance") as devices,
-        light_told(devices, config, folder),
+        light_told(devices, folder),
         LooksView(config, rrd, advise, reporter.way) as view,
     ):
         while True:

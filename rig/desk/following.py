@@ -19,7 +19,8 @@ from rig.desk.alarm_list import AlarmKey, RaisedAlarm
 from rig.desk.alarming import OF_CAMERA
 from rig.desk.run_reader import RecordFollower
 from rig.devices import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
-from rig.measure import RunState, read_session
+from rig.measure import STATE_NAME, RunState, read_session
+from rig.settings import Configuration, unnumbered, validate_configuration
 
 _LOOK_S = 0.2
 _SEARCH_S = 1.0
@@ -77,10 +78,11 @@ class Heartbeat:
 class Following:
     """A thread that asks the running session for news, and looks for one while there is none.
 
-    `news` is what it said last (empty without a session), `events` its events, `folder` where it is and
-    `last_folder` where the last one was; `silent` is True while it is there and does not answer; `heard_s` is
-    the monotonic time of the last news, `heartbeat` tells when it last gave a sign of life. `camera_event` is
-    the last event of its camera, `ended` are alarms of sessions that have ended under its eyes.
+    `news` is what it said last (empty without a session), `events` those of its records, `folder` where it is
+    and `last_folder` where the last one was; `silent` is True while it is there and does not answer;
+    `heard_s` is the monotonic time of the last news, `heartbeat` tells when it last gave a sign of life.
+    `camera_event` is the last event of its camera, `ended` are alarms of sessions that have ended under its
+    eyes.
     """
 
     def __init__(self, output: Path) -> None:
@@ -96,10 +98,10 @@ class Following:
         self.heartbeat = Heartbeat(lambda: self.folder)
         self._line: OrderConnection | None = None
         self._reader: RecordFollower | None = None
+        self._stated: Configuration | None = None
         self._count = 0
         self._pictures: OrderConnection | None = None
         self._last_picture: SessionPicture | None = None
-        self._heard = 0
         self._one_picture = threading.Lock()
         self._ended = threading.Event()
         self._wake = threading.Event()
@@ -140,6 +142,19 @@ class Following:
         """How old the last frame is that the running session has looked at; 0 before its first one."""
         told_s = self.news.get("frames_age_s")
         return 0.0 if told_s is None else float(told_s) + time.monotonic() - self.heard_s
+
+    @property
+    def config(self) -> Configuration | None:
+        """The configuration of what is measured: its record's, before that the session's; None without."""
+        reader = self._reader
+        recorded = None if reader is None else reader.config
+        return recorded or self._stated
+
+    @property
+    def unit(self) -> str:
+        """Of amplitudes and positions; empty where no configuration is known."""
+        config = self.config
+        return "" if config is None else config.deflection_unit.shown
 
     @property
     def devices(self) -> DevicesNow:
@@ -214,7 +229,7 @@ class Following:
         for folder in islice(running_sessions(self._output), 1):
             with suppress(NoSession):
                 self._line = OrderConnection(folder)
-                self._heard, self.camera_event = 0, None
+                self.camera_event, self._stated = None, _configuration_in(folder)
                 self.events.clear()
                 self._read("")
                 self.folder = self.last_folder = folder
@@ -222,7 +237,7 @@ class Following:
 
     def _ask(self, line: OrderConnection) -> None:
         try:
-            news = line.news(self._heard)
+            news = line.news()
         except NoSession as why:
             if not self.silent:
                 self.silent, self._silent_s = True, time.monotonic()
@@ -239,22 +254,28 @@ class Following:
         if news["run"] != self.news.get("run"):
             # a camera that was lost in the run before is opened again
             self.camera_event = None
-        for event in news["events"]:
-            self._heard = max(self._heard, int(event["number"]))
-            self._keep(event, news["run"])
         self._read(news["record"])
         if (reader := self._reader) is not None and reader.begun:
             for elapsed_s, told in reader.take_events():
-                self._keep(_event_fields(reader, elapsed_s, told, news["run"]), news["run"])
+                self._keep(reader.began_s, elapsed_s, told, news["run"])
             news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
 
-    def _keep(self, event: dict[str, Any], run: str) -> None:
-        """The event with a number of its own: those of the session and of its record come by two ways."""
+    def _keep(self, began_s: float, elapsed_s: float, event: Event, run: str) -> None:
+        """An event of a record that began at `began_s`; the numbers go on from one record to the next."""
         self._count += 1
-        self.events.append({**event, "number": self._count})
-        if event["kind"] in OF_CAMERA and event["run"] == run:
-            self.camera_event = self.events[-1]
+        told = {
+            "number": self._count,
+            "run": run,
+            "elapsed_s": elapsed_s,
+            "kind": event.kind,
+            "level": event.level,
+            "text": event.text,
+            "at": clock(time.time() - time.monotonic() + began_s + elapsed_s),
+        }
+        self.events.append(told)
+        if event.kind in OF_CAMERA:
+            self.camera_event = told
 
     def _read(self, record: str) -> None:
         """Read this record from now on; none, if it is empty."""
@@ -265,16 +286,12 @@ class Following:
             self._reader = RecordFollower(Path(record))
 
 
-def _event_fields(reader: RecordFollower, elapsed_s: float, event: Event, run: str) -> dict[str, Any]:
-    """An event of a record as the session tells its own."""
-    return {
-        "run": run,
-        "elapsed_s": elapsed_s,
-        "kind": event.kind,
-        "level": event.level,
-        "text": event.text,
-        "at": clock(time.time() - time.monotonic() + reader.began_s + elapsed_s),
-    }
+def _configuration_in(folder: Path) -> Configuration | None:
+    """That of the session in a folder; None where what runs there is no session."""
+    path = str(folder / STATE_NAME)
+    with suppress(RigError):
+        return validate_configuration(unnumbered(read_session(folder).configuration, path), path)
+    return None
 
 
 def clock(at_s: float) -> str:

@@ -169,7 +169,7 @@ class Balancing:
     def unit(self) -> str:
         """Of the trajectory."""
         is_own = _NAME in self._desk.jobs
-        return "arcsec" if is_own else str(self._desk.following.news.get("unit") or "arcsec")
+        return "arcsec" if is_own else self._desk.following.unit or "arcsec"
 
     def measure(self) -> None:
         """Measure, or measure again. May wait."""

@@ -30,7 +30,8 @@ Point = tuple[float, ...]
 class RecordFollower:
     """Follows a record, which need not be there yet, until it is closed; one of the same name is the next.
 
-    `began_s` is when the record began on the monotonic clock, NaN before; `balance` the last one, as news.
+    `began_s` is when the record began on the monotonic clock, NaN before; `balance` the last one, as news;
+    `config` its configuration, None before it begins and where it has none that can be read.
     """
 
     def __init__(self, record: Path) -> None:
@@ -46,7 +47,7 @@ class RecordFollower:
 
     def _begin(self, config: Configuration | None) -> None:
         with self._lock:
-            self._config = config
+            self.config = config
             self._start_ns: int | None = None
             self._path: deque[Deflections] = deque()
             self._swings = {name: deque[Point](maxlen=_KEPT) for name in ("amplitude", "period")}
@@ -114,8 +115,8 @@ class RecordFollower:
             self.began_s = time.monotonic() - ago_s
         start_ns, size = self._start_ns, reader.deflection_unit.shown_size
         told = told_in(reader, piece, start_ns, start_ns)
-        if told.balances and self._config is not None:
-            self.balance = _told(self._config, told.balances[-1])
+        if told.balances and self.config is not None:
+            self.balance = _told(self.config, told.balances[-1])
         with self._lock:
             if SPOT.topic in piece:
                 deflections = reader.deflections(reader.rows(SPOT.topic, piece[SPOT.topic]))

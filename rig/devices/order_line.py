@@ -72,9 +72,9 @@ class OrderConnection:
         """Return once the session has answered at all; for that it waits for nothing, and makes nothing."""
         self._ask(BEAT)
 
-    def news(self, after: int = 0) -> dict[str, Any]:
-        """The news of the session that came after number `after`, as `SessionNews.news` gives them."""
-        found: dict[str, Any] = self._ask(NEWS, after)
+    def news(self) -> dict[str, Any]:
+        """The news of the session, as `SessionNews.news` gives them."""
+        found: dict[str, Any] = self._ask(NEWS)
         return found
 
     def picture(self, after: int = 0) -> SessionPicture | None:

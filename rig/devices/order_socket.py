@@ -17,7 +17,6 @@ from typing import Any, Self
 from rig.devices.session_devices import Devices
 from rig.devices.session_news import SessionNews
 from rig.presentation import plain_values
-from rig.settings import Configuration
 
 ORDERS_NAME = ".orders.json"
 LOOPBACK = "127.0.0.1"
@@ -50,7 +49,7 @@ class OrderSocket:
         self._news, self._extra = session_news, extra
         self._answers: dict[str, Callable[[Any], Any]] = {
             BEAT: lambda _: None,
-            NEWS: lambda after: plain_values({**self._news.news(after), **self._extra()}),
+            NEWS: lambda _: plain_values({**self._news.news(), **self._extra()}),
             LOOK: self._news.picture,
         }
         self._orders = orders
@@ -134,9 +133,7 @@ def devices_now(devices: Devices) -> dict[str, Any]:
 
 
 @contextmanager
-def light_told(
-    devices: Devices, config: Configuration, folder: Path, session_news: SessionNews | None = None
-) -> Iterator[None]:
+def light_told(devices: Devices, folder: Path, session_news: SessionNews | None = None) -> Iterator[None]:
     """While a command that is no session has the devices: the desk shows its light, and can darken it.
 
     `folder` is the one that the devices were opened with, which the rig's lock names. A rig without one
@@ -150,7 +147,7 @@ def light_told(
         # without it nobody watches
         folder.mkdir(parents=True, exist_ok=True)
     orders = {"dark": lambda _: devices.light_off("the desk")}
-    with OrderSocket(folder, session_news or SessionNews(config), orders, lambda: devices_now(devices)):
+    with OrderSocket(folder, session_news or SessionNews(), orders, lambda: devices_now(devices)):
         yield
 
 

@@ -12,18 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.camera import CameraSettings, Frame, Image
-from acquisition.record.events import Severity
-from processing.deflections import Deflections, DeflectionUnit
+from processing.deflections import Deflections
 from processing.spot import Spot, SpotFlag
 from processing.units import NS_PER_S
 from rig.instrument import Block
 from rig.presentation import Verdict, table_tree
-from rig.settings import Configuration
 
 PATH_S = 20.0
 """So much of the way a page draws."""
 _PATH_POINTS = 400
-_EVENTS = 500
 _PICTURE_INTERVAL_S = 0.1
 _WATCHED_S = 60.0
 """So long a desk may be away, and be opened again, before a run that waits for an acknowledgement ends."""
@@ -45,12 +42,8 @@ class SessionNews:
     has asked for one, at most ten times a second.
     """
 
-    def __init__(self, config: Configuration) -> None:
-        self._config = config
-        self._unit: DeflectionUnit = config.deflection_unit
+    def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
-        self._event_number = 0
         self._asked_s = -math.inf
         self._picture_wanted = False
         self._picture_number = 0
@@ -72,7 +65,6 @@ class SessionNews:
         self, title: str, full_scale_dn: int, applied: CameraSettings | None, record: Path | None = None
     ) -> None:
         """A run begins, with a camera that has read back these settings; its `record` will tell the rest."""
-        lever = self._config.lever
         with self._lock:
             self._begin()
             self.run = title
@@ -80,17 +72,15 @@ class SessionNews:
             self._camera = {
                 "full_scale_dn": full_scale_dn,
                 "applied": {} if applied is None else applied.model_dump(exclude_none=True),
-                "reference_px": None
-                if lever is None or lever.reference_x_px is None or lever.reference_y_px is None
-                else (lever.reference_x_px, lever.reference_y_px),
-                "reference_from_row_px": None
-                if self._config.reference is None
-                else self._config.reference.from_row_px,
             }
 
     def state(self, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
         """The state of the run as its display has it: values for programs, and rows of text."""
         self._state, self._rows = values, rows
+
+    def waits(self, what: str) -> None:
+        """The state between two runs: that of the last one, and what the next one waits for."""
+        self._state = {**self._state, "progress": what}
 
     def preflight(self, verdicts: Sequence[Verdict]) -> None:
         """The preflight table."""
@@ -125,24 +115,8 @@ class SessionNews:
 
     # -- for those that answer -----------------------------------------------
 
-    def note(self, kind: str, text: str, level: str = Severity.INFORMATION) -> None:
-        """Add a line to the events that no record has."""
-        with self._lock:
-            self._event_number += 1
-            self._events.append(
-                {
-                    "number": self._event_number,
-                    "run": self.run,
-                    "elapsed_s": math.nan,
-                    "kind": str(kind),
-                    "level": level,
-                    "text": text,
-                    "at": time.strftime("%H:%M:%S"),
-                }
-            )
-
-    def news(self, since: int = 0) -> dict[str, Any]:
-        """Everything as plain values; of the events those with a number above `since`.
+    def news(self) -> dict[str, Any]:
+        """Everything as plain values.
 
         Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is how old the
         last frame is that was looked at, `spot_lost_s` for how long the spot has been in none; NaN before the
@@ -151,20 +125,16 @@ class SessionNews:
         self._asked_s = time.monotonic()
         with self._lock:
             path = list(self._path)
-            events = [event for event in self._events if event["number"] > since]
         now_s = time.monotonic()
         return {
             "run": self.run,
             "frames_age_s": now_s - self._frames_s,
             "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
             "record": self._record,
-            "unit": self._unit.shown,
-            "start_way": self._config.start.way,
             "camera": self._camera,
             "state": self._state,
             "rows": self._rows,
             "preflight": self._preflight,
-            "events": events,
             "path": thinned_path(path),
         }
 

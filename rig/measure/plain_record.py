@@ -71,10 +71,10 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     }
     record.parent.mkdir(parents=True, exist_ok=True)
     config = complete(config.model_copy(update=updates))
-    folder, session_news = record.parent, SessionNews(config)
+    folder, session_news = record.parent, SessionNews()
     with (
         Devices(config, folder, "a recording for a calibration") as devices,
-        light_told(devices, config, folder, session_news),
+        light_told(devices, folder, session_news),
     ):
         ask_leave(devices)
         plan = RunPlan(config, source, record, record.stem, fitted=False, session_news=session_news)
@@ -127,7 +127,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     folder = config.session.output
     with (
         Devices(config, folder, "rig doctor --preflight") as devices,
-        light_told(devices, config, folder),
+        light_told(devices, folder),
         devices.camera(config) as camera,
     ):
         optics = optics_of(config, camera.info.full_scale_dn)

@@ -101,7 +101,7 @@ def make_runs(
 
     Meanwhile the session can be watched, and takes orders, through its order socket.
     """
-    session_news, notes = SessionNews(config), Notes(file.folder, config.session.operator)
+    session_news, notes = SessionNews(), Notes(file.folder, config.session.operator)
     with OrderSocket(
         file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)
     ) as watched:
@@ -184,7 +184,7 @@ def _make_runs(
         if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
             devices.darken("preflight said no-go")
             file.forget(record.name)
-            session_news.note("preflight", f"no-go: {outcome.failure.against}", "warning")
+            session_news.waits(f"no-go: {outcome.failure.against}")
             # who asks for light while it waits gets it with the next try
             devices.lights_again = True
             if options.waiting(outcome.failure.against):

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from acquisition.frames.queue import taken_from
-from acquisition.record.events import Severity
 from processing.balance import Balance
 from processing.deflections import DeflectionUnit
 from processing.errors import RigError
@@ -130,7 +129,7 @@ def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool 
     trip = devices.permit.latched
     if (trip or devices.waits_for_asking) and session_news.watched and not at_terminal():
         what = "light is to be asked for" if trip is None else trip.text
-        session_news.note("interlock", f"{what}: the next run waits for a person", Severity.ALARM)
+        session_news.waits(f"{what}: the next run waits for a person")
         while session_news.watched and (devices.permit.latched or devices.waits_for_asking):
             time.sleep(_LOOK_S)
     if devices.permit.latched or devices.waits_for_asking:

@@ -188,7 +188,7 @@ def desk_and_viewer() -> Iterator[Company]:
             f'[session]\noutput = "{place}"\n[camera]\ndriver = "simulated"\n', encoding="utf-8"
         )
         config = load_configuration(source)
-        news = SessionNews(config)
+        news = SessionNews()
         news.begin_run("benchmark", 255, None)
         display = RunDisplay("benchmark", 2.0, config.deflection_unit)
 

@@ -1,8 +1,8 @@
 """A session that tells what it is told: a process with a channel, for faults that no simulated rig has.
 
-`python -m tests.benchmarks.told_session FOLDER`. A line on standard input is a JSON object: `state`, `news`
-(kept until they are told otherwise) and `event` ([kind, text]). Frames come all the time, unless `frames` is
-false; `lost` says that the spot is not in them. `hang`: it says nothing more and hears nothing, for ever.
+`python -m tests.benchmarks.told_session FOLDER`. A line on standard input is a JSON object: `state` and
+`news` are kept until they are told otherwise. Frames come all the time, unless `frames` is false; `lost` says
+that the spot is not in them. `hang`: it says nothing more and hears nothing, for ever.
 """
 
 import ctypes
@@ -20,7 +20,6 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from rig.devices import OrderSocket, SessionNews
 from rig.instrument import Block
-from rig.settings import Configuration
 
 _EACH_S = 0.1
 BEGUN = {"phase": "measuring", "temperature_c": 20.0, "elapsed_s": 1.0}
@@ -28,7 +27,7 @@ BEGUN = {"phase": "measuring", "temperature_c": 20.0, "elapsed_s": 1.0}
 
 def main(folder: Path) -> None:
     """Until standard input is closed."""
-    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews()
     told.begin_run("run 1", 255, None)
     state: dict[str, Any] = dict(BEGUN)
     more: dict[str, Any] = {}
@@ -44,8 +43,6 @@ def main(folder: Path) -> None:
             state.update(values.get("state", {}))
             more.update(values.get("news", {}))
             how.update({key: values[key] for key in how if key in values})
-            if "event" in values:
-                told.note(*values["event"])
             told.state(dict(state), [])
         ended.set()
 

@@ -85,13 +85,16 @@ def look_now(desk: Desk) -> AlignmentFrame | None:
     seen, camera = desk.following.last_picture, desk.following.news.get("camera") or {}
     if seen is None or "full_scale_dn" not in camera:
         return None
-    full_scale_dn, stated = int(camera["full_scale_dn"]), camera["reference_px"]
-    own, reference, row = seen.image, None, camera.get("reference_from_row_px")
-    if row is not None and seen.reference is not None:
-        reference = SeenReference.in_image(seen.reference, int(row), seen.image, full_scale_dn)
-        own = seen.image[: int(row)]
+    full_scale_dn, config = int(camera["full_scale_dn"]), desk.following.config
+    own, reference, reference_px = seen.image, None, None
+    if config is not None and config.reference is not None and seen.reference is not None:
+        row = config.reference.from_row_px
+        reference = SeenReference.in_image(seen.reference, row, seen.image, full_scale_dn)
+        own = seen.image[:row]
     figures = picture.figures(own, full_scale_dn)
-    reference_px = None if stated is None else (float(stated[0]), float(stated[1]))
+    lever = None if config is None else config.lever
+    if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
+        reference_px = (lever.reference_x_px, lever.reference_y_px)
     middle_px = middle_of(seen.image, reference_px)
     applied = CameraSettings.model_validate(camera["applied"])
     return AlignmentFrame(

@@ -51,8 +51,8 @@ def build(desk: Desk, tab: Tab) -> None:
         before.set_visibility(not running and not desk.starting)
         during.set_visibility(running)
         steps_box.set_visibility(running or desk.starting)
-        start_way = str(news.get("start_way") or desk.config.start.way)
-        steps.set_content(words.strip(news.get("state") or {}, start_way))
+        config = desk.following.config or desk.config
+        steps.set_content(words.strip(news.get("state") or {}, config.start.way))
         if running:
             is_blind = numbers.refresh(news)
             during.classes(add="blind") if is_blind else during.classes(remove="blind")
@@ -61,7 +61,7 @@ def build(desk: Desk, tab: Tab) -> None:
     def draw() -> None:
         if desk.following.running:
             path = desk.following.news.get("path") or {"x": [], "y": []}
-            way.show(path["x"], path["y"], str(desk.following.news.get("unit") or ""))
+            way.show(path["x"], path["y"], desk.following.unit)
 
     tab.every(0.25, refresh)
     tab.every(0.5, draw)
@@ -113,7 +113,7 @@ class RunNumbers:
         )  # fmt: skip
         self._amplitude.set_text("–" if value is None else f"{float(value):.2f}")
         self._amplitude.classes(remove="dim", add="dim" if value is None else "")
-        self._unit.set_text("" if value is None else str(news.get("unit") or ""))
+        self._unit.set_text("" if value is None else following.unit)
         self._left.set_text(words.time_left(state))
         self._done.set_value(round(float(state.get("done") or 0.0), 3))
         is_old = time.monotonic() - following.heard_s > STALE_S
@@ -208,7 +208,7 @@ class RunCharts:
         following = self._desk.following
         if not following.running:
             return
-        unit, name = str(following.news.get("unit") or "arcsec"), str(self._choice.value)
+        unit, name = following.unit or "arcsec", str(self._choice.value)
         history = await run.io_bound(following.history)
         if not history:
             return

@@ -12,7 +12,6 @@ import pytest
 from rig.archive import add_folders
 from rig.desk.theme import THEMES
 from rig.devices import OrderSocket, SessionNews
-from rig.settings import Configuration
 from tests.rig.desk.desk_page import DeskProcess, Page
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -87,7 +86,7 @@ def test_no_state_of_a_session_has_a_violation(
 ) -> None:
     _, page = shown
     page.key("3")
-    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    session_news = SessionNews()
     session_news.begin_run("run 1", 255, None)
     folder = desk_output / "axe"
     folder.mkdir(parents=True)
@@ -155,7 +154,7 @@ def test_no_form_error_list_picture_or_hand_over_has_a_violation(
     page.wait_text(folder.name)
     # what has just ended hands over
     page.key("3")
-    news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    news = SessionNews()
     news.begin_run("run 1", 255, None)
     with OrderSocket(folder, news, {}):
         page.wait("document.getElementById('amplitude').offsetParent !== null")

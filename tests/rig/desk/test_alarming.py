@@ -101,7 +101,7 @@ def test_stop_kills_a_session_that_stays_frozen(desk: Desk, session: "subprocess
 
 def test_a_session_whose_news_are_late_is_not_frozen(desk: Desk, config: Path) -> None:
     """On a busy machine the threads that make the news come late; the session answers all the same."""
-    told = SessionNews(load_configuration(config))
+    told = SessionNews()
     held, go_on = threading.Event(), threading.Event()
 
     def extra() -> dict[str, object]:
@@ -121,13 +121,13 @@ def test_a_session_that_ends_as_it_should_is_no_alarm_and_one_that_has_failed_sa
     desk: Desk, config: Path
 ) -> None:
     folder, stored = config.parent / "runs" / "session", load_configuration(config)
-    with OrderSocket(folder, SessionNews(stored), {}):
+    with OrderSocket(folder, SessionNews(), {}):
         until(lambda: desk.following.running)
     until(lambda: not desk.following.running and not desk.following.ended)
     # a busy machine may have held it up for a moment
     found = {row.key for row in desk.alarming.alarms.rows()}
     assert not found & {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED}
-    with OrderSocket(folder, SessionNews(stored), {}):
+    with OrderSocket(folder, SessionNews(), {}):
         until(lambda: desk.following.running)
         file = SessionFile.made(folder, config, 1, stored_configuration(stored))
         file.note(1, "run-1.mcap", RunState.FAILED, "no space left on device")

@@ -132,7 +132,7 @@ def test_a_session_that_was_stopped_is_waited_for_before_the_camera_is_refused(
     folder = desk.start_session({})
     with pytest.raises(ConfigurationError, match="which a session has; wait, or stop it"):
         desk.needs_camera("run")
-    with OrderSocket(folder, SessionNews(desk.config), {}):
+    with OrderSocket(folder, SessionNews(), {}):
         until(lambda: desk.following.running)
     until(lambda: not desk.following.running)
     assert desk.session_state is StartState.RUNNING

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Frame
+from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RigError
 from processing.spot import Spot
@@ -18,8 +19,9 @@ from rig.desk.desk import Desk
 from rig.desk.following import Following
 from rig.desk.panels.live_picture import look_now
 from rig.devices import ORDERS_NAME, OrderSocket, SessionNews, order_line
-from rig.instrument import Block
-from rig.settings import Configuration
+from rig.instrument import Block, configuration_attachments
+from rig.measure.session_file import SessionFile
+from rig.settings import Configuration, stored_configuration
 from tests.waiting import until
 
 
@@ -29,7 +31,7 @@ def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follo
     monkeypatch.setattr(order_line, "_ANSWER_S", 0.2)
     folder = tmp_path / "session"
     folder.mkdir()
-    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews()
     follower = Following(tmp_path)
     with OrderSocket(folder, told, {}):
         follower.start()
@@ -41,7 +43,7 @@ def following(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Follo
 
 def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tmp_path: Path) -> None:
     folder = tmp_path / "session"
-    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews()
     busy, asked = threading.Event(), 0
 
     def extra() -> dict[str, object]:
@@ -70,16 +72,22 @@ def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tm
 def test_the_camera_of_a_new_run_has_nothing_to_do_with_the_last_one(tmp_path: Path) -> None:
     folder = tmp_path / "session"
     folder.mkdir()
-    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews()
     follower = Following(tmp_path)
-    with OrderSocket(folder, told, {}):
-        told.begin_run("run 1", 255, None)
-        told.note("camera lost", "unplugged", "warning")
+    record = folder / "run-1.mcap"
+    with OrderSocket(folder, told, {}), RecordWriter(record, time.time_ns()) as writer:
+        told.begin_run("run 1", 255, None, record)
+        nothing = np.zeros(1)
+        at = Deflections(np.zeros(1, np.int64), *[nothing] * 4, DeflectionUnit.RAD)
+        writer.write_spots([0], [0], [0], [Spot(*[0.0] * 10, 0)], at)
+        writer.write_event(0, "camera lost", "unplugged")
+        writer.flush()
         follower.start()
         # known at once: the desk's first page is built then, and shows the panel of a session
         assert follower.folder == folder
         assert follower.news
-        assert follower.camera_event is not None
+        until(lambda: follower.camera_event is not None)
+        assert [event["kind"] for event in follower.events] == ["camera lost"]
         told.begin_run("run 2", 255, None)
         until(lambda: follower.news["run"] == "run 2" and follower.camera_event is None)
     follower.stop()
@@ -89,7 +97,7 @@ def test_a_session_that_was_killed_is_given_up_although_its_file_is_there(
     following: Following, tmp_path: Path
 ) -> None:
     folder = tmp_path / "session"
-    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews()
     with socket.create_server(("127.0.0.1", 0)) as gone:
         port = gone.getsockname()[1]
     with OrderSocket(folder, told, {}):
@@ -109,7 +117,7 @@ def test_a_press_of_light_off_that_comes_by_two_ways_darkens_once(tmp_path: Path
     )
     folder = tmp_path / "runs" / "session"
     folder.mkdir(parents=True)
-    told = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    told = SessionNews()
     dark: list[str] = []
     desk = Desk(config)
     with OrderSocket(folder, told, {"dark": lambda by: dark.append(by) or "dark"}):  # type: ignore[func-returns-value]
@@ -132,7 +140,8 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
     folder = tmp_path / "runs" / "session"
     folder.mkdir(parents=True)
     config = Configuration(camera={"driver": "simulated"}, reference={"from_row_px": 40})  # type: ignore[arg-type]
-    told = SessionNews(config)
+    SessionFile.made(folder, source, 1, stored_configuration(config)).close()
+    told = SessionNews()
     told.begin_run("run 1", 255, None)
     desk = Desk(source)
     image = np.full((64, 32), 40, np.uint8)
@@ -155,3 +164,22 @@ def test_the_look_at_a_running_session_has_the_lamp_of_its_reference(tmp_path: P
     # what is the reference's is not counted as the pendulum's
     assert look.figures.saturated_px == 1
     assert "reference" in [lamp.name for lamp in look.lamps()]
+
+
+def test_the_configuration_is_the_sessions_until_its_record_has_one(tmp_path: Path) -> None:
+    folder, record = tmp_path / "session", tmp_path / "session" / "run-1.mcap"
+    folder.mkdir()
+    by_hand = Configuration(camera={"driver": "simulated"}, start={"way": "by hand"})  # type: ignore[arg-type]
+    at_once = Configuration(camera={"driver": "simulated"}, start={"way": "at once"})  # type: ignore[arg-type]
+    told, follower = SessionNews(), Following(tmp_path)
+    assert (follower.config, follower.unit) == (None, "")
+    SessionFile.made(folder, tmp_path / "rig.toml", 1, stored_configuration(by_hand)).close()
+    with OrderSocket(folder, told, {}):
+        told.begin_run("run 1", 255, None, record)
+        follower.start()
+        assert follower.config == by_hand
+        assert follower.unit == "px"
+        kept = configuration_attachments(at_once, tmp_path / "rig.toml")
+        with RecordWriter(record, time.time_ns(), attachments=kept):
+            until(lambda: follower.config == at_once)
+    follower.stop()

@@ -20,7 +20,6 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycle
 from rig.devices import OrderSocket, SessionNews
-from rig.settings import Configuration
 from tests.rig.desk.desk_page import Page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
@@ -38,7 +37,7 @@ class ToldRun:
     """A run that lasts as long as it is told to."""
 
     def __init__(self, folder: Path) -> None:
-        self.news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+        self.news = SessionNews()
         path = folder / "run-1.mcap"
         self.news.begin_run("run 1", 255, None, path)
         self.record = RecordWriter(path, time.time_ns(), deflection_unit=DeflectionUnit.PX)

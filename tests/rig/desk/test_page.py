@@ -24,7 +24,6 @@ from rig.desk.alarm_list import CATALOGUE, AlarmKey
 from rig.devices import OrderSocket, SessionNews
 from rig.instrument import Block
 from rig.presentation import Verdict
-from rig.settings import Configuration
 from tests.rig.control.test_states import status
 from tests.rig.desk.desk_page import DeskProcess, Page
 
@@ -45,7 +44,7 @@ window.Notification.permission = 'granted';
 
 def news() -> SessionNews:
     """Of a session in its first run."""
-    found = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    found = SessionNews()
     found.begin_run("run 1", 255, None)
     return found
 

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import threading
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ def test_a_trip_is_acknowledged_by_its_number_and_that_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = Configuration(camera={"driver": "simulated"}, session={"operator": "Ada"})
-    devices, session_news = Devices(config, tmp_path, "rig run"), SessionNews(config)
+    devices, session_news = Devices(config, tmp_path, "rig run"), SessionNews()
     devices.permit.trip(TripCause.INTERLOCK, "the interlock of the controller opened")
     monkeypatch.setattr(sys, "stderr", Terminal())
     # nothing that is less than the number and Enter, then the word and Enter
@@ -184,3 +185,18 @@ def test_a_disk_without_locks_keeps_the_log(tmp_path: Path, monkeypatch: pytest.
     log.append(AuditEntry.DARK, "asked for")
     log.wait()
     assert [line["what"] for line in lines_of(tmp_path)] == ["dark"]
+
+
+def test_who_watches_is_told_what_the_next_run_waits_for(tmp_path: Path) -> None:
+    config = Configuration(camera={"driver": "simulated"})
+    devices, session_news = Devices(config, tmp_path, "rig run"), SessionNews()
+    devices.permit.trip(TripCause.INTERLOCK, "the interlock of the controller opened")
+    session_news.news()
+    waiting = threading.Thread(target=await_leave, args=(devices, session_news), daemon=True)
+    waiting.start()
+    until(lambda: "waits for a person" in session_news.news()["state"].get("progress", ""))
+    assert "trip 1 (INTERLOCK)" in session_news.news()["state"]["progress"]
+    devices.acknowledge(1, "the desk")
+    devices.ask_for_light()
+    waiting.join(30.0)
+    assert not waiting.is_alive()

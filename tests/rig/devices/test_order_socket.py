@@ -30,7 +30,6 @@ from rig.devices import (
     running_sessions,
 )
 from rig.instrument import Block
-from rig.settings import Configuration
 
 SPOT = Spot(3.0, 2.0, 0.01, 0.01, 1.5, 1.4, 0.0, 100.0, 4.0, 1.0, 0)
 
@@ -41,7 +40,7 @@ def refuse(_: str) -> str:
 
 @pytest.fixture
 def told() -> SessionNews:
-    session_news = SessionNews(Configuration(camera={"driver": "simulated"}))  # type: ignore[arg-type]
+    session_news = SessionNews()
     session_news.begin_run("run 1", 255, None)
     return session_news
 
@@ -70,16 +69,15 @@ def block(number: int, count: int = 16) -> tuple[list[Frame], Block]:
     return frames, Block([SPOT] * count, at, [], [])
 
 
-def test_news_are_plain_values_and_events_come_once(told: SessionNews, line: OrderConnection) -> None:
-    told.note("interlock", "waits for a person")
+def test_news_are_plain_values(told: SessionNews, line: OrderConnection) -> None:
     told.state({"amplitude": float("nan"), "phase": "measuring"}, [("elapsed", "0:02")])
     news = line.news()
     assert news["run"] == "run 1"
     assert news["state"] == {"amplitude": None, "phase": "measuring"}
     assert news["opened"] == "laser"
-    (event,) = news["events"]
-    assert (event["kind"], event["elapsed_s"]) == ("interlock", None)
-    assert line.news(event["number"])["events"] == []
+    # what the last run has measured stays to be read while the next one waits
+    told.waits("light is to be asked for")
+    assert line.news()["state"] == {**news["state"], "progress": "light is to be asked for"}
 
 
 def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: OrderConnection) -> None:
