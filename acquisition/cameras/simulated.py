@@ -4,7 +4,6 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable
 
 from acquisition.camera import (
     BITS_OF_FORMAT,
@@ -43,8 +42,6 @@ class SimulatedCamera:
         True values of the rig, and the faults to simulate.
     inputs
         Outputs of a controller that act on the rig; None: the laser is on, release as in the settings.
-    monotonic_ns
-        The host's clock; tests replace it.
     """
 
     def __init__(
@@ -52,12 +49,10 @@ class SimulatedCamera:
         settings: SimulationSettings,
         faults: FaultSettings | None = None,
         inputs: RigInputs | None = None,
-        monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._settings = settings
         self._faults = FaultSettings() if faults is None else faults
         self._inputs = inputs
-        self._clock_ns = monotonic_ns
         self._opened = False
         self._reader: _SimulatedFrames | None = None
         self._runs = settings.first_run
@@ -149,7 +144,7 @@ class SimulatedCamera:
         self._runs += 1
         block = block_frames(self._sensor_settings.frame_rate_hz, self._inputs is not None)
         self._reader = _SimulatedFrames(
-            scene, block, self._settings, self._faults, self._sensor_settings.frame_rate_hz, self._clock_ns
+            scene, block, self._settings, self._faults, self._sensor_settings.frame_rate_hz
         )
 
     def read(self, timeout_s: float) -> Frame | None:
@@ -200,8 +195,6 @@ class _SimulatedFrames:
         Number of frames that are calculated at once, before they are drawn.
     rate_hz
         Frame rate.
-    clock_ns
-        The host's monotonic clock.
     """
 
     def __init__(
@@ -211,13 +204,11 @@ class _SimulatedFrames:
         settings: SimulationSettings,
         faults: FaultSettings,
         rate_hz: float,
-        clock_ns: Callable[[], int],
     ) -> None:
         self._scene = scene
         self._settings = settings
         self._faults = faults
         self._rate_hz = rate_hz
-        self._clock_ns = clock_ns
         self._block = block
         self._plan: PlannedFrames = scene.plan(block)
         self._ahead = 1 if settings.real_time else max(1, _AHEAD_BYTES // scene.image_bytes)
@@ -227,7 +218,7 @@ class _SimulatedFrames:
         self._stopped = threading.Event()
         self._next = 0
         self._numbered_from = 0
-        self._begin_ns = clock_ns()
+        self._begin_ns = time.monotonic_ns()
         self._last_host_ns = 0
         self._delivered = 0
         self._dropped_by_camera = 0
@@ -262,7 +253,7 @@ class _SimulatedFrames:
         self._stopped.set()
 
     def read(self, timeout_s: float) -> Frame | None:
-        deadline_ns = self._clock_ns() + nanoseconds(timeout_s)
+        deadline_ns = time.monotonic_ns() + nanoseconds(timeout_s)
         stepped_s = 0.0
         while not self._stopped.is_set():
             if self.lost:
@@ -303,7 +294,7 @@ class _SimulatedFrames:
         if back_s is None:
             raise DeviceError(f"{_NAME}: is unplugged; plug it in")
         back = math.ceil(back_s * self._rate_hz)
-        now = self._due(self._clock_ns()) if self._settings.real_time else max(back, self._next)
+        now = self._due(time.monotonic_ns()) if self._settings.real_time else max(back, self._next)
         if now < back:
             raise DeviceError(f"{_NAME}: is unplugged; plug it in")
         self._unplug_at = math.inf
@@ -312,7 +303,7 @@ class _SimulatedFrames:
     def resume(self) -> None:
         """Continue the run; frames are numbered from 0 again."""
         if self._settings.real_time:
-            self._next = max(self._next, self._due(self._clock_ns()))
+            self._next = max(self._next, self._due(time.monotonic_ns()))
         self._numbered_from = self._next
         self._reconnects += 1
         self.lost = False
@@ -329,7 +320,7 @@ class _SimulatedFrames:
     def _wait_for(self, frame: int, deadline_ns: int) -> bool:
         due_ns = self._begin_ns + nanoseconds(frame / self._rate_hz)
         while True:
-            now_ns = self._clock_ns()
+            now_ns = time.monotonic_ns()
             if now_ns >= due_ns:
                 return True
             if now_ns >= deadline_ns or self._stopped.wait(seconds(min(due_ns, deadline_ns) - now_ns)):
@@ -337,7 +328,7 @@ class _SimulatedFrames:
 
     def _skip_overrun(self, frame: int) -> int:
         """Lose the oldest frames if the reader is later than the buffer holds; returns the next one."""
-        late = self._due(self._clock_ns()) - frame - self._settings.buffer_frames
+        late = self._due(time.monotonic_ns()) - frame - self._settings.buffer_frames
         if late > 0:
             self._next += late
             self._dropped_by_host += late
@@ -362,15 +353,12 @@ class _SimulatedFrames:
         )
         self._drawn = dict(enumerate(images, start=row))
 
-    def _image(self, frame: int, row: int) -> Image:
-        if row not in self._drawn:
-            self._draw(frame, row)
-        return self._drawn.pop(row)
-
     def _deliver(self, frame: int, row: int) -> Frame:
         plan = self._plan
-        image = self._image(frame, row)
-        host_ns = self._clock_ns()
+        if row not in self._drawn:
+            self._draw(frame, row)
+        image = self._drawn.pop(row)
+        host_ns = time.monotonic_ns()
         if self._settings.real_time:
             # a frame in the buffer arrived at its exposure, before it was read
             arrived_ns = self._begin_ns + nanoseconds(frame / self._rate_hz)

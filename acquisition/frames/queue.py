@@ -69,7 +69,7 @@ class BoundedQueue(Generic[Item]):
                 self.dropped += 1
                 if self._policy == "every":
                     return False
-                self._pop()
+                self.waiting_bytes -= self._items.popleft().memory_bytes
             self._items.append(item)
             self.waiting_bytes += size
             self._changed.notify_all()
@@ -83,8 +83,9 @@ class BoundedQueue(Generic[Item]):
                 left_s = deadline_s - time.monotonic()
                 if left_s <= 0 or not self._changed.wait(left_s):
                     break
-            block = [self._pop() for _ in range(min(at_most, len(self._items)))]
+            block = [self._items.popleft() for _ in range(min(at_most, len(self._items)))]
             if block:
+                self.waiting_bytes -= sum(item.memory_bytes for item in block)
                 self._changed.notify_all()
             return block
 
@@ -122,11 +123,6 @@ class BoundedQueue(Generic[Item]):
     def _is_full(self, more_bytes: int) -> bool:
         count, size = len(self._items), self.waiting_bytes + more_bytes
         return count >= self._most or (count >= self._fewest and size > self.most_bytes)
-
-    def _pop(self) -> Item:
-        item = self._items.popleft()
-        self.waiting_bytes -= item.memory_bytes
-        return item
 
 
 _Any = TypeVar("_Any")

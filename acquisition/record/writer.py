@@ -136,9 +136,9 @@ class RecordWriter:
         self._pixels: McapFile | None = None
         with self._ending_after_errors():
             write_metadata(self._numbers, {**(metadata or {}), "record": self._own}, time.time_ns())
-            for name, data in (attachments or {}).items():
-                self._attach(name, data)
-            self._flush()
+        for name, data in (attachments or {}).items():
+            self.attach(name, data)
+        self.flush()
 
     def __enter__(self) -> Self:
         return self
@@ -272,20 +272,22 @@ class RecordWriter:
     def attach(self, name: str, data: bytes) -> None:
         """Add a file to the record, beside those that it began with."""
         self._ready()
+        media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
         with self._ending_after_errors():
-            self._attach(name, data)
+            self._numbers.add_attachment(name, media_type, data, time.time_ns())
 
-    def flush(self) -> None:
-        """End the open chunks, force everything to the disk, and wait until that is done."""
+    def flush(self, wait: bool = True) -> None:
+        """End the open chunks and force everything to the disk; `wait` until that is done."""
         if not self._closed:
             with self._ending_after_errors():
-                self._flush()
+                for file in self._files:
+                    file.flush(wait)
+                self._flushed_s = self._clock()
 
     def flush_if_due(self) -> None:
         """Flush without waiting for the disk, if `flush_interval_s` has elapsed since the last time."""
-        if not self._closed and self._clock() - self._flushed_s >= self._flush_interval_s:
-            with self._ending_after_errors():
-                self._flush(wait=False)
+        if self._clock() - self._flushed_s >= self._flush_interval_s:
+            self.flush(wait=False)
 
     def close(self) -> None:
         """Write the summaries and close the files; a second call does nothing."""
@@ -301,10 +303,6 @@ class RecordWriter:
     @property
     def _files(self) -> list[McapFile]:
         return [self._numbers] if self._pixels is None else [self._numbers, self._pixels]
-
-    def _attach(self, name: str, data: bytes) -> None:
-        media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-        self._numbers.add_attachment(name, media_type, data, time.time_ns())
 
     def _check_unit(self, unit: DeflectionUnit) -> None:
         if unit is not self._unit:
@@ -332,11 +330,6 @@ class RecordWriter:
         logged_ns = self._offset_ns + time_ns
         self._end_ns = max(self._end_ns, logged_ns)
         return logged_ns
-
-    def _flush(self, wait: bool = True) -> None:
-        for file in self._files:
-            file.flush(wait)
-        self._flushed_s = self._clock()
 
     @contextmanager
     def _ending_after_errors(self) -> Iterator[None]:

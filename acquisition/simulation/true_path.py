@@ -1,7 +1,7 @@
 """The simulated pendulum without a camera: its exact turning points, and tilts with a given noise."""
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +103,10 @@ class TrimWeight(NamedTuple):
     backlash_turns: float = 0.0
 
 
+_U_TURNS: Final = 0.01
+"""Standard deviation of the error of a turn by hand, in turns."""
+
+
 class TrimmedPendulum:
     """A pendulum whose mass centre is displaced, and the weights that trim it.
 
@@ -116,8 +120,6 @@ class TrimmedPendulum:
         How much further than the ball's radius the mass centre lies below the ball's centre.
     seed
         Of the random errors with which turns are set by hand.
-    u_turns
-        Standard deviation of such an error, in turns.
     """
 
     def __init__(
@@ -126,12 +128,10 @@ class TrimmedPendulum:
         weights: dict[str, TrimWeight],
         lower_m: float = 0.0,
         seed: int = 0,
-        u_turns: float = 0.01,
     ) -> None:
         self._settings = settings
         self._weights = weights
         self._random = np.random.default_rng(seed)
-        self._u_turns = u_turns
         radius_m = settings.contact.ball_radius_m
         arm_m = radius_m + lower_m
         self._centre_m = np.array(
@@ -150,7 +150,7 @@ class TrimmedPendulum:
     def turn(self, name: str, turns: float) -> None:
         """Turn a weight, with the play of its screw and a random error of the turn."""
         weight = self._weights[name]
-        self._screw[name] += turns + self._u_turns * self._random.standard_normal()
+        self._screw[name] += turns + _U_TURNS * self._random.standard_normal()
         screw, before = self._screw[name], self._nut[name]
         self._nut[name] = min(max(before, screw - weight.backlash_turns), screw)
         shift_m = (

@@ -7,7 +7,7 @@ import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from acquisition.camera import Frame, Image
@@ -130,16 +130,19 @@ class Recorder:
                 # nothing is written, too: what was written before may be due on the disk
                 (entry,) = self._entries.take(1, _IDLE_S) or [Entry()]
                 if self.error is None:
-                    self._keep_error(self._write, entry)
+                    with self._keeping_error():
+                        self._write(entry)
                 if entry.flushed is not None:
                     entry.flushed.set()
-            self._keep_error(self._writer.close)
+            with self._keeping_error():
+                self._writer.close()
         finally:
             self._permit.ended(Stage.RECORDER)
 
-    def _keep_error(self, act: Callable[..., None], *arguments: Entry) -> None:
+    @contextlib.contextmanager
+    def _keeping_error(self) -> Iterator[None]:
         try:
-            act(*arguments)
+            yield
         except Exception as error:
             if self.error is None:
                 self.error = error
