@@ -122,8 +122,12 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(growing: Growing) ->
     assert growing.posterior.worker_pid is None
 
 
-def test_frames_that_wait_for_a_fit_on_purpose_say_so(growing: Growing) -> None:
+def test_frames_that_wait_for_a_fit_on_purpose_say_so(
+    growing: Growing, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A run that `stop_when` may end said that its camera had stalled while the first fit compiled."""
+    # no process starts within that
+    monkeypatch.setattr("rig.measure.posterior._WAITING_S", 0.02)
     measured = swings(POINTS)[:FIRST_HALF_CYCLES]
     growing.grow(measured[:-1])
     said: list[str] = []
@@ -131,6 +135,7 @@ def test_frames_that_wait_for_a_fit_on_purpose_say_so(growing: Growing) -> None:
     posterior.take(measured[-1:], lambda: said.append("flush"), lambda: said.append("waiting"))
     assert said[:2] == ["waiting", "flush"]
     assert "waiting" in said[2:]
+    assert posterior.take_remark() == ""
 
 
 def test_without_the_process_that_fits_the_half_cycles_go_on_and_it_is_said_once(growing: Growing) -> None:
