@@ -70,6 +70,11 @@ class Growing:
         """What is known after all of them."""
         return list(self.by(half_cycles))[-1]
 
+    def write(self, half_cycle: HalfCycle) -> None:
+        """Write one and make it readable, of which the live fit is not told."""
+        self._records[-1].write_swing(half_cycle)
+        self._records[-1].flush()
+
     def go_on(self) -> None:
         """Write what is no half-cycle, and make everything readable."""
         self._records[-1].write_event(0, "note", "it swings")
@@ -132,10 +137,15 @@ def test_frames_that_wait_for_a_fit_on_purpose_say_so(
     growing.grow(measured[:-1])
     said: list[str] = []
     posterior = growing.posterior
-    posterior.take(measured[-1:], lambda: said.append("flush"), lambda: said.append("waiting"))
+
+    def flush() -> None:
+        said.append("flush")
+        growing.write(measured[-1])
+
+    posterior.take(measured[-1:], flush, lambda: said.append("waiting"))
     assert said[:2] == ["waiting", "flush"]
     assert "waiting" in said[2:]
-    assert posterior.take_remark() == ""
+    assert posterior.latest.half_cycles == FIRST_HALF_CYCLES
 
 
 def test_without_the_process_that_fits_the_half_cycles_go_on_and_it_is_said_once(growing: Growing) -> None:
