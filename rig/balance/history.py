@@ -92,29 +92,13 @@ def forget_last(path: Path) -> str:
     return f"the turn of weight {pairs[-1].weight} is forgotten"
 
 
-HEAD = ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used")
-
-
-class ResponseTable(NamedTuple):
-    """What was learned: a row of text for each turn, under `HEAD`, and a line for each weight."""
-
-    rows: list[list[str]]
-    lines: list[str]
+_HEAD = ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used")
 
 
 def show(config: Configuration, path: Path) -> None:
-    """Print what was learned, and from which entries nothing is."""
-    found = learned(config, path)
-    answer(turns=[dict(zip(HEAD, row, strict=True)) for row in found.rows], learned=found.lines)
-    print_tables([Table("turns", "", HEAD, found.rows, HEAD, found.rows)])
-    for line in found.lines:
-        print_line(line)
-
-
-def learned(config: Configuration, path: Path) -> ResponseTable:
-    """What the turns of a history have taught, for a complete configuration."""
+    """Print what the turns of a history have taught, for a complete configuration, and which teach none."""
     responses = WeightResponses(nominal_effects(config), config.balance)
-    rows, lines = [], []
+    rows, learned = [], []
     for pair in read(path):
         why = refusal(config, responses, pair)
         change = pair.after - pair.before
@@ -125,11 +109,14 @@ def learned(config: Configuration, path: Path) -> ResponseTable:
     for name, count in responses.pairs.items():
         if count:
             (x, y, height), (u_x, u_y, u_height) = responses.effect(name)
-            lines.append(
+            learned.append(
                 f"one turn of {name}: X {x:+.1f} ± {u_x:.1f}, Y {y:+.1f} ± {u_y:.1f} arcsec,"
                 f" height {height * 1e6:+.2f} ± {u_height * 1e6:.2f} um"
             )
-    return ResponseTable(rows, lines)
+    answer(turns=[dict(zip(_HEAD, row, strict=True)) for row in rows], learned=learned)
+    print_tables([Table("turns", "", _HEAD, rows, _HEAD, rows)])
+    for line in learned:
+        print_line(line)
 
 
 def _turns(parts: tuple[float, ...]) -> str:

@@ -188,7 +188,7 @@ class Alarming:
         self._desk = desk
         self.alarms = AlarmList()
         self._ended = threading.Event()
-        self._heard: tuple[object, int] = (None, 0)
+        self._heard: tuple[Path | None, int] = (None, 0)
         self._followed: Path | None = None
         self._trip: LatchedTrip | None = None
         self._begun: object = None
@@ -266,12 +266,11 @@ class Alarming:
     def _new_events(self) -> list[dict[str, Any]]:
         following = self._desk.following
         folder, number = self._heard
-        if folder != following.folder:
-            number = 0
+        if following.folder not in (None, folder):
+            # those of a session that has ended were heard
+            folder, number = following.folder, 0
         events = [event for event in tuple(following.events) if event["number"] > number]
-        if following.folder is None and not events:
-            return []
-        self._heard = (following.folder, max((int(event["number"]) for event in events), default=number))
+        self._heard = folder, max((int(event["number"]) for event in events), default=number)
         return events
 
     def _start_alarms(self) -> Iterator[RaisedAlarm]:

@@ -6,10 +6,10 @@ wheel or fingers; what is pointed at is shown with its unit.
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from nicegui import ui
 
@@ -17,26 +17,29 @@ from rig.presentation import QuantityDisplay, quantity
 
 Points = Sequence[Sequence[float | None]]
 Mark = tuple[float, str]
-End = tuple[float, float, float]
-Ends = tuple[End, End]
-"""Of x and of y: the lowest, the highest, and the step between labels, of which both are multiples."""
 _TEXT = {"color": "var(--dim)", "fontSize": 12}
 _NAME_PERCENT, _BELOW_PERCENT = 10.0, 18.0
 """Of a chart with several rows: what the name above a row takes, and labels and name below the last one."""
+_EDGE = {"lineStyle": {"color": "var(--edge)"}}
 _LINES = {"lineStyle": {"color": "var(--edge)", "opacity": 0.35}}
+_BOX = {"backgroundColor": "var(--raised)", "color": "var(--ink)"}
+_TYPES: Final[Mapping[str, Mapping[str, Any]]] = {
+    "line": {"type": "line", "symbol": "none"},
+    "points": {"type": "scatter", "symbol": "circle", "symbolSize": 5},
+    "bars": {"type": "bar", "barCategoryGap": "10%"},
+}
 
 
 @dataclass(frozen=True, slots=True)
 class ChartCurve:
     """A curve: the key of its quantity, its name where several have one quantity, how it is drawn.
 
-    `colour` is a name of the theme. A band has points (x, middle, half width). Curves with another `row` are
-    drawn below each other, over the same x.
+    `colour` is a name of the theme. Curves with another `row` are drawn below each other, over the same x.
     """
 
     key: str
     name: str = ""
-    style: Literal["line", "points", "band", "bars"] = "line"
+    style: Literal["line", "points", "bars"] = "line"
     colour: str = "line"
     row: int = 0
 
@@ -46,73 +49,49 @@ def chart_options(
     curves: Sequence[ChartCurve],
     points: Sequence[Points],
     unit: str,
-    marks: Sequence[Mark],
-    ends: Ends | None,
-    empty: str,
+    *,
+    marks: Sequence[Mark] = (),
+    reach: float | None = None,
+    is_square: bool = False,
+    empty: str = "",
+    below: str = "",
 ) -> dict[str, Any]:
-    """Options of a chart over `x`; `Chart.show` says what the rest is."""
-    rows = max((curve.row for curve in curves), default=0) + 1
+    """Options of a chart over `x` that is `is_square` or not; `Chart.show` says what the rest is."""
+    last = max(curve.row for curve in curves)
     nothing = not any(len(one) for one in points)
-    labels = {
-        **_TEXT,
-        ":formatter": _number(""),
-        "hideOverlap": True,
-        "showMinLabel": ends is not None,
-        "showMaxLabel": ends is not None,
-    }
-    across = {
-        "type": "value",
-        "nameLocation": "middle",
-        "nameGap": 24,
-        **(_whole(points) if ends is None else _from_to(ends[0])),
-        "axisLine": {"lineStyle": {"color": "var(--edge)"}, "onZero": False},
-        "splitLine": _LINES,
-        "nameTextStyle": _TEXT,
-        "axisPointer": {"label": {":formatter": f"p => ({_number(x.unit)})(p.value)", **_BOX}},
-    }
+    part = (100.0 - _BELOW_PERCENT) / (last + 1)
     grids, x_axes, y_axes = [], [], []
-    alone = rows == 1
-    for row in range(rows):
-        last = row == rows - 1
-        key = next(curve.key for curve in curves if curve.row == row)
+    for row in range(last + 1):
         # labels below the last one only; above each row there is room for its name
-        part = (100.0 - _BELOW_PERCENT) / rows
-        grids.append(
-            {
-                "left": 58,
-                "right": 18,
-                "top": 22 if alone else f"{_NAME_PERCENT + row * part:.1f}%",
-                **({"bottom": 42} if alone else {"height": f"{part - _NAME_PERCENT:.1f}%"}),
-            }
+        inside = (
+            {"top": f"{_NAME_PERCENT + row * part:.1f}%", "height": f"{part - _NAME_PERCENT:.1f}%"}
+            if last
+            else {"top": 22, "bottom": 42}
         )
-        x_axes.append(
-            {
-                **across,
-                "gridIndex": row,
-                "name": x.label if last else "",
-                "axisLabel": {**labels, "show": last},
-            }
-        )
-        shown = quantity(key, unit)
-        y_axes.append(
-            {
-                "type": "value",
-                "gridIndex": row,
-                "scale": True,
-                "name": shown.label,
-                "nameTextStyle": {**_TEXT, "align": "left", "padding": [0, 0, 0, -50]},
-                "nameGap": 8,
-                **({} if ends is None else _from_to(ends[1])),
-                # where rows lie close the ends of one meet those of the next
-                "axisLabel": {**labels, "showMinLabel": alone, "showMaxLabel": alone},
-                "axisLine": {"lineStyle": {"color": "var(--edge)"}},
-                "splitLine": _LINES,
-                "splitNumber": 5 if alone else 2,
-                "axisPointer": {"label": {":formatter": f"p => ({_number(shown.unit)})(p.value)", **_BOX}},
-            }
-        )
-    series = [one for k, curve in enumerate(curves) for one in _series(curve, points[k], unit)]
-    if marks and series and not nothing:
+        grids.append({"left": 58, "right": 18, **inside})
+        across = {
+            **_axis(x, row, is_labelled=row == last, has_ends=reach is not None),
+            **({"scale": True, **_from_to(reach)} if is_square else _whole(points)),
+            "name": x.label if row == last else "",
+            "nameLocation": "middle",
+            "nameGap": 24,
+            "axisLine": {**_EDGE, "onZero": False},
+        }
+        x_axes.append(across)
+        shown = quantity(next(curve.key for curve in curves if curve.row == row), unit)
+        up = {
+            # where rows lie close the ends of one meet those of the next
+            **_axis(shown, row, has_ends=not last),
+            "scale": True,
+            **(_from_to(reach) if is_square else {}),
+            "name": shown.label,
+            "nameTextStyle": {**_TEXT, "align": "left", "padding": [0, 0, 0, -50]},
+            "nameGap": 8,
+            "splitNumber": 2 if last else 5,
+        }
+        y_axes.append(up)
+    series = [_series(curve, one, unit) for curve, one in zip(curves, points, strict=True)]
+    if marks and not nothing:
         series[0]["markLine"] = {
             "symbol": "none",
             "silent": False,
@@ -123,8 +102,8 @@ def chart_options(
         }
     # a square has no room beside its axis's name
     names = list(dict.fromkeys(curve.name for curve in curves if curve.name))
-    named = ends is None and len(names) > 1 and not nothing
-    every = list(range(rows))
+    named = not is_square and len(names) > 1 and not nothing
+    every = list(range(last + 1))
     return {
         "animation": False,
         "grid": grids,
@@ -145,15 +124,36 @@ def chart_options(
             {"type": "inside", "xAxisIndex": every, "filterMode": "none"},
             {"type": "inside", "yAxisIndex": every, "filterMode": "none", "zoomOnMouseWheel": "shift"},
         ],
-        "graphic": [_words(empty if nothing else "", "middle", 15)],
+        # a chart in the browser merges what it gets: words go only where others, or none, replace them
+        "graphic": [
+            _words(empty if nothing else "", "middle", 15),
+            _words(
+                "" if nothing else below, f"{100.0 - _BELOW_PERCENT - 0.5 * (part - _NAME_PERCENT):.1f}%", 13
+            ),
+        ],
     }
 
 
-def in_last_row(curves: Sequence[ChartCurve], words: str) -> dict[str, Any]:
-    """Words in the middle of the last row."""
-    rows = max((curve.row for curve in curves), default=0) + 1
-    part = (100.0 - _BELOW_PERCENT) / rows
-    return _words(words, f"{100.0 - _BELOW_PERCENT - 0.5 * (part - _NAME_PERCENT):.1f}%", 13)
+def _axis(
+    shown: QuantityDisplay, row: int, *, is_labelled: bool = True, has_ends: bool = True
+) -> dict[str, Any]:
+    """What both axes of a row have; `has_ends`: there are labels at its ends."""
+    return {
+        "type": "value",
+        "gridIndex": row,
+        "nameTextStyle": _TEXT,
+        "axisLine": _EDGE,
+        "splitLine": _LINES,
+        "axisLabel": {
+            **_TEXT,
+            ":formatter": _number(""),
+            "hideOverlap": True,
+            "show": is_labelled,
+            "showMinLabel": has_ends,
+            "showMaxLabel": has_ends,
+        },
+        "axisPointer": {"label": {":formatter": f"p => ({_number(shown.unit)})(p.value)", **_BOX}},
+    }
 
 
 def _words(text: str, top: str, size: int) -> dict[str, Any]:
@@ -167,48 +167,27 @@ def _whole(points: Sequence[Points]) -> dict[str, float]:
     return {"min": min(every), "max": max(every)} if every else {}
 
 
-def _from_to(end: End) -> dict[str, float]:
-    return dict(zip(("min", "max", "interval"), end, strict=True))
+def _from_to(reach: float | None) -> dict[str, float | None]:
+    """As far to both sides of zero, with labels at both ends; None: as far as ECharts finds anything."""
+    # the browser merges options: ends that are no longer named would stay
+    low, step = (None, None) if reach is None else (-reach, reach / _STEPS)
+    return {"min": low, "max": reach, "interval": step}
 
 
-_BOX = {"backgroundColor": "var(--raised)", "color": "var(--ink)"}
-
-
-def _series(curve: ChartCurve, points: Points, unit: str) -> list[dict[str, Any]]:
-    """One curve for ECharts; a band is drawn as its lower edge, and what is stacked on that."""
+def _series(curve: ChartCurve, points: Points, unit: str) -> dict[str, Any]:
+    """One curve for ECharts."""
     shown, colour = quantity(curve.key, unit), f"var(--{curve.colour})"
-    name = curve.name or shown.symbol
-    common: dict[str, Any] = {
-        "name": name,
+    return {
+        **_TYPES[curve.style],
+        "name": curve.name or shown.symbol,
         "xAxisIndex": curve.row,
         "yAxisIndex": curve.row,
-        "type": "line",
-        "symbol": "none",
         "emphasis": {"disabled": True},
         "lineStyle": {"color": colour, "width": 1.5},
         "itemStyle": {"color": colour},
         "tooltip": {":valueFormatter": _number(shown.unit)},
+        "data": list(points),
     }
-    if curve.style == "points":
-        return [{**common, "type": "scatter", "symbol": "circle", "symbolSize": 5, "data": list(points)}]
-    if curve.style == "bars":
-        return [{**common, "type": "bar", "barCategoryGap": "10%", "data": list(points)}]
-    if curve.style == "band":
-        edge = {
-            **common,
-            "stack": f"{curve.key}{curve.row}",
-            "stackStrategy": "all",
-            "tooltip": {"show": False},
-        }
-        edge["lineStyle"] = {"opacity": 0}
-        low = [(x, None if y is None else y - (u or 0.0)) for x, y, u in points]
-        wide = [(x, 2 * (u or 0.0)) for x, _, u in points]
-        return [
-            {**edge, "data": low},
-            {**edge, "data": wide, "areaStyle": {"color": colour, "opacity": 0.3}},
-            {**common, "data": [(x, y) for x, y, _ in points]},
-        ]
-    return [{**common, "data": list(points)}]
 
 
 def _number(unit: str) -> str:
@@ -220,7 +199,7 @@ class Chart:
     """A chart on a panel; `show` draws what is given, and leaves a zoom as it is.
 
     `title` is its name for those who do not see it, too. `square`: both axes are as long, so that curves in
-    one unit are to scale where both ends are the same. One with a `height` has no title above it.
+    one unit are to scale where both reach as far. One with a `height` has no title above it.
     """
 
     def __init__(
@@ -232,8 +211,7 @@ class Chart:
         square: bool = False,
         height: str = "",
     ) -> None:
-        self._x = x
-        self._curves: Sequence[ChartCurve] = curves
+        self._x, self._curves, self._is_square = x, curves, square
         self._shown: object = None
         self._small = bool(height)
         with ui.element("div").classes("chart") as self.frame:
@@ -249,31 +227,36 @@ class Chart:
             if square:
                 self.frame.classes("square")
 
-    def declare(self, curves: Sequence[ChartCurve]) -> None:
-        """Draw other curves from now on."""
-        self._curves = curves
-
     def show(
         self,
         points: Sequence[Points],
         unit: str = "arcsec",
         *,
         marks: Sequence[Mark] = (),
-        ends: Ends | None = None,
+        reach: float | None = None,
         empty: str = "nothing to draw yet",
         below: str = "",
     ) -> None:
         """Draw the points of each curve, in the units shown; `marks` are lines at an x, with words.
 
-        `ends` are those of the axes, of x and of y; `below` is what the last row says while it is empty.
+        `reach` is how far both axes go from zero; None: as far as there is anything. `below` is what the last
+        row says while it is empty.
         """
-        now = (tuple(self._curves), tuple(map(tuple, points)), unit, tuple(marks), ends, below)
+        now = (tuple(map(tuple, points)), unit, tuple(marks), reach, below)
         if now == self._shown:
             return
         self._shown = now
-        options = chart_options(quantity(self._x, unit), self._curves, points, unit, marks, ends, empty)
-        # a chart in the browser merges what it gets: words go only where others, or none, replace them
-        options["graphic"].append(in_last_row(self._curves, below if any(map(len, points)) else ""))
+        options = chart_options(
+            quantity(self._x, unit),
+            self._curves,
+            points,
+            unit,
+            marks=marks,
+            reach=reach,
+            is_square=self._is_square,
+            empty=empty,
+            below=below,
+        )
         if self._small:
             for axis in options["yAxis"]:
                 axis["splitNumber"] = 2
@@ -299,9 +282,8 @@ class TrajectoryChart:
         self._last = x, y, unit
         way = [(a, b) if a is not None and b is not None else (None, None) for a, b in zip(x, y, strict=True)]
         known = [(a, b) for a, b in way if a is not None and b is not None]
-        ends = trajectory_ends(known, stretched=self._stretched) if known else None
-        way = way if known else []
-        self.chart.show([way, known[-1:]], unit, ends=ends, empty="no trajectory")
+        reach = trajectory_reach(known) if known and not self._stretched else None
+        self.chart.show([way if known else [], known[-1:]], unit, reach=reach, empty="no trajectory")
 
     def _stretch(self) -> None:
         self._stretched = not self._stretched
@@ -309,34 +291,17 @@ class TrajectoryChart:
         self.show(*self._last)
 
 
-def trajectory_ends(known: Sequence[tuple[float, float]], *, stretched: bool) -> Ends:
-    """Ends of both axes: to scale about zero, or, stretched, each with what there is along it."""
-    if stretched:
-        return _span([a for a, _ in known]), _span([b for _, b in known])
-    largest = _STEPS * _step(1.02 / _STEPS * max(max(abs(a), abs(b)) for a, b in known))
-    end = -largest, largest, largest / _STEPS
-    return end, end
-
-
 WAY = (
     ChartCurve("deflection_y", "way of the spot"),
     ChartCurve("deflection_y", "now", style="points", colour="second"),
 )
 """Curves of a trajectory, over ``deflection_x``."""
-
-
 _STEPS = 3
 """Labels from the middle of an axis that is to scale to its end."""
 
 
-def _span(values: Sequence[float]) -> End:
-    """Ends of an axis that holds them."""
-    low, high = min(values), max(values)
-    step = _step((high - low or 1e-3) / 4)
-    return step * math.floor(low / step), step * math.ceil(high / step), step
-
-
-def _step(least: float) -> float:
-    """The least round step that is not smaller: it does not change with every sample."""
+def trajectory_reach(known: Sequence[tuple[float, float]]) -> float:
+    """How far the axes of a trajectory that is to scale go: it does not change with every sample."""
+    least = 1.02 / _STEPS * max(max(abs(a), abs(b)) for a, b in known)
     tens = 10.0 ** math.floor(math.log10(least or 1.0))
-    return tens * next(one for one in (1, 2, 3, 4, 5, 6, 8, 10) if one * tens >= least * (1 - 1e-9))
+    return _STEPS * tens * next(one for one in (1, 2, 3, 4, 5, 6, 8, 10) if one * tens >= least * (1 - 1e-9))

@@ -81,6 +81,9 @@ class Desk:
         stated = [one for one in self._overrides if one.partition("=")[0].strip() not in own]
         return [*stated, *(_as_set(key, value) for key, value in own.items())]
 
+    def _sets(self, values: Mapping[str, object] | None) -> list[str]:
+        return [word for one in self.overridden(values) for word in ("--set", one)]
+
     def checked(self, values: Mapping[str, object] | None = None) -> Configuration:
         """The configuration with `values` changed; raises ConfigurationError with the models' own words."""
         return load_configuration(self.source, self.overridden(values))
@@ -107,8 +110,7 @@ class Desk:
         self._needs_leave(name)
         self.needs_camera(name)
         self.checked(values)
-        sets = [word for one in self.overridden(values) for word in ("--set", one)]
-        return self.jobs.begin(name, str(self.source), *words, *sets, uses_camera=True)
+        return self.jobs.begin(name, str(self.source), *words, *self._sets(values), uses_camera=True)
 
     def start_session(self, values: Mapping[str, object], *, force: bool = False) -> Path:
         """Start `rig run` with these values; it goes on when the desk ends. Returns the session's folder."""
@@ -117,9 +119,8 @@ class Desk:
             self.needs_camera("run")
             config = self.checked(values)
             folder, _ = session_folder(config, self.source, None)
-            sets = [word for one in self.overridden(values) for word in ("--set", one)]
-            words = ["run", str(self.source), "-o", str(folder), *sets, *(["--force"] if force else [])]
-            self.started = start_session(words, folder), folder
+            words = ["run", str(self.source), "-o", str(folder), *self._sets(values)]
+            self.started = start_session([*words, "--force"] if force else words, folder), folder
         self.following.look_now(folder)
         return folder
 

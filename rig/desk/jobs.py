@@ -8,9 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from processing.errors import ConfigurationError
-from rig.balance import BalanceDialogue, BalanceStage, ResponseTable, balance_dialogue, history_path, learned
-from rig.instrument import complete
+from processing.errors import ConfigurationError, RigError
+from rig.balance import BalanceDialogue, BalanceStage, balance_dialogue
 from rig.terminal import start_python
 
 if TYPE_CHECKING:
@@ -187,15 +186,19 @@ class Balancing:
             raise ConfigurationError("first measure: a turn is stated between two measurements")
         job.answer(f"{weight} {turns.strip()}")
 
-    def forget(self) -> None:
-        """Take the last turn back. May wait."""
+    def forget(self) -> str:
+        """Take the last turn back; returns what was done. May wait."""
         job = self._job
         if job is None:
-            self._desk.start(_NAME, "--forget-last")
+            job = self._desk.start(_NAME, "--forget-last")
+            job.wait()
+            if job.status:
+                raise RigError(job.problem)
         elif not _asks(job):
             raise ConfigurationError("wait for the end of the measurement")
         else:
             job.answer(_FORGET)
+        return "the last turn is taken out of the history; rig balance --history shows what is left"
 
     def end(self) -> None:
         """End it; a measurement that goes on is given up."""
@@ -207,11 +210,6 @@ class Balancing:
             job.ending = True
         else:
             job.end()
-
-    def learned(self) -> ResponseTable:
-        """What the turns so far have taught. Raises RigError for a history that cannot be read. May wait."""
-        config = complete(self._desk.checked())
-        return learned(config, history_path(config, None))
 
     @property
     def _job(self) -> Job | None:

@@ -9,9 +9,10 @@ from nicegui import ui
 from nicegui.events import KeyEventArguments
 
 from rig.control import STALE_S, LatchedTrip, TripCause
-from rig.desk.alarm_bar import AlarmBar, TripDialog, keys_dialog, sentence
-from rig.desk.alarm_list import CATALOGUE, AlarmKey, AlarmRow
+from rig.desk.alarm_bar import AlarmBar, sentence
+from rig.desk.alarm_list import AlarmKey, AlarmRow
 from rig.desk.desk import Desk, StartState
+from rig.desk.dialogs import keys_dialog, trip_dialog
 from rig.desk.following import doing
 from rig.desk.lighting import lamps, refusal
 from rig.desk.panels import PANELS
@@ -65,12 +66,12 @@ class PageHeader:
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
-        asking = TripDialog(desk, tab)
+        ask = trip_dialog(desk, tab)
         with ui.element("div").classes("cries"):
-            self.alarms = AlarmBar(desk, tab, asking.ask)
+            self.alarms = AlarmBar(desk, tab)
             with ui.element("div").classes("waits") as self._waits:
                 self._why_dark = ui.label()
-                self._acknowledge = tab.button("Acknowledge …", asking.ask).props('color="negative"')
+                self._acknowledge = tab.button("Acknowledge …", ask).props('color="negative"')
                 self._again = tab.button("Light again", apart(desk.lighting.again))
                 self._again.props(f'color="positive" {DELIBERATE}')
             self._instruction = ui.label().classes("instruction").props('role="alert"')
@@ -94,7 +95,7 @@ class PageHeader:
         asked_for = str((desk.following.news.get("state") or {}).get("instruction") or "")
         self._instruction.set_text(loud(asked_for))
         self._instruction.set_visibility(bool(asked_for))
-        return self.alarms.refresh(refused)
+        return self.alarms.refresh()
 
 
 def _build_panels(desk: Desk, tab: Tab) -> None:
@@ -136,7 +137,7 @@ def _name(row: AlarmRow) -> str:
 
 def _told(row: AlarmRow) -> dict[str, str]:
     """As the browser is told of it."""
-    text = f"{row.cause}\n{row.alarm.remedy}"
+    text = f"{row.cause}\n{row.key.remedy}"
     return {"name": _name(row), "key": row.key, "title": row.key, "text": text}
 
 
@@ -209,13 +210,12 @@ _BARS = """
 
 def build_head(off_port: int) -> None:
     """Add it to the page that is being built; `off_port` is the server of LIGHT OFF beside the event loop."""
-    lost = CATALOGUE[AlarmKey.DESK_LOST]
     told = {
         "offPort": off_port,
         "dark": DARK,
         "staleS": STALE_S,
         "deadS": _DEAD_S,
-        "lost": {"title": AlarmKey.DESK_LOST, "remedy": lost.remedy},
+        "lost": {"title": AlarmKey.DESK_LOST, "remedy": AlarmKey.DESK_LOST.remedy},
     }
     ui.add_css(named_colours() + (_STATIC / "desk.css").read_text("utf-8"))
     scripts = "".join((_STATIC / name).read_text("utf-8") for name in _SCRIPTS)

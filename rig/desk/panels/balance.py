@@ -1,14 +1,12 @@
-"""Balance: the advice, the trajectory, faults as bars against their limits, what was learned."""
+"""Balance: the advice, the trajectory, faults as bars against their limits."""
 
-import html
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from nicegui import run, ui
+from nicegui import ui
 
-from processing.errors import RigError
-from rig.balance import HEAD, BalanceStage
+from rig.balance import BalanceStage
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab, apart, at_once, box
@@ -25,21 +23,6 @@ def build(desk: Desk, tab: Tab) -> None:
 
     def turned() -> None:
         balancing.turned(str(weight.value), str(turns.value or ""))
-
-    async def forget() -> None:
-        await run.io_bound(balancing.forget)
-        await history()
-
-    async def history() -> None:
-        try:
-            found = await run.io_bound(balancing.learned)
-        except RigError as error:
-            tab.tell(str(error))
-            return
-        if found is not None:
-            rows = [list(HEAD), *found.rows] if found.rows else [["nothing learned yet"]]
-            text = "".join(f"<div>{html.escape(line)}</div>" for line in found.lines)
-            past.set_content(tables.table(rows, "turns used for learning") + text)
 
     with ui.element("div").classes("at-once"):
         with ui.row().classes("box full-width items-start no-wrap told"):
@@ -64,13 +47,9 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.element("div").classes("grid halves"):
             with ui.column().classes("box"):
                 way = charts.TrajectoryChart()
-            with box("faults against their limits", "scrolls", region="faults and history"):
+            with box("faults against their limits", "scrolls", region="faults"):
                 faults = ui.html(sanitize=False).classes("full-width")
-                with ui.row().classes("items-center"):
-                    ui.label("history").classes("title")
-                    ui.button("Show", on_click=history).props("dense outline")
-                    tab.button("Forget the last turn", forget).props("dense outline")
-                past = ui.html(sanitize=False).classes("full-width")
+                tab.button("Forget the last turn", apart(balancing.forget)).props("dense outline")
 
     def prefill(turn: Mapping[str, Any] | None) -> None:
         """What is advised stands in the fields, once: what is typed over it stays."""

@@ -8,8 +8,9 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError
 from rig.desk import tables
 from rig.desk.desk import Desk
+from rig.desk.dialogs import Question
 from rig.desk.panels.runs import fit_again, open_in_browser_tab
-from rig.desk.tab import DELIBERATE, Tab, at_once, box
+from rig.desk.tab import Tab, at_once, box
 from rig.measure import HandOver, RunState
 from rig.settings import SessionSettings
 
@@ -78,22 +79,17 @@ def build_form(desk: Desk, tab: Tab) -> ui.element:
         found = desk.checked(judged()).session
         # what was allowed for one session holds for that one
         force.set_value(False)
-        what.set_text(_asked(found))
-        begin.open()
+        question.ask(True, _asked(found))
 
-    async def start() -> None:
-        begin.close()
+    async def start(_: bool) -> None:
         values = judged()
         folder = await run.io_bound(desk.start_session, values, force=bool(force.value))
         ui.notify(f"the session is starting in {folder}")
 
-    with ui.dialog().props('aria-label="start the session"') as begin, ui.card():
-        what = ui.label().classes("middle")
-        ui.label("The laser will be lit. Check that nobody is in the beam path.")
+    warning = "The laser will be lit. Check that nobody is in the beam path."
+    question = Question(tab, "start the session", warning, "Start the session", start)
+    with question.options:
         force = at_once(ui.checkbox("measure even if preflight says no-go (this session only)"))
-        with ui.row():
-            tab.button("Start the session", start).props(f'color="positive" {DELIBERATE}')
-            ui.button("Not now", on_click=begin.close).props("outline")
     with ui.element("div").classes("grid thirds") as form:
         for title, asked in _ASKED.items():
             with box(title, head="middle"):

@@ -1,7 +1,7 @@
 """Measure panel: start a session, watch it from a distance, brake, stop; last result, next session."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from nicegui import run, ui
@@ -9,7 +9,7 @@ from nicegui import run, ui
 from processing.errors import RigError
 from rig.control import STALE_S
 from rig.desk import charts, tables
-from rig.desk.charts import Chart, ChartCurve, Mark, Points
+from rig.desk.charts import Chart, ChartCurve, Mark
 from rig.desk.desk import Desk
 from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, RunResult, build_form
@@ -17,7 +17,6 @@ from rig.desk.panels.live_picture import LivePicture, no_frame_yet
 from rig.desk.panels.run_words import first_fit
 from rig.desk.tab import Tab, at_once, box
 from rig.instrument import Phase
-from rig.presentation import quantity
 
 _SIZE = (420, 300)
 _ASK_STOP = "Stop the session? The record is closed and fitted; nothing is lost."
@@ -173,7 +172,6 @@ class RunFacts:
 
 _REDRAW_S = 1.0
 _KEYS = {"decay": "amplitude", "period": "period_s"}
-_MOST_PARAMETERS = 3
 
 
 def _with_fit(key: str) -> tuple[ChartCurve, ...]:
@@ -191,12 +189,9 @@ class RunCharts:
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
-        self._charts: dict[str, Chart] = {}
-        self._choice = at_once(ui.toggle([*_KEYS, "parameters"], value="decay", on_change=self._choose))
+        self._choice = at_once(ui.toggle(list(_KEYS), value="decay", on_change=self._choose))
         self._choice.props('dense no-caps aria-label="which chart"')
-        for name, key in _KEYS.items():
-            self._charts[name] = Chart(name, "elapsed_s", _with_fit(key))
-        self._charts["parameters"] = Chart("parameters", "elapsed_s", ())
+        self._charts = {name: Chart(name, "elapsed_s", _with_fit(key)) for name, key in _KEYS.items()}
         self._choose()
         tab.every(_REDRAW_S, self._refresh)
 
@@ -206,39 +201,20 @@ class RunCharts:
 
     async def _refresh(self) -> None:
         following = self._desk.following
-        if not following.running:
+        if not following.running or not (history := await run.io_bound(following.history)):
             return
         unit, name = following.unit or "arcsec", str(self._choice.value)
-        history = await run.io_bound(following.history)
-        if not history:
-            return
-        chart, marks = self._charts[name], _marks(following.events, str(following.news.get("run") or ""))
-        no_fit = first_fit(following.news.get("state") or {})
-        if name == "parameters":
-            curves, points = _parameters(history["estimates"])
-            chart.declare(curves)
-            chart.show(points, unit, marks=marks, empty=no_fit)
-            return
         kind = _KEYS[name].removesuffix("_s")
         fit = history["fit"]
-        left = fit[f"{kind}_residual"]
-        chart.show(
-            [history["swings"][kind], fit[kind], left], unit, marks=marks, below="" if left else no_fit
+        self._charts[name].show(
+            [history["swings"][kind], fit[kind], fit[f"{kind}_residual"]],
+            unit,
+            marks=_marks(following.events, str(following.news.get("run") or "")),
+            below=first_fit(following.news.get("state") or {}) if not fit[f"{kind}_residual"] else "",
         )
 
 
-def _parameters(estimates: Mapping[str, Sequence[Sequence[float]]]) -> tuple[list[ChartCurve], list[Points]]:
-    """A row with its band for each parameter, in the units shown."""
-    keys = list(estimates)[:_MOST_PARAMETERS]
-    curves = [ChartCurve(key, style="band", row=row) for row, key in enumerate(keys)]
-    points: list[Points] = [
-        [(t, value * quantity(key).factor, u * quantity(key).factor) for t, value, u in estimates[key]]
-        for key in keys
-    ]
-    return curves, points
-
-
-def _marks(events: Sequence[Mapping[str, Any]], run: str) -> list[Mark]:
+def _marks(events: Iterable[Mapping[str, Any]], run: str) -> list[Mark]:
     """Times and texts of the run's events, without those of earlier runs."""
     return [
         (float(one["elapsed_s"]), f"{one['kind']}: {one['text']}")

@@ -15,8 +15,8 @@ from nicegui import run, ui
 from processing.errors import ConfigurationError, RigError
 from rig.archive import find_runs
 from rig.calibrate import next_free
-from rig.desk.alarm_bar import resume_dialog
 from rig.desk.desk import Desk
+from rig.desk.dialogs import resume_dialog
 from rig.desk.sessions import NUMBERS, SERVED, LastRun, SessionRow, last_run
 from rig.desk.tab import Tab, at_once
 from rig.presentation import quantity

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 from processing.errors import RigError
-from rig.desk.alarm_list import CATALOGUE, AlarmKey, AlarmList, AlarmRow, AlarmState
+from rig.desk.alarm_list import AFTER_S, AlarmKey, AlarmList, AlarmRow, AlarmState
 
 CAMERA, SPOT, TRIP, DIED = AlarmKey.CAMERA, AlarmKey.SPOT, AlarmKey.TRIP, AlarmKey.SESSION_DIED
 
@@ -54,7 +54,7 @@ def test_one_that_was_not_seen_stays_as_cleared_until_somebody_has(alarms: Alarm
     clock.now_s = 1003.0
     alarms.see({})
     row = only(alarms)
-    assert (row.state, row.cleared_s, row.cause) == (AlarmState.CLEARED, 1003.0, CATALOGUE[SPOT].cause)
+    assert (row.state, row.cleared_s, row.cause) == (AlarmState.CLEARED, 1003.0, SPOT.cause)
     assert not row.cries
     alarms.acknowledge(SPOT)
     assert alarms.rows() == []
@@ -100,7 +100,7 @@ def test_a_condition_of_a_moment_is_no_alarm(alarms: AlarmList, clock: Clock) ->
     alarms.see({})
     alarms.see({key: ""})
     assert alarms.rows() == []
-    clock.now_s += CATALOGUE[key].after_s
+    clock.now_s += AFTER_S[key]
     alarms.see({key: ""})
     assert only(alarms).state is AlarmState.ACTIVE
 
@@ -108,7 +108,7 @@ def test_a_condition_of_a_moment_is_no_alarm(alarms: AlarmList, clock: Clock) ->
 def test_what_is_to_be_seen_first_comes_first(alarms: AlarmList, clock: Clock) -> None:
     held = {SPOT: "", AlarmKey.INTERLOCK: "", AlarmKey.ENVIRONMENT: "", CAMERA: ""}
     alarms.see(held)
-    clock.now_s += CATALOGUE[AlarmKey.ENVIRONMENT].after_s
+    clock.now_s += AFTER_S[AlarmKey.ENVIRONMENT]
     alarms.see(held)
     alarms.acknowledge(CAMERA)
     assert [row.key for row in alarms.rows()] == [AlarmKey.INTERLOCK, SPOT, AlarmKey.ENVIRONMENT, CAMERA]
@@ -116,8 +116,7 @@ def test_what_is_to_be_seen_first_comes_first(alarms: AlarmList, clock: Clock) -
 
 @pytest.mark.parametrize("key", AlarmKey)
 def test_every_alarm_has_a_cause_and_a_remedy(key: AlarmKey) -> None:
-    alarm = CATALOGUE[key]
-    assert all((key, alarm.cause, alarm.remedy))
+    assert all((key, key.cause, key.remedy))
     assert not key.endswith(".")
 
 

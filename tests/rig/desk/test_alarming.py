@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
+from acquisition.record.events import EventKind
 from rig.control import STALE_S
 from rig.desk.alarm_list import AlarmKey, AlarmState
 from rig.desk.desk import Desk
@@ -71,6 +72,24 @@ def wait_for(desk: Desk, key: AlarmKey, state: AlarmState | None = AlarmState.AC
             return found[0].cause if found else ""
         assert time.monotonic() < deadline_s, desk.alarming.alarms.rows()
         time.sleep(0.02)
+
+
+def test_what_was_seen_is_not_told_again_when_its_session_ends(config: Path) -> None:
+    desk = Desk(config)
+    following = desk.following
+    following.folder = config.parent / "runs" / "session"
+    following.events.append({"number": 1, "kind": EventKind.GAP, "text": "2 frames are missing"})
+    desk.alarming.start()
+    try:
+        assert wait_for(desk, AlarmKey.DISTURBED) == "gap: 2 frames are missing"
+        desk.alarming.alarms.acknowledge(AlarmKey.DISTURBED)
+        following.folder = None
+        following.events.append({"number": 2, "kind": EventKind.PUSH, "text": "by a person"})
+        wait_for(desk, AlarmKey.DISTURBED)
+        (row,) = desk.alarming.alarms.rows()
+        assert (row.cause, row.times) == ("push: by a person", 1)
+    finally:
+        desk.close()
 
 
 @pytest.mark.slow

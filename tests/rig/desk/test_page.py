@@ -20,7 +20,7 @@ from processing.errors import DeviceError
 from processing.spot import Spot
 from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.desk.alarm_bar import sentence
-from rig.desk.alarm_list import CATALOGUE, AlarmKey
+from rig.desk.alarm_list import AlarmKey
 from rig.devices import OrderSocket, SessionNews
 from rig.instrument import Block
 from rig.presentation import Verdict
@@ -257,6 +257,10 @@ def test_a_trajectory_is_drawn_and_a_zoom_outlives_new_points(shown: Shown, desk
         session_news.look([FRAME], Block([SPOT], more, [], []))
         page.wait(f"{OF}.getOption().series[0].data.length > 190")
         assert page.ask(f"{OF}.getOption().dataZoom[0].end") == 75
+        page.click("stretch X")
+        page.wait(f"{OF}.getOption().xAxis[0].max === null")
+        page.click("to scale")
+        page.wait(f"{OF}.getOption().xAxis[0].max === 12")
         assert page.ask("rigNumber(-1.23456789, 'px')") == "−1.23457 px"
     page.wait("document.getElementById('amplitude').offsetParent === null")
 
@@ -267,7 +271,6 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy(shown: Shown, desk
     session_news = news()
     folder = desk_output / "told"
     folder.mkdir(parents=True)
-    alarm = CATALOGUE[AlarmKey.PREFLIGHT]
     session_news.preflight([Verdict("spot", False, "it is lost", "look for it")])
     of_preflight = f"window.told.filter(one => one[2] === {str(AlarmKey.PREFLIGHT)!r})"
     with OrderSocket(folder, session_news, {}):
@@ -275,9 +278,9 @@ def test_an_alarm_is_told_to_the_browser_once_with_its_remedy(shown: Shown, desk
         page.wait(f"{of_preflight}.length")
         ((title, text, _, stays),) = page.ask(of_preflight)
         assert (title, stays) == (AlarmKey.PREFLIGHT, True)
-        assert alarm.remedy in text
+        assert AlarmKey.PREFLIGHT.remedy in text
         # the page is told four times a second what cries
-        page.wait_text(sentence(alarm.remedy))
+        page.wait_text(sentence(AlarmKey.PREFLIGHT.remedy))
         page.wait("(window.looks = (window.looks || 0) + 1) > 15")
         assert page.ask(f"{of_preflight}.length") == 1
     page.wait_text(f"last session: {folder.name}")

@@ -16,7 +16,6 @@ from rig.cli import app
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
 from rig.desk.calibrating import kinds
-from rig.desk.charts import ChartCurve, in_last_row
 from rig.desk.desk import Desk
 from rig.desk.lighting import refusal
 from rig.desk.panels.balance import net_of
@@ -151,12 +150,6 @@ def test_every_form_of_a_calibration_has_the_options_of_its_command() -> None:
 def test_turns_in_two_parts_are_summed_in_words() -> None:
     assert net_of([0.5]) == ""
     assert net_of([0.61, -0.5]) == "net +0.11 (the second turn takes up the play)"
-
-
-def test_an_empty_row_of_a_chart_says_why() -> None:
-    curves = [ChartCurve("amplitude"), ChartCurve("amplitude_residual_in_u", row=1)]
-    assert in_last_row(curves, "after the first fit")["style"]["text"] == "after the first fit"
-    assert in_last_row(curves, "x")["top"] == "66.5%"
 
 
 def test_the_newest_session_is_resumed_where_it_was_interrupted(desk: Desk, tmp_path: Path) -> None:
