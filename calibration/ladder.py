@@ -37,24 +37,21 @@ def check_steps(steps: LadderSteps, kind: str) -> None:
     """Raise DataError for a ladder that cannot be fitted."""
     count = len(steps.reference)
     if count < FEWEST_STEPS:
-        raise DataError(f"lever: the ladder has {count} steps; at least {FEWEST_STEPS} are needed")
+        raise DataError(f"the ladder has {count} steps; at least {FEWEST_STEPS} are needed")
     for name in ("reference", "u_reference", "x_px", "y_px", "u_x_px", "u_y_px"):
         values = getattr(steps, name)
         if not np.all(np.isfinite(values)):
             step = int(np.argmin(np.isfinite(values))) + 1
-            raise DataError(f"lever: step {step} of the ladder has no {name}; measure it again")
+            raise DataError(f"step {step} of the ladder has no {name}; measure it again")
     if not (np.all(steps.u_x_px > 0) and np.all(steps.u_y_px > 0) and np.all(steps.u_reference >= 0)):
-        raise DataError(
-            "lever: a standard uncertainty is not positive; state u_px and u_reference of each step"
-        )
+        raise DataError("a standard uncertainty is not positive; state u_px and u_reference of each step")
     if len(np.unique(steps.reference)) < 3:
         raise DataError(
-            f"lever: the ladder has {len(np.unique(steps.reference))} different settings; "
-            "at least 3 are needed"
+            f"the ladder has {len(np.unique(steps.reference))} different settings; at least 3 are needed"
         )
     if kind == "tilt" and not (np.any(steps.reference > 0) and np.any(steps.reference < 0)):
         raise DataError(
-            f"lever: the tilts are all of one sign ({steps.reference.min() / ARCSEC_RAD:.4g} to "
+            f"the tilts are all of one sign ({steps.reference.min() / ARCSEC_RAD:.4g} to "
             f"{steps.reference.max() / ARCSEC_RAD:.4g} arcsec); measure on both sides of zero"
         )
 

@@ -121,7 +121,7 @@ def fit_ladder(
     scale, u_scale = evidence.scale, evidence.u_scale
     if not scale > 5.0 * u_scale:
         raise DataError(
-            f"lever: the spot does not follow the {kind}s (scale {scale:.4g} ± {u_scale:.2g} px per unit); "
+            f"the spot does not follow the {kind}s (scale {scale:.4g} ± {u_scale:.2g} px per unit); "
             "check the order of the steps"
         )
     loo = leave_one_out(steps, kind, way, nonlinear, *used.scale())

@@ -19,16 +19,19 @@ class ConfigurationError(RigError):
     """
 
 
-class MissingPackage(ConfigurationError):
-    """A Python package is not installed that only a part of the program needs."""
-
-    def __init__(self, what: str, *packages: str) -> None:
-        names = " ".join(packages)
-        super().__init__(f"{what} needs {' and '.join(packages)}: {sys.executable} -m pip install {names}")
-
-
 class DeviceError(RigError):
     """A camera, controller, laser or sensor is missing, rejects a command or was disconnected."""
+
+
+class MissingPackage(ConfigurationError, DeviceError):
+    """A Python package is not installed that only a part of the program needs, such as a kind of camera.
+
+    `extra` is the one of pyproject.toml that brings it; `instead` what helps without it.
+    """
+
+    def __init__(self, what: str, package: str, extra: str, instead: str = "") -> None:
+        brought = f"{what} needs {package}, of the extra {extra}: {sys.executable} -m pip install {package}"
+        super().__init__(f"{brought}, or {instead}" if instead else brought)
 
 
 class RecordError(RigError):

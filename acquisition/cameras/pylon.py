@@ -259,14 +259,14 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
 
 
 def load_pylon() -> Any:
-    """The module pypylon.pylon. Raises DeviceError if missing."""
+    """The module pypylon.pylon. Raises MissingPackage if missing."""
     try:
         with warnings.catch_warnings():
             # importing its binary module raises warnings, and would fail if warnings are errors
             warnings.simplefilter("ignore")
             from pypylon import pylon
     except ImportError:
-        raise DeviceError(str(MissingPackage("camera.driver = 'pylon'", "pypylon"))) from None
+        raise MissingPackage("camera.driver = 'pylon'", "pypylon", "pylon") from None
     return pylon
 
 

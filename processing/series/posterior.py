@@ -13,7 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from processing.arrays import Floats
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, MissingPackage
 from processing.estimate import Estimate
 from processing.series.density import (
     between_runs,
@@ -281,9 +281,7 @@ def sample_series(
     try:
         import emcee
     except ImportError:
-        raise ConfigurationError(
-            "the sampler needs emcee: pip install 'optical-pendulum-rig[series]', or leave it out"
-        ) from None
+        raise MissingPackage("--sample", "emcee", "series", "leave it out") from None
     design = design_of(runs, model)
     found, rng = likeliest(design), np.random.default_rng(seed)
     size = len(found.h)

@@ -81,6 +81,9 @@ _DO: Final[Mapping[str, str]] = {
     "plane_of_swing_rad": "let the pendulum settle before the release, and calibrate the axes",
     "period_drift": "let the temperature settle before the next run",
 }
+_DO_ABOUT_STILL_GROUND: Final = (
+    "measure longer, or make more runs: they bound the ground, which is not seen to move"
+)
 
 
 class Limit(NamedTuple):
@@ -106,12 +109,15 @@ class WholeResult(NamedTuple):
     of: str = ""
     limits: Sequence[Limit] = ()
     symbol: str = ""
+    ground_seen: bool = True
+    """Whether the run shows that the ground drove the pendulum; else it only cannot exclude it."""
 
     @property
     def next_steps(self) -> list[str]:
         """What to do about each of the sources that make most of the uncertainty."""
         large = [one for one in self.limits if one.share >= _LIMITS_FROM]
-        steps = [_DO.get(one.source, f"determine {one.name} more accurately") for one in large]
+        do = _DO if self.ground_seen else {**_DO, "ground": _DO_ABOUT_STILL_GROUND}
+        steps = [do.get(one.source, f"determine {one.name} more accurately") for one in large]
         return list(dict.fromkeys(steps))
 
 
@@ -137,7 +143,9 @@ def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
         return WholeResult(text, "the swings alone", [Limit("swings", 1.0)], symbol)
     sources = sorted(item.sources, key=lambda line: -line.share)
     limits = [Limit(one.source, one.share) for one in sources if one.share >= _SHOWN_SHARE]
-    return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol)
+    exact = run.fits.get(FitMethod.EXACT)
+    ground_seen = exact is None or exact.ground is None or exact.ground.seen
+    return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol, ground_seen)
 
 
 _FOUND = {

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from processing.decay_summary import DecayMean
-from processing.errors import ConfigurationError, DataError, DeviceError
+from processing.errors import ConfigurationError, DataError, DeviceError, MissingPackage
 from processing.swing import HalfCycleFlag, turning_points
 from processing.units import seconds
 from rig.analysis.compared_laws import chosen_laws
@@ -145,6 +145,9 @@ def fit_several(
         print_line(f"--- run {name}")
         try:
             tables[name] = _fit(path, read(), folder, wanted)
+        except MissingPackage:
+            # no other run can be read either
+            raise
         except (DataError, DeviceError) as error:
             failed += 1
             answer(not_analysed=[{"run": name, "reason": str(error)}])

@@ -131,7 +131,7 @@ def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
         import obspy
     except ImportError:
         raise MissingPackage(
-            f"{path}: --witness with miniSEED or SAC (a CSV needs nothing)", "obspy"
+            f"{path}: --witness with miniSEED or SAC (a CSV needs nothing)", "obspy", "seismic"
         ) from None
     try:
         data = path.read_bytes()

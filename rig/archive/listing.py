@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from acquisition import atomic_write
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import ConfigurationError, MissingPackage, RecordError
 from processing.estimate import Determinacy
 from rig.analysis import ResultRow
 from rig.archive.session_rows import COLUMNS, IMPORTANT, IS_SIMULATED, SHORT_NAMES, SHOWN, row_columns
@@ -60,8 +60,7 @@ def duckdb_module() -> Any:
     try:
         import duckdb
     except ImportError:
-        remedy = "pip install 'optical-pendulum-rig[data]'"
-        raise ConfigurationError(f"rig archive needs duckdb: {remedy}") from None
+        raise MissingPackage("rig archive", "duckdb", "data") from None
     return duckdb
 
 

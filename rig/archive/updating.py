@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 
 from acquisition.record.digest import sha256_of
 from acquisition.record.reader import RecordReader
-from processing.errors import ConfigurationError, RecordError, RigError
+from processing.errors import ConfigurationError, MissingPackage, RecordError, RigError
 from rig.analysis import (
     AnalysedRun,
     analyse_record,
@@ -345,8 +345,7 @@ def client_of(address: str) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError:
-        remedy = "pip install 'optical-pendulum-rig[series]'"
-        raise ConfigurationError(f"--cluster needs distributed: {remedy}") from None
+        raise MissingPackage("--cluster", "distributed", "series") from None
     try:
         client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

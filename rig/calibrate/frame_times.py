@@ -121,7 +121,8 @@ def calibrate_sensor(frames: Path, filing: Filing) -> Path:
     """Photon transfer from pairs of dark and of uniformly lit frames: see `read_transfer`."""
     table = read_transfer(frames)
     place = frames.parent
-    named = {"darks": table.darks, **{f"level.{n}.frames": item.frames for n, item in enumerate(table.level)}}
+    levels = {f"level {n}: frames": item.frames for n, item in enumerate(table.level, 1)}
+    named = {"darks": table.darks, **levels}
     missing = [f"{key} = '{name}'" for key, name in named.items() if not (place / name).exists()]
     if missing:
         raise ConfigurationError(

@@ -78,11 +78,11 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
         """A reading in rad or m."""
         return reading * conversion(self.unit, _SI[self.kind])
 
-    def needed(self, name: Literal["pixel_pitch_m", "arm_m"]) -> float:
-        """A value that this kind of ladder requires; raises ConfigurationError if it is missing."""
+    def needed(self, name: Literal["pixel_pitch_m", "arm_m"], path: Path) -> float:
+        """A value that this kind of ladder, of the file `path`, requires; ConfigurationError without it."""
         value: float | None = getattr(self, name)
         if value is None:
-            raise ConfigurationError(f"{name} is missing: a ladder of {self.kind}s needs it")
+            raise ConfigurationError(f"{path}: {name} is missing: a ladder of {self.kind}s needs it")
         return value
 
     def steps(self, rows: list[tuple[float, float, float, float]]) -> LadderSteps:

@@ -50,9 +50,9 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
     fit, sources, began = _climb(ladder, table)
     binning = _binning(ladder, table)
     if table.kind == "tilt":
-        lever = lever_from_tilts(fit, table.needed("pixel_pitch_m") * binning)
+        lever = lever_from_tilts(fit, table.needed("pixel_pitch_m", ladder) * binning)
     else:
-        lever = lever_from_shifts(fit, table.needed("arm_m"), table.u_arm_m)
+        lever = lever_from_shifts(fit, table.needed("arm_m", ladder), table.u_arm_m)
     lever = lever.model_copy(update={"binning": binning})
     details = {**_ladder_details(fit, table), "u_scale_relative": lever.u_scale_relative}
     method = f"ladder of {len(table.step)} {table.kind}s"
@@ -92,11 +92,11 @@ def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], dateti
         sources.append(record)
         began = step_began if began is None else max(began, step_began)
         rows.append(mean_spot(spots))
-    return (
-        fit_ladder(table.steps(rows), table.kind, u_reference_relative=table.u_reference_relative),
-        sources,
-        began,
-    )
+    try:
+        fit = fit_ladder(table.steps(rows), table.kind, u_reference_relative=table.u_reference_relative)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+    return fit, sources, began
 
 
 def _binning(path: Path, table: LadderFile) -> int:
@@ -205,8 +205,9 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     found = air_of_vanes(runs, pendulums[0], by_ratio=by_ratio)
     if not found.drag_s.value > 0:
         raise DataError(
-            f"the runs give a drag of {found.drag_s.value:.2g} ± {found.drag_s.standard_uncertainty:.2g} s, "
-            "which no air exerts: larger vanes, or longer runs, are needed"
+            f"{vanes}: its runs give a drag of {found.drag_s.value:.2g} ± "
+            f"{found.drag_s.standard_uncertainty:.2g} s, which no air exerts: larger vanes, "
+            "or longer runs, are needed"
         )
     values = {"drag_s": found.drag_s.value, "u_drag_s": found.drag_s.standard_uncertainty}
     method = f"{len(runs)} runs, {len(set(rows))} " + ("pressures" if by_ratio else "areas of vanes")

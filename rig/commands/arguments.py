@@ -23,6 +23,10 @@ def there(given: _Given) -> _Given:
         try:
             path.stat()
         except (FileNotFoundError, NotADirectoryError):
+            if "=" in path.name:
+                raise ConfigurationError(
+                    f"{path}: no such file; a key of the configuration is changed by --set {path}"
+                ) from None
             kind = _KINDS.get(path.suffix.lower(), "file")
             raise ConfigurationError(f"{path}: no such {kind}{_instead_of(path)}") from None
         except (OSError, ValueError):

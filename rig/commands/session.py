@@ -103,7 +103,7 @@ def desk(
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "starlette", "uvicorn"):
             raise
-        raise MissingPackage("rig desk", "nicegui") from None
+        raise MissingPackage("rig desk", "nicegui", "desk") from None
     raise typer.Exit(open_desk(config, tuple(set_ or ()), port, browser=browser, archive=Path(archive)))
 
 

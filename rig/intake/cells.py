@@ -128,7 +128,7 @@ def _cells(
     if count < 2:
         raise DataError(
             f"{path}: holds {count} row{'' if count == 1 else 's'} of numbers; a table of time and position "
-            "is expected (separated by tabs, commas, semicolons or spaces)"
+            "is expected (separated by tabs, commas, semicolons or spaces); name one, or a record (.mcap)"
         )
     fewest = min(2, width)
     numbers_in = [values if wide == width else 0 for wide, _, values in counts]

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from processing.errors import DataError
+from processing.errors import DataError, MissingPackage
 from rig.intake.cell_text import is_missing, is_moment, is_number
 
 _LARGEST_BYTES: Final = 1024 * 1024 * 1024
@@ -167,10 +167,8 @@ def _variables_of_hdf5(path: Path, raw: bytes) -> dict[str, Any]:
     try:
         import h5py
     except ImportError:
-        raise DataError(
-            f"{path}: is a .mat file of version 7.3, which is read with h5py; install it (pip install h5py), "
-            "or save the file with -v7"
-        ) from None
+        what = f"{path}: a .mat file of version 7.3"
+        raise MissingPackage(what, "h5py", "data", "save it with -v7") from None
     try:
         with h5py.File(io.BytesIO(raw), "r") as file:
             datasets = {name: item for name, item in file.items() if isinstance(item, h5py.Dataset)}
@@ -237,9 +235,7 @@ def rows_of_workbook(raw: bytes) -> Sheet:
     try:
         from python_calamine import CalamineError, SheetTypeEnum, SheetVisibleEnum, load_workbook
     except ImportError:
-        raise ValueError(
-            "that needs calamine: pip install 'optical-pendulum-rig[data]', or save it as text (CSV)"
-        ) from None
+        raise MissingPackage("a workbook", "python-calamine", "data", "save it as text (CSV)") from None
     try:
         plain, hides = _without_styles(raw)
         book, unstyled = load_workbook(io.BytesIO(raw)), load_workbook(plain)

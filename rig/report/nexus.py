@@ -31,7 +31,7 @@ def write_nexus(path: Path, runs: Sequence[Exported], series: Exported | None = 
     try:
         import h5py
     except ImportError:
-        raise MissingPackage("--format hdf5", "h5py") from None
+        raise MissingPackage("--format hdf5", "h5py", "data") from None
     # HDF5 that meets a full disk says so at every object that it closes, and may end the process: it is
     # made in memory, beside which the runs' own arrays are large
     image = io.BytesIO()

@@ -6,11 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final, Literal, get_type_hints
 
-import pyarrow as pa
-from pyarrow import csv, parquet
-
 from acquisition.atomic_write import being_written, write_new
-from processing.errors import ConfigurationError, RecordError
+from processing.errors import ConfigurationError, MissingPackage, RecordError
 from rig.analysis import ResultRow
 from rig.presentation import harmless_text, say, written
 from rig.report.nexus import item_name, write_nexus
@@ -23,6 +20,12 @@ from rig.report.run import (
     runs_in,
 )
 from rig.report.session_report import latex_tables
+
+try:
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+except ImportError:
+    raise MissingPackage("rig export", "pyarrow", "data") from None
 
 Format = Literal["csv", "parquet", "hdf5", "latex"]
 

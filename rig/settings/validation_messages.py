@@ -23,7 +23,7 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 def in_words(root: type, fault: ErrorDetails) -> str:
     """One line for a fault that pydantic found in the tables of `root`."""
-    path = dotted(fault["loc"])
+    path = place_in_words(fault["loc"])
     if is_unknown_key(fault):
         section = str(fault["loc"][-1])
         if isinstance(fault["input"], Mapping) and section in section_fields(root):
@@ -34,7 +34,9 @@ def in_words(root: type, fault: ErrorDetails) -> str:
         if inside:
             return f"{path}: unknown key; did you mean {' or '.join(f'{name}.{section}' for name in inside)}?"
         known = _known_keys(root, fault["loc"][:-1])
-        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
+        near = difflib.get_close_matches(section, known, n=1, cutoff=0.5)
+        if not near and len(fault["loc"]) == 1:
+            near = _near_in_sections(root, section)
         hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"
         return f"{path}: unknown key; {hint}"
     if fault["type"] == "missing":
@@ -156,6 +158,19 @@ def dotted(place: _Place) -> str:
     return ".".join(part if isinstance(part, str) and part.isprintable() else repr(part) for part in place)
 
 
+def place_in_words(place: _Place) -> str:
+    """The path of a key as a person reads it: entries of a list count from 1, ``level 1: frames``."""
+    text = ""
+    for depth, part in enumerate(place):
+        if isinstance(part, int):
+            text += f" {part + 1}"
+        elif depth:
+            text += f"{': ' if isinstance(place[depth - 1], int) else '.'}{dotted((part,))}"
+        else:
+            text = dotted((part,))
+    return text
+
+
 def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iterator[KeyFault]:
     """Places, with a line for each, where a number is wanted and `true`, `"3"`, `inf` or `nan` is stated.
 
@@ -174,9 +189,9 @@ def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iter
         elif isinstance(value, bool | str) and _is_number(field, value):
             shown = str(value).lower() if isinstance(value, bool) else f'"{value}"'
             quoted = "" if isinstance(value, bool) else ", without quotes"
-            yield KeyFault(here, f"{dotted(here)} = {shown}: should be a number{quoted}")
+            yield KeyFault(here, f"{place_in_words(here)} = {shown}: should be a number{quoted}")
         elif isinstance(value, float) and not math.isfinite(value) and not key.endswith("_dof"):
-            yield KeyFault(here, f"{dotted(here)} = {value}: should be a finite number")
+            yield KeyFault(here, f"{place_in_words(here)} = {value}: should be a finite number")
 
 
 def _is_number(field: FieldInfo, stated: bool | str) -> bool:
@@ -228,6 +243,14 @@ def _sections_with(root: type, key: str) -> list[str]:
     """Names of the sections that have this key."""
     inner = {name: section_of(field) for name, field in section_fields(root).items()}
     return [name for name, section in inner.items() if section and key in section_fields(section)]
+
+
+def _near_in_sections(root: type, key: str) -> list[str]:
+    """The dotted key of a section whose name is nearest to that of `key`; empty where none is near."""
+    inner = {name: section_of(field) for name, field in section_fields(root).items()}
+    keys = {each: name for name, section in inner.items() if section for each in section_fields(section)}
+    near = difflib.get_close_matches(key, keys, n=1, cutoff=0.7)
+    return [f"{keys[each]}.{each}" for each in near]
 
 
 def _known_keys(root: type, place: _Place) -> list[str]:

@@ -13,7 +13,7 @@ from acquisition.record import pixels_beside
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW, RecordedClockStep, RecordedWindow
 from processing.deflections import Deflections
-from processing.errors import RecordError
+from processing.errors import ConfigurationError, RecordError
 from processing.spot import BeamUse, Spot, SpotFlag
 from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
@@ -75,6 +75,8 @@ class Replay:
     ------
     RecordError
         There are no spots in the record or in the wanted part, or data that are needed are missing.
+    ConfigurationError
+        The wanted part begins after the end of the record.
     """
 
     def __init__(
@@ -115,7 +117,9 @@ class Replay:
         self._steps = [(one.time_ns, one.step_ns) for one in reader.values(RecordedClockStep)]
         if from_s > seconds(self._last_ns - self.start_ns):
             length_s = seconds(self._last_ns - self.start_ns)
-            raise RecordError(f"{reader.path}: is {length_s:.1f} s long and cannot start at {from_s:g} s")
+            raise ConfigurationError(
+                f"--from {from_s:g}: beyond the end of {reader.path}, which goes from 0 to {length_s:.1f} s"
+            )
         self._from_ns = self.start_ns + nanoseconds(from_s)
         self._to_ns = self._last_ns if math.isinf(to_s) else self.start_ns + nanoseconds(to_s)
         self.partial = from_s > 0 or self._to_ns < self._last_ns

@@ -12,22 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from acquisition.cameras.files.frame_source import ONE_IMAGE, missing_frames, numbers_by_steps
-from processing.errors import DeviceError
+from processing.errors import DeviceError, MissingPackage
 
 if TYPE_CHECKING:
     from av.container import InputContainer
 
 
 def pyav() -> Any:
-    """The module av. Raises DeviceError with the remedy if it is missing."""
+    """The module av. Raises MissingPackage if it is missing."""
     try:
         import av
     except ImportError:
-        raise DeviceError(
-            "films are read with PyAV, which is not installed; install it (pip install av), or convert the "
-            "film to a "
-            "folder of images"
-        ) from None
+        raise MissingPackage("a film", "av", "video", "convert it to a folder of images") from None
     # the readers of a film report its faults
     av.logging.set_level(None)
     # a repeated message is a second fault

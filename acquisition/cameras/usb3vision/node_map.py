@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from acquisition.camera import CameraLost, FeatureValue
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
-from processing.errors import DeviceError
+from processing.errors import DeviceError, MissingPackage
 
 ACCESS: Final = (
     "not implemented",
@@ -46,13 +46,11 @@ class FeatureReading:
 
 
 def load_genapi() -> Any:
-    """EMVA's GenApi. Raises DeviceError that says what to install."""
+    """EMVA's GenApi. Raises MissingPackage if it is not installed."""
     try:
         from genicam import genapi
     except ImportError:
-        raise DeviceError(
-            "camera.driver = 'usb3vision' needs genicam: pip install 'optical-pendulum-rig[usb3vision]'"
-        ) from None
+        raise MissingPackage("camera.driver = 'usb3vision'", "genicam", "usb3vision") from None
     return genapi
 
 

@@ -104,7 +104,9 @@ def test_without_pyav_one_line_gives_the_remedy(tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.delitem(sys.modules, "av")
     monkeypatch.setattr(builtins, "__import__", without)
-    assert "pip install av" in refusal(path, frame_rate_hz=None)
+    said = refusal(path, frame_rate_hz=None)
+    assert "of the extra video: " in said
+    assert said.endswith("pip install av, or convert it to a folder of images")
 
 
 def test_a_damaged_film_is_silent_but_for_the_log(

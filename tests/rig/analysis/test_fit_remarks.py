@@ -8,7 +8,7 @@ import pytest
 
 from acquisition.simulation.settings import GroundTruth
 from processing.estimate import Determinacy, Estimate
-from processing.fit import BaseMotion, Budget, Drag, DragFinding, Ground, fit_exact
+from processing.fit import BaseMotion, Budget, Drag, DragFinding, FitMethod, Ground, fit_exact
 from processing.fit.uncertainty import BudgetSource
 from rig.analysis import RunResults
 from rig.analysis.contact_results import Correlation, Fit
@@ -214,6 +214,17 @@ def test_what_is_said_first_is_named_and_has_the_whole_uncertainty() -> None:
     seen = Drag(drag_s=Estimate(1.93e-3, 1e-4), finding=DragFinding.SEEN)
     said = drag_headline(seen, {"drag_s": drag, "b": replace(drag, quantity="b")}, fitted=True)
     assert said == "The drag of the air is seen, (1.58 … 2.09) × 10⁻³ (95 %) s."
+
+
+def test_nobody_is_sent_to_quieter_ground_by_ground_that_is_not_seen_to_move() -> None:
+    budget = replace(BUDGET, sources=(source("swings", "A", 0.4), source("ground", "B", 0.6)))
+    still = Fit(ground=replace(_DRIVEN, seen=False))
+    run = RunResults(
+        record="run-1.mcap", table=(ROW,), budget={SURFACE_ENERGY: budget}, fits={FitMethod.EXACT: still}
+    )
+    assert "quieter" not in " ".join(whole_result(run).next_steps)
+    driven = replace(run, fits={FitMethod.EXACT: Fit(ground=_DRIVEN)})
+    assert "quieter" in " ".join(whole_result(driven).next_steps)
 
 
 RIG = PendulumSettings(mass_kg=0.406, ball_radius_m=6.05e-3, mass_centre_height_m=-2e-4)

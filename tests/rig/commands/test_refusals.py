@@ -87,6 +87,14 @@ def said(*words: str | Path, cwd: Path, status: int = 2) -> str:
             ("doctor", DEMO, "--set", "max_duration_s=3"),
             "unknown key; did you mean session.max_duration_s or",
         ),
+        (
+            ("doctor", DEMO, "--set", "exposure=50"),
+            "--set exposure: unknown key; did you mean camera.exposure_us?",
+        ),
+        (
+            ("run", DEMO, "--set", "set", "exposure=50"),
+            "exposure=50: no such file; a key of the configuration is changed by --set exposure=50",
+        ),
         (("record", "info", "."), ".: holds no record (run-1.mcap, ...)"),
         (("doctor", DEMO, "rig.toml"), "extra argument (rig.toml); put a name with spaces in quotes"),
         (("compare", ".", "."), ".: holds no results.json; rig run makes one"),
@@ -149,13 +157,20 @@ def test_every_fault_of_a_calibrations_file_is_said(tmp_path: Path) -> None:
         "rig: frames.toml: darks = 3: should be the name of a file, in quotes; level: is missing; "
         "state a value; docs/calibrate.md shows such a file\n"
     )
+    (tmp_path / "frames.toml").write_text("darks = 'd'\n[[level]]\nframes = 'a'\n[[level]]\nframe = 'b'\n")
+    answer = said("calibrate", "sensor", "frames.toml", cwd=tmp_path)
+    assert "level 2: frame: unknown key; did you mean frames?; level 2: frames: is missing" in answer
+    (tmp_path / "ladder.toml").write_text("pixel_pitch_m = 4.8e-6\n[[step]]\nreference = 1\nu_px = 0.01\n")
+    assert said("calibrate", "lever", "ladder.toml", cwd=tmp_path, status=1) == (
+        "rig: ladder.toml: the ladder has 1 steps; at least 5 are needed\n"
+    )
 
 
 def test_files_of_calibrations_are_refused_in_our_words(tmp_path: Path) -> None:
     (tmp_path / "frames.toml").write_text('darks = "none"\n[[level]]\nframes = "none"\n')
     assert said("calibrate", "sensor", "frames.toml", cwd=tmp_path) == (
-        "rig: frames.toml: darks = 'none', level.0.frames = 'none': no such record, folder or file of frames "
-        f"in {tmp_path}, where this list lies\n"
+        "rig: frames.toml: darks = 'none', level 1: frames = 'none': no such record, folder or file of "
+        f"frames in {tmp_path}, where this list lies\n"
     )
     calibrations = Path(__file__).resolve().parents[1] / "data" / "samples" / "calibrations"
     good = next(calibrations.glob("lever*.toml")).read_text()

@@ -191,7 +191,9 @@ def test_a_missing_library_is_one_line(
     measured_series: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(ConfigurationError, match=r"--format hdf5 needs h5py: .* -m pip install h5py$"):
+    with pytest.raises(
+        ConfigurationError, match=r"--format hdf5 needs h5py, of the extra data: .* -m pip install h5py$"
+    ):
         export_session(measured_series, "hdf5", tmp_path / "a.h5")
 
 

@@ -14,7 +14,7 @@ from acquisition.cameras.usb3vision import link
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.description import decode_description
 from acquisition.cameras.usb3vision.node_map import ACCESS, NodeMap
-from processing.errors import DeviceError
+from processing.errors import DeviceError, MissingPackage
 from tests.acquisition.cameras.usb3vision.backend import WITHOUT_GENICAM, InProcessBackend, camera_on
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
@@ -179,13 +179,13 @@ def test_without_genicam_one_line_says_what_to_install(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "genicam", None)
     device = VisionDevice()
     with pytest.raises(
-        DeviceError, match=r"needs genicam: pip install 'optical-pendulum-rig\[usb3vision\]'$"
+        MissingPackage, match=r"needs genicam, of the extra usb3vision: .* -m pip install genicam$"
     ):
         camera_on(device).open()
     monkeypatch.setattr(link, "_libusb", lambda: InProcessBackend(device))
     (listed,) = link.list_cameras()
     assert listed.serial == device.serial
-    assert listed.problem.endswith("pip install 'optical-pendulum-rig[usb3vision]'")
+    assert listed.problem.endswith("-m pip install genicam")
     monkeypatch.undo()
     camera: Usb3VisionCamera = camera_on(device)
     assert camera.open().serial == device.serial
