@@ -1,6 +1,7 @@
 """Units against those of pint, which shares no table with ours."""
 
 import math
+from functools import cache
 
 import pint
 import pytest
@@ -9,6 +10,11 @@ from processing.errors import ConfigurationError
 from processing.units import conversion, size, unit_of_name, units_like
 
 IN_PINT = {"px": "pixel", "DN": "count", "°C": "delta_degC", "%": "percent", "e": "elementary_charge"}
+
+
+@cache
+def registry() -> pint.UnitRegistry:
+    return pint.UnitRegistry()
 
 
 @pytest.mark.slow
@@ -48,12 +54,10 @@ IN_PINT = {"px": "pixel", "DN": "count", "°C": "delta_degC", "%": "percent", "e
     ],
 )
 def test_a_factor_is_that_of_pint(unit: str, into: str) -> None:
-    registry = pint.UnitRegistry()
-
     def theirs(text: str) -> str:
         return IN_PINT.get(text, text.replace("sqrt(Hz)", "Hz^0.5"))
 
-    expected = registry.Quantity(1.0, theirs(unit)).to(theirs(into)).magnitude
+    expected = registry().Quantity(1.0, theirs(unit)).to(theirs(into)).magnitude
     assert conversion(unit, into) == pytest.approx(expected, rel=1e-14)
 
 

@@ -53,6 +53,12 @@ def figures() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def no_fits_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a test that looks at results alone: nothing is fitted while the run goes on."""
+    monkeypatch.setattr("rig.measure.run.live_posterior", lambda _: None)
+
+
 @pytest.fixture(scope="session")
 def measured_series(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of two runs of 70 simulated seconds from (small) frames on, as `rig run` leaves it.

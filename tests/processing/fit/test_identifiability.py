@@ -35,10 +35,9 @@ def in_vacuum(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flat", ["glass_k8", "silicon"])
-def test_drag_is_seen_where_it_is_and_not_where_it_is_not(flat: str) -> None:
+def test_drag_is_seen_where_it_is_and_not_where_it_is_not() -> None:
     for drag_s in (0.0, 1e-3):
-        parameters, pendulum = paper_pair(flat, drag_s)
+        parameters, pendulum = paper_pair("silicon", drag_s)
         points = decay(parameters, pendulum, noise_arcsec=0.0005, seed=3)
         verdict = drag_verdict(points, pendulum, fit_exact(points, pendulum))
         assert verdict.significant == (drag_s > 0)
@@ -113,9 +112,7 @@ def test_the_uncertainty_of_a_drag_agrees_with_its_test_along_a_curved_valley() 
     found, wider = verdict.of_data_s
     assert (found / wider) ** 2 == pytest.approx(verdict.f_statistic, rel=1e-6)
     assert value < verdict.upper_95_s < 2 * value
-    known = {one.name: one for one in identifiability(points, pendulum, fit)}
-    assert known["drag_s"].profile_likelihood
-    assert not known["drag_s"].lower_95 > 0
+    assert not profile_likelihood(points, pendulum, fit, "drag_s").lower > 0
 
 
 def test_in_vacuum_none_is_seen_only_where_it_could_not_move_the_b_that_is_printed() -> None:
@@ -153,11 +150,10 @@ def test_what_is_known_of_the_air_is_taken_off_what_the_data_say() -> None:
     assert verdict.of_data_s.value == pytest.approx(free.estimate("drag_s").value, abs=0.3 * u)
 
 
-@pytest.mark.parametrize("drag_s", [0.0, 1e-3])
-def test_held_parameters_have_the_right_derivatives(drag_s: float) -> None:
-    parameters, pendulum = paper_pair("glass_k8", drag_s)
+def test_held_parameters_have_the_right_derivatives() -> None:
+    parameters, pendulum = paper_pair("glass_k8", 1e-3)
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=3, last_arcsec=60)
-    result = fit_exact(points, pendulum, drag=drag_s > 0)
+    result = fit_exact(points, pendulum, drag=True)
     model, best = ExactModel.of(points, pendulum, result)
     for name in result.names[:-2]:
         held = _ConditionalModel(model, name, best)
@@ -230,7 +226,8 @@ def test_a_short_run_without_adhesion_gives_bounds_not_numbers() -> None:
 def test_a_profile_is_followed_although_the_law_allows_less_than_the_uncertainty_says() -> None:
     """At one standard uncertainty of c the pendulum would not swing so far: the search begins nearer.
 
-    There is no bound: up to 27 times the fitted c chi2 rises by 1.2, of the 4 that it takes.
+    There is no bound: up to 27 times the fitted c chi2 rises by 1.2, of the 4 that it takes. Of refits that
+    had not converged it seemed to rise by 15 at c = 2.4e-6, where it rises by 1.4.
     """
     _, pendulum, points, result = in_vacuum("glass_k8", 0.05, 4, 110)
     value, u = result.estimate("c")
@@ -243,16 +240,12 @@ def test_a_profile_is_followed_although_the_law_allows_less_than_the_uncertainty
     assert np.isnan(profile.upper)
 
 
-@pytest.mark.parametrize(("flat", "seed", "name"), [("glass_k8", 6, "b"), ("steel", 7, "b")])
-def test_a_refit_that_was_given_up_is_no_limit(flat: str, seed: int, name: str) -> None:
+def test_a_refit_that_was_given_up_is_no_limit() -> None:
     """After 40 evaluations chi2 was still falling, and passed for risen: the limit lay short of the truth."""
-    parameters, pendulum = paper_pair(flat)
-    last_arcsec = 110 if seed % 2 else 90
-    points = decay(parameters, pendulum, noise_arcsec=0.05, seed=seed, last_arcsec=last_arcsec)
-    result = fit_exact(points, pendulum)
-    profile = profile_likelihood(points, pendulum, result, name)
-    assert not profile.upper < getattr(parameters, name)
-    assert not profile.lower > getattr(parameters, name)
+    parameters, pendulum, points, result = in_vacuum("glass_k8", 0.05, 6, 90)
+    profile = profile_likelihood(points, pendulum, result, "b")
+    assert not profile.upper < parameters.b
+    assert not profile.lower > parameters.b
     rise = np.sqrt(profile.trace[:, 1]) / stdtrit(result.dof, 0.975)
     for limit in (profile.lower, profile.upper):
         if np.isfinite(limit):
@@ -269,13 +262,6 @@ def test_a_refit_that_has_not_converged_sets_no_limit() -> None:
     found = profile_likelihood(points, pendulum, fit_exact(points, pendulum, drag=True), "b")
     assert not found.lower > parameters.b
     assert not found.upper < parameters.b
-
-
-def test_where_only_such_a_refit_would_bound_a_parameter_it_is_undetermined() -> None:
-    """At c = 2.4e-6 chi2 seemed to rise by 15: it rises by 1.4, and by 1.9 at five times as much."""
-    _, pendulum, points, result = in_vacuum("glass_k8", 0.05, 4, 110)
-    (c,) = [one for one in identifiability(points, pendulum, result) if one.name == "c"]
-    assert not c.upper_95 < 1.2e-5
 
 
 def test_period0_and_n_are_named_as_hard_to_tell_apart() -> None:

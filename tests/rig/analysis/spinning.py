@@ -12,7 +12,7 @@ from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import TruePath, noisy, true_path
 from processing.ambient import AmbientConditions
 from processing.deflections import Deflections, DeflectionUnit
-from processing.swing import swings_of_blocks
+from processing.swing import HalfCycle, swings_of_blocks
 from processing.units import ARCSEC_RAD
 from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
@@ -94,12 +94,17 @@ def configuration(*overrides: str) -> Configuration:
     return complete(load_configuration(DEMONSTRATION, (*EXACT_APPARATUS, *overrides)))
 
 
+def passed(seen: Deflections) -> tuple[list[HalfCycle], PassingDeflections]:
+    """Half-cycles of deflections, and the deflections in blocks, as they pass from a record."""
+    blocks = [seen[first : first + 4096] for first in range(0, len(seen), 4096)]
+    return swings_of_blocks(blocks), PassingDeflections(blocks, seen.unit)
+
+
 def analysed(seen: Deflections, config: Configuration, file: Path) -> AnalysedRun:
     """The results of a record with these deflections; `file` stands for the record."""
     file.touch()
-    blocks = [seen[first : first + 4096] for first in range(0, len(seen), 4096)]
-    passing = PassingDeflections(blocks, seen.unit)
-    return analyse_swings(file, swings_of_blocks(blocks), config, passing, AmbientConditions())
+    swings, passing = passed(seen)
+    return analyse_swings(file, swings, config, passing, AmbientConditions())
 
 
 class Held(NamedTuple):

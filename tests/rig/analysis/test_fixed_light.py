@@ -16,6 +16,7 @@ REFLECTION = {
     "simulation.reference.relative": "0.03",
     # the spot swings along x 159.5, past y 400
     "simulation.reference.y_px": "400",
+    "simulation.reference.x_px": "163.5",
 }
 
 
@@ -31,9 +32,9 @@ def condition(run: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("x_px", ["163.5", "173.5"])
-def test_the_parameters_know_nothing_of_a_reflection_of_three_percent(x_px: str, tmp_path: Path) -> None:
-    run = fitted(tmp_path / "run", **{"simulation.reference.x_px": x_px})
+@pytest.mark.usefixtures("no_fits_meanwhile")
+def test_the_parameters_know_nothing_of_a_reflection_of_three_percent(tmp_path: Path) -> None:
+    run = fitted(tmp_path / "run")
     exact = run["fits"]["exact"]
     for name, true in TRUE.items():
         assert abs(exact[name]["value"] - true) < 2.5 * exact[name]["standard_uncertainty"], name
@@ -47,8 +48,9 @@ def test_the_parameters_know_nothing_of_a_reflection_of_three_percent(x_px: str,
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_fits_meanwhile")
 def test_without_pixels_the_run_does_not_meet_its_conditions(tmp_path: Path) -> None:
-    run = fitted(tmp_path / "run", **{"simulation.reference.x_px": "163.5", "record.windows": "false"})
+    run = fitted(tmp_path / "run", **{"record.windows": "false"})
     said = condition(run)
     assert not said["ok"]
     assert "not taken off" in said["measured"]
