@@ -10,7 +10,7 @@ from typing import Any
 
 from acquisition.record.events import Event
 from acquisition.record.reader import Piece, RecordReader
-from acquisition.record.topics import KIND_OF, SPOT, RecordedEstimate, RecordedFittedPoint
+from acquisition.record.topics import KIND_OF, SPOT, RecordedFittedPoint
 from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
@@ -51,7 +51,6 @@ class RecordFollower:
             self._start_ns: int | None = None
             self._path: deque[Deflections] = deque()
             self._swings = {name: deque[Point](maxlen=_KEPT) for name in ("amplitude", "period")}
-            self._estimates: dict[str, deque[Point]] = {}
             self._fitted: list[RecordedFittedPoint] = []
             self._events: deque[tuple[float, Event]] = deque(maxlen=_EVENTS)
             self.balance: dict[str, Any] | None = None
@@ -77,11 +76,10 @@ class RecordFollower:
         return thinned_path(path)
 
     def history(self) -> dict[str, Any]:
-        """What charts show of the run since it began: swings, fit and estimates, amplitudes as shown."""
+        """What charts show of the run since it began: swings and fit, amplitudes as shown."""
         with self._lock:
             return {
                 "swings": {name: decimated(points) for name, points in self._swings.items()},
-                "estimates": {key: decimated(points) for key, points in self._estimates.items()},
                 "fit": _drawn(self._fitted, self._start_ns or 0),
             }
 
@@ -129,10 +127,6 @@ class RecordFollower:
                     self._swings["amplitude"].append((at_s, round(swing.amplitude / size, _DIGITS)))
                     if math.isfinite(swing.half_period_s):
                         self._swings["period"].append((at_s, round(2.0 * swing.half_period_s, _DIGITS)))
-            for row in told.of(RecordedEstimate):
-                if math.isfinite(row.value) and math.isfinite(row.u_value):
-                    kept = self._estimates.setdefault(row.quantity, deque(maxlen=_KEPT))
-                    kept.append((seconds(row.time_ns - start_ns), row.value, row.u_value))
             points = reader.values(RecordedFittedPoint, piece.get(KIND_OF[RecordedFittedPoint].topic, ()))
             if points:
                 # those of an earlier fit are forgotten

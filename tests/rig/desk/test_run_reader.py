@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.record.topics import RecordedEstimate, RecordedFittedPoint
+from acquisition.record.topics import RecordedFittedPoint
 from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
@@ -62,7 +62,7 @@ def test_a_growing_record_is_shown_as_it_is_flushed_and_the_next_one_of_its_name
         until(lambda: reader.path()["y"] == [0.5] * 4)
 
 
-def test_estimates_and_the_fit_are_told_at_the_times_of_the_record(reader: RecordFollower) -> None:
+def test_the_fit_is_told_at_the_times_of_the_record(reader: RecordFollower) -> None:
     start_ns = nanoseconds(50.0)
     with writer(reader.record) as record:
         spots(record, 0.0)
@@ -70,12 +70,10 @@ def test_estimates_and_the_fit_are_told_at_the_times_of_the_record(reader: Recor
         record.write_swing(swing)
         for at_s in (10.0, 12.0):
             time_ns = start_ns + nanoseconds(at_s)
-            record.write(RecordedEstimate(time_ns, 20, 0.03, 0.01, "b"))
             point = RecordedFittedPoint(time_ns, start_ns + nanoseconds(1.0), 3e-4, at_s, 4.01, 0.25)
             record.write(point)
     until(lambda: bool(reader.history()["fit"].get("period")))
     told = reader.history()
-    assert told["estimates"] == {"b": [(10.0, 0.03, 0.01), (12.0, 0.03, 0.01)]}
     assert told["fit"]["amplitude_residual"] == [(1.0, 12.0)]
     assert told["fit"]["period"] == [(1.0, 4.01)]
     assert told["swings"] == {"amplitude": [(1.0, 3.0)], "period": [(1.0, 4.0)]}

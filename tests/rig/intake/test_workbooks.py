@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.errors import DataError
+from processing.errors import DataError, MissingPackage
 from rig.intake.files import rows_of_workbook
 from rig.intake.table import TableColumns
 from tests.rig.intake.table_cases import Sheet, workbook
@@ -162,5 +162,5 @@ def test_without_calamine_one_line_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "python_calamine", None)
-    with pytest.raises(DataError, match=r"pip install 'optical-pendulum-rig\[data\]', or save it as text"):
+    with pytest.raises(MissingPackage, match=r"-m pip install python-calamine, or save it as text"):
         TableColumns().read(save(tmp_path / "decay.xlsx", {"A": Sheet(ROWS)}))
