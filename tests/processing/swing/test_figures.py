@@ -107,17 +107,20 @@ def test_true_waveform_of_the_strongest_friction(noise: float) -> None:
 @pytest.mark.parametrize(("contact", "noise"), [("glass", 0.02), ("steel", 0.005)])
 def test_true_waveform_over_a_whole_run(contact: str, noise: float) -> None:
     clean = contact_decay(contact, 500)
-    rng = np.random.default_rng([0, 77])
-    record = Record(
-        clean.times_ns,
-        clean.deflection + 7.0 + noise * rng.standard_normal(len(clean.deflection)),
-        np.full(len(clean.deflection), noise),
-        clean.turn_time_s,
-        clean.turn_amplitude,
-    )
-    e = errors(record, detect(record))
-    assert len(e) >= 496
-    table = np.column_stack([e.index, e.amplitude, e.time, e.amplitude_to_crlb, e.time_to_crlb])
+    rows = []
+    for seed in range(2):
+        rng = np.random.default_rng([seed, 77])
+        record = Record(
+            clean.times_ns,
+            clean.deflection + 7.0 + noise * rng.standard_normal(len(clean.deflection)),
+            np.full(len(clean.deflection), noise),
+            clean.turn_time_s,
+            clean.turn_amplitude,
+        )
+        e = errors(record, detect(record))
+        assert len(e) >= 496
+        rows.append(np.column_stack([e.index, e.amplitude, e.time, e.amplitude_to_crlb, e.time_to_crlb]))
+    table = np.concatenate(rows)
     settled = table[table[:, 0] > 100]
     n = len(settled)
     assert rms(settled[:, 3]) < FIGURE + 4 / np.sqrt(2 * n)
