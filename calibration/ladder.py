@@ -37,7 +37,7 @@ def check_steps(steps: LadderSteps, kind: str) -> None:
     """Raise DataError for a ladder that cannot be fitted."""
     count = len(steps.reference)
     if count < FEWEST_STEPS:
-        raise DataError(f"the ladder has {count} steps; at least {FEWEST_STEPS} are needed")
+        raise DataError(f"the ladder has {count} of the {FEWEST_STEPS} steps that are needed at least")
     for name in ("reference", "u_reference", "x_px", "y_px", "u_x_px", "u_y_px"):
         values = getattr(steps, name)
         if not np.all(np.isfinite(values)):

@@ -103,7 +103,7 @@ def rows_of(path: Path, raw: bytes) -> Sheet | None:
         return Sheet(_rows_of_matlab(path, raw))
     if name.endswith((".xlsx", ".xlsm")):
         try:
-            return rows_of_workbook(raw)
+            return rows_of_workbook(raw, path)
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError) as error:
             raise DataError(f"{path}: cannot be read as a workbook: {error}") from None
     if name.endswith((".xls", ".ods")):
@@ -227,15 +227,18 @@ _SHARE: Final = 0.25
 """Of the rows of the longest table, that another sheet must have to be one too."""
 
 
-def rows_of_workbook(raw: bytes) -> Sheet:
+def rows_of_workbook(raw: bytes, path: Path) -> Sheet:
     """The first sheet, of those that are seen before those that are hidden, that holds a table of numbers.
 
-    Raises ValueError where there is none, or where the file is damaged.
+    Raises ValueError where there is none, or where the file is damaged, and MissingPackage, which names the
+    file `path`, where nothing reads workbooks.
     """
     try:
         from python_calamine import CalamineError, SheetTypeEnum, SheetVisibleEnum, load_workbook
     except ImportError:
-        raise MissingPackage("a workbook", "python-calamine", "data", "save it as text (CSV)") from None
+        raise MissingPackage(
+            f"{path}: a workbook", "python-calamine", "data", "save it as text (CSV)"
+        ) from None
     try:
         plain, hides = _without_styles(raw)
         book, unstyled = load_workbook(io.BytesIO(raw)), load_workbook(plain)

@@ -173,7 +173,7 @@ def test_shifts_give_the_pitch() -> None:
 @pytest.mark.parametrize(
     ("readings", "words"),
     [
-        ([-100.0, 100.0], "2 steps"),
+        ([-100.0, 100.0], "2 of the 5 steps"),
         ([20.0, 40.0, 60.0, 80.0, 100.0], "one sign"),
         ([-50.0, 50.0, -50.0, 50.0, -50.0], "different settings"),
         ([math.nan, -50.0, 0.0, 50.0, 100.0], "no reference"),
