@@ -164,13 +164,13 @@ EFFECT = '[[effect]]\nparameter = "c"\nform = "linear"\n'
     [
         ('parameters = ["q"]', "parameters: there is no 'q'"),
         ('[[effect]]\nparameter = "c"\nform = "linear"', "covariate: is missing"),
-        ('[[effect]]\nparameter = "c"\nform = "cubic"\ncovariate = "order"', "effect.0.form"),
+        ('[[effect]]\nparameter = "c"\nform = "cubic"\ncovariate = "order"', "effect 1: form"),
         (
             '[[effect]]\nparameter = "c"\nform = "linear"\ncovariate = "phase_of_moon"',
             "there is no covariate 'phase_of_moon'; a campaign has humidity_percent",
         ),
         (EFFECT + 'covariate = "pressure_pa"', "pressure_pa: known of 0"),
-        (EFFECT + 'covariate = "order"\nreference = nan', "effect.0.reference"),
+        (EFFECT + 'covariate = "order"\nreference = nan', "effect 1: reference"),
         (
             EFFECT + 'covariate = "order"\ncontact = "tuesday"',
             "'tuesday': no such contact; the runs",

@@ -43,17 +43,14 @@ def test_what_the_camera_has_set_is_kept_and_what_cannot_be_is_not(desk: Desk) -
     assert desk.kept == kept
 
 
-def test_a_turn_is_stated_between_two_measurements_only(desk: Desk) -> None:
+def test_a_turn_is_stated_between_two_measurements_only(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     assert desk.balancing.shown.stage is BalanceStage.IDLE
     with pytest.raises(ConfigurationError, match="first measure"):
         desk.balancing.turned("x", "0.5")
     desk.balancing.end()
     # what a session that runs says of the balance is shown, too
-    desk.following.news = {
-        "balance": {"next_step": "turn weight y"},
-        "unit": "px",
-        "path": {"x": [1.0], "y": [2.0]},
-    }
+    monkeypatch.setattr(type(desk.following), "unit", "px")
+    desk.following.news = {"balance": {"next_step": "turn weight y"}, "path": {"x": [1.0], "y": [2.0]}}
     assert (desk.balancing.shown.advice, desk.balancing.shown.x, desk.balancing.unit) == (
         "turn weight y",
         [1.0],
