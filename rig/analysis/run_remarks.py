@@ -81,9 +81,6 @@ _DO: Final[Mapping[str, str]] = {
     "plane_of_swing_rad": "let the pendulum settle before the release, and calibrate the axes",
     "period_drift": "let the temperature settle before the next run",
 }
-_DO_ABOUT_STILL_GROUND: Final = (
-    "measure longer, or make more runs: they bound the ground, which is not seen to move"
-)
 
 
 class Limit(NamedTuple):
@@ -116,7 +113,8 @@ class WholeResult(NamedTuple):
     def next_steps(self) -> list[str]:
         """What to do about each of the sources that make most of the uncertainty."""
         large = [one for one in self.limits if one.share >= _LIMITS_FROM]
-        do = _DO if self.ground_seen else {**_DO, "ground": _DO_ABOUT_STILL_GROUND}
+        # what is not seen to move is bounded by more half-cycles
+        do = _DO if self.ground_seen else {**_DO, "ground": _DO["swings"]}
         steps = [do.get(one.source, f"determine {one.name} more accurately") for one in large]
         return list(dict.fromkeys(steps))
 
