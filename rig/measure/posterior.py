@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import IO
 
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
@@ -43,6 +42,7 @@ class LivePosterior:
         self._over = False
         self._remark = ""
         self._process: subprocess.Popen[bytes] | None = None
+        self._listening: threading.Thread | None = None
         self.begin(Path())
 
     @property
@@ -114,9 +114,9 @@ class LivePosterior:
         with suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.close()
-        # one that reads from a disk that hangs ends with that
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(_WAITING_S)
+        if self._listening is not None:
+            # not longer: one that reads from a disk that hangs ends with that
+            self._listening.join(_WAITING_S)
 
     def _started(self) -> "subprocess.Popen[bytes] | None":
         words, pipe = [str(self._record), *(["in step"] if self._in_step else [])], subprocess.PIPE
@@ -127,8 +127,10 @@ class LivePosterior:
         except OSError as error:
             self._end(f"the process that fits cannot be started ({error})")
             return None
-        listening = process.stdout, self._answers
-        threading.Thread(target=_listen, args=listening, name="posterior", daemon=True).start()
+        self._listening = threading.Thread(
+            target=_listen, args=(process, self._answers), name="posterior", daemon=True
+        )
+        self._listening.start()
         return process
 
     def _note(self, answer: Posterior | None) -> None:
@@ -142,12 +144,14 @@ class LivePosterior:
         self._remark = f"{why}: the run continues; its results follow at the end"
 
 
-def _listen(answers: IO[bytes], found: "SimpleQueue[Posterior | None]") -> None:
-    """Read the answers of a process, and None once it has ended."""
-    with answers, suppress(EOFError, OSError, ValueError, pickle.UnpicklingError):
-        while True:
-            found.put(pickle.load(answers))
+def _listen(process: "subprocess.Popen[bytes]", found: "SimpleQueue[Posterior | None]") -> None:
+    """Read the answers of a process, and None once they end; then wait for the process, however long."""
+    if process.stdout is not None:
+        with process.stdout as answers, suppress(EOFError, OSError, ValueError, pickle.UnpicklingError):
+            while True:
+                found.put(pickle.load(answers))
     found.put(None)
+    process.wait()
 
 
 def live_posterior(config: Configuration) -> LivePosterior | None:

@@ -213,7 +213,7 @@ def test_what_cannot_serve_leaves_no_file(records: dict[str, Path], tmp_path: Pa
     swinging = "".join(f"[[step]]\nreference = {r}\nrecord = '{records['swing']}'\n" for r in range(-3, 4))
     swinging = "pixel_pitch_m = 4.8e-6\n" + swinging
     attempts: list[tuple[str, Any]] = [
-        ("2 steps", lambda: calibrate_lever(tilts(tmp_path / "a.toml", [-9.0, 9.0]), filing)),
+        ("2 of the 5 steps", lambda: calibrate_lever(tilts(tmp_path / "a.toml", [-9.0, 9.0]), filing)),
         ("one sign", lambda: calibrate_lever(tilts(tmp_path / "b.toml", [1.0, 2, 3, 4, 5]), filing)),
         ("pendulum swings", lambda: calibrate_lever(write(tmp_path / "d.toml", swinging), filing)),
         ("pendulum swings", lambda: calibrate_pointing(records["swing"], filing)),

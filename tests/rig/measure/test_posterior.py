@@ -160,6 +160,28 @@ def test_without_the_process_that_fits_the_half_cycles_go_on_and_it_is_said_once
     assert posterior.take_remark() == ""
 
 
+def test_a_process_that_takes_its_time_to_die_is_waited_for_all_the_same(
+    growing: Growing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What nobody waits for stays as a zombie, and warns when it is forgotten."""
+    monkeypatch.setattr("rig.measure.posterior._WAITING_S", 0.0)
+    growing.grow(swings(POINTS)[:FIRST_HALF_CYCLES])
+    pid = growing.posterior.worker_pid
+    assert pid is not None
+    growing.begin()
+    assert growing.posterior.worker_pid is None
+    until(lambda: not alive(pid))
+
+
+def alive(pid: int) -> bool:
+    """Whether there is a process of this number, be it a zombie."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
 @pytest.mark.skipif(os.name != "posix", reason="processes are stopped by signals")
 @beside_a_measurement
 def test_beside_a_measurement_nothing_waits_for_a_process_that_is_stopped(growing: Growing) -> None:
@@ -173,8 +195,7 @@ def test_beside_a_measurement_nothing_waits_for_a_process_that_is_stopped(growin
     # would wait for ever
     assert growing.grow(measured[FIRST_HALF_CYCLES:]) == before
     posterior.close()
-    with pytest.raises(ProcessLookupError):
-        os.kill(pid, 0)
+    until(lambda: not alive(pid))
 
 
 @beside_a_measurement
