@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
-from acquisition.record import is_pixels, pixels_beside
+from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
 from acquisition.record.chunk import (
     ChunkDamage,
     ChunkPlace,
@@ -83,7 +83,8 @@ class RecordReader:
 
     def __init__(self, path: Path) -> None:
         if is_pixels(path):
-            raise RecordError(f"{path}: has the pixels of a record; name the record beside it")
+            record = path.name.removesuffix(PIXELS_SUFFIX)
+            raise RecordError(f"{path}: has the pixels of a record; name the record beside it, {record}.mcap")
         self.path = path
         self._numbers = ReadFile(path)
         self._pixels: ReadFile | None = None

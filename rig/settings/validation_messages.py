@@ -20,6 +20,9 @@ from rig.settings.number_input import quantity, states_unit
 _Place = tuple[int | str, ...]
 _Model = TypeVar("_Model", bound=BaseModel)
 
+_FIELDS_WORDS = {"fps": "frame_rate_hz"}
+"""Common words for a key that is spelled quite differently."""
+
 
 def in_words(root: type, fault: ErrorDetails) -> str:
     """One line for a fault that pydantic found in the tables of `root`."""
@@ -34,7 +37,8 @@ def in_words(root: type, fault: ErrorDetails) -> str:
         if inside:
             return f"{path}: unknown key; did you mean {' or '.join(f'{name}.{section}' for name in inside)}?"
         known = _known_keys(root, fault["loc"][:-1])
-        near = difflib.get_close_matches(section, known, n=1, cutoff=0.5)
+        meant = _FIELDS_WORDS.get(section)
+        near = [meant] if meant in known else difflib.get_close_matches(section, known, n=1, cutoff=0.51)
         if not near and len(fault["loc"]) == 1:
             near = _near_in_sections(root, section)
         hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(known))}"

@@ -50,6 +50,7 @@ def test_overrides_take_any_dotted_path() -> None:
     ("override", "message"),
     [
         ("session.rnus=3", r"session\.rnus: unknown key; did you mean runs\?"),
+        ("camera.fps=50", r"camera\.fps: unknown key; did you mean frame_rate_hz\?"),
         ("sesion.runs=3", r"sesion: unknown key; did you mean session\?"),
         ("simulation.contact.bb=3", r"simulation\.contact\.bb: unknown key; did you mean b\?"),
         ("camera.exposure_us=-3", r"camera\.exposure_us = -3: should be greater than 0"),
