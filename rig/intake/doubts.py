@@ -173,6 +173,8 @@ def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -
         )
 
 
+_ONE_WAY = 0.5
+"""Of all steps of a position, the part that is left of them at its end; a swing comes back."""
 _SLOW_STEP_S = 1.0
 _USUAL_PERIOD_S = (0.2, 100.0)
 """Of times of which nothing states that they are s; a pendulum of 0.2 s is 1 cm long."""
@@ -181,9 +183,16 @@ _TOO_LARGE = 3.0
 
 
 def judge_sign(path: Path, trajectory: Trajectory) -> None:
-    """Refuse one position without a sign, of which the period is half of the pendulum's."""
+    """Refuse one position without a swing, and one without a sign, whose period is half of the pendulum's."""
     if len(trajectory.positions) > 1:
         return
+    values = trajectory.positions[0][np.isfinite(trajectory.positions[0])]
+    if len(values) > 1 and abs(values[-1] - values[0]) > _ONE_WAY * np.abs(np.diff(values)).sum():
+        raise DataError(
+            f"{path}: {trajectory.names[0]} goes from {values[0]:.4g} to {values[-1]:.4g} and hardly ever "
+            "back: no position of a swing does; name the column of the position (--position), or give "
+            "amplitudes as an envelope (--envelope amplitude)"
+        )
     period_s = unsigned_period_s(trajectory.times_ns, trajectory.positions[0])
     if math.isfinite(period_s):
         raise DataError(

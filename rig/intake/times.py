@@ -106,8 +106,8 @@ def read_times(
         row = int(backwards[0])
         remedy = _TWICE if times[row + 1] == times[row] and remedy is SORT else remedy
         raise DataError(
-            f"{path}: time does not increase after {times[row]:.16g} {unit} (row {row + 1}): "
-            f"{times[row + 1]:.16g} {unit} follows; {remedy}"
+            f"{path}: time does not increase after {times[row]:.15g} {unit} (row {row + 1}): "
+            f"{times[row + 1]:.15g} {unit} follows; {remedy}"
         )
     first = next(cell for cell, kept in zip(cells, good, strict=True) if kept)
     return times_ns, good, round(Decimal(first) * size_ns)

@@ -221,6 +221,15 @@ def test_a_position_without_its_sign_is_refused_with_the_pendulums_period(
         analyse_table(write(tmp_path / "t.csv", t, unsigned(x)), None, TableColumns(unit="cm"))
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_amplitudes_instead_of_positions_are_refused_as_such(tmp_path: Path, noise: float) -> None:
+    """They come back to no value, so that no period is named."""
+    t = 2.1 * np.arange(400)
+    amplitudes = 100.0 * np.exp(-t / 400.0) + noise * np.random.default_rng(1).standard_normal(len(t))
+    with pytest.raises(DataError, match=r"column 2 goes from 100 to 12\.3\d and hardly ever back.*--envelope"):
+        analyse_table(write(tmp_path / "t.csv", t, amplitudes), None, TableColumns(unit="arcsec"))
+
+
 @pytest.mark.parametrize(
     "signed",
     [
