@@ -16,14 +16,14 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.position_map.fixed_pattern import PositionMap, Splines
-from processing.swing import SHARED, CycleResiduals
+from processing.swing import SHARED_COLUMNS, CycleResiduals
 
 _AT_ONCE = 8
 """Cycles whose columns are multiplied together."""
 
 
 class NormalEquations(NamedTuple):
-    """Information ``J^T W J`` and score ``J^T W r`` of the splines, followed by the SHARED common columns."""
+    """Information ``J^T W J`` and score ``J^T W r`` of the splines, then of the common columns."""
 
     information: Floats
     score: Floats
@@ -31,7 +31,7 @@ class NormalEquations(NamedTuple):
     @property
     def splines(self) -> int:
         """Number of splines."""
-        return len(self.score) - SHARED
+        return len(self.score) - SHARED_COLUMNS
 
     def spline_equations(self, scale: float = 1.0) -> "NormalEquations":
         """Those of the splines alone, the common columns free; `scale` is the variance of the residuals."""
@@ -43,7 +43,7 @@ class NormalEquations(NamedTuple):
         )
 
     def by_common(self) -> Floats:
-        """What the splines take from a score of the common columns that are left free, (splines, SHARED)."""
+        """What the splines take from a score of the common columns left free, (splines, SHARED_COLUMNS)."""
         return np.asarray(
             self.information[: self.splines, self.splines :] @ self._inverse(), dtype=np.float64
         )
@@ -87,11 +87,11 @@ class Accumulator:
         self.cycles = 0
         self._splines = splines
         self._band = np.zeros((4, splines.count))
-        self._crossed = np.zeros((splines.count, SHARED))
-        self._common = np.zeros((SHARED, SHARED))
+        self._crossed = np.zeros((splines.count, SHARED_COLUMNS))
+        self._common = np.zeros((SHARED_COLUMNS, SHARED_COLUMNS))
         self._taken: list[Floats] = []
         self._together: Floats | None = None
-        self._score = np.zeros(splines.count + SHARED)
+        self._score = np.zeros(splines.count + SHARED_COLUMNS)
 
     def add(self, cycle: CycleResiduals) -> Floats:
         """Add one cycle and return its score."""
@@ -130,7 +130,7 @@ class Accumulator:
     def sums(self) -> NormalEquations:
         """All cycles so far."""
         splines = self._splines.count
-        information = np.zeros((splines + SHARED, splines + SHARED))
+        information = np.zeros((splines + SHARED_COLUMNS, splines + SHARED_COLUMNS))
         for apart in range(4):
             rows = np.arange(splines - apart)
             information[rows, rows + apart] = information[rows + apart, rows] = self._band[
