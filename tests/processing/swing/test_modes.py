@@ -19,7 +19,7 @@ from processing.swing.mode_fit import (
     X,
     Y,
     _step,
-    _step_in_what_is_determined,
+    _step_in_determined_terms,
     fast_mode_seen,
 )
 from processing.swing.modes import TwoModes, separate_modes
@@ -188,6 +188,6 @@ def test_a_step_leaves_out_a_combination_that_samples_do_not_determine() -> None
     information, score = design.T @ design, design.T @ rng.standard_normal(60)
     places = np.array(EVERY)
     assert not _step(information, score, places)[2]
-    change, _ = _step_in_what_is_determined(information, score, places)
+    change, _ = _step_in_determined_terms(information, score, places)
     np.testing.assert_allclose(information @ change, score, rtol=1e-9, atol=1e-9)
     assert change[X] == pytest.approx(change[Y])
