@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from processing.balance.estimate import _without_overtone
+from processing.balance.estimate import _without_harmonic
 from processing.errors import DataError
 from processing.swing import mode_fit
 from processing.swing.mode_fit import (
@@ -116,7 +116,7 @@ def test_a_line_beside_a_harmonic_of_the_waveform_is_no_fast_mode() -> None:
     modes = separate_modes(times_ns, NOISE * rng.standard_normal(2400), y, u, u)
     assert modes is not None
     assert modes.fast is not None
-    assert _without_overtone(modes).fast is None
+    assert _without_harmonic(modes).fast is None
 
 
 def test_lost_spots_and_uneven_steps() -> None:
