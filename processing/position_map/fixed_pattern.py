@@ -96,7 +96,7 @@ class PositionMap:
         return found
 
     def u_error(self, place: Floats) -> Floats:
-        """Standard uncertainties (n,) of `error` except for a constant and a scale, which are undetermined."""
+        """Standard uncertainties (n,) of `error` except for an undetermined constant and scale."""
         matrix = self.splines.matrix(place)
         trend = np.column_stack([np.ones(len(place)), place - place.mean()])
         matrix = FactoredJacobian(trend).left(matrix)
