@@ -55,8 +55,7 @@ class AmbientConditions:
 
     The air is the mean of sensor readings during the run, otherwise as stated. `temperature_change_k` is the
     change of temperature from the first reading to the last, by a straight line through all. `dwell_s` is the
-    time from setting the ball on its place to the run's first frame, `age_s` that from the last cleaning of
-    the surfaces.
+    time from placing the ball to the run's first frame, `age_s` that from the last cleaning of the surfaces.
     """
 
     temperature_c: Annotated[float, Quantity("temperature", "temperature")] = nan

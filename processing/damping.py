@@ -25,7 +25,7 @@ PARTS: Final = ("constant", "linear", "quadratic")
 _FEWEST_AMPLITUDES: Final = 12
 """Fewest amplitudes: four parameters leave eight degrees of freedom."""
 _DB: Final = 10.0 / log(10.0)
-_SMALLEST_AMPLITUDE: Final = 1e-9
+_SMALLEST: Final = 1e-9
 """Smallest amplitude in units of the largest one; smaller ones count as this."""
 _ENDS: Final = np.array([0.0, 1.0])
 _FLOOR_CHI2: Final = 12.0
@@ -160,7 +160,7 @@ def fit_damping(
         if below and bare.chi2 - at_floor.chi2 > _FLOOR_CHI2:
             bare, level = at_floor, at_floor.floor
     unit = 10 ** (level_db / 20.0) if decibel else scale
-    by_parts = {
+    fits = {
         kept: fit.parts(kept, start, floor=bool(np.isfinite(level)))
         for size in (1, 2)
         for kept in combinations(PARTS, size)
@@ -168,16 +168,14 @@ def fit_damping(
     freedom = len(y) - 4 - (1 if np.isfinite(level) else 0)
     chi2_per_dof = bare.chi2 / freedom
     # if all parts together leave more than the stated noise, the noise is taken from their residuals
-    inflation = max(1.0, chi2_per_dof)
-    weights = {
-        kept: found.chi2 / inflation + (len(kept) + 1) * log(len(y)) for kept, found in by_parts.items()
-    }
+    excess = max(1.0, chi2_per_dof)
+    weights = {kept: found.chi2 / excess + (len(kept) + 1) * log(len(y)) for kept, found in fits.items()}
     best = min(weights.values())
     chances = {kept: exp(-0.5 * (weight - best)) for kept, weight in weights.items()}
     total = sum(chances.values())
     # amplitude in `unit`, time in spans: constant unit/span, linear 1/span, quadratic 1/(unit span)
     sizes = np.array([unit, 1.0, 1.0 / unit]) / span_s
-    covariance = bare.covariance[1:4, 1:4] * np.outer(sizes, sizes) * inflation
+    covariance = bare.covariance[1:4, 1:4] * np.outer(sizes, sizes) * excess
     parts = [
         DampingTerm(
             float(bare.values[k + 1] * sizes[k]),
@@ -187,13 +185,13 @@ def fit_damping(
         for k, name in enumerate(PARTS)
     ]
     ends = amplitude_at(_ENDS, *bare.values[:4])
-    single = by_parts[("linear",)]
+    single = fits[("linear",)]
     single_chi2 = single.chi2 / (freedom + 2)
     rate, u_rate = float(single.values[2]), sqrt(single.covariance[2, 2] * max(1.0, single_chi2))
     if not rate > 3.0 * u_rate:
         raise DataError("the amplitude does not fall: this is not a ring-down, or too short a part of one")
     tau_s = span_s / rate
-    u_tau_s = sqrt((tau_s * u_rate / rate) ** 2 + _spread2(by_parts, chances, ends, rate) * span_s**2)
+    u_tau_s = sqrt((tau_s * u_rate / rate) ** 2 + _spread2(fits, chances, ends, rate) * span_s**2)
     return DampingTerms(
         samples=len(y),
         constant=parts[0],
@@ -210,7 +208,7 @@ def fit_damping(
 
 
 def _spread2(
-    by_parts: Mapping[tuple[str, ...], _DampingSolution],
+    fits: Mapping[tuple[str, ...], _DampingSolution],
     chances: Mapping[tuple[str, ...], float],
     ends: Floats,
     rate: float,
@@ -224,7 +222,7 @@ def _spread2(
     powers = np.stack([1.0 / quarters, np.ones(2), quarters])
     weighted = [
         chances[kept] * np.ptp(1.0 / np.maximum(found.values[1:] @ powers, rate / 8)) ** 2
-        for kept, found in by_parts.items()
+        for kept, found in fits.items()
     ]
     return float(sum(weighted)) / sum(chances.values()) / 3.0
 
@@ -234,9 +232,7 @@ class _Fit:
 
     def __init__(self, t: Floats, y: Floats, u: Floats, decibel: bool) -> None:
         self._t, self._y, self._u, self._decibel = t, y, u, decibel
-        self._lowest = (
-            float(np.min(10 ** (y / 20.0))) if decibel else float(max(np.min(y), _SMALLEST_AMPLITUDE))
-        )
+        self._lowest = float(np.min(10 ** (y / 20.0))) if decibel else float(max(np.min(y), _SMALLEST))
 
     def start(self) -> Floats:
         """Start values: first amplitude, and a linear part from the time in which the amplitude halves."""
@@ -262,7 +258,7 @@ class _Fit:
             values[free] = p[:count]
             return self._residual(values, exp(min(p[count], 5.0)) if floor else nan)
 
-        at_start = np.append(begin[free], log(self._lowest + _SMALLEST_AMPLITUDE)) if floor else begin[free]
+        at_start = np.append(begin[free], log(self._lowest + _SMALLEST)) if floor else begin[free]
         found = solve(differenced(residual), at_start)
         values, covariance = np.zeros(4), np.zeros((4, 4))
         values[free] = found.values[:count]
@@ -276,5 +272,5 @@ class _Fit:
         if np.isfinite(floor):
             amplitude = np.hypot(amplitude, floor)
         if self._decibel:
-            amplitude = 2.0 * _DB * np.log(np.maximum(amplitude, _SMALLEST_AMPLITUDE))
+            amplitude = 2.0 * _DB * np.log(np.maximum(amplitude, _SMALLEST))
         return np.asarray((amplitude - self._y) / self._u)

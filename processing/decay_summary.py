@@ -119,8 +119,7 @@ class DecaySummary:
     def quality_factor(self) -> Estimate | None:
         """Quality factor, pi over the decrement.
 
-        None if the decrement changes, is not significantly above zero, or exceeds pi (a decay faster than a
-        period).
+        None if the decrement changes, is not significantly positive, or exceeds pi (faster than a period).
         """
         found = self.decrement
         if found.changes or found.value > np.pi or not found.value > _SIGNIFICANT * found.u:

@@ -26,9 +26,8 @@ class EnvelopeDecay:
 
     `initial` and `floor` are the amplitude at the first sample and of the noise floor (NaN if the end shows
     none), in the samples' unit; `noise` is the scatter of the samples. `tau_s` is the time constant of a
-    single exponential; `u_tau_s` includes its variation over the fall. `first_s` and `last_s` are the time
-    constants at a quarter and three quarters of the fall (in its logarithm). `damping` is the dependence on
-    the amplitude.
+    single exponential; `u_tau_s` includes its variation over the fall. `first_s` and `last_s` are those at a
+    quarter and three quarters of the fall (in its logarithm). `damping` is the dependence on the amplitude.
     """
 
     samples: int
@@ -106,9 +105,9 @@ _LARGEST_SQUARES_RATIO: Final = 0.2
 """Largest ratio of the squares that a rectified sinusoid and a sinusoid leave, if the first fits better."""
 _LARGEST_SCATTER: Final = 0.04
 """Largest scatter about the rectified shape, relative to the range of a cycle."""
-_ZERO_LEVEL: Final = 0.1
+_ZERO: Final = 0.1
 """Values, relative to the largest, that count as zero because of the sampling."""
-_LARGEST_RANGE_RATIO: Final = 0.75
+_FALLEN: Final = 0.75
 """Largest ratio of last to first range that counts as a decay."""
 _LARGEST_MOVE: Final = 0.1
 """Largest move of constant turning points, relative to the fall of the other side."""
@@ -119,8 +118,7 @@ _LARGEST_ZERO_FRACTION: Final = 0.35
 def unsigned_period_s(times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> float:
     """Period of an oscillation x if the values are |x|, x² or another even function of x; otherwise NaN.
 
-    |x| has cusps where x is zero. In an even function the turning points of one side are constant, and those
-    of the other side approach them.
+    |x| has cusps at zero. In an even function the turning points of one side stay, the others approach them.
     """
     good = np.isfinite(values)
     times_s, values = seconds(times_ns[good]), values[good]
@@ -157,12 +155,8 @@ def _returns_to_zero(parts: list[NDArray[np.float64]]) -> bool:
         ends = -ends[:, ::-1]
     third = len(ends) // 3
     (first_low, first), (last_low, last) = np.median(ends[:third], axis=0), np.median(ends[-third:], axis=0)
-    stands = (
-        abs(first_low) < _ZERO_LEVEL * first
-        and abs(last_low) < _ZERO_LEVEL * last
-        and 0 < last < _LARGEST_RANGE_RATIO * first
-    )
-    at_zero = np.mean([np.mean(np.abs(part) < _ZERO_LEVEL * np.abs(part).max()) for part in parts[:third]])
+    stands = abs(first_low) < _ZERO * first and abs(last_low) < _ZERO * last and 0 < last < _FALLEN * first
+    at_zero = np.mean([np.mean(np.abs(part) < _ZERO * np.abs(part).max()) for part in parts[:third]])
     return bool(stands and at_zero < _LARGEST_ZERO_FRACTION)
 
 
@@ -175,11 +169,11 @@ def _one_side_is_constant(parts: list[NDArray[np.float64]]) -> bool:
     third = len(ends) // 3
     first, last = np.median(ends[:third], axis=0), np.median(ends[-third:], axis=0)
     span, fell = np.ptp(first), np.ptp(first) - np.ptp(last)
-    if not fell > (1.0 - _LARGEST_RANGE_RATIO) * span:
+    if not fell > (1.0 - _FALLEN) * span:
         return False
     moved = np.abs(last - first)
     side = int(np.argmin(moved))
-    near = np.mean([np.mean(np.abs(part - first[side]) < _ZERO_LEVEL * span) for part in parts[:third]])
+    near = np.mean([np.mean(np.abs(part - first[side]) < _ZERO * span) for part in parts[:third]])
     return bool(moved[side] < _LARGEST_MOVE * fell and near < _LARGEST_ZERO_FRACTION)
 
 
@@ -188,10 +182,7 @@ def _has_cusps(parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> 
     largest = sorted(parts, key=lambda part: -float(np.ptp(part[1])))[:_MOST_CYCLES]
     left = np.array(
         [
-            [
-                _residual_square(cycles, values, shape) / np.ptp(values) ** 2
-                for shape in (_rectified, _sinusoid)
-            ]
+            [_mean_square(cycles, values, shape) / np.ptp(values) ** 2 for shape in (_rectified, _sinusoid)]
             for cycles, values in largest
             if np.ptp(values) > 0
         ]
@@ -210,7 +201,7 @@ def _sinusoid(cycles: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.cos(2.0 * np.pi * cycles)
 
 
-def _residual_square(
+def _mean_square(
     cycles: NDArray[np.float64], values: NDArray[np.float64], shape: Callable[..., NDArray[np.float64]]
 ) -> float:
     """Mean square residual from a shape at its best phase, with a straight line added to it."""

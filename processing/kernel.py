@@ -29,8 +29,7 @@ class _Declared:
     def compiled(self) -> Any:
         """Kernel of this function; every module then holds kernels in place of stand-ins.
 
-        All are replaced at once, because a kernel finds those that it calls in its module, and numba accepts
-        only its own.
+        All are replaced, because numba looks up the kernels that a kernel calls in its module.
         """
         with _LOCK:
             if self._compiled is None:

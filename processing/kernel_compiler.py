@@ -46,8 +46,7 @@ LONGEST_WAIT_S = 600.0
 def byte_locked(path: Path, byte: int, waits: Callable[[], None]) -> Iterator[None]:
     """Hold the lock of one byte within the context; `waits` is called once if another process has it.
 
-    The byte need not exist. If the disk or the system has no such locks, or nothing can be written, the
-    context is entered without a lock.
+    The byte need not exist. Without such locks or write access the context is entered without a lock.
     """
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
@@ -173,8 +172,7 @@ class _KernelThatMakesArrays(Kernel):
     """Kernel that returns arrays, which numba passes to Python by Python's own code, where Ctrl-C may arrive.
 
     numba then raises SystemError ("returned a result with an exception set") with the interrupt as its cause,
-    which code that waits for Ctrl-C would not catch. This class costs 0.2 us a call, so that other kernels do
-    without it.
+    which code that waits for Ctrl-C would not catch. It costs 0.2 us a call, which other kernels save.
     """
 
     def __call__(self, *args: Any, **words: Any) -> Any:

@@ -1,7 +1,4 @@
-"""Oscillation of a pendulum at rest, which the ground sustains, and the strength of the ground's drive.
-
-`Witness` is an auxiliary seismometer beside the pendulum.
-"""
+"""Oscillation of a pendulum at rest, which the ground drives, and its auxiliary seismometer (`Witness`)."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -67,8 +64,7 @@ def _binned(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
 def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
     """Period at which the changes of the deflections have most power, to a twentieth of the resolution.
 
-    Changes are used because pointing and air have most power at low frequencies, which would be mistaken for
-    a long period.
+    Changes are used because the power of pointing and air at low frequencies would look like a long period.
     """
     frequency_hz = np.arange(1 / _PERIODS_S[1], 1 / _PERIODS_S[0], 0.05 / span_s)
     change, middle_s = np.diff(deflection), 0.5 * (time_s[1:] + time_s[:-1])
@@ -146,8 +142,7 @@ def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
     Notes
     -----
     For fits over whole periods of a random walk with the variance S per period, the differences of neighbours
-    have the covariance ``2 S/3 + 2 r, S/6 - r, 0, ...`` with r the variance of the reading. Sines diagonalise
-    it.
+    have the covariance ``2 S/3 + 2 r, S/6 - r, 0, ...``, r from the reading. Sines diagonalise it.
     """
     from scipy.fft import dst
 
@@ -214,8 +209,7 @@ class SeismometerAtRest:
     chance_coherence
         Squared coherence that one in twenty unrelated records exceeds.
     factor
-        Factor by which the amplitude of the changes would fall. They contain reading noise, air and pointing:
-        the ground's part falls by more.
+        Factor by which the amplitude of the changes would fall; without noise and air it would fall by more.
     least, most
         Bounds of 95 % of the factor, at most that between two seismometers at one place.
     """

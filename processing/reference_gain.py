@@ -1,7 +1,4 @@
-"""Gain of the reference: motion of the pendulum's spot by the beam per motion of the reference spot.
-
-The gain is measured while the pendulum swings, or at rest.
-"""
+"""Gain of the reference, swinging and at rest: motion of the pendulum's spot per motion of the reference."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -23,7 +20,7 @@ _LARGEST_LOST_PART = 0.1
 """Fraction of lost frames from which on a stretch is left out."""
 _WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
 """Window of Blackman and Harris, with sidelobes of -92 dB, for swings of 1e4 times the beam's motion."""
-_STARTS_PER_STRETCH = 4
+_STARTS = 4
 """Number of starts of stretches per length of a stretch: the window uses little more than its middle."""
 _WEIGHT_ITERATIONS = 4
 _BLOCKS = 10
@@ -52,9 +49,7 @@ def gain_in_swings(
     there = np.interp(even_s, time_s, found.astype(np.float64))
     length = min(len(even_s) // _STRETCHES, max(_FEWEST, round(_LONGEST_S / step_s)))
     starts = [
-        k
-        for k in range(0, len(even_s) - length + 1, length // _STARTS_PER_STRETCH)
-        if _is_complete(there[k : k + length])
+        k for k in range(0, len(even_s) - length + 1, length // _STARTS) if _complete(there[k : k + length])
     ]
     if len(starts) < _BLOCKS:
         raise DataError("too few stretches of the run have both spots: state reference.gain")
@@ -77,7 +72,7 @@ def gain_in_swings(
     return Estimate(gain, float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2))))
 
 
-def _is_complete(there: Floats) -> bool:
+def _complete(there: Floats) -> bool:
     return float(np.mean(there)) > 1 - _LARGEST_LOST_PART
 
 
@@ -100,7 +95,7 @@ def _means_of_others(values: Floats) -> Floats:
     With its own noise a stretch would give most weight to frequencies at which that is small by chance.
     """
     places = np.arange(len(values))
-    apart = np.abs(places[:, None] - places) >= _STARTS_PER_STRETCH
+    apart = np.abs(places[:, None] - places) >= _STARTS
     return np.asarray(apart @ values / apart.sum(axis=1, keepdims=True))
 
 

@@ -27,7 +27,7 @@ _OCTAVES: Final = 7
 _MEMORIES: Final = (1 / 32, 1 / 8)
 """Correlation times of a wandering slope, relative to the record's length; it cannot show longer ones."""
 _P_WHITE: Final = 0.6
-_P_SHORT_CORRELATION: Final = 0.2
+_P_SHORT: Final = 0.2
 """Prior probabilities that noise is white, and that its correlation time is within a part."""
 
 
@@ -84,10 +84,7 @@ def _noise_models(count: int, outside: Array) -> Iterator[tuple[float, Array]]:
     white = np.eye(count)
     yield _P_WHITE, white
     soon, lasting = _wandering_covariances(count)
-    for kinds, probability in (
-        (soon, _P_SHORT_CORRELATION),
-        (lasting, 1.0 - _P_WHITE - _P_SHORT_CORRELATION),
-    ):
+    for kinds, probability in ((soon, _P_SHORT), (lasting, 1.0 - _P_WHITE - _P_SHORT)):
         for kind in kinds:
             size = float(np.trace(outside.T @ kind @ outside)) / outside.shape[1]
             for ratio in _VARIANCE_RATIOS:

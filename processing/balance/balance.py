@@ -88,8 +88,7 @@ def names_with_units(unit: DeflectionUnit) -> dict[str, str]:
 class Room:
     """Polygon of the rest positions (X, Y), as tilts, at which the spot is on the sensor.
 
-    `normals` (n, 2) are unit vectors towards its edges, `distances_arcsec` (n,) the distances of the edges
-    from zero tilt.
+    `normals` (n, 2) are unit vectors towards its edges, `distances_arcsec` (n,) those of the edges from zero.
     """
 
     normals: Floats
@@ -126,9 +125,8 @@ class Doubt(StrEnum):
 class Turn(NamedTuple):
     """Next adjustment: the weight, the number of turns (positive: clockwise) and the reason (`why`).
 
-    `then` is a second turn in the opposite direction, which takes up the play of the screw; 0 if there is
-    none. `swing_arcsec` is the largest amplitude with which the spot will stay on the sensor afterwards, inf
-    if it is not known.
+    `then` is a second turn in the opposite direction, which takes up the play of the screw, or 0.
+    `swing_arcsec` is the largest amplitude with which the spot stays on the sensor then, inf if unknown.
     """
 
     weight: str

@@ -33,13 +33,13 @@ minute is found soon after it has passed."""
 _REST_CHI2 = 4.0
 """Chi-square per sample below which the pendulum is at rest."""
 _FIRST_SIZE = 4096
-_HARMONIC_RANGE = 0.1
+_NEAR_WHOLE = 0.1
 """Distance from a whole multiple of the slow mode's frequency within which a weak line is a harmonic of its
 waveform: damping and noise under the line shift it by more than its uncertainty."""
 _LARGEST_DIFFERENCE, _LARGEST_DIFFERENCE_U = 1e-3, 3.0
 """Largest difference of a window and its later half, relative to amplitude and period, and in standard
 uncertainties; the larger one applies."""
-_LARGEST_HARMONIC = 1e-3
+_OVERTONE = 1e-3
 """Largest deviation of the waveform from a sine because of friction, as a fraction of the amplitude."""
 
 
@@ -273,8 +273,6 @@ def _without_harmonic(modes: TwoModes) -> TwoModes:
     ratio = slow.period_s / fast.period_s
     u_ratio = ratio * math.hypot(slow.u_period_s / slow.period_s, fast.u_period_s / fast.period_s)
     size = math.hypot(fast.x_amplitude, fast.y_amplitude)
-    if size > _LARGEST_HARMONIC * slow.amplitude or abs(ratio - round(ratio)) > max(
-        3.0 * u_ratio, _HARMONIC_RANGE
-    ):
+    if size > _OVERTONE * slow.amplitude or abs(ratio - round(ratio)) > max(3.0 * u_ratio, _NEAR_WHOLE):
         return modes
     return replace(modes, fast=None, fast_limit=max(modes.fast_limit, size))

@@ -174,11 +174,10 @@ def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> Pla
     return replace(plane, doubt=_doubt(plane, times_ns, from_ns, to_ns))
 
 
-def along_square_axes(deflections: Deflections, oblique_rad: float) -> Deflections:
+def square_axes(deflections: Deflections, oblique_rad: float) -> Deflections:
     """Deflections along two axes at a right angle, of which the second is the slow mode's.
 
-    `oblique_rad` is the angle from the slow to the fast axis minus a right angle, with the opposite sign if
-    the fast axis is mirrored.
+    `oblique_rad` is the angle from slow to fast axis minus a right angle, negated if the latter is mirrored.
     """
     if oblique_rad == 0.0:
         return deflections
@@ -192,12 +191,12 @@ def along_square_axes(deflections: Deflections, oblique_rad: float) -> Deflectio
     )
 
 
-def along_turned_axes(deflections: Deflections, angle_rad: Floats, oblique_rad: float = 0.0) -> Deflections:
+def rotate(deflections: Deflections, angle_rad: Floats, oblique_rad: float = 0.0) -> Deflections:
     """Deflections along axes that have turned from Y towards X by `angle_rad` (n,).
 
     The axes are made square with `oblique_rad`, turned, and made oblique again by the same angle.
     """
-    at = along_square_axes(deflections, oblique_rad)
+    at = square_axes(deflections, oblique_rad)
     sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
     x, u_x = at.x * cosine - at.y * sine, np.hypot(at.u_x * cosine, at.u_y * sine)
     y, u_y = at.y * cosine + at.x * sine, np.hypot(at.u_y * cosine, at.u_x * sine)
@@ -308,22 +307,19 @@ def _doubt(plane: PlaneOfSwing, times_ns: Ints, from_ns: int, to_ns: int) -> str
     return ""
 
 
-_START_BALANCES = 5
+_EARLY = 5
 """Number of balances at the beginning that show the transverse motion from the start."""
 
 
 def balance_of_run(balances: Sequence[Balance], plane: PlaneOfSwing | None) -> Balance | None:
     """Balance of a whole decay; None without balances.
 
-    The transverse motion is that of the first periods, ellipticity and rest position are means, and the
-    rotation is the fastest one of the `plane`, NaN without a plane. The other fields are those of the first
-    period.
+    The transverse motion is that of the first periods, ellipticity and rest position are means, the rotation
+    is the fastest one of the `plane`, NaN without it. The other fields are those of the first period.
     """
     if not balances:
         return None
-    first = sorted(balances[:_START_BALANCES], key=lambda one: one.transverse_ratio)[
-        len(balances[:_START_BALANCES]) // 2
-    ]
+    first = sorted(balances[:_EARLY], key=lambda one: one.transverse_ratio)[len(balances[:_EARLY]) // 2]
     width_ratio, u_width_ratio = _mean(balances, "width_ratio")
     rest_x, u_rest_x = _mean(balances, "rest_x")
     rest_y, u_rest_y = _mean(balances, "rest_y")

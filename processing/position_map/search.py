@@ -283,8 +283,7 @@ class PositionMapSearch:
     def _scatter(self, found: _LikelihoodPeak, whole: NormalEquations) -> float:
         """Variance of the cycles' scores about the common error, relative to the samples' uncertainties.
 
-        It is taken in the directions of the prior, in which other disturbances common to neighbouring samples
-        count fully.
+        It is taken in the directions of the prior, in which disturbances of neighbouring samples count fully.
         """
         everything = whole.with_common(found.coefficients)
         prior, power, expected = self._prior(found.length), 0.0, 0.0

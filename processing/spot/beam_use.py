@@ -119,13 +119,13 @@ _AWAY_SIGMAS = 4.5
 """Distance from the spot beyond which its own light is below 4e-5 of the peak."""
 _FEWEST_PICTURES = 4
 """Fewest pictures with the spot away from a pixel, from which the other light of the pixel is known."""
-_SMALLEST_SIGNIFICANCE = 5.0
+_CHANCE_U = 5.0
 """Smallest shift, in standard uncertainties of the mean of the pictures, that is not by chance."""
-_SMALLEST_SHIFT_U = 1.0
+_SHIFT_U = 1.0
 """Smallest shift, in standard uncertainties of a position, that matters."""
 _REACH_SIGMAS = 5.5
 """Distance from the spot's centre within which light shifts its fit: the window and the light's width."""
-_LIT_SIGNIFICANCE = 6.0
+_LIT_SIGMAS = 6.0
 """Standard deviations of the mean picture above which a pixel is lit."""
 _MAD = 1.4826
 
@@ -165,9 +165,7 @@ class FixedLight:
         # a third of the spot's size, over which the light of optics varies little
         smooth = gaussian_filter(self.light_dn, self.sigma_px / 3.0)
         seen = smooth[self.light_dn != 0.0]
-        return np.asarray(
-            smooth > _LIT_SIGNIFICANCE * _MAD * float(np.median(np.abs(seen - np.median(seen))))
-        )
+        return np.asarray(smooth > _LIT_SIGMAS * _MAD * float(np.median(np.abs(seen - np.median(seen)))))
 
     @cached_property
     def subtracted_dn(self) -> Floats:
@@ -210,9 +208,7 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
     light = np.where(known, mean - np.median(mean[known]), 0.0)
     shifts = np.array([_shift(light, spot, sigma, height) for spot in found])
     shift_px = float(np.abs(shifts).max())
-    if shift_px < max(
-        _SMALLEST_SHIFT_U * u_px, _SMALLEST_SIGNIFICANCE * u_px / np.sqrt(float(np.median(count[known])))
-    ):
+    if shift_px < max(_SHIFT_U * u_px, _CHANCE_U * u_px / np.sqrt(float(np.median(count[known])))):
         return None
     # imported here, because it would slow down fits of records without fixed light
     from scipy.ndimage import gaussian_filter
@@ -273,8 +269,7 @@ class BeamShape:
     extra_light
         Whether the beam has more light there than the Gaussian.
     middle
-        Ratio of the light at the centre to that of the brightest ring around it; 1 for a Gaussian, less for
-        a hollow beam.
+        Light at the centre relative to the brightest ring; 1 for a Gaussian, less for a hollow beam.
     lopsided
         Ratio of the steepest fall of the light on one side to that on the opposite side, the largest of
         several directions; 1 for a Gaussian. An obstacle in the beam makes one side steep.

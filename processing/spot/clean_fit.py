@@ -48,8 +48,7 @@ _LARGEST_SCATTER = 1.3
 """Chi-square per pixel above which the spot is not treated as clean and upright."""
 
 _LEFT_OVER = 0.03
-"""Allowed error of an unfinished iteration, as a fraction of the standard uncertainty; it adds 0.05 % to the
-scatter."""
+"""Allowed error of iteration, as a fraction of the standard uncertainty; it adds 0.05 % to the scatter."""
 
 TILT_EVIDENCE = 6.0
 """Significance of the tilt, in standard deviations, above which a spot is not treated as upright."""

@@ -74,8 +74,7 @@ def follow(
     noise_values
         Fields of `PixelNoise`.
     start
-        EXPECTED, NEAR or ROUGH. Of the searches only one with ROUGH values accepts any spot: tilted,
-        saturated, irregular.
+        EXPECTED, NEAR or ROUGH. Of NEAR and ROUGH only ROUGH accepts a tilted, saturated or irregular spot.
 
     Returns
     -------

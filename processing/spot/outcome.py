@@ -205,8 +205,7 @@ def _report(
 def principal_axes(xx: float, yy: float, xy: float) -> tuple[float, float, float]:
     """Standard deviations along the principal axes of a covariance matrix, and the first axis's angle, rad.
 
-    The angle counts from x towards y. The first axis is the one nearer to x, so that the axes are not swapped
-    from one frame to the next.
+    The angle counts from x towards y. The first axis is the nearer one to x, so that axes are never swapped.
     """
     # eigenvalues of [[xx, xy], [xy, yy]]: mean +- sqrt(half^2 + xy^2)
     mean = 0.5 * (xx + yy)

@@ -36,8 +36,7 @@ ROUNDS = 3
 _LEFT_OUT_DN = 1e18
 """Value of an excluded pixel, beyond the gate of any model; its square is finite in single precision."""
 LARGEST_OFFSET_PX = 2.0
-"""Largest distance of the profile's centre from the Gaussian's; beyond it they were fitted to different
-spots."""
+"""Largest distance of the profile's centre from the Gaussian's, if both were fitted to the same spot."""
 
 
 class Shape(NamedTuple):
@@ -219,9 +218,7 @@ class _MeanResidual:
         start_y = self._profile.centre[1] - (fit.p[CENTRE_Y] - sample.origin_px[1])
         residual = _residual(self._profile, sample, fit, self._noise, start_x, start_y)
         at_nodes = _four_pixel_sums(
-            residual,
-            _cubic_weights(math.ceil(start_x) - start_x),
-            _cubic_weights(math.ceil(start_y) - start_y),
+            residual, _cubic(math.ceil(start_x) - start_x), _cubic(math.ceil(start_y) - start_y)
         )
         # interpolation begins at the second pixel
         first_x, first_y = math.ceil(start_x) + 1, math.ceil(start_y) + 1
@@ -282,7 +279,7 @@ def _spline_between(spline: Singles, phase_x: float, phase_y: float) -> Floats:
     return _four_pixel_sums(spline, weights[0], weights[1])
 
 
-def _cubic_weights(t: float) -> list[float]:
+def _cubic(t: float) -> list[float]:
     """Weights of four neighbours in the polynomial of third degree through them."""
     return [
         -t * (t - 1.0) * (t - 2.0) / 6.0,

@@ -32,7 +32,7 @@ from processing.spot.profile import BeamProfile, ProfileFit, dark_variance, fit_
 from processing.spot.profile_fit import CENTRE_X, CENTRE_Y, FITTED, LEVEL, LIGHT, SLOPE_X, SLOPE_Y
 from processing.spot.sensor_model import PixelNoise
 
-_LARGEST_AMPLITUDE_RATIO = 2.0
+_MAX_RATIO = 2.0
 """Largest factor by which the amplitude changes from frame to frame; beyond it the fit is not of the spot."""
 
 
@@ -63,12 +63,7 @@ class ProfileFollower:
             start[CENTRE_Y] += memory[STEP_Y]
         origin_px = place.origin_x, place.origin_y
         fit = fit_at(self._profile, image, origin_px, start, self._noise_values, self._hot)
-        if (
-            fit is None
-            or not 1.0 / _LARGEST_AMPLITUDE_RATIO
-            < fit.p[LIGHT] / memory[LAST + AMPLITUDE]
-            < _LARGEST_AMPLITUDE_RATIO
-        ):
+        if fit is None or not 1.0 / _MAX_RATIO < fit.p[LIGHT] / memory[LAST + AMPLITUDE] < _MAX_RATIO:
             return None
         spot = self._report(fit, place)
         self._slopes = fit.p[SLOPE_X], fit.p[SLOPE_Y]

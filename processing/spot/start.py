@@ -263,8 +263,8 @@ def find_start(
     """Write start values by one of the methods into `p`; returns whether it has found any.
 
     The caller tries the methods in their order: `seen` (SEEN,) holds values found by the first ones.
-    SOME_ROWS reads every `row_step`-th row and is not called for a `row_step` of 1. `bands`, `sample`, `mask`
-    and `stack` are working memory.
+    SOME_ROWS reads every `row_step`-th row, and is not called for a `row_step` of 1. The last four arguments
+    are working memory.
     """
     if method <= EVERY_ROW:
         some = method == SOME_ROWS

@@ -157,8 +157,7 @@ class SpotTracker:
             Sensor coordinates (x, y) of the image's first pixel, if the image is a window of the sensor.
             The returned position is in sensor coordinates.
         sensor_shape
-            (ny, nx) of the sensor, which the flag EDGE refers to if the image is a window of it; None if the
-            image is the whole sensor.
+            (ny, nx) of the sensor, for the flag EDGE; None if the image is the whole sensor.
 
         Raises
         ------

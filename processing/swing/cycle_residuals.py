@@ -33,7 +33,7 @@ from processing.swing.waveform import SHAPES, zero_phases
 from processing.units import NS_PER_S, seconds
 
 _ACTIVE = np.array([AMPLITUDE, TIME, RATE, *range(SHAPE, SHAPE + SHAPES), CENTRE, DRIFT])
-_OWN_COLUMNS = np.isin(_ACTIVE, (AMPLITUDE, TIME, CENTRE, DRIFT))
+_OWN = np.isin(_ACTIVE, (AMPLITUDE, TIME, CENTRE, DRIFT))
 _TIMING_POWERS = 3
 """Highest power of the place in the error of a sample's time, which rows exposed in turn cause."""
 SHARED_COLUMNS = 1 + SHAPES + _TIMING_POWERS
@@ -53,8 +53,7 @@ class CycleResiduals(NamedTuple):
     """Samples of one cycle, from a zero crossing to the next but one, as arrays of n samples."""
 
     place: Floats
-    """Deflection by the known motion fitted to this cycle. (A measured place would hold the residual, and
-    explain it.)"""
+    """Deflection by the known motion fitted to this cycle; a measured one would explain the residual."""
     residual: Floats
     """Measured deflection minus that of the motion before the fit."""
     weight: Floats
@@ -148,12 +147,10 @@ def _residuals(samples: Deflections, first: HalfCycle, motion: KnownMotion) -> C
     rows, residual, jacobian = (np.concatenate([part[k] for part in parts]) for k in range(3))
     if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
         return None
-    own = jacobian[:, _OWN_COLUMNS]
+    own = jacobian[:, _OWN]
     by_time = jacobian[:, _ACTIVE == TIME]
     relative = (samples.y[rows, None] - state[CENTRE]) / motion.reference
-    shared = np.column_stack(
-        [jacobian[:, ~_OWN_COLUMNS], by_time * relative ** np.arange(1, _TIMING_POWERS + 1)]
-    )
+    shared = np.column_stack([jacobian[:, ~_OWN], by_time * relative ** np.arange(1, _TIMING_POWERS + 1)])
     weight = samples.u_y[rows] ** -2.0
     fast = fast_mode_columns(tau_s[rows], samples.x[rows], own)
     if fast is not None:

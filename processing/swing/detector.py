@@ -145,8 +145,7 @@ class TurningPointDetector:
     def _index_after(self, last: HalfCycle, time_ns: int, side: int) -> int:
         """Index of the first half-cycle after an interruption.
 
-        It is the last index plus the nearest number of half periods that is odd if the sides differ, even if
-        they do not.
+        It is the last index plus the nearest number of half periods, odd if and only if the sides differ.
         """
         halves = seconds(time_ns - last.turn_time_ns) / self._half_period_s
         odd = int(side != last.side)

@@ -30,7 +30,7 @@ from processing.swing.noise import SampleNoise
 from processing.swing.onset import Onset
 from processing.swing.prediction import SLOPE_WANDER, DrivenWalk, predict
 from processing.swing.swing import HalfCycleFlag
-from processing.swing.term_selection import ANHARMONIC, FAST_MODE, anharmonic_start, extend_arc, prior
+from processing.swing.term_selection import ANHARMONIC, FAST_MODE, extend, friction_start, prior
 from processing.swing.waveform import DAMPING, RISE
 from processing.units import nanoseconds, seconds
 
@@ -50,8 +50,7 @@ _CALM_DRIFT_NOISE = 100.0
 """Scale of the drift's process noise below which an insignificant drift of the centre may be set to zero."""
 _DRIFT_NOISE_AT_FIRST = 30.0
 _CENTRE_WANDER_EFFECT = 0.15
-"""Effect of the centre's change within a half-cycle on the turning point, relative to its change from one
-half-cycle to the next."""
+"""Effect on a turning point of the centre's change per half-cycle, relative to that change."""
 _ARC_EXCESS = 4.0
 """Largest chi-square, in standard deviations above its expectation, for which an arc without process noise is
 accepted."""
@@ -69,13 +68,12 @@ _THIRD_HARMONIC_RANGE = 0.4
 which the mode may be the third harmonic."""
 
 _MOST_COLOURED_DRIFT_NOISE = 1e6
-"""Largest scale of the drift's process noise in slow noise, which moves the rest position, too, but already
-counts as noise of the samples."""
+"""Largest scale of the drift's process noise in slow noise, which already counts as noise of the samples."""
 
 _SHAPE_INFLATION = 2.0
 """Factor on the uncertainties of frequency and shape where they predict a driven motion wrongly."""
 
-_LARGEST_AMPLITUDE_RATIO = 10.0
+_RUNAWAY = 10.0
 """Amplitude, relative to the reference, above which the filter has diverged."""
 _LARGEST_U_TIME = 0.1
 """Uncertainty of the next turning point's time, in half periods, above which the oscillation counts as
@@ -137,9 +135,7 @@ class OscillationTracker:
     @property
     def lost(self) -> bool:
         """Whether the oscillation is lost and a new search is needed."""
-        if not 0.0 < self._x[AMPLITUDE] < _LARGEST_AMPLITUDE_RATIO * self._reference or not math.isfinite(
-            self._end_s
-        ):
+        if not 0.0 < self._x[AMPLITUDE] < _RUNAWAY * self._reference or not math.isfinite(self._end_s):
             return True
         blurred = math.sqrt(self._covariance[TIME, TIME]) > _LARGEST_U_TIME * self.half_period_s
         return blurred or self.misses >= _MOST_MISSES
@@ -308,7 +304,7 @@ class OscillationTracker:
             terms -= set(FAST_MODE)
             self._x[list(FAST_MODE)] = 0.0
         sigma = prior(self._x, anharmonic=True)[1]
-        self._x = anharmonic_start(self._x)
+        self._x = friction_start(self._x)
         self._anchor = self._x.copy()
         for term in ANHARMONIC:
             self._covariance[term, term] = sigma[term] ** 2
@@ -338,7 +334,7 @@ class OscillationTracker:
         refits = _REFITS if SHAPE + RISE in self._active else _LINEAR_REFITS
         if self._history is None or len(self._history) not in refits:
             return
-        arc = extend_arc(self._first, self._history, self._reference, self._active)
+        arc = extend(self._first, self._history, self._reference, self._active)
         anharmonic = SHAPE + RISE in self._active
         if arc is not None and excess(arc.chi2 / self.noise.level.scale**2, float(arc.samples)) < _ARC_EXCESS:
             self._first = arc.states[0].copy()

@@ -128,8 +128,7 @@ def tabulate_state(
 def tabulated(x: Vector, anchor: Vector, reference: float, active: Ints) -> tuple[Table, Matrix]:
     """The table and the turn that `tabulate_state` fills, in new arrays.
 
-    Kernels are given these arrays from Python: one that called `tabulate_state` itself would hold a copy of
-    its machine code.
+    Kernels get these arrays from Python, because one that calls `tabulate_state` copies its machine code.
     """
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, anchor, reference, active, table, turn)

@@ -56,9 +56,8 @@ _ENOUGH = 0.02
 class HalfCycleFit(NamedTuple):
     """Local amplitude and time with uncertainties, the full solution, and the quality of the fit.
 
-    If `valid` is False there was no solution, and every float but `hole_s` is NaN. `time_s` counts from the
-    reference time. `centre` is the rest position at the turning point. `state` and `covariance` are the full
-    solution.
+    If `valid` is False there was no solution, and every float but `hole_s` is NaN. `time_s` is relative to
+    the reference time, `centre` the rest position at the turning point. The last two are the full solution.
     """
 
     valid: bool

@@ -169,11 +169,7 @@ class HarmonicsWatch:
 
 @dataclass(frozen=True, slots=True)
 class HarmonicClass:
-    """Mean harmonics of the pieces of like amplitude.
-
-    `mean` is the operation that makes one value at `amplitude` from the harmonics of the single pieces; it
-    applies to predictions as well.
-    """
+    """Mean harmonics of the pieces of like amplitude, by an operation (`mean`) that predictions share."""
 
     amplitude: float
     """Geometric mean of `amplitudes`."""

@@ -19,18 +19,16 @@ outlier is allowed, as a glitch."""
 _LARGEST_TIME_ERROR = 0.15
 """Largest accepted difference of measured and predicted time, as a fraction of the half period."""
 
-_LONGEST_GAP = 0.12
+_GAP = 0.12
 """Longest gap between samples that is not flagged, as a fraction of the half period ..."""
 
-_LONGEST_GAP_SPACINGS = 3.5
+_GAP_SPACINGS = 3.5
 """... and in mean spacings of the samples; the longer of the two applies."""
 
-_FEWEST_SAMPLES = 7
-"""Fewest samples: amplitude and time leave five degrees of freedom, and with fewer chi-square shows
-nothing."""
+_FEWEST = 7
+"""Fewest samples: amplitude and time leave five degrees of freedom; with fewer chi-square shows nothing."""
 _SMALLEST_SIGNIFICANCE = 5.0
-"""Smallest amplitude, in its standard uncertainties. Below it the phase is not known to 0.2 rad, and the fit
-is not linear in the phase."""
+"""Smallest amplitude in its standard uncertainties; below it the fit is not linear in the phase (0.2 rad)."""
 
 
 def judge(
@@ -39,9 +37,7 @@ def judge(
     """Flags of a valid measurement; 0 if it passes all checks. `predicted_time_s` counts as its `time_s`."""
     flags = HalfCycleFlag(0)
     spacing = half_period_s / (result.samples + 1)
-    if result.samples < _FEWEST_SAMPLES or result.hole_s > max(
-        _LONGEST_GAP * half_period_s, _LONGEST_GAP_SPACINGS * spacing
-    ):
+    if result.samples < _FEWEST or result.hole_s > max(_GAP * half_period_s, _GAP_SPACINGS * spacing):
         flags |= HalfCycleFlag.GAP
     # fewer of slow residuals are independent, so that their chi-square scatters more
     degrees = max(max(result.samples - 2.0, 1.0) / noise.concentration, 1.0)

@@ -234,8 +234,7 @@ def _step_in_determined_terms(information: Floats, score: Floats, places: Ints) 
 def _step(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Floats, bool]:
     """Change of the terms at `places`, their covariance, and whether the samples determine all of them well.
 
-    Terms without any information stay as they are. The information is scaled to a unit diagonal and
-    decomposed after Cholesky.
+    Terms without any information do not change. The scaled information is decomposed after Cholesky.
     """
     change, covariance = np.zeros(TERMS), np.zeros((TERMS, TERMS))
     known = places[np.array([information[place, place] > 0.0 for place in places])]
@@ -350,8 +349,7 @@ def _strongest(
 ) -> tuple[float, float]:
     """Angular frequency of the strongest line, by its power in both coordinates, and its amplitude in x.
 
-    The search takes `count` frequencies from `first` on, in rad/s. From each to the next one a sample's phase
-    turns by the same angle.
+    The search takes `count` frequencies from `first` on; a sample's phase turns equally between neighbours.
     """
     turn_c, turn_s = np.cos(spacing * t), np.sin(spacing * t)
     phase_c, phase_s = np.cos(first * t), np.sin(first * t)

@@ -24,11 +24,11 @@ from processing.swing.sample_buffer import (
     SEARCH_STATE,
     Pivot,
     SampleBuffer,
-    may_be_one_oscillation,
+    is_regular,
     search,
 )
 from processing.swing.swing import HalfCycleFlag
-from processing.swing.term_selection import choose_arc, first_guess
+from processing.swing.term_selection import choose, first_guess
 from processing.units import nanoseconds, seconds
 
 _PIVOTS = 4
@@ -46,10 +46,10 @@ _LARGEST_CHI2 = 1.5
 _LARGEST_CHI2_RATIO = 4.0
 """Ratio of a half-cycle's reduced chi-square to the median of all above which the fit is rejected."""
 
-_SAME_PERIOD_HALVES = 50
+_SILENCE = 50
 """Number of half periods after a loss from which on an oscillation of a different period is accepted."""
 
-_SMALLEST_PERIOD_RATIO, _LARGEST_PERIOD_RATIO = 0.7, 1.4
+_SHORTEST, _LONGEST = 0.7, 1.4
 """Range of the ratio of new to old half period that is accepted before that time."""
 
 _LARGEST_DEVIATION, _LARGEST_DEVIATION_U = 0.5, 5.0
@@ -153,11 +153,7 @@ class OnsetSearch:
             self._searched = found + samples.dropped
             self._pivots.append(Pivot(int(self._marks[FOUND_TIME]), float(self._state[FOUND])))
             del self._pivots[:-_PIVOTS]
-            if (
-                len(self._pivots) == _PIVOTS
-                and may_be_one_oscillation(self._pivots)
-                and not self._is_disturbance()
-            ):
+            if len(self._pivots) == _PIVOTS and is_regular(self._pivots) and not self._is_disturbance():
                 self._ready_ns = self._pivots[-1].time_ns + _spacing_ns(self._pivots) * 6 // 10
 
     def _is_disturbance(self) -> bool:
@@ -169,10 +165,7 @@ class OnsetSearch:
             return False
         since_s = seconds(self._pivots[0].time_ns - self._lost_ns)
         ratio = seconds(_spacing_ns(self._pivots)) / self._half_period_s
-        return (
-            since_s < _SAME_PERIOD_HALVES * self._half_period_s
-            and not _SMALLEST_PERIOD_RATIO < ratio < _LARGEST_PERIOD_RATIO
-        )
+        return since_s < _SILENCE * self._half_period_s and not _SHORTEST < ratio < _LONGEST
 
     def _forget(self) -> None:
         # count from the samples searched and not from those received, so that the result does not depend on
@@ -180,7 +173,7 @@ class OnsetSearch:
         self._samples.forget_before(self._searched - self._samples.dropped - _STORED_SAMPLES)
 
     def _last_attempt(self) -> Onset | None:
-        if len(self._pivots) >= _FEWEST_PIVOTS and may_be_one_oscillation(self._pivots[-_FEWEST_PIVOTS:]):
+        if len(self._pivots) >= _FEWEST_PIVOTS and is_regular(self._pivots[-_FEWEST_PIVOTS:]):
             self._pivots = self._pivots[-_FEWEST_PIVOTS:]
             return self._attempt()
         return None
@@ -189,10 +182,10 @@ class OnsetSearch:
         self._forget()
         pivots = self._pivots
         halves = _cut(self._samples, pivots)
-        arc = choose_arc(first_guess(pivots), halves, self._known)
+        arc = choose(first_guess(pivots), halves, self._known)
         if len(pivots) > 2 and (arc is None or arc.chi2 > _LARGEST_CHI2 * arc.samples):
             # the first half-cycle may contain the release or a kick
-            later = choose_arc(first_guess(pivots[1:]), halves[1:], self._known)
+            later = choose(first_guess(pivots[1:]), halves[1:], self._known)
             if later is not None and (arc is None or later.reduced_chi2 < 0.5 * arc.reduced_chi2):
                 arc, halves = later, halves[1:]
         if arc is None or not _is_plausible(arc, halves):

@@ -33,9 +33,9 @@ class KnownMotion:
 
     `rate_rad_per_s` is the angular frequency of the linear part of the waveform's equation at the amplitude
     `reference`, which has the unit of the deflection. The fields from `damping` to `bend` are dimensionless,
-    in the order of the state's shape terms. `drive` is the standard deviation of the step by which the ground
-    moves either quadrature in a half-cycle, in the unit of the deflection, 0 if unknown. It is given since a
-    rest position that seems to move hides an unknown drive.
+    in the order of the state's shape terms. `drive` is the step (standard deviation, unit of the deflection)
+    by which the ground moves either quadrature in a half-cycle. It is 0 if unknown, and then a rest position
+    that seems to move hides it.
     """
 
     rate_rad_per_s: float
@@ -206,10 +206,7 @@ class DriveInflation(NamedTuple):
 
 
 class DrivenWalk:
-    """Random walk of amplitude and phase by a drive: the variance of its steps, learned from half-cycles.
-
-    `variance` is in squares of the deflection's unit, 0 while no drive is found; a known one is not learned.
-    """
+    """Variance of a drive's random steps of amplitude and phase, learned unless known; 0 without a drive."""
 
     def __init__(self, variance: float = 0.0) -> None:
         self.variance = variance
@@ -239,8 +236,7 @@ class DrivenWalk:
     def most_drift_noise(self, resolution: float) -> float:
         """Largest `drift_noise` of `predict`: a part of the steps' variance.
 
-        With a drive the rest position, too, seems to move; with more noise it would take up the steps of
-        amplitude and phase.
+        With a drive the rest position seems to move, too; more noise would give it the other steps as well.
         """
         if self.variance == 0.0 or self._alternates:
             return _MOST_DRIFT_NOISE

@@ -108,8 +108,7 @@ class SampleBuffer:
 
 
 REVERSAL = 0.25
-"""A turning point is accepted once the deflection has returned by this fraction of the range between the last
-two ..."""
+"""A turning point is accepted once the deflection has returned by this fraction of the last range ..."""
 
 NOISE_REVERSAL = 8.0
 """... and by this many standard uncertainties of a sample, so that noise makes no turning points."""
@@ -196,7 +195,7 @@ def search(
     return -1
 
 
-def may_be_one_oscillation(pivots: list[Pivot]) -> bool:
+def is_regular(pivots: list[Pivot]) -> bool:
     """Whether turning points may belong to one oscillation: their spacings and ranges are similar."""
     spacing = np.diff([p.time_ns for p in pivots]).astype(float)
     span = np.abs(np.diff([p.deflection for p in pivots]))

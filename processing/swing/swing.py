@@ -29,9 +29,8 @@ class HalfCycleFlag(IntFlag):
 class HalfCycle:
     """One half-cycle.
 
-    `amplitude` (positive) and `centre` have the unit of the deflection; the deflection at the turning point
-    is ``centre + side * amplitude``, where side is +1 or -1 and alternates with the index. `u_` marks
-    standard uncertainties.
+    `amplitude` (positive) and `centre` have the unit of the deflection, which at the turning point is
+    ``centre + side * amplitude``; side is +1 or -1 and alternates. `u_` marks standard uncertainties.
     """
 
     index: int

@@ -95,7 +95,7 @@ def prior(start: Vector, anharmonic: bool) -> tuple[Vector, Vector]:
     return mean, sigma
 
 
-def anharmonic_start(linear: Vector) -> Vector:
+def friction_start(linear: Vector) -> Vector:
     """Start values of the anharmonic fit from the linear fit: most of the loss is ascribed to friction."""
     start = linear.copy()
     start[[SHAPE + P, SHAPE + N]] = 0.9, 0.4
@@ -111,10 +111,8 @@ def relative_loss(x: Vector) -> float:
     return abs(1.0 - float(turn[1, 0]))
 
 
-def choose_arc(
-    start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion | None = None
-) -> Arc | None:
-    """Fit the four models (anharmonic or not, with a fast mode or not) and choose_arc one by its chi-square.
+def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion | None = None) -> Arc | None:
+    """Fit the four models (anharmonic or not, with a fast mode or not) and choose one by its chi-square.
 
     Each additional term must reduce chi-square enough. If the motion is `known`, only amplitude, time,
     centre, drift and fast mode are free. None if no fit succeeds.
@@ -131,7 +129,7 @@ def choose_arc(
         return linear
     candidates = [linear]
     expected = prior(base, anharmonic=True)
-    anharmonic = fit_arc(anharmonic_start(base), expected, halves, reference, LINEAR + ANHARMONIC)
+    anharmonic = fit_arc(friction_start(base), expected, halves, reference, LINEAR + ANHARMONIC)
     if anharmonic is not None:
         candidates.append(anharmonic)
     for arc in tuple(candidates):
@@ -151,9 +149,7 @@ def _fit_known_motion(known: KnownMotion, start: Vector, halves: Sequence[HalfCy
     return arc if found is None else best_arc((arc, found))
 
 
-def extend_arc(
-    first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Ints
-) -> Arc | None:
+def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Ints) -> Arc | None:
     """Fit a longer arc, starting from the first state of a shorter one.
 
     The anharmonic terms are added if they reduce chi-square enough. None if the fit fails.
@@ -171,9 +167,7 @@ def extend_arc(
     gain = gain_of_more(same, base, (mean, sigma), halves, terms + ANHARMONIC_LINEAR)
     if gain < _GAIN_PER_TERM * len(ANHARMONIC):
         return same
-    more = fit_arc(
-        anharmonic_start(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC
-    )
+    more = fit_arc(friction_start(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC)
     return same if more is None else best_arc((same, more))
 
 
