@@ -6,7 +6,7 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.errors import DataError
-from processing.slope_uncertainty import part_means, u_of_wandering
+from processing.slope_uncertainty import part_means, u_wandering_slope
 
 _FEWEST_SAMPLES = 100
 _LINE_RATIO = 12.0
@@ -132,7 +132,7 @@ def _drift(times_s: Floats, values: Floats) -> tuple[float, float]:
     design = part_means(np.column_stack([since_s, np.ones(len(since_s))]))
     means = part_means(values)
     solution, *_ = np.linalg.lstsq(design, means, rcond=None)
-    return float(solution[0]), u_of_wandering(design, means - design @ solution)
+    return float(solution[0]), u_wandering_slope(design, means - design @ solution)
 
 
 def _spectrum(flat: Floats, interval_s: float) -> tuple[Floats, Floats]:

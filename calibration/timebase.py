@@ -13,7 +13,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.noise_models import robust_scatter
-from processing.slope_uncertainty import FEWEST_PARTS, part_means, u_of_wandering
+from processing.slope_uncertainty import FEWEST_PARTS, part_means, u_wandering_slope
 from processing.units import S_PER_NS, nanoseconds, seconds
 
 FRAME_JITTER_LIMIT_S = 15e-6
@@ -210,7 +210,7 @@ def _huber(design: Floats, values: Floats) -> tuple[Floats, Floats, float]:
     means = part_means(design)
     if len(means) >= design.shape[1] + FEWEST_PARTS:
         # what wanders moves all coefficients; the slope's is told, the others' grows with it
-        u_slope = u_of_wandering(means, part_means(sigma / inside * psi))
+        u_slope = u_wandering_slope(means, part_means(sigma / inside * psi))
         covariance = covariance * max(1.0, u_slope**2 / covariance[0, 0])
     return solution.astype(np.float64), covariance.astype(np.float64), sigma
 

@@ -1,4 +1,4 @@
-"""Analysis of arrays: laser spot, swings, contact laws and fits.
+"""Analysis of arrays: laser spot, half-cycles, contact laws and fits.
 
 Nothing in this package uses devices, files, clocks or threads.
 """

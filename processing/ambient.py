@@ -1,4 +1,4 @@
-"""What surrounded a run: the air, its density and viscosity, and the age of the contact and its surfaces."""
+"""Ambient conditions of a run: the air, its density and viscosity, and the age of contact and surfaces."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -15,27 +15,27 @@ POSSIBLE: Final = {
     "humidity_percent": (-10.0, 120.0),
     "pressure_pa": (1e4, 2e5),
 }
-"""What a sensor of a laboratory's air can say, in damp air beyond its scale too.
+"""Range of the readings of a working sensor of a laboratory's air, also those off its scale in damp air.
 
-Beyond this it, or its wire, is broken, which many tell by -127 or -999.
+A reading outside, often -127 or -999, means that the sensor or its wire is broken.
 """
 
 
 def is_possible(name: str, value: float) -> bool:
-    """Whether a reading of this name is one of air."""
+    """Whether a working sensor in air can give a reading `value` of the quantity `name`."""
     lowest, highest = POSSIBLE[name]
     return isfinite(value) and lowest < value < highest
 
 
 class Air(NamedTuple):
-    """What resists a body that moves in it."""
+    """Properties of air that determine its drag."""
 
     density_kg_per_m3: float
     viscosity_pa_s: float
 
 
 def humid_air(temperature_c: float, humidity_percent: float, pressure_pa: float) -> Air:
-    """Density of the mixture of two ideal gases, and viscosity of dry air, to half a per cent each.
+    """Density, of a mixture of two ideal gases, and viscosity, of dry air, to half a per cent each.
 
     Saturation by Magnus's formula (WMO guide no. 8), viscosity by Sutherland's: 17.16 uPa s at 0 degrees
     Celsius, with 110.4 K.
@@ -51,12 +51,11 @@ def humid_air(temperature_c: float, humidity_percent: float, pressure_pa: float)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AmbientConditions:
-    """Air and history of a run's contact; NaN for what is neither read nor stated.
+    """Air and history of a run's contact; NaN for a quantity that is neither measured nor stated.
 
-    Air: mean sensor readings during the run, otherwise as stated. `temperature_change_k` is the change of
-    temperature from the first reading to the last, by a straight line through them. `dwell_s` is the time
-    from setting the ball on its place to the run's first frame, `age_s` that from the last cleaning of the
-    surfaces.
+    The air is the mean of sensor readings during the run, otherwise as stated. `temperature_change_k` is the
+    change of temperature from the first reading to the last, by a straight line through all. `dwell_s` is the
+    time from placing the ball to the run's first frame, `age_s` that from the last cleaning of the surfaces.
     """
 
     temperature_c: Annotated[float, Quantity("temperature", "temperature")] = nan
@@ -69,19 +68,19 @@ class AmbientConditions:
     age_s: Annotated[float, Quantity("age", "age of the surfaces since cleaning", "h")] = nan
 
     def known(self) -> dict[str, float]:
-        """What is known, by name."""
+        """Quantities that are known, by name."""
         return {name: value for name, value in asdict(self).items() if isfinite(value)}
 
 
-_IN_PERCENT = 1.0
+_LARGEST_FRACTION = 1.0
 """Humidity in per cent up to which a fraction may have been meant: air in a room is never as dry."""
-_OTHER_UNIT = 30.0
-"""Ratio to the others beyond which a value is probably in another unit: 100 for fractions, and for hPa."""
+_LARGEST_RATIO = 30.0
+"""Ratio to other runs beyond which a value is probably in another unit: it is 100 for fractions and hPa."""
 
 
 def doubtful_humidity(percent: float) -> str:
-    """What is to be asked of a humidity as stated or read; empty: nothing."""
-    if not 0.0 < percent <= _IN_PERCENT:
+    """Warning that a humidity may be a fraction; empty if it is plausible."""
+    if not 0.0 < percent <= _LARGEST_FRACTION:
         return ""
     return (
         f"humidity_percent is {percent:g}, drier than air outside a dry box: if a fraction was meant, "
@@ -90,7 +89,7 @@ def doubtful_humidity(percent: float) -> str:
 
 
 def in_other_unit(name: str, values: Mapping[str, float]) -> str:
-    """What is to be said of runs, by label, whose humidity or pressure is in another unit than others'."""
+    """Warning of runs, by label, whose humidity or pressure is in another unit than others'; else empty."""
     known = sorted(value for value in values.values() if isfinite(value) and value > 0)
     if name not in ("humidity_percent", "pressure_pa") or len(known) < 3:
         return ""
@@ -98,7 +97,7 @@ def in_other_unit(name: str, values: Mapping[str, float]) -> str:
     odd = {
         label: value
         for label, value in values.items()
-        if value > 0 and not middle / _OTHER_UNIT < value < middle * _OTHER_UNIT
+        if value > 0 and not middle / _LARGEST_RATIO < value < middle * _LARGEST_RATIO
     }
     rest = [value for label, value in values.items() if label not in odd and isfinite(value)]
     if not odd or 2 * len(odd) >= len(known):

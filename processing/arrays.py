@@ -1,4 +1,4 @@
-"""Types of arrays, by what they hold; their shapes are stated where they are used."""
+"""Types of arrays by their elements; shapes are stated where the types are used."""
 
 import numpy as np
 from numpy.typing import NDArray

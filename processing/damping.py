@@ -1,11 +1,10 @@
-"""Damping that depends on the amplitude: constant, linear and quadratic parts of the fall of any decay
-together.
+"""Damping that depends on the amplitude: fit of its constant, linear and quadratic parts to any decay.
 
     dA/dt = -(c + g A + q A^2)
 
-c is friction that does not depend on speed (Coulomb), g is viscous or structural, which a decay at one
-frequency cannot tell apart, q is drag that grows with the square of the speed. tau(A) = -A / (dA/dt) is the
-time constant at an amplitude. A = x/y solves it with x' = -g x/2 - c y, y' = q x + g y/2, whose matrix
+c is friction that does not depend on speed (Coulomb), g is viscous or structural damping, which a decay at
+one frequency cannot distinguish, q is drag that grows with the square of the speed. tau(A) = -A / (dA/dt) is
+the time constant at an amplitude. A = x/y solves it with x' = -g x/2 - c y, y' = q x + g y/2, whose matrix
 squared is (g^2/4 - q c) times the unit matrix.
 """
 
@@ -23,18 +22,18 @@ from processing.estimate import Estimate
 from processing.least_squares import differenced, solve
 
 PARTS: Final = ("constant", "linear", "quadratic")
-_FEWEST: Final = 12
-"""Eight degrees of freedom beside four parameters."""
+_FEWEST_AMPLITUDES: Final = 12
+"""Fewest amplitudes: four parameters leave eight degrees of freedom."""
 _DB: Final = 10.0 / log(10.0)
-_LOWEST: Final = 1e-9
-"""Amplitude, in units of the largest, below which nothing is told apart."""
+_SMALLEST: Final = 1e-9
+"""Smallest amplitude in units of the largest one; smaller ones count as this."""
 _ENDS: Final = np.array([0.0, 1.0])
 _FLOOR_CHI2: Final = 12.0
-"""What a floor has to explain, in chi-square, to be taken for one: by chance once in 2000 decays."""
+"""Smallest reduction of chi-square by a noise floor; by chance it occurs once in 2000 decays."""
 
 
 class DampingTerm(NamedTuple):
-    """One part of the damping with its standard uncertainty, and the probability that the decay needs it."""
+    """Part of the damping with its standard uncertainty, and the probability that the decay needs it."""
 
     value: float
     u: float
@@ -43,12 +42,12 @@ class DampingTerm(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DampingTerms:
-    """The parts of dA/dt = -(constant + linear A + quadratic A^2), in the amplitude's unit and s.
+    """Parts of dA/dt = -(constant + linear A + quadratic A^2), in the amplitude's unit and s.
 
-    Uncertainties and `covariance` (of the three in order) are grown where `chi2_per_dof` is above 1. `floor`
-    is the noise floor of the amplitude, added in power, where the end shows one, else NaN; `first` and `last`
+    Uncertainties and `covariance` (3, 3) of the parts are enlarged by `chi2_per_dof` above 1. `floor` is the
+    noise floor of the amplitude, added in power; NaN if the end of the decay shows none. `first` and `last`
     are the fitted amplitudes at both ends, without the floor. `exponential` is the time constant of the
-    linear part alone, s; its uncertainty holds by how much the time constant may differ over the fall. The
+    linear part alone, s; its uncertainty includes the variation of the time constant over the fall. The
     probability of a part weighs all combinations of parts by their likelihood (Schwarz).
     """
 
@@ -77,14 +76,14 @@ class DampingTerms:
         return max(self.constant.probability, self.quadratic.probability) < 0.95
 
     def time_constant_s(self, amplitude: Floats) -> tuple[Floats, Floats]:
-        """tau at these amplitudes (n,) with standard uncertainties, s."""
+        """Time constant tau at these amplitudes (n,) with standard uncertainties, s."""
         powers = np.stack([1.0 / amplitude, np.ones_like(amplitude), amplitude])
         rate = np.array([self.constant.value, self.linear.value, self.quadratic.value]) @ powers
         u_rate = np.sqrt(np.einsum("ik,ij,jk->k", powers, self.covariance, powers))
         return 1.0 / rate, u_rate / rate**2
 
     def amplitudes(self, count: int = 25) -> Floats:
-        """Amplitudes from the first to the last, evenly in their logarithm."""
+        """Amplitudes (count,) from the first to the last, evenly in their logarithm."""
         return np.geomspace(self.first, max(self.last, 0.02 * self.first), count)
 
 
@@ -98,15 +97,15 @@ class _DampingSolution(NamedTuple):
 
 
 def amplitude_at(times_s: Floats, first: float, constant: float, linear: float, quadratic: float) -> Floats:
-    """A at times (n,) since it was `first`; not less than zero."""
+    """Amplitude A at times (n,) since it was `first`; not less than zero."""
     square = 0.25 * linear**2 - quadratic * constant
     s = sqrt(abs(square))
     x = s * times_s
     if square > 0 and s * times_s[-1] > 1e-6:
-        # times exp(-x), which the quotient does not see, so that nothing overflows
+        # both are multiplied by exp(-x), which cancels in the quotient, so that nothing overflows
         cosine, sine = 0.5 * (1.0 + np.exp(-2.0 * x)), -0.5 * np.expm1(-2.0 * x) / s
     elif square < 0 and s * times_s[-1] > 1e-6:
-        # beyond a quarter the amplitude has been zero
+        # beyond a quarter of the period the amplitude has reached zero
         x = np.minimum(x, 0.5 * np.pi)
         cosine, sine = np.cos(x), np.sin(x) / s
     else:
@@ -128,7 +127,7 @@ def fit_damping(
     times_s : (n,) ascending
     values, u_values : (n,) amplitudes in any unit, or powers in dB (`decibel`), with standard uncertainties
     floor
-        whether the measurement has a noise floor: it is fitted where the end of the decay shows it
+        whether the measurement has a noise floor: it is fitted if the end of the decay shows it
 
     Raises
     ------
@@ -137,8 +136,8 @@ def fit_damping(
     """
     good = np.isfinite(values) & np.isfinite(u_values)
     t, y, u = times_s[good] - times_s[good][:1], values[good], u_values[good]
-    if len(y) < _FEWEST:
-        raise DataError(f"the decay has {len(y)} amplitudes; at least {_FEWEST} are needed")
+    if len(y) < _FEWEST_AMPLITUDES:
+        raise DataError(f"the decay has {len(y)} amplitudes; at least {_FEWEST_AMPLITUDES} are needed")
     if not np.min(u) > 0:
         raise DataError(
             f"the standard uncertainty of an amplitude is {np.min(u):g}: it must be positive; state the noise"
@@ -161,22 +160,22 @@ def fit_damping(
         if below and bare.chi2 - at_floor.chi2 > _FLOOR_CHI2:
             bare, level = at_floor, at_floor.floor
     unit = 10 ** (level_db / 20.0) if decibel else scale
-    alone = {
+    fits = {
         kept: fit.parts(kept, start, floor=bool(np.isfinite(level)))
         for size in (1, 2)
         for kept in combinations(PARTS, size)
     } | {PARTS: bare}
     freedom = len(y) - 4 - (1 if np.isfinite(level) else 0)
     chi2_per_dof = bare.chi2 / freedom
-    # where even all parts leave more than the stated noise, the noise is what they leave
-    grown = max(1.0, chi2_per_dof)
-    weights = {kept: found.chi2 / grown + (len(kept) + 1) * log(len(y)) for kept, found in alone.items()}
+    # if all parts together leave more than the stated noise, the noise is taken from their residuals
+    excess = max(1.0, chi2_per_dof)
+    weights = {kept: found.chi2 / excess + (len(kept) + 1) * log(len(y)) for kept, found in fits.items()}
     best = min(weights.values())
     chances = {kept: exp(-0.5 * (weight - best)) for kept, weight in weights.items()}
     total = sum(chances.values())
     # amplitude in `unit`, time in spans: constant unit/span, linear 1/span, quadratic 1/(unit span)
     sizes = np.array([unit, 1.0, 1.0 / unit]) / span_s
-    covariance = bare.covariance[1:4, 1:4] * np.outer(sizes, sizes) * grown
+    covariance = bare.covariance[1:4, 1:4] * np.outer(sizes, sizes) * excess
     parts = [
         DampingTerm(
             float(bare.values[k + 1] * sizes[k]),
@@ -186,13 +185,13 @@ def fit_damping(
         for k, name in enumerate(PARTS)
     ]
     ends = amplitude_at(_ENDS, *bare.values[:4])
-    single = alone[("linear",)]
+    single = fits[("linear",)]
     single_chi2 = single.chi2 / (freedom + 2)
     rate, u_rate = float(single.values[2]), sqrt(single.covariance[2, 2] * max(1.0, single_chi2))
     if not rate > 3.0 * u_rate:
         raise DataError("the amplitude does not fall: this is not a ring-down, or too short a part of one")
     tau_s = span_s / rate
-    u_tau_s = sqrt((tau_s * u_rate / rate) ** 2 + _spread2(alone, chances, ends, rate) * span_s**2)
+    u_tau_s = sqrt((tau_s * u_rate / rate) ** 2 + _spread2(fits, chances, ends, rate) * span_s**2)
     return DampingTerms(
         samples=len(y),
         constant=parts[0],
@@ -209,34 +208,34 @@ def fit_damping(
 
 
 def _spread2(
-    alone: Mapping[tuple[str, ...], _DampingSolution],
+    fits: Mapping[tuple[str, ...], _DampingSolution],
     chances: Mapping[tuple[str, ...], float],
     ends: Floats,
     rate: float,
 ) -> float:
-    """Variance of the time constant over the fall, the mean over all combinations of parts.
+    """Variance of the time constant over the fall, as the mean over all combinations of parts.
 
-    From a quarter to three quarters of the fall, in its logarithm, is half of it. `rate` is that of the
-    linear part alone: an eighth of it is as slow as a combination may say that the fall becomes.
+    It follows from the values at a quarter and three quarters of the fall in its logarithm. `rate` is that of
+    the linear part alone; an eighth of it is the slowest rate allowed of a combination.
     """
     quarters = np.geomspace(ends[0], max(ends[1], 0.02 * ends[0]), 5)[[1, 3]]
     powers = np.stack([1.0 / quarters, np.ones(2), quarters])
     weighted = [
         chances[kept] * np.ptp(1.0 / np.maximum(found.values[1:] @ powers, rate / 8)) ** 2
-        for kept, found in alone.items()
+        for kept, found in fits.items()
     ]
     return float(sum(weighted)) / sum(chances.values()) / 3.0
 
 
 class _Fit:
-    """Least squares with amplitudes of about one and times from zero to one."""
+    """Least-squares fits with amplitudes of about one and times from zero to one."""
 
     def __init__(self, t: Floats, y: Floats, u: Floats, decibel: bool) -> None:
         self._t, self._y, self._u, self._decibel = t, y, u, decibel
-        self._lowest = float(np.min(10 ** (y / 20.0))) if decibel else float(max(np.min(y), _LOWEST))
+        self._lowest = float(np.min(10 ** (y / 20.0))) if decibel else float(max(np.min(y), _SMALLEST))
 
     def start(self) -> Floats:
-        """First amplitude, and a linear part by the time in which the amplitude falls to the half."""
+        """Start values: first amplitude, and a linear part from the time in which the amplitude halves."""
         amplitude = 10 ** (self._y / 20.0) if self._decibel else self._y
         head = max(len(amplitude) // 50, 1)
         first = float(np.median(amplitude[:head]))
@@ -245,11 +244,11 @@ class _Fit:
         return np.array([first, 0.0, max(log(2.0) / half, 0.05), 0.0])
 
     def parts(self, kept: Sequence[str], start: Floats, *, floor: bool = False) -> _DampingSolution:
-        """Fit these parts, and a floor where there is one."""
+        """Fit the parts `kept`, and a noise floor if `floor`."""
         free = np.array([True, *(name in kept for name in PARTS)])
         begin = start.copy()
         if "linear" not in kept:
-            # the same first fall by another part
+            # another part gives the same initial rate of the fall
             rate, begin[2] = begin[2], 0.0
             begin[1 if "constant" in kept else 3] = 0.5 * rate / (1.0 if "constant" in kept else begin[0])
         count = int(free.sum())
@@ -259,7 +258,7 @@ class _Fit:
             values[free] = p[:count]
             return self._residual(values, exp(min(p[count], 5.0)) if floor else nan)
 
-        at_start = np.append(begin[free], log(self._lowest + _LOWEST)) if floor else begin[free]
+        at_start = np.append(begin[free], log(self._lowest + _SMALLEST)) if floor else begin[free]
         found = solve(differenced(residual), at_start)
         values, covariance = np.zeros(4), np.zeros((4, 4))
         values[free] = found.values[:count]
@@ -273,5 +272,5 @@ class _Fit:
         if np.isfinite(floor):
             amplitude = np.hypot(amplitude, floor)
         if self._decibel:
-            amplitude = 2.0 * _DB * np.log(np.maximum(amplitude, _LOWEST))
+            amplitude = 2.0 * _DB * np.log(np.maximum(amplitude, _SMALLEST))
         return np.asarray((amplitude - self._y) / self._u)

@@ -1,4 +1,4 @@
-"""Periods and reference amplitude from the turning points; mean period and decrement of any pendulum."""
+"""Periods, reference amplitude, mean period and decrement from turning points; forecast of a decay."""
 
 import math
 from contextlib import suppress
@@ -18,7 +18,7 @@ FEWEST_PERIODS = 5
 
 
 class Periods(NamedTuple):
-    """Full periods centred on turning points that have both neighbours; `where` are their positions."""
+    """Full periods centred on turning points with both neighbours; `where` are these points' positions."""
 
     where: Ints
     period_s: Floats
@@ -31,7 +31,7 @@ def reference_amplitude(points: TurningPoints) -> float:
 
 
 def full_periods(points: TurningPoints) -> Periods:
-    """Times from the turning point before to the one after, if neither is missing."""
+    """Times between the neighbours of each turning point, if neither neighbour is missing."""
     complete = (points.index[2:] - points.index[:-2]) == 2
     where = np.nonzero(complete)[0] + 1
     u2 = points.u_time_s**2
@@ -53,25 +53,26 @@ def mean_period_estimate(points: TurningPoints, chi2_per_dof: float) -> Estimate
     return Estimate(mean_period(points), float(2 * u / (points.index[-1] - points.index[0])))
 
 
-_FEWEST = 4  # a straight line, and two degrees of freedom for its scatter
+_FEWEST = 4
+"""Fewest turning points: a straight line leaves two degrees of freedom for its scatter."""
 _FEWEST_OF_PART = 3
 _NOT_CONSTANT = 4.0
-"""chi2/dof of a constant value above which the scatter does not describe what is left of it."""
+"""chi2/dof of a constant value above which its residuals are more than scatter."""
 _AGREE = 2.0
 """Standard uncertainties of their difference within which both ends agree."""
-_TOLD = 2.0
-"""Standard uncertainties from which on a decrement is told from zero: one over it has a value."""
-_PART = 3
-"""The change is that from the first to the last third of the half-cycles."""
+_SIGNIFICANT = 2.0
+"""Standard uncertainties above which a decrement differs from zero, so that its reciprocal has a value."""
+_PARTS = 3
+"""Number of equal parts of the half-cycles; a change is that from the first part to the last."""
 
 
 @dataclass(frozen=True, slots=True)
 class DecayMean:
     """Mean over a decay of a value that may change with the amplitude.
 
-    `u` is multiplied by sqrt(max(1, chi2_per_dof)). Where that is more than scatter, `u` also holds the
-    spread of a value that goes evenly from `first` to `last`, its means over the first and the last third,
-    with `u_first` and `u_last`; these are NaN for fewer than nine half-cycles.
+    `u` is multiplied by sqrt(max(1, chi2_per_dof)). If the residuals are more than scatter, `u` also includes
+    the spread of a value that changes evenly from `first` to `last`. These are the means over the first and
+    the last third, with `u_first` and `u_last`; they are NaN for fewer than nine half-cycles.
     """
 
     value: float
@@ -84,8 +85,9 @@ class DecayMean:
 
     @property
     def changes(self) -> bool:
-        """Whether one value does not describe the decay: it leaves more than the scatter, and the ends
-        disagree. What leaves more without a change of the value is in `u` by its chi2/dof.
+        """Whether the value changes over the decay: residuals are more than scatter, and the ends disagree.
+
+        Larger residuals without a change are included in `u` by chi2/dof.
         """
         if not self.chi2_per_dof > _NOT_CONSTANT:
             return False
@@ -110,22 +112,23 @@ class DecaySummary:
 
     @property
     def grows(self) -> bool:
-        """Whether the amplitude rises: no decay, or one that runs backwards."""
-        return self.decrement.value < -_TOLD * self.decrement.u
+        """Whether the amplitude rises: no decay, or a decay with its time reversed."""
+        return self.decrement.value < -_SIGNIFICANT * self.decrement.u
 
     @property
     def quality_factor(self) -> Estimate | None:
-        """pi over the decrement; None where that changes, is not told from zero, or is below it, and of a
-        decay that is faster than a swing.
+        """Quality factor, pi over the decrement.
+
+        None if the decrement changes, is not significantly positive, or exceeds pi (faster than a period).
         """
         found = self.decrement
-        if found.changes or found.value > np.pi or not found.value > _TOLD * found.u:
+        if found.changes or found.value > np.pi or not found.value > _SIGNIFICANT * found.u:
             return None
         return Estimate(np.pi / found.value, np.pi / found.value * found.u / found.value)
 
 
 def summarise_decay(points: TurningPoints) -> DecaySummary:
-    """Weighted straight lines through turning times and ln(amplitude) against the half-cycle's index.
+    """Summary from weighted straight lines through turning times and ln(amplitude) against the index.
 
     Raises DataError for fewer than four turning points.
     """
@@ -143,23 +146,23 @@ def summarise_decay(points: TurningPoints) -> DecaySummary:
 
 
 def _mean(index: Ints, values: Floats, u_values: Floats, factor: float) -> DecayMean:
-    """The slope of values against the half-cycle, times `factor`."""
+    """Slope of values against the half-cycle's index, multiplied by `factor`."""
     found = _slope(index, values, u_values, factor)
-    count = len(index) // _PART
+    count = len(index) // _PARTS
     if count < _FEWEST_OF_PART:
         return found
     first = _slope(index[:count], values[:count], u_values[:count], factor)
     last = _slope(index[-count:], values[-count:], u_values[-count:], factor)
     # from the middle of the first third to that of the last are two thirds of the decay
     found = replace(found, first=first.value, u_first=first.u, last=last.value, u_last=last.u)
-    # also where the ends agree: what is more than scatter may be a change that they are too few to show
+    # also if the ends agree: large residuals may be a change for which their points are too few
     is_more = found.chi2_per_dof > _NOT_CONSTANT
     spread = 1.5 * abs(last.value - first.value) / np.sqrt(12.0) if is_more else 0.0
     return replace(found, u=float(np.hypot(found.u, spread)))
 
 
 def _slope(index: Ints, values: Floats, u_values: Floats, factor: float) -> DecayMean:
-    """Slope of a weighted straight line."""
+    """Slope of a weighted straight line, multiplied by `factor`."""
     x = index.astype(np.float64)
     weight = 1.0 / u_values**2
     mean_x = np.average(x, weights=weight)
@@ -173,15 +176,15 @@ def _slope(index: Ints, values: Floats, u_values: Floats, factor: float) -> Deca
 
 
 _FEWEST_TO_FORECAST = 6
-"""Four parameters and two degrees of freedom."""
-_MOST = 240
-"""The covariance of a walk has no zeros: its factors cost the cube of the number."""
+"""Fewest amplitudes: four parameters leave two degrees of freedom."""
+_MOST_AMPLITUDES = 240
+"""Most amplitudes: the covariance of a random walk is full, and its factor costs the cube of the number."""
 _NODES = 400
-"""Against 6,400 the forecast moves by a thousandth of its uncertainty."""
+"""Nodes of the amplitude grid. With 6,400 the forecast differs by a thousandth of its uncertainty."""
 _PRIOR, _U_PRIOR = np.array([0.0, 0.0, 0.87, math.log(0.25)]), np.array([0.06, 0.6])
-"""Of the exponent p and of ln d, the last two parameters; of the others nothing is known."""
-_WALKS = np.geomspace(1e-3, 10.0, 9)
-"""Variance of a half-cycle's step of the walk over that of the noise, as they are tried."""
+"""Means of the parameters, and standard deviations of the last two, p and ln d; the others have no prior."""
+_WALK_RATIOS = np.geomspace(1e-3, 10.0, 9)
+"""Variances of a half-cycle's step of the walk that are tried, relative to the variance of the noise."""
 
 
 class Forecast(NamedTuple):
@@ -192,7 +195,7 @@ class Forecast(NamedTuple):
 
 
 def prepare() -> None:
-    """Import what the first forecast would: a tenth of a second, in which no signal is heard."""
+    """Import the modules of the first forecast: a tenth of a second in which signals are not handled."""
     import scipy.linalg
     import scipy.optimize  # noqa: F401
 
@@ -202,10 +205,10 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
 
     The loss per time is modelled as ``k (A^p + d final^p)``, the two friction terms of Eq. 5. As long as the
     decay does not determine p and the fraction d of dry friction, priors from the paper's three contact
-    pairs are used (p = 0.87 ± 0.06, d = 0.25 within a factor of 1.8). The ground lets the amplitude walk, by
-    equal steps each half-cycle, which delays or hastens all that follows; how large the steps are is left to
-    the data, and averaged over. All this is contained in the uncertainty of the forecast, and so is the
-    noise of the amplitude that will be found to lie below `final`.
+    pairs are used (p = 0.87 ± 0.06, d = 0.25 within a factor of 1.8). The ground makes the amplitude walk at
+    random, by steps of equal variance each half-cycle, which advance or delay all later amplitudes; the
+    forecast is averaged over the variance of the steps, weighted by the data. The uncertainty of the forecast
+    includes all this, and the noise of the amplitude that will first be measured below `final`.
 
     Parameters
     ----------
@@ -218,7 +221,7 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
         return Forecast(math.nan, math.nan)
     if amplitudes[-1] <= final:
         return Forecast(0.0, 0.0)
-    chosen = np.unique(np.linspace(0, len(times_s) - 1, _MOST).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(times_s) - 1, _MOST_AMPLITUDES).round().astype(int))
     decay = _Decay(times_s[chosen] - times_s[-1], amplitudes[chosen], u_amplitudes[chosen], final)
     if not decay.slope < 0:
         return Forecast(math.nan, math.nan)
@@ -226,9 +229,9 @@ def forecast(times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: f
 
 
 class _Decay:
-    """Amplitudes (n,) at times (n,) that end with 0, and the model of their loss.
+    """Amplitudes (n,) at times (n,) of which the last is 0, and the model of their loss.
 
-    Parameters of the model: the time of the grid's first amplitude, ln k, p and ln d.
+    The parameters of the model are the time of the grid's first amplitude, ln k, p and ln d.
     """
 
     def __init__(self, times_s: Floats, amplitudes: Floats, u_amplitudes: Floats, final: float) -> None:
@@ -237,26 +240,26 @@ class _Decay:
         self._grid = np.geomspace(amplitudes.max() * 1.05, final, _NODES)
 
     def _paces(self, parameters: Floats) -> Floats:
-        """Time per loss of amplitude, on the grid."""
+        """Time per loss of amplitude, at the nodes of the grid."""
         _, ln_k, p, ln_d = parameters
         scaled = self._grid / self._grid[0]
         return np.asarray(np.exp(-ln_k) / (scaled**p + np.exp(ln_d) * scaled[-1] ** p))
 
-    def _along(self, values: Floats) -> Floats:
+    def _integral(self, values: Floats) -> Floats:
         """Integral over the amplitude from the grid's first node downwards."""
         steps = 0.5 * (values[1:] + values[:-1]) * (self._grid[:-1] - self._grid[1:])
         return np.concatenate([[0.0], np.cumsum(steps)])
 
-    def _at(self, amplitudes: Floats, on_grid: Floats) -> Floats:
+    def _interpolated(self, amplitudes: Floats, on_grid: Floats) -> Floats:
         return np.asarray(np.interp(-amplitudes, -self._grid, on_grid))
 
     def _times(self, parameters: Floats) -> Floats:
         """Predicted times of the amplitudes and, last, of the final one."""
         wanted = np.append(self._a, self._final)
-        return np.asarray(self._at(wanted, self._along(self._paces(parameters))) + parameters[0])
+        return np.asarray(self._interpolated(wanted, self._integral(self._paces(parameters))) + parameters[0])
 
-    def _fitted(self) -> Floats:
-        """Parameters, as if the noise were all."""
+    def _white_noise_fit(self) -> Floats:
+        """Parameters of a fit with white noise alone, without a walk."""
         u_t = self._u / (-self.slope * self._a)
 
         def residuals(parameters: Floats) -> Floats:
@@ -271,22 +274,22 @@ class _Decay:
         return found.values
 
     def remaining(self, half_period_s: float) -> Forecast:
-        """The forecast, averaged over the sizes of the walk by how well each explains the amplitudes."""
+        """Forecast averaged over the sizes of the walk, weighted by their likelihoods."""
         from scipy.linalg import cholesky, solve_triangular
 
-        parameters = self._fitted()
+        parameters = self._white_noise_fit()
         times, slopes = differenced(self._times)(parameters)
         left, count, paces = self._t - times[:-1], len(self._t), self._paces(parameters)
         known = np.eye(4)[2:] / _U_PRIOR[:, None]
-        # a step of the walk stays in the amplitude, so that in time it grows with the pace; it is walked
-        # from one amplitude to the next whether the ground let that one fall or rise
-        squares = self._at(self._a, paces**2)
+        # a step of the walk stays in the amplitude, so that its effect on the time grows with the pace; it
+        # adds from one amplitude to the next whether that one is lower or higher
+        squares = self._interpolated(self._a, paces**2)
         steps = 0.5 * (squares[1:] + squares[:-1]) * np.maximum(np.diff(self._t), 0.0) / half_period_s
         typical2 = float(np.median(self._u)) ** 2
         walked = typical2 * np.concatenate([[0.0], np.cumsum(steps)])
-        to_come = self._along(paces**3) / half_period_s
-        walk_left = typical2 * float(to_come[-1] - self._at(self._a[-1:], to_come)[0])
-        noise = np.diag((self._u * self._at(self._a, paces)) ** 2)
+        to_come = self._integral(paces**3) / half_period_s
+        walk_left = typical2 * float(to_come[-1] - self._interpolated(self._a[-1:], to_come)[0])
+        noise = np.diag((self._u * self._interpolated(self._a, paces)) ** 2)
         earlier = np.minimum.outer(np.arange(count), np.arange(count))
 
         def solved(ratio: float) -> tuple[float, float, float]:
@@ -295,21 +298,21 @@ class _Decay:
             white = solve_triangular(root, np.column_stack([left, slopes[:-1], ratio * walked]), lower=True)
             e, a, last = white[:, 0], white[:, 1:5], white[:, 5]
             misfit = FactoredJacobian(a).left(e)
-            # amplitudes that scatter more than their uncertainties say
+            # amplitudes may scatter more than by their uncertainties
             scale = max(1.0, float(misfit @ misfit) / max(count - 4, 1))
             rows = np.concatenate([e / math.sqrt(scale), -known @ (parameters - _PRIOR)])
             fit = FactoredJacobian(np.vstack([a / math.sqrt(scale), known]))
             shift, rest = fit.coefficients(rows), fit.left(rows)
-            # the walk so far goes on from where it is
+            # the future walk starts from the present offset of the walk
             value = float(slopes[-1] @ shift + last @ (e - a @ shift))
             variance = float(np.sum(((slopes[-1] - last @ a) @ fit.root) ** 2))
             ahead = ratio * (walked[-1] + walk_left) - float(last @ last) + typical2 * float(paces[-1]) ** 2
             cost = float(rest @ rest) + count * math.log(scale) + 2.0 * float(np.log(np.diag(root)).sum())
             return value, variance + scale * ahead, -0.5 * (cost + fit.log_det)
 
-        # parameters that the decay leaves without meaning have no solution
+        # a decay that does not determine the parameters may have no solution
         with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
-            found = np.array([solved(ratio) for ratio in _WALKS])
+            found = np.array([solved(ratio) for ratio in _WALK_RATIOS])
             found = found[np.all(np.isfinite(found), axis=1)]
             if len(found):
                 weight = np.exp(found[:, 2] - found[:, 2].max())

@@ -35,7 +35,7 @@ class Deflections:
     """Deflections as arrays of equal length, one entry per frame, in order of time.
 
     `y` is along the slow mode's axis (the paper's Y), `x` along the fast mode's. `u_x` and `u_y` are
-    standard uncertainties. All four are in `unit`. NaN where the spot was lost.
+    standard uncertainties. All four are in `unit`, and NaN in frames without a spot.
     """
 
     times_ns: Ints
@@ -49,7 +49,7 @@ class Deflections:
         return len(self.times_ns)
 
     def __getitem__(self, rows: slice | Flags) -> Self:
-        """Some of the frames."""
+        """Deflections of some of the frames."""
         return replace(self, **{name: getattr(self, name)[rows] for name in _COLUMNS})
 
     @property
@@ -84,9 +84,7 @@ def no_deflections(unit: DeflectionUnit) -> Deflections:
 
 
 def slow_deflections(times_ns: Ints, y: Floats, u_y: Floats | float) -> Deflections:
-    """Deflections `y` (n,) in rad along the slow axis with standard uncertainties `u_y`, (n,) or one; `x` is
-    NaN.
-    """
+    """Deflections `y` (n,) in rad along the slow axis with `u_y`, (n,) or one for all; `x` is NaN."""
     unknown = np.full(len(times_ns), np.nan)
     u_y = np.broadcast_to(u_y, y.shape).astype(np.float64)
     return Deflections(times_ns, unknown, y, unknown, u_y, DeflectionUnit.RAD)

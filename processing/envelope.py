@@ -1,4 +1,4 @@
-"""A decay measured without its swings: an envelope of amplitudes or powers, and distances without a sign."""
+"""Decay measured as an envelope of amplitudes or powers, and test for deflections without a sign."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,19 +16,18 @@ from processing.units import nanoseconds, seconds
 
 _ROUNDING = 1e-9
 _NOT_DESCRIBED = 2.0
-"""Chi-square per degree of freedom at which the model is wrong by as much as the noise. In noise alone it is
-above this once in 30 envelopes of twelve values and once in 90,000 of sixty."""
+"""Chi-square per degree of freedom at which the error of the model equals the noise. Noise alone exceeds it
+once in 30 envelopes of twelve values and once in 90,000 of sixty."""
 
 
 @dataclass(frozen=True, slots=True)
 class EnvelopeDecay:
-    """The fall of an envelope: time constant of the amplitude (that of the power is half of it).
+    """Decay of an envelope, with time constants of the amplitude (those of the power are half as long).
 
-    `initial` and `floor` are the amplitude at the first sample and of the noise floor (NaN where the end
-    shows none), in the samples' unit, `noise` is their own scatter. `tau_s` is the time constant of one
-    exponential. `first_s` and `last_s` are those at the amplitudes a quarter and three quarters down the fall
-    (in its logarithm); `u_tau_s` holds what it may spread over the fall. `damping` says how it depends on the
-    amplitude.
+    `initial` and `floor` are the amplitude at the first sample and of the noise floor (NaN if the end shows
+    none), in the samples' unit; `noise` is the scatter of the samples. `tau_s` is the time constant of a
+    single exponential; `u_tau_s` includes its variation over the fall. `first_s` and `last_s` are those at a
+    quarter and three quarters of the fall (in its logarithm). `damping` is the dependence on the amplitude.
     """
 
     samples: int
@@ -53,12 +52,12 @@ class EnvelopeDecay:
         return self.damping.chi2_per_dof <= _NOT_DESCRIBED
 
     def quality_factor(self, frequency_hz: float) -> tuple[float, float]:
-        """pi f tau with its standard uncertainty."""
+        """Quality factor pi f tau with its standard uncertainty."""
         return pi * frequency_hz * self.tau_s, pi * frequency_hz * self.u_tau_s
 
 
 def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeDecay:
-    """Fit the damping of an envelope, and a noise floor where its end shows one.
+    """Fit the damping of an envelope, and a noise floor if its end shows one.
 
     Parameters
     ----------
@@ -72,7 +71,7 @@ def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeD
     """
     good = np.isfinite(values)
     t, y = times_s[good] - times_s[0], values[good]
-    # computed values have none: their scatter about the fit then takes its place
+    # computed values have no noise: their scatter about the fit replaces it
     noise = max(estimate_noise(nanoseconds(t), y), _ROUNDING * float(np.max(np.abs(y), initial=0.0)))
     damping = fit_damping(t, y, np.full(len(y), noise), decibel=decibel, floor=True)
     quarters = damping.amplitudes(5)
@@ -97,33 +96,33 @@ def fit_envelope(times_s: Floats, values: Floats, *, decibel: bool) -> EnvelopeD
     )
 
 
-_FEWEST: Final = 8
-"""Cycles, and samples of one, that show their shape."""
-_CYCLES: Final = 16
-_STARTS: Final = np.arange(72) / 72
-"""Phases that are tried."""
-_BETTER: Final = 0.2
-"""Of the squares that a sinusoid leaves, what a rectified one leaves at most where it is the better shape."""
-_CLOSE: Final = 0.04
-"""Of the swing, its scatter about the rectified shape at most."""
+_FEWEST_CYCLES: Final = 8
+"""Fewest cycles, and fewest samples per cycle, from which a shape is judged."""
+_MOST_CYCLES: Final = 16
+_PHASES: Final = np.arange(72) / 72
+"""Phases of a cycle that are tried, in periods."""
+_LARGEST_SQUARES_RATIO: Final = 0.2
+"""Largest ratio of the squares that a rectified sinusoid and a sinusoid leave, if the first fits better."""
+_LARGEST_SCATTER: Final = 0.04
+"""Largest scatter about the rectified shape, relative to the range of a cycle."""
 _ZERO: Final = 0.1
-"""Of the largest, the smallest values that are zero but for the sampling."""
+"""Values, relative to the largest, that count as zero because of the sampling."""
 _FALLEN: Final = 0.75
-_STANDS: Final = 0.1
-"""Of what the other side falls by, what turning points that stand move by at most."""
-_AT_ZERO: Final = 0.35
-"""Of the samples, that are near zero at most; of a sensor that sees one side of the swing half are."""
+"""Largest ratio of last to first range that counts as a decay."""
+_LARGEST_MOVE: Final = 0.1
+"""Largest move of constant turning points, relative to the fall of the other side."""
+_LARGEST_ZERO_FRACTION: Final = 0.35
+"""Largest fraction of samples near zero; a sensor that is blind for one side of the motion has half."""
 
 
 def unsigned_period_s(times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> float:
-    """The period of a swing x where the values are |x|, x² or another even function of x; NaN elsewhere.
+    """Period of an oscillation x if the values are |x|, x² or another even function of x; otherwise NaN.
 
-    |x| has cusps where x is zero; the turning points of one side stay where they are, those of the other
-    come to them.
+    |x| has cusps at zero. In an even function the turning points of one side stay, the others approach them.
     """
     good = np.isfinite(values)
     times_s, values = seconds(times_ns[good]), values[good]
-    if len(values) < _FEWEST**2:
+    if len(values) < _FEWEST_CYCLES**2:
         return np.nan
     times_s = times_s - times_s[0]
     even_s = np.linspace(0.0, times_s[-1], len(times_s))
@@ -133,24 +132,24 @@ def unsigned_period_s(times_ns: NDArray[np.int64], values: NDArray[np.float64]) 
     before, here, after = spectrum[at - 1 : at + 2]
     bend = before - 2.0 * here + after
     cycles = at + (0.5 * (before - after) / bend if bend else 0.0)
-    if not _FEWEST <= cycles <= len(values) / _FEWEST:
+    if not _FEWEST_CYCLES <= cycles <= len(values) / _FEWEST_CYCLES:
         return np.nan
     period_s = float(times_s[-1] / cycles)
     edges = np.searchsorted(times_s, period_s * np.arange(int(cycles) + 1))
-    parts = [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a >= _FEWEST]
-    if len(parts) < _FEWEST:
+    parts = [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a >= _FEWEST_CYCLES]
+    if len(parts) < _FEWEST_CYCLES:
         return np.nan
     each = [values[part] for part in parts]
     is_unsigned = (
-        _stands_at_zero(each)
-        or _one_side_stands(each)
+        _returns_to_zero(each)
+        or _one_side_is_constant(each)
         or _has_cusps([(times_s[part] / period_s, values[part]) for part in parts])
     )
     return 2.0 * period_s if is_unsigned else np.nan
 
 
-def _stands_at_zero(parts: list[NDArray[np.float64]]) -> bool:
-    """Whether the values of a decay come back to zero in every cycle, and never cross it."""
+def _returns_to_zero(parts: list[NDArray[np.float64]]) -> bool:
+    """Whether the values of a decay return to zero in every cycle and never cross it."""
     ends = np.array([(part.min(), part.max()) for part in parts])
     if np.abs(ends[:, 0]).max() > np.abs(ends[:, 1]).max():
         ends = -ends[:, ::-1]
@@ -158,13 +157,13 @@ def _stands_at_zero(parts: list[NDArray[np.float64]]) -> bool:
     (first_low, first), (last_low, last) = np.median(ends[:third], axis=0), np.median(ends[-third:], axis=0)
     stands = abs(first_low) < _ZERO * first and abs(last_low) < _ZERO * last and 0 < last < _FALLEN * first
     at_zero = np.mean([np.mean(np.abs(part) < _ZERO * np.abs(part).max()) for part in parts[:third]])
-    return bool(stands and at_zero < _AT_ZERO)
+    return bool(stands and at_zero < _LARGEST_ZERO_FRACTION)
 
 
-def _one_side_stands(parts: list[NDArray[np.float64]]) -> bool:
-    """Whether the turning points of one side stand anywhere while those of the other come to them.
+def _one_side_is_constant(parts: list[NDArray[np.float64]]) -> bool:
+    """Whether the turning points of one side are constant while those of the other approach them.
 
-    So do cos x of an angle, a distance to a point beside the swing, and light behind a slit.
+    This is so for the cosine of an angle, a distance to a point beside the swing, and light behind a slit.
     """
     ends = np.array([(part.min(), part.max()) for part in parts])
     third = len(ends) // 3
@@ -175,23 +174,23 @@ def _one_side_stands(parts: list[NDArray[np.float64]]) -> bool:
     moved = np.abs(last - first)
     side = int(np.argmin(moved))
     near = np.mean([np.mean(np.abs(part - first[side]) < _ZERO * span) for part in parts[:third]])
-    return bool(moved[side] < _STANDS * fell and near < _AT_ZERO)
+    return bool(moved[side] < _LARGEST_MOVE * fell and near < _LARGEST_ZERO_FRACTION)
 
 
 def _has_cusps(parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> bool:
-    """Whether cycles, with their times in periods, are rather those of a rectified sinusoid than of one."""
-    largest = sorted(parts, key=lambda part: -float(np.ptp(part[1])))[:_CYCLES]
+    """Whether a rectified sinusoid fits the cycles (times in periods, values) better than a sinusoid."""
+    largest = sorted(parts, key=lambda part: -float(np.ptp(part[1])))[:_MOST_CYCLES]
     left = np.array(
         [
-            [_left(cycles, values, shape) / np.ptp(values) ** 2 for shape in (_rectified, _sinusoid)]
+            [_mean_square(cycles, values, shape) / np.ptp(values) ** 2 for shape in (_rectified, _sinusoid)]
             for cycles, values in largest
             if np.ptp(values) > 0
         ]
     )
-    if len(left) < _FEWEST:
+    if len(left) < _FEWEST_CYCLES:
         return False
     rectified, sinusoid = np.median(left, axis=0)
-    return bool(rectified < min(_BETTER * sinusoid, _CLOSE**2))
+    return bool(rectified < min(_LARGEST_SQUARES_RATIO * sinusoid, _LARGEST_SCATTER**2))
 
 
 def _rectified(cycles: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -202,14 +201,14 @@ def _sinusoid(cycles: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.cos(2.0 * np.pi * cycles)
 
 
-def _left(
+def _mean_square(
     cycles: NDArray[np.float64], values: NDArray[np.float64], shape: Callable[..., NDArray[np.float64]]
 ) -> float:
-    """Mean square that the shape leaves at the phase that suits it best, with a straight line below it."""
+    """Mean square residual from a shape at its best phase, with a straight line added to it."""
     columns = np.stack(
         [
-            np.broadcast_to(column, (len(_STARTS), len(cycles)))
-            for column in (1.0, cycles - cycles[0], shape(cycles - _STARTS[:, None]))
+            np.broadcast_to(column, (len(_PHASES), len(cycles)))
+            for column in (1.0, cycles - cycles[0], shape(cycles - _PHASES[:, None]))
         ],
         axis=-1,
     )

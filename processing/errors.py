@@ -13,9 +13,9 @@ class RigError(Exception):
 
 
 class ConfigurationError(RigError):
-    """What was asked cannot be begun as it is stated (exit status 2; any other error: 1).
+    """A request cannot be carried out as it is stated (exit status 2; any other error: 1).
 
-    A setting is unknown, missing, of the wrong unit or out of range; a file is not there, or exists already.
+    A setting is unknown, missing, of the wrong unit or out of range; a file is missing, or exists already.
     """
 
 
@@ -24,9 +24,9 @@ class DeviceError(RigError):
 
 
 class MissingPackage(ConfigurationError, DeviceError):
-    """A Python package is not installed that only a part of the program needs, such as a kind of camera.
+    """A Python package of an optional part of the program, such as a kind of camera, is not installed.
 
-    `extra` is the one of pyproject.toml that brings it; `instead` what helps without it.
+    `extra` is the extra of pyproject.toml that installs it, `instead` an alternative without the package.
     """
 
     def __init__(self, what: str, package: str, extra: str, instead: str = "") -> None:
@@ -43,13 +43,13 @@ class DataError(RigError):
 
 
 def require_schema(what: str, stated: object, read: int, kind: type[RigError]) -> None:
-    """Raise `kind` for a file, `what`, whose schema is another than the one that is read."""
+    """Raise `kind` for a file, `what`, whose `stated` schema is not the one that this version reads."""
     if stated != read or isinstance(stated, bool):
         raise kind(f"{what}: is of schema {stated!r}; this version reads schema {read}")
 
 
 def in_one_line(error: Exception) -> str:
-    """The error as one line, with its kind where it is not one of these."""
+    """Text of an error in one line, after the name of its class unless it is a `RigError`."""
     text = re.sub(r"\s+", " ", f"{error}").strip()
     if isinstance(error, RigError):
         return text

@@ -1,4 +1,4 @@
-"""A value with its standard uncertainty, and the names of the methods by which a law is fitted."""
+"""Value with its standard uncertainty, and the names of the methods by which a law is fitted."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ likelihood is used."""
 
 
 class Determinacy(StrEnum):
-    """What the data say of a parameter: a value, an interval, a bound or nothing."""
+    """Kind of result that the data give for a parameter: a value, an interval, a bound or nothing."""
 
     DETERMINED = "determined"
     INTERVAL = "interval"
@@ -22,9 +22,9 @@ class Determinacy(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value and its standard uncertainty (infinite if the data do not determine it).
+    """Value and standard uncertainty (infinite if the data do not determine it).
 
-    It unpacks: ``value, u = estimate``.
+    An estimate can be unpacked: ``value, u = estimate``.
     """
 
     value: float
@@ -47,7 +47,7 @@ class FitMethod(StrEnum):
     heading: str
     """Heading of its column in a table."""
     description: str
-    """What is done, in a few words."""
+    """Description of the method in a few words."""
     equations: str
     """The paper's equations that it solves."""
 

@@ -1,7 +1,7 @@
-"""The numerical kernels: functions on numbers and arrays that numba compiles when the first is called.
+"""Numerical kernels: functions on numbers and arrays that numba compiles when the first of them is called.
 
-Until then a kernel is declared, and numba, whose import takes longer than many a command, is not imported.
-`processing.kernel_compiler` has how they are compiled and where the machine code is kept.
+Until then a kernel is only declared, and numba, whose import takes longer than many a command, not imported.
+`processing.kernel_compiler` compiles kernels and stores their machine code.
 """
 
 import os
@@ -18,40 +18,40 @@ _DECLARED: list["_Declared"] = []
 
 
 class _Declared:
-    """What numba makes of a function, once one of all that are declared is wanted."""
+    """Stand-in for a kernel that is not compiled; its first use replaces all stand-ins by kernels."""
 
     def __init__(self, function: Callable[..., Any], make: Callable[[], Any]) -> None:
         update_wrapper(self, function)
-        self._make = make
-        self._made: Any = None
+        self._compile = make
+        self._compiled: Any = None
         _DECLARED.append(self)
 
-    def made(self) -> Any:
-        """The compiled function, by which modules that hold a declared one have it from now on.
+    def compiled(self) -> Any:
+        """Kernel of this function; every module then holds kernels in place of stand-ins.
 
-        A kernel finds the kernels that it calls in its module, where numba knows nothing but its own.
+        All are replaced, because numba looks up the kernels that a kernel calls in its module.
         """
         with _LOCK:
-            if self._made is None:
+            if self._compiled is None:
                 for one in _DECLARED:
-                    one._made = one._make()
+                    one._compiled = one._compile()
                 packages = {one.__module__.partition(".")[0] for one in _DECLARED}
                 _DECLARED.clear()
                 for name, module in list(sys.modules.items()):
                     if name.partition(".")[0] in packages:
                         for key, value in list(vars(module).items()):
                             if isinstance(value, _Declared):
-                                setattr(module, key, value._made)
-            return self._made
+                                setattr(module, key, value._compiled)
+            return self._compiled
 
     def __call__(self, *args: Any, **words: Any) -> Any:
-        return self.made()(*args, **words)
+        return self.compiled()(*args, **words)
 
     def __getattr__(self, name: str) -> Any:
-        # asked for before it is there only by copies and pickles
-        if name.startswith("__") or name in ("_make", "_made"):
+        # only copying and pickling ask for these before they exist
+        if name.startswith("__") or name in ("_compile", "_compiled"):
             raise AttributeError(name)
-        return getattr(self.made(), name)
+        return getattr(self.compiled(), name)
 
 
 @overload
@@ -59,11 +59,11 @@ def kernel(function: Function, /) -> Function: ...
 @overload
 def kernel(*, fastmath: bool = ...) -> Callable[[Function], Function]: ...
 def kernel(function: Function | None = None, /, *, fastmath: bool = False) -> Any:
-    """Compile a function on numbers and arrays with numba, when it is first called, for the types then given.
+    """Compile a function on numbers and arrays with numba, at its first call with new types of arguments.
 
     It runs without Python's lock, and a division by zero gives an infinity or NaN as in numpy. `fastmath`
-    lets the compiler reorder sums, which it needs to turn them into vector instructions. Where numba is
-    turned off (NUMBA_DISABLE_JIT), the function stays what it is.
+    lets the compiler reorder sums, which it needs to turn them into vector instructions. If numba is turned
+    off (NUMBA_DISABLE_JIT), the function itself is returned.
     """
     if function is None:
         return partial(kernel, fastmath=fastmath)
@@ -72,35 +72,35 @@ def kernel(function: Function | None = None, /, *, fastmath: bool = False) -> An
     options = {"nopython": True, "nogil": True, "error_model": "numpy", "fastmath": fastmath}
     options["no_cfunc_wrapper"] = True  # nothing calls them as functions of C
 
-    def made() -> Any:
+    def compiled() -> Any:
         from processing.kernel_compiler import Kernel
 
         return Kernel(function, targetoptions=options)
 
-    return made() if "processing.kernel_compiler" in sys.modules else _Declared(function, made)
+    return compiled() if "processing.kernel_compiler" in sys.modules else _Declared(function, compiled)
 
 
 def intrinsic(generator: Callable[..., Any]) -> Any:
-    """An instruction that numba puts into a kernel, by the function that generates it (`numba.extending`)."""
+    """Instruction that numba inserts into a kernel, from the function that generates it."""
 
-    def made() -> Any:
+    def compiled() -> Any:
         from numba.extending import intrinsic
 
         return intrinsic(generator)
 
-    return made() if "processing.kernel_compiler" in sys.modules else _Declared(generator, made)
+    return compiled() if "processing.kernel_compiler" in sys.modules else _Declared(generator, compiled)
 
 
 @contextmanager
 def at_compilation(call: Callable[[bool], None]) -> Iterator[None]:
-    """Call once, within the context, when a kernel is compiled and not merely loaded from its cache.
+    """Call `call` once within the context, if a kernel is compiled and not only loaded from its cache.
 
-    One that another process compiles just then counts, too. `call` is given whether the machine code will be
-    kept for the next process.
+    A kernel that another process is compiling counts, too. The argument of `call` is whether the machine code
+    will be stored for the next process.
     """
     from numba.core import event
 
-    from processing.kernel_compiler import WAITS
+    from processing.kernel_compiler import WAIT_EVENT
 
     class FirstCompilation(event.Listener):  # type: ignore[misc]
         called = False
@@ -114,5 +114,5 @@ def at_compilation(call: Callable[[bool], None]) -> Iterator[None]:
             pass
 
     listener = FirstCompilation()
-    with event.install_listener("numba:compile", listener), event.install_listener(WAITS, listener):
+    with event.install_listener("numba:compile", listener), event.install_listener(WAIT_EVENT, listener):
         yield

@@ -1,11 +1,11 @@
-"""How numba compiles the kernels, and where it keeps them; imported when the first kernel is called.
+"""Compilation of the kernels by numba, and the cache of their machine code.
 
-numba compiles a kernel again for each constant that another kernel hands to it, its cache does not notice a
-change in a kernel that is called from another file, and it refuses to compile where no cache can be written.
-Here a kernel is compiled for types only; a cache entry belongs to the code of the kernel and of all that it
-calls; processes that need the same kernel at once compile it once; and without a cache a kernel is compiled
-in every process. A kernel within another one becomes machine code only as a part of that one. Decision 24 has
-what this pays.
+This module is imported when the first kernel is called. numba compiles a kernel again for each constant that
+another kernel passes to it, its cache does not notice a change in a kernel that is called from another file,
+and it refuses to compile if no cache can be written. Here a kernel is compiled for types only; a cache entry
+belongs to the code of the kernel and of all kernels that it calls; processes that need the same kernel at
+once compile it once; and without a cache a kernel is compiled in every process. A kernel called by another
+one becomes machine code only as a part of that one. Decision 24 has the gain in time.
 """
 
 import gc
@@ -35,19 +35,18 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-WAITS = "processing:another process compiles it"
+WAIT_EVENT = "processing:another process compiles it"
 _BYTES = 2**31
 _POLL_S = 0.05
-LONGEST_S = 600.0
-"""After which the other process is taken for one that hangs, and is not waited for."""
+LONGEST_WAIT_S = 600.0
+"""Longest wait for another process; after it that process counts as hanging."""
 
 
 @contextmanager
 def byte_locked(path: Path, byte: int, waits: Callable[[], None]) -> Iterator[None]:
     """Hold the lock of one byte within the context; `waits` is called once if another process has it.
 
-    The byte need not exist. Where the disk or the system knows no such locks, or nothing can be written, the
-    context is entered without.
+    The byte need not exist. Without such locks or write access the context is entered without a lock.
     """
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
@@ -55,23 +54,23 @@ def byte_locked(path: Path, byte: int, waits: Callable[[], None]) -> Iterator[No
         yield
         return
     try:
-        _take(file, byte, waits)
+        _wait_for_lock(file, byte, waits)
         yield
     finally:
-        os.close(file)  # which gives the lock back
+        os.close(file)  # closing releases the lock
 
 
-def _take(file: int, byte: int, waits: Callable[[], None]) -> None:
-    until_s, said = time.monotonic() + LONGEST_S, False
-    while not _taken(file, byte) and time.monotonic() < until_s:
-        if not said:
+def _wait_for_lock(file: int, byte: int, waits: Callable[[], None]) -> None:
+    until_s, told_caller = time.monotonic() + LONGEST_WAIT_S, False
+    while not _try_lock(file, byte) and time.monotonic() < until_s:
+        if not told_caller:
             waits()
-            said = True
+            told_caller = True
         time.sleep(_POLL_S)
 
 
-def _taken(file: int, byte: int) -> bool:
-    """Whether another process does not have it; where there are no locks, none has."""
+def _try_lock(file: int, byte: int) -> bool:
+    """Whether the lock was obtained; True as well on a system without locks."""
     if fcntl is None:
         return True
     try:
@@ -84,17 +83,17 @@ def _taken(file: int, byte: int) -> bool:
 
 
 class PartCompiler(Compiler):  # type: ignore[misc]
-    """numba's compiler for what Python does not call: it makes no machine code."""
+    """Compiler for kernels that only other kernels call: it produces no machine code."""
 
     def define_pipelines(self) -> Any:
-        """The options are changed here, where those that numba's own functions inherit are fixed already."""
+        """Change the options here, after those that numba's own functions inherit have been fixed."""
         self.state.flags.no_cpython_wrapper = self.state.flags.no_compile = True
         self.state.library = _PartLibrary(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
         return super().define_pipelines()
 
 
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Code that is linked into that of other kernels, which optimize it together with their own."""
+    """Code that is linked into that of other kernels and optimized together with theirs."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -105,7 +104,7 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 class KernelPart:
-    """What numba knows a kernel within another one by, in place of its machine code."""
+    """Identity by which numba finds a kernel called by another one; it has no machine code."""
 
 
 class Kernel(CPUDispatcher):  # type: ignore[misc]
@@ -115,14 +114,14 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
     _within_another = False
 
     def compile(self, sig: Any) -> Any:
-        """Called for a call from Python: loads the machine code from the cache, or compiles and keeps it."""
+        """Load the machine code from the cache, or compile and store it; for a call from Python."""
         with global_compiler_lock, ExitStack() as until_kept:
             if self._within_another:
                 return super().compile(sig)
             if not self._cache_is_open:
-                self._cache, self._cache_is_open = cache_of(self.py_func, self.targetoptions), True
-            # one that is a part of another kernel cannot be called from Python; any other comes from a thread
-            # that had the lock before
+                self._cache, self._cache_is_open = function_cache(self.py_func, self.targetoptions), True
+            # an overload that is a part of another kernel cannot be called from Python; any other was
+            # compiled by a thread that had the lock before
             known = self.overloads.get(tuple(normalize_signature(sig)[0]))
             if known is not None and isinstance(known.entry_point, KernelPart):
                 del self.overloads[known.signature.args]
@@ -135,16 +134,16 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             return entry
 
     def _say_that_it_waits(self) -> None:
-        event.start_event(WAITS, {"dispatcher": self})
+        event.start_event(WAIT_EVENT, {"dispatcher": self})
 
     def _compiled(self, sig: Any) -> Any:
-        with _garbage_left():
+        with _without_garbage_collection():
             return super().compile(sig)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Called for a call within another kernel: compiles for types, not for the values of constants.
+        """Compile for types, not for the values of constants; for a call within another kernel.
 
-        It is neither made machine code nor kept by itself, since it becomes a part of the caller's.
+        The kernel is neither made machine code nor stored, since it becomes a part of the caller's.
         """
         types = tuple(unliteral(kind) for kind in args)
         named = {name: unliteral(kind) for name, kind in kws.items()}
@@ -163,17 +162,17 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             self.targetctx.insert_user_function(cres.entry_point, cres.fndesc, [cres.library])
             self.overloads[cres.signature.args] = cres
             return
-        # as where it is loaded: kernels within it may need constants
+        # as when code is loaded from the cache: kernels within it may need constants
         for environment in cres._find_referenced_environments():
             cres.codegen.set_env(environment.env_name, environment)
         super().add_overload(cres)
 
 
 class _KernelThatMakesArrays(Kernel):
-    """One whose arrays numba hands to Python with Python's own code, where an interrupt may come up.
+    """Kernel that returns arrays, which numba passes to Python by Python's own code, where Ctrl-C may arrive.
 
-    numba then raises SystemError ("returned a result with an exception set"), of which the interrupt is the
-    cause; nobody who waits for Ctrl-C would catch that. It costs 0.2 us a call, which others need not pay.
+    numba then raises SystemError ("returned a result with an exception set") with the interrupt as its cause,
+    which code that waits for Ctrl-C would not catch. It costs 0.2 us a call, which other kernels save.
     """
 
     def __call__(self, *args: Any, **words: Any) -> Any:
@@ -191,15 +190,15 @@ def _makes_arrays(signature: Any) -> bool:
 
 
 class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
-    """numba's files for one function, the machine code in files whose names are never used again.
+    """Cache files of one function, with machine code in files whose names are never used again.
 
-    numba writes its index first and counts the other files from 1. Old code would pass for new while that
-    is written or if it cannot be; code for other types, if two processes write at once; and a process that
-    finds the index without the code takes the cache for spoilt.
+    numba writes its index first and counts the other files from 1. Old code would count as new while the new
+    code is written or if that fails; so would code for other types if two processes write at once; and a
+    process that finds the index without the code treats the cache as corrupt.
     """
 
     def _load_index(self) -> dict[Any, str]:
-        """The names of the files; none where a class that the index names is gone, as after an update."""
+        """Names of the files; none if a class that the index names no longer exists, as after an update."""
         try:
             found: dict[Any, str] = super()._load_index()
         except (AttributeError, ImportError):
@@ -226,10 +225,8 @@ class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
 
 
 @contextmanager
-def _garbage_left() -> Iterator[None]:
-    """What numba makes of a kernel is needed to the end; to look through it for garbage takes a fifth of the
-    time.
-    """
+def _without_garbage_collection() -> Iterator[None]:
+    """Context without garbage collection: it finds nothing in a compilation and takes a fifth of the time."""
     if not gc.isenabled():
         yield
         return
@@ -241,7 +238,7 @@ def _garbage_left() -> Iterator[None]:
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """numba's cache of a function, valid for the code of all that the function calls."""
+    """Cache of a function, valid for its code and that of all functions that it calls."""
 
     def __init__(self, function: FunctionType, code: str) -> None:
         super().__init__(function)
@@ -253,14 +250,14 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         try:
             return super().load_overload(sig, target_context)
         except (OSError, EOFError, pickle.UnpicklingError):
-            # cut off by a crash, or not for this user to read: compiled again
+            # a file cut off by a crash, or not readable for this user: the kernel is compiled again
             with suppress(OSError):
                 self.flush()
             return None
 
     @contextmanager
     def alone(self, sig: Any, target_context: Any, waits: Callable[[], None]) -> Iterator[None]:
-        """While what is not kept yet is compiled: no other process compiles it for the same types, too."""
+        """Context in which no other process compiles the function for the same types, if it is not stored."""
         key = self._index_key(sig, target_context.codegen())
         if self._holds(key):
             yield
@@ -281,11 +278,11 @@ class _Cache(FunctionCache):  # type: ignore[misc]
             super().save_overload(sig, data)
 
 
-def cache_of(function: Any, options: dict[str, Any]) -> Any:
-    """Where compiled code of the function is kept; nowhere if no folder for it can be written."""
+def function_cache(function: Any, options: dict[str, Any]) -> Any:
+    """Cache for compiled code of the function; one that stores nothing if no folder can be written."""
     code = hashlib.sha256(repr(sorted(options.items())).encode())
     code.update(Path(__file__).read_bytes())  # how it is compiled
-    for line in code_of(function, set()):
+    for line in code_bytes(function, set()):
         code.update(line)
     try:
         return _Cache(function, code.hexdigest())
@@ -293,8 +290,8 @@ def cache_of(function: Any, options: dict[str, Any]) -> Any:
         return NullCache()
 
 
-def code_of(function: FunctionType, seen: set[object]) -> Iterator[bytes]:
-    """What the machine code of a function follows from: its place, bytecode, values, functions it calls."""
+def code_bytes(function: FunctionType, seen: set[object]) -> Iterator[bytes]:
+    """Bytes that determine a function's machine code: place, bytecode, values, the functions it calls."""
     if function in seen:
         return
     seen.add(function)
@@ -314,19 +311,19 @@ def code_of(function: FunctionType, seen: set[object]) -> Iterator[bytes]:
             if name in function.__globals__:
                 value = function.__globals__[name]
                 yield name.encode()
-                yield from _code_of_value(value, seen)
+                yield from _value_bytes(value, seen)
                 if isinstance(value, ModuleType):  # a kernel of it may be called
                     named = [vars(value).get(attribute) for attribute in code.co_names]
                     for member in named:
                         if isinstance(member, Kernel):
-                            yield from _code_of_value(member, seen)
+                            yield from _value_bytes(member, seen)
 
 
-def _code_of_value(value: Any, seen: set[object]) -> Iterator[bytes]:
+def _value_bytes(value: Any, seen: set[object]) -> Iterator[bytes]:
     inner = getattr(value, "py_func", getattr(value, "_defn", value))  # of a kernel, of an intrinsic
     if isinstance(inner, FunctionType):
         yield repr(sorted(getattr(value, "targetoptions", {}).items())).encode()
-        yield from code_of(inner, seen)
+        yield from code_bytes(inner, seen)
     elif isinstance(value, np.ndarray):
         yield repr((value.dtype.str, value.shape)).encode() + value.tobytes()
     elif isinstance(value, ModuleType):

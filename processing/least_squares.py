@@ -1,7 +1,7 @@
 """Weighted nonlinear least squares with a reliable covariance.
 
-All fits use this module. A model provides residuals divided by their standard uncertainties and the
-Jacobian; the result is values, covariance and the reason for stopping. Values and standard errors are tested
+All fits use this module. A model provides residuals divided by their standard uncertainties, and the
+Jacobian; the result has values, covariance and the reason for stopping. Values and standard errors are tested
 against the certified ones of NIST's Statistical Reference Datasets.
 """
 
@@ -19,16 +19,16 @@ Model = Callable[[Floats], tuple[Floats, Floats]]
 """Function from values to (residuals, Jacobian); residuals that are not finite make the solver shorten its
 step."""
 
-_ROUND = 60
+_ROUND_EVALUATIONS = 60
 """Number of evaluations after which the progress is checked."""
-_FLAT = 0.01
+_FLAT_COST = 0.01
 """The search ends if a round reduces the cost by less than this, in units of chi2/2 per residual; the
 remaining distance to the minimum is a small fraction of a standard uncertainty."""
-_STUCK = 0.5
-"""It has found no minimum where one step on its derivatives would still take away this part of the cost."""
+_STUCK_PART = 0.5
+"""Part of the cost above which, if one linear step would still remove it, the search has found no minimum."""
 _LOSS_SCALE = 1.5
 """Standard uncertainties above about which a robust loss reduces the influence of a residual."""
-_SINGULAR = 1e-13
+_SMALLEST_SINGULAR_VALUE = 1e-13
 """Singular values below this fraction of the largest (columns scaled to unit length) are treated as zero."""
 
 
@@ -78,7 +78,7 @@ def solve(
     Raises
     ------
     DataError
-        The model has no finite value where the search begins.
+        The model has no finite value at the start of the search.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def solve(
                 xtol=1e-12,
                 ftol=cost_tolerance,
                 gtol=1e-14,
-                max_nfev=min(left, _ROUND),
+                max_nfev=min(left, _ROUND_EVALUATIONS),
             )
         except ValueError as error:
             # the solver begins a step inside the bounds, where the model need not have a value
@@ -135,7 +135,7 @@ def solve(
             break
         if result.status > 0:
             converged = True
-        elif cost - float(result.cost) < _FLAT * float(result.cost) / len(result.fun):
+        elif cost - float(result.cost) < _FLAT_COST * float(result.cost) / len(result.fun):
             converged, message = True, "a valley too flat for further steps to matter"
         cost = float(result.cost)
     residuals, jacobian = evaluate(values)
@@ -165,30 +165,30 @@ def differenced(residuals: Callable[[Floats], Floats]) -> Model:
 
 
 def _is_stuck(result: Any) -> bool:
-    """Whether the search has ended before a wall beyond which the model has no value, at no minimum."""
+    """Whether the search has ended at no minimum, because the model has no value for a further step."""
     free = result.active_mask == 0
     count = int(np.count_nonzero(free))
     if not count or result.cost <= max(len(result.fun) - count, 1):
         return False
     along = FactoredJacobian(result.jac[:, free]).root.T @ result.grad[free]
-    # half of the square is what the cost would fall by, if the model were linear
-    return bool(0.5 * along @ along > _STUCK * result.cost)
+    # the cost of a linear model would fall by half of the square
+    return bool(0.5 * along @ along > _STUCK_PART * result.cost)
 
 
 class FactoredJacobian:
-    """Singular values of the derivatives J (n, k) of residuals by the coordinates of a model.
+    """Singular value decomposition of the derivatives J (n, k) of residuals by the coordinates of a model.
 
-    Columns are scaled to unit length. A direction whose singular value is below `_SINGULAR` of the largest is
-    not determined, and takes part in nothing.
+    Columns are scaled to unit length. A direction whose singular value is below `_SMALLEST_SINGULAR_VALUE` of
+    the largest is not determined, and is left out of everything.
 
     Attributes
     ----------
     directions
-        Orthonormal (n, m): what residuals the coordinates can take up.
+        Orthonormal basis (n, m) of the residuals that the coordinates can explain.
     root
-        Of the covariance of the coordinates (k, m), ``root @ root.T``.
+        Root (k, m) of the covariance of the coordinates, which is ``root @ root.T``.
     blind
-        Coordinates (k,) that are not determined.
+        Whether each coordinate (k,) is not determined.
     log_det
         ln det J^T J of the directions that are determined.
     condition
@@ -200,22 +200,22 @@ class FactoredJacobian:
         scale = np.where(norm > 0, norm, 1.0)
         directions, singular, vt = np.linalg.svd(jacobian / scale, full_matrices=False)
         self.condition = float(singular[0] / max(singular[-1], 1e-300)) if len(singular) else 1.0
-        kept = singular > _SINGULAR * singular.max(initial=0.0)
+        kept = singular > _SMALLEST_SINGULAR_VALUE * singular.max(initial=0.0)
         self.directions: Floats = directions[:, kept]
         self.root: Floats = (vt[kept].T / singular[kept]) / scale[:, None]
         self.blind = 1.0 - np.sum(vt[kept] ** 2, axis=0) > 1e-12
         self.log_det = 2.0 * float(np.sum(np.log(singular[kept])) + np.sum(np.log(scale)))
 
     def left(self, rows: Floats) -> Floats:
-        """What the coordinates cannot take up of rows (n,) or of each of their columns (n, m)."""
+        """Residual of rows (n,), or of each of their columns (n, m), that the coordinates cannot explain."""
         return np.asarray(rows - self.directions @ (self.directions.T @ rows), dtype=np.float64)
 
     def coefficients(self, rows: Floats) -> Floats:
-        """The coordinates (k,) or (k, m) whose residuals are nearest to the rows."""
+        """Coordinates (k,) or (k, m) whose residuals are nearest to the rows."""
         return np.asarray(self.root @ (self.directions.T @ rows), dtype=np.float64)
 
     def covariance(self) -> Floats:
-        """Of the coordinates (k, k); infinite for those that are not determined."""
+        """Covariance (k, k) of the coordinates; infinite for those that are not determined."""
         found: Floats = self.root @ self.root.T
         found[self.blind, :] = 0.0
         found[:, self.blind] = 0.0
@@ -224,8 +224,7 @@ class FactoredJacobian:
 
 
 def covariance_of(jacobian: Floats, residuals: Floats | None = None, loss: Loss = "linear") -> Floats:
-    """Covariance (k, k) of the parameters: inverse of J^T J for the Jacobian J (n, k) of the scaled
-    residuals.
+    """Covariance (k, k) of the parameters: inverse of J^T J for the Jacobian J (n, k) of scaled residuals.
 
     It is infinite for parameters that are not determined. For a robust loss, which needs the `residuals`
     (n,), it is multiplied by mean(psi^2)/mean(psi')^2 of the M-estimator (Huber, Robust Statistics, 1981, eq.

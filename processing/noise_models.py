@@ -1,4 +1,4 @@
-"""Noise: the low and high models of ground acceleration (Peterson 1993), and a robust scatter."""
+"""Low and high noise models of ground acceleration (Peterson 1993), and a robust scatter."""
 
 import numpy as np
 
@@ -49,17 +49,17 @@ _LONGEST_S = 1e5
 
 
 def nlnm_db(frequencies_hz: Floats) -> Floats:
-    """New low noise model; beyond its ends, 10 Hz and 1e-5 Hz, it keeps its last value."""
+    """New low noise model, dB of (m/s^2)^2/Hz; beyond its ends, 10 Hz and 1e-5 Hz, it is constant."""
     return _model_db(_NLNM, frequencies_hz)
 
 
 def nhnm_db(frequencies_hz: Floats) -> Floats:
-    """New high noise model; beyond its ends, 10 Hz and 1e-5 Hz, it keeps its last value."""
+    """New high noise model, dB of (m/s^2)^2/Hz; beyond its ends, 10 Hz and 1e-5 Hz, it is constant."""
     return _model_db(_NHNM, frequencies_hz)
 
 
 def density_of_db(level_db: Floats) -> Floats:
-    """Amplitude spectral density in m/s^2/sqrt(Hz)."""
+    """Amplitude spectral density in m/s^2/sqrt(Hz) of a level in dB."""
     return np.asarray(10 ** (level_db / 20), dtype=np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Numbers as text: two digits of the uncertainty, the value to the same place, powers of ten.
+"""Numbers as text, with two digits of the uncertainty, the value to the same place, and powers of ten.
 
 Warnings of fits, terminal, report, comparisons and Rerun all use these functions.
 """
@@ -61,9 +61,9 @@ def with_uncertainty(value: float, u: float, *, signed: bool = False) -> str:
 
 
 def judged_number(value: float, u: float, limit: float) -> str:
-    """A number beside its limit: digits to its uncertainty, or a hundredth of the limit if u is less.
+    """Number to print beside its limit, to the place of its uncertainty or a hundredth of the limit.
 
-    `−25.00` beside a limit of 10, where the uncertainty of 50 µarcsec decides nothing.
+    The larger of the two applies: `−25.00` beside a limit of 10, where u is only 50 µarcsec.
     """
     if not math.isfinite(value) or limit <= 0:
         return with_uncertainty(value, u, signed=True)
@@ -101,14 +101,14 @@ def signed(value: float) -> str:
 
 
 def decimals(value: float, places: int, *, sign: bool = False) -> str:
-    """A number with so many decimals, `−12.0`, `+0.3`; what rounds to zero has no minus."""
+    """A number with `places` decimals, `−12.0`, `+0.3`; a number that rounds to zero has no minus."""
     # -0.0 + 0.0 is 0.0
     text = f"{round(value, places) + 0.0:{'+' if sign else ''}.{places}f}"
     return text.replace("-", MINUS)
 
 
 def interval(low: float, high: float) -> str:
-    """Both ends to as many digits as tell them apart, and two more."""
+    """Both ends of an interval, with two digits more than distinguish them."""
     if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
         return f"{plain(low, 3)} … {plain(high, 3)}"
     digits = 2 + max(0, math.ceil(math.log10(max(abs(low), abs(high)) / (high - low))))
@@ -120,7 +120,7 @@ def interval(low: float, high: float) -> str:
 
 
 def percent(fraction: float, digits: int = 2) -> str:
-    """A fraction in per cent, with so many significant digits: `0.25 %`, `130 %`, `2.0 × 10⁻⁵ %`."""
+    """A fraction in per cent with `digits` significant digits: `0.25 %`, `130 %`, `2.0 × 10⁻⁵ %`."""
     # -0.0 + 0.0 is 0.0
     text = f"{100 * fraction + 0.0:.{digits}g}"
     if "e+" in text:
@@ -129,7 +129,7 @@ def percent(fraction: float, digits: int = 2) -> str:
 
 
 def signed_percent(fraction: float, digits: int = 2) -> str:
-    """By how much a value differs from another: `+0.25 %`, `−130 %`."""
+    """A relative difference in per cent with its sign: `+0.25 %`, `−130 %`."""
     return ("" if fraction < 0 else "+") + percent(fraction, digits).replace("-", MINUS)
 
 

@@ -1,4 +1,4 @@
-"""The swing of a pendulum at rest, which the ground keeps up, and how strongly the ground drives it."""
+"""Oscillation of a pendulum at rest, which the ground drives, and its auxiliary seismometer (`Witness`)."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -14,14 +14,14 @@ from processing.fit import GROUND_SEEN, LEAST_LEFT, Signals, Witness, density_of
 
 _FEWEST_PERIODS = 8
 _PERIODS_S = (1.5, 15.0)
-"""Range in which the period is looked for."""
+"""Range in which the period is searched for."""
 _FEWEST_SAMPLES = 8
-"""In a period."""
+"""Fewest samples in a period."""
 _BIN_S = 0.1
 
 
 class SwingAtRest(NamedTuple):
-    """Times and deflections in tenths of a second, the period in s, and how many whole ones there are."""
+    """Times (s) and deflections of a pendulum at rest in steps of 0.1 s, period, number of whole periods."""
 
     time_s: Floats
     deflection: Floats
@@ -29,12 +29,12 @@ class SwingAtRest(NamedTuple):
     periods: int
 
     def with_period(self, period_s: float) -> "SwingAtRest":
-        """The same, of another period."""
+        """Copy with another period."""
         return self._replace(period_s=period_s, periods=int(np.ptp(self.time_s) / period_s))
 
 
 def swing_at_rest(time_s: Floats, deflection: Floats) -> SwingAtRest:
-    """The deflections of a pendulum at rest (NaN where there is no spot), and its period.
+    """Find the period in deflections of a pendulum at rest (n,), NaN without a spot.
 
     Raises DataError for fewer than eight periods.
     """
@@ -54,7 +54,7 @@ def swing_at_rest(time_s: Floats, deflection: Floats) -> SwingAtRest:
 
 
 def _binned(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
-    """Means over tenths of a second: nothing here is faster."""
+    """Means over tenths of a second; no motion here is faster."""
     if not len(time_s):
         return time_s, deflection
     _, start, count = np.unique(np.floor(time_s / _BIN_S), return_index=True, return_counts=True)
@@ -62,10 +62,9 @@ def _binned(time_s: Floats, deflection: Floats) -> tuple[Floats, Floats]:
 
 
 def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
-    """Where the changes of the deflections hold most power, to a twentieth of the resolution.
+    """Period at which the changes of the deflections have most power, to a twentieth of the resolution.
 
-    Of their changes, because pointing and air wander the more the slower, and would be taken for a long
-    period.
+    Changes are used because the power of pointing and air at low frequencies would look like a long period.
     """
     frequency_hz = np.arange(1 / _PERIODS_S[1], 1 / _PERIODS_S[0], 0.05 / span_s)
     change, middle_s = np.diff(deflection), 0.5 * (time_s[1:] + time_s[:-1])
@@ -75,10 +74,10 @@ def _period(time_s: Floats, deflection: Floats, span_s: float) -> float:
 
 
 def quadratures_of(rest: SwingAtRest, deflections: Floats) -> tuple[NDArray[np.complex128], float]:
-    """Amplitudes of cosine and, times i, of sine in each period (periods, series), of (times, series).
+    """Complex amplitudes (cosine + i sine) in each period (periods, series) of deflections (times, series).
 
-    Beside an offset and a slope; and the variance of either amplitude of the first series, by what these
-    leave of neighbouring samples.
+    They are fitted together with an offset and a slope. The second result is the variance of either amplitude
+    of the first series, from the residuals of neighbouring samples. Raises DataError for too few samples.
     """
     time_s, period_s = rest.time_s - rest.time_s[0], rest.period_s
     out = np.empty((rest.periods, deflections.shape[1]), dtype=np.complex128)
@@ -99,7 +98,7 @@ def quadratures_of(rest: SwingAtRest, deflections: Floats) -> tuple[NDArray[np.c
 
 
 def without_decay(turning: NDArray[np.complex128]) -> Floats:
-    """(periods - 1, 2) steps less what goes with the oscillation: its decay, a period a little off."""
+    """Steps (periods - 1, 2) without the part proportional to the oscillation: decay, error of the period."""
     step, middle = np.diff(turning), 0.5 * (turning[1:] + turning[:-1])
     left = step - middle * np.vdot(middle, step) / np.vdot(middle, middle)
     left *= np.sqrt(len(step) / (len(step) - 1))
@@ -107,16 +106,16 @@ def without_decay(turning: NDArray[np.complex128]) -> Floats:
 
 
 _ONE_SIGMA, _ONE_SIDED = 1.0, 2.706
-"""Rises of -2 ln L: a standard uncertainty, and a bound of 95 %."""
+"""Rises of -2 ln L for a standard uncertainty, and for a bound of 95 %."""
 _SWINGING = 5.0
-"""Smallest mean square of the oscillation, in that of its reading, that is not taken for reading."""
-_KNOWN_TO = 0.5
-"""Uncertainty of ln(variance of the reading), which neighbouring samples show; slow air has more."""
+"""Smallest mean square of the oscillation, relative to that of the reading noise, that is significant."""
+_U_LOG_READING = 0.5
+"""Uncertainty of ln(variance of the reading) from neighbouring samples; slow air has a larger variance."""
 _GRID = 10.0 ** np.arange(-6.0, 2.01, 0.05)
 
 
 class GroundAtRest(NamedTuple):
-    """Density q of the drive in rad/s^2/sqrt(Hz) (or the deflections' unit), bound of 95 %, period."""
+    """Density of the drive in rad/s^2/sqrt(Hz) (or the deflections' unit), its bound of 95 %, the period."""
 
     density: Estimate
     upper_95: float
@@ -124,26 +123,26 @@ class GroundAtRest(NamedTuple):
 
 
 def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
-    """The drive from the deflections of a free pendulum at rest along its slow mode.
+    """Density of the drive, from the deflections of a free pendulum at rest along its slow mode.
 
-    The oscillation that the ground keeps up wanders in both quadratures. It is fitted again in every period;
-    the steps from period to period have the variance of the drive and that of the reading, which neighbouring
-    steps share with opposite signs: their likelihood tells the two apart.
+    The oscillation that the ground sustains wanders in both quadratures. It is fitted again in every period.
+    The steps from period to period contain the drive and the reading noise, which neighbouring steps share
+    with opposite signs: their likelihood separates the two variances.
 
     Parameters
     ----------
     time_s, deflection
-        (n,) even but for gaps; NaN where there is no spot.
+        (n,) evenly spaced except for gaps; NaN without a spot.
 
     Raises
     ------
     DataError
-        Less than eight periods, or too few samples in one.
+        Fewer than eight periods, or too few samples in one.
 
     Notes
     -----
-    For fits over whole periods T of a random walk with variance S a period, neighbouring differences have the
-    covariance ``2 S/3 + 2 r, S/6 - r, 0, ...``, r the variance of the reading. Sines diagonalise it.
+    For fits over whole periods of a random walk with the variance S per period, the differences of neighbours
+    have the covariance ``2 S/3 + 2 r, S/6 - r, 0, ...``, r from the reading. Sines diagonalise it.
     """
     from scipy.fft import dst
 
@@ -157,7 +156,7 @@ def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
     drive, reading = unit * _GRID[:, None, None], unit * _GRID[None, :, None]
     variance = drive * (2 / 3 + turn / 3) + reading * (2 - 2 * turn)
     deviance = np.sum(2 * np.log(variance) + power / variance, axis=2)
-    deviance += (np.log(reading[:, :, 0] / expected) / _KNOWN_TO) ** 2
+    deviance += (np.log(reading[:, :, 0] / expected) / _U_LOG_READING) ** 2
     deviance = np.min(deviance, axis=1)
     best = int(np.argmin(deviance))
     rise = deviance - deviance[best]
@@ -175,7 +174,7 @@ def ground_at_rest(time_s: Floats, deflection: Floats) -> GroundAtRest:
 
 
 def _crossing(rise: Floats, best: int, side: int, target: float) -> float:
-    """Value of the grid at which the rise reaches the target; the grid's end where it never does."""
+    """Value of the grid at which the rise reaches the target; the grid's end if it never does."""
     k = best
     while 0 <= k + side < len(_GRID) and rise[k] < target:
         k += side
@@ -183,66 +182,65 @@ def _crossing(rise: Floats, best: int, side: int, target: float) -> float:
 
 
 _STEPS_A_PERIOD = 80
-"""In which the record's drive is summed."""
+"""Intervals per period over which the seismometer's record is integrated."""
 _DELAYS = np.linspace(-0.25, 0.25, 11)
-"""Lateness that is tried, in periods: lines of text and packets come late, by what the fit finds later."""
-_OF_DELAY = 0.5
-"""What the choice of the delay takes, in complex numbers."""
-_ALIKE = 1.125
-"""Steps follow one another with a correlation of 1/4, of pendulum and witness: so many are worth one."""
-_FEWEST = 5
-_REFINED = 3
-_CHANCE = 0.95
+"""Delays of the seismometer that are tried, in periods: text and packets arrive late."""
+_DELAY_FREEDOM = 0.5
+"""Degrees of freedom (complex) that the choice of the delay uses."""
+_STEPS_PER_INDEPENDENT = 1.125
+"""Number of steps worth an independent one: neighbours correlate by 1/4 in pendulum and seismometer."""
+_FEWEST_FREE = 5
+_PERIOD_ITERATIONS = 3
+_CHANCE_LEVEL = 0.95
 _NORMAL_95 = 1.96
-_MOST = 1 / LEAST_LEFT
+_LARGEST_FACTOR = 1 / LEAST_LEFT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeismometerAtRest:
-    """How a witness goes with the swing of a pendulum at rest.
+    """Comparison of an auxiliary seismometer with the oscillation of a pendulum at rest.
 
     Attributes
     ----------
     steps
-        Changes of the swing from period to period that were compared.
+        Number of changes of the oscillation from period to period that were compared.
     coherence
-        Their squared coherence with what the witness predicts, all its components together.
-    by_chance
-        A squared coherence that one in twenty unrelated records exceeds.
+        Squared coherence of the changes with those predicted from all components of the seismometer.
+    chance_coherence
+        Squared coherence that one in twenty unrelated records exceeds.
     factor
-        By which the amplitude of the changes would fall. Reading, air and pointing are in them: the ground's
-        part falls by more.
+        Factor by which the amplitude of the changes would fall; without noise and air it would fall by more.
     least, most
-        Bounds of 95 %. No fit counts on more than what two seismometers at one place show.
+        Bounds of 95 % of the factor, at most that between two seismometers at one place.
     """
 
     steps: int
     coherence: float
-    by_chance: float
+    chance_coherence: float
     factor: float
     least: float
     most: float
 
     @property
     def related(self) -> bool:
-        """Whether the witness feels what moves the pendulum, as far as this piece shows."""
-        return self.coherence > self.by_chance
+        """Whether this record shows that the seismometer senses the motion that drives the pendulum."""
+        return self.coherence > self.chance_coherence
 
 
 def witness_at_rest(time_s: Floats, deflection: Floats, witness: Witness) -> SeismometerAtRest:
-    """Compare a witness with a free pendulum at rest, along its slow mode.
+    """Compare an auxiliary seismometer with a free pendulum at rest, along its slow mode.
 
     Parameters
     ----------
     time_s, deflection
-        (n,) NaN where there is no spot.
+        (n,) NaN without a spot.
     witness
-        On the same clock, up to a quarter of a period.
+        Record of the seismometer, on the same clock within a quarter of a period.
 
     Raises
     ------
     DataError
-        The pendulum or the witness was seen for too short a time; or the witness does not change at all.
+        One of the records is too short, or the seismometer's values do not change at all.
     """
     from scipy.special import betaincinv
 
@@ -250,42 +248,42 @@ def witness_at_rest(time_s: Floats, deflection: Floats, witness: Witness) -> Sei
     signals = plain_signals(witness, rest.period_s)
     if not np.all(np.ptp(signals.value, axis=0) > 0):
         raise DataError("its values do not change")
-    compared = _compared(rest, signals)
-    for _ in range(_REFINED):
-        # a swing that wanders shows its period but roughly; where the witness explains why, it is known
+    compared = _compare_steps(rest, signals)
+    for _ in range(_PERIOD_ITERATIONS):
+        # a wandering oscillation shows its period only roughly; with the seismometer it is better known
         rest = rest.with_period(compared.period_s)
-        compared = _compared(rest, signals)
+        compared = _compare_steps(rest, signals)
     coherence, components = compared.coherence, signals.value.shape[1]
-    # a step for the decay, and those that the gains take
-    free = compared.steps - 1 - components - _OF_DELAY
-    if free < _FEWEST - 1:
+    # one degree of freedom for the decay, and those of the gains
+    free = compared.steps - 1 - components - _DELAY_FREEDOM
+    if free < _FEWEST_FREE - 1:
         raise DataError(
             f"witness and pendulum at rest have {compared.steps} periods in common; at least "
-            f"{_FEWEST + 1 + components} are needed"
+            f"{_FEWEST_FREE + 1 + components} are needed"
         )
-    taken = components + _OF_DELAY
+    taken = components + _DELAY_FREEDOM
     of_chance = min(1.0, (1 - coherence) * (free + taken) / free)
-    fisher, u = np.arctanh(np.sqrt(1 - of_chance)), np.sqrt(_ALIKE / (2 * (free - 1)))
+    fisher, u = np.arctanh(np.sqrt(1 - of_chance)), np.sqrt(_STEPS_PER_INDEPENDENT / (2 * (free - 1)))
     low, high = np.cosh(max(0.0, fisher - _NORMAL_95 * u)), np.cosh(fisher + _NORMAL_95 * u)
     return SeismometerAtRest(
         steps=compared.steps,
         coherence=coherence,
-        by_chance=float(betaincinv(taken, free / _ALIKE, _CHANCE)),
-        factor=float(min(np.cosh(fisher), _MOST)),
-        least=float(min(low, _MOST)),
-        most=float(min(high, _MOST)),
+        chance_coherence=float(betaincinv(taken, free / _STEPS_PER_INDEPENDENT, _CHANCE_LEVEL)),
+        factor=float(min(np.cosh(fisher), _LARGEST_FACTOR)),
+        least=float(min(low, _LARGEST_FACTOR)),
+        most=float(min(high, _LARGEST_FACTOR)),
     )
 
 
 class _StepComparison(NamedTuple):
-    """How many steps, their squared coherence with those predicted, and the period that the fit prefers."""
+    """Number of steps, their squared coherence with those predicted, and the fitted period."""
 
     steps: int
     coherence: float
     period_s: float
 
 
-def _compared(rest: SwingAtRest, signals: Signals) -> _StepComparison:
+def _compare_steps(rest: SwingAtRest, signals: Signals) -> _StepComparison:
     turning = quadratures_of(rest, rest.deflection[:, None])[0][:, 0]
     use = _covered(rest, signals)
     step, middle = np.diff(turning)[use], (0.5 * (turning[1:] + turning[:-1]))[use]
@@ -304,8 +302,8 @@ def _compared(rest: SwingAtRest, signals: Signals) -> _StepComparison:
 
 
 def _predicted_steps(rest: SwingAtRest, signals: Signals) -> NDArray[np.complex128]:
-    """(delays, components, periods - 1) steps of an undamped pendulum that a component drives."""
-    # at its own times and between them, so that each sample counts alike
+    """Steps (delays, components, periods - 1) of an undamped pendulum that a component drives."""
+    # at the record's own times and between them, so that each sample has the same weight
     parts = ceil(_STEPS_A_PERIOD * signals.longest_step_s / rest.period_s)
     number = np.arange(len(signals.time_s))
     time_s = np.interp(np.arange(0, number[-1] + 0.5 / parts, 1 / parts), number, signals.time_s)
@@ -323,10 +321,10 @@ def _predicted_steps(rest: SwingAtRest, signals: Signals) -> NDArray[np.complex1
 
 
 def _covered(rest: SwingAtRest, signals: Signals) -> Flags:
-    """Which steps from period to period the witness was there for."""
+    """Whether the seismometer's record covers each step from period to period."""
     edges = rest.time_s[0] + rest.period_s * np.arange(rest.periods + 1)
     pause = np.flatnonzero(np.diff(signals.time_s) > signals.longest_step_s)
-    # what lies a little beyond its ends is no gap: mostly it begins and ends with the pendulum's piece
+    # a little time beyond the record's ends is no gap: mostly both records begin and end together
     little_s = rest.period_s * float(np.max(np.abs(_DELAYS)))
     begins = np.concatenate([[-np.inf], signals.time_s[pause], [signals.time_s[-1] + little_s]])
     ends = np.concatenate([[signals.time_s[0] - little_s], signals.time_s[pause + 1], [np.inf]])

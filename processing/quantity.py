@@ -1,4 +1,4 @@
-"""What a number is, declared once: on the field that holds it, or here for what is derived from a fit."""
+"""Declarations of numbers, each stated once: on the field that holds it, or here if it follows from a fit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -9,13 +9,13 @@ from processing.arrays import Floats
 from processing.units import conversion, unit_of_name
 
 OWN: Final = "that of the quantity"
-"""Unit of a number that belongs to a quantity and is in its unit: its value, a part of its uncertainty."""
+"""Unit of a number that has the unit of its quantity: its value, a part of its uncertainty."""
 STATED: Final = "stated in "
-"""``STATED + "unit"``: the unit that stands in the field `unit` beside the number."""
+"""``STATED + "unit"``: the unit is stated in the field `unit` beside the number."""
 OF: Final = "unit of "
-"""``OF + "source"``: the unit of the quantity that is named in the field `source` beside the number."""
+"""``OF + "source"``: the unit is that of the quantity named in the field `source` beside the number."""
 PER: Final = " per "
-"""Between two of these."""
+"""Separator of two such units, of which the first is divided by the second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +25,11 @@ class Quantity:
     Attributes
     ----------
     symbol, meaning
-        As printed in tables and figures; what it is, in words.
+        Symbol in tables and figures, and description in words.
     shown
-        Unit in which a person reads it; empty: the SI unit, and none for a plain number.
+        Unit in which a person reads it; if empty the SI unit, and none for a plain number.
     unit
-        SI unit, "1" for a plain number; empty: the one in which the field's name ends.
+        SI unit, "1" for a plain number; if empty the one in which the field's name ends.
     """
 
     symbol: str
@@ -39,21 +39,21 @@ class Quantity:
 
     @property
     def factor(self) -> float:
-        """The number shown is this times the stored one."""
+        """Ratio of the number shown to the stored one."""
         return conversion(self.unit, self.shown) if self.shown else 1.0
 
 
 PLAIN: Final = Quantity("", "", unit="1")
-"""Of numbers without a unit in a mapping whose keys have one."""
+"""Declaration of numbers without a unit in a mapping whose keys have one."""
 IN_UNIT: Final = Quantity("", "in `unit`", unit=STATED + "unit")
-"""Of a number whose unit stands in the field `unit` beside it."""
+"""Declaration of a number whose unit is stated in the field `unit` beside it."""
 PART: Final = Quantity("", "", unit=OWN)
-"""Of what belongs to a quantity and is in its unit: a value, a bound, a contribution."""
+"""Declaration of a number in the unit of its quantity: a value, a bound, a contribution."""
 
 
 @cache
 def quantities_of(kind: type) -> Mapping[str, Quantity]:
-    """The declared fields of a dataclass by name, each with its unit."""
+    """Declarations of a dataclass's fields by name, each with its unit."""
     return {
         name: declared if declared.unit else replace(declared, unit=unit_of_name(name) or "1")
         for name, hint in get_type_hints(kind, include_extras=True).items()
@@ -64,7 +64,7 @@ def quantities_of(kind: type) -> Mapping[str, Quantity]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DerivedQuantity:
-    """What follows from the parameters of the paper's law and the rig's input quantities.
+    """Quantities that follow from the parameters of the paper's law and the rig's input quantities.
 
     A quantity that is added here has a line in the budget, a row in the table of results, and a place in
     every file: `derived_quantities` of `processing.fit` calculates it.
@@ -85,7 +85,7 @@ class DerivedQuantity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DecayQuantities:
-    """What every decay has, whether or not a law is fitted, and the theories of adhesion."""
+    """Quantities of every decay, with or without a fitted law, and of the theories of adhesion."""
 
     log_decrement: Annotated[float, Quantity("log decrement", "log decrement", unit="1")]
     quality_factor: Annotated[float, Quantity("quality factor", "quality factor", unit="1")]
@@ -96,7 +96,7 @@ class DecayQuantities:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentQuantities:
-    """What other kinds of pendulum are made to measure, first things first, and what belongs to it."""
+    """Quantities that other kinds of pendulum measure, the main ones first, each with those beside it."""
 
     time_hardness_s: Annotated[float, Quantity("time hardness", "time hardness, ten single swings", "s")]
     scale_hardness: Annotated[float, Quantity("scale hardness", "scale hardness, first swing", unit="1")]

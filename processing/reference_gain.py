@@ -1,4 +1,4 @@
-"""How far the beam's motion moves the pendulum's spot per motion of the reference: swinging and at rest."""
+"""Gain of the reference, swinging and at rest: motion of the pendulum's spot per motion of the reference."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -15,26 +15,26 @@ from processing.units import seconds
 _STRETCHES = 10
 _LONGEST_S = 64.0
 _FEWEST = 64
-"""Frames of a stretch."""
-_LOST = 0.1
-"""Share of lost frames from which on a stretch is left out."""
+"""Fewest frames of a stretch."""
+_LARGEST_LOST_PART = 0.1
+"""Fraction of lost frames from which on a stretch is left out."""
 _WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
-"""Blackman and Harris: sidelobes of -92 dB; swings 1e4 times the beam's motion stay below it."""
-_STEPS = 4
-"""Of a stretch to the next one: the window uses little more than its middle."""
-_TURNS = 4
+"""Window of Blackman and Harris, with sidelobes of -92 dB, for swings of 1e4 times the beam's motion."""
+_STARTS = 4
+"""Number of starts of stretches per length of a stretch: the window uses little more than its middle."""
+_WEIGHT_ITERATIONS = 4
 _BLOCKS = 10
 
 
 def gain_in_swings(
     times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
 ) -> Estimate:
-    """The gain along one axis of the sensor; positions (n,) are NaN where a spot was lost.
+    """Gain along one axis of the sensor, of a swinging pendulum; positions (n,) are NaN without a spot.
 
-    The reference's own noise, which would pull the gain towards 0, is taken off its power. The uncertainty is
-    from the scatter between parts of the run.
+    The reference's own noise, which would reduce the gain, is subtracted from its power. The uncertainty
+    follows from the scatter between parts of the run.
 
-    Raises DataError for too short a run, and for a reference that shows no motion over its noise.
+    Raises DataError for too short a run, and for a reference that shows no motion above its noise.
     """
     time_s = seconds(times_ns - times_ns[0])
     found = np.isfinite(spot_px) & np.isfinite(u_spot_px) & np.isfinite(reference_px) & np.isfinite(u_px)
@@ -49,7 +49,7 @@ def gain_in_swings(
     there = np.interp(even_s, time_s, found.astype(np.float64))
     length = min(len(even_s) // _STRETCHES, max(_FEWEST, round(_LONGEST_S / step_s)))
     starts = [
-        k for k in range(0, len(even_s) - length + 1, length // _STEPS) if _whole(there[k : k + length])
+        k for k in range(0, len(even_s) - length + 1, length // _STARTS) if _complete(there[k : k + length])
     ]
     if len(starts) < _BLOCKS:
         raise DataError("too few stretches of the run have both spots: state reference.gain")
@@ -59,11 +59,11 @@ def gain_in_swings(
     ours, theirs = spectra
     cross, power = np.real(np.conj(theirs) * ours), np.abs(theirs) ** 2 - noise
     gain = 0.0
-    for _ in range(_TURNS):
+    for _ in range(_WEIGHT_ITERATIONS):
         weight = 1 / _means_of_others(np.abs(ours - gain * theirs) ** 2)
         top, bottom = np.sum(cross * weight, axis=1), np.sum(power * weight, axis=1)
         gain = _ratio(top, bottom)
-    # neighbours overlap, so that parts are of several
+    # neighbours overlap, so that each part has several
     parts = np.array_split(np.arange(len(starts)), _BLOCKS)
     without = np.array([_ratio(np.delete(top, part), np.delete(bottom, part)) for part in parts])
     if not (np.sum(bottom) > 0 and np.all(np.isfinite(without))):
@@ -72,8 +72,8 @@ def gain_in_swings(
     return Estimate(gain, float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2))))
 
 
-def _whole(there: Floats) -> bool:
-    return float(np.mean(there)) > 1 - _LOST
+def _complete(there: Floats) -> bool:
+    return float(np.mean(there)) > 1 - _LARGEST_LOST_PART
 
 
 def _window(length: int) -> Floats:
@@ -82,7 +82,7 @@ def _window(length: int) -> Floats:
 
 
 def _spectra(stretches: Floats, window: Floats) -> np.ndarray:
-    """(stretches, frequencies) less mean and drift of each, without the frequencies that they leak to."""
+    """Spectra (stretches, frequencies) without mean and drift of each, and without the lowest frequency."""
     line = np.linspace(-1.0, 1.0, stretches.shape[1])
     level = stretches.mean(axis=1, keepdims=True)
     slope = (stretches - level) @ line[:, None] / float(line @ line)
@@ -92,10 +92,10 @@ def _spectra(stretches: Floats, window: Floats) -> np.ndarray:
 def _means_of_others(values: Floats) -> Floats:
     """Means (stretches, frequencies) over the other stretches that do not overlap.
 
-    Its own noise would weigh a frequency most where the reference has the least of it by chance.
+    With its own noise a stretch would give most weight to frequencies at which that is small by chance.
     """
     places = np.arange(len(values))
-    apart = np.abs(places[:, None] - places) >= _STEPS
+    apart = np.abs(places[:, None] - places) >= _STARTS
     return np.asarray(apart @ values / apart.sum(axis=1, keepdims=True))
 
 
@@ -105,23 +105,23 @@ def _ratio(top: Floats, bottom: Floats) -> float:
 
 
 _KNOT_PERIODS = 3.0
-"""In so many periods the swing of a pendulum at rest changes its amplitude little."""
+"""Number of periods over which the amplitude of a pendulum at rest changes little."""
 
 
 class ReferenceAtRest(NamedTuple):
-    """Of one axis of the sensor, the swing of the pendulum left out.
+    """Effect of the reference along one axis of the sensor, with the pendulum's oscillation removed.
 
     Attributes
     ----------
     before_px
         Standard deviation of the pendulum's spot.
     factor
-        By which it falls with the reference taken off at the stated gain, or at that of the piece;
-        uncertainty by parts of the piece.
+        Factor by which it falls if the reference is subtracted with the stated gain, or else with `gain`; the
+        uncertainty follows from parts of the record.
     gain
-        That the piece itself shows.
+        Gain that this record shows.
     share
-        Part of the reference's variance that is motion, and not its own noise.
+        Part of the reference's variance that is motion and not noise.
     """
 
     before_px: float
@@ -140,7 +140,7 @@ def reference_at_rest(
     gain: float | None,
     period_s: float,
 ) -> ReferenceAtRest:
-    """Compare the spots of a pendulum at rest and of its reference (n,), NaN where lost.
+    """Compare the spots of a pendulum at rest and of its reference (n,), NaN without a spot.
 
     Raises DataError for too few frames with both.
     """
@@ -172,7 +172,7 @@ def _power_ratio(powers: Floats) -> float:
 
 
 def _without_swing(time_s: Floats, values: Floats, period_s: float) -> Floats:
-    """(n, series) less their means and an oscillation of the pendulum's period whose amplitude wanders."""
+    """Values (n, series) minus their means and an oscillation at the period whose amplitude wanders."""
     knots = np.arange(0.0, time_s[-1] + _KNOT_PERIODS * period_s, _KNOT_PERIODS * period_s)
     hats = np.maximum(1 - np.abs(time_s[:, None] - knots) / (_KNOT_PERIODS * period_s), 0.0)
     phase = 2 * np.pi * time_s[:, None] / period_s

@@ -1,4 +1,4 @@
-"""Correction of the pendulum's spot by a reference spot, from a mirror that stands still."""
+"""Correction of the pendulum's spot by a reference spot from a fixed mirror."""
 
 import math
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from processing.units import seconds
 _BANDS_A_DECADE = 8
 """Bands over which the spectrum of the reference is averaged; in each the filter is constant."""
 _PADDED_FRACTION = 0.5
-"""Part of the length by which a run is mirrored at its ends."""
+"""Length by which a run is mirrored at each end, relative to its length."""
 _END_FRAMES = 10
 """Frames averaged for the level at an end of a run."""
 _LONGEST_GAP_S = 0.5
@@ -43,10 +43,10 @@ class CommonMotion:
     Attributes
     ----------
     value, u
-        Motion (n,) about its mean, and its standard uncertainty: what the filter leaves of motion and noise.
-        0 and infinite where the reference was lost for long.
+        Motion (n,) about its mean, and its standard uncertainty, from the motion that the filter removes and
+        the noise that it passes; 0 and infinite in long gaps of the reference.
     known
-        Whether it is known in a frame.
+        Whether the motion is known in each frame (n,).
     share
         Part of the reference's variance that is motion.
     """
@@ -58,7 +58,7 @@ class CommonMotion:
 
 
 def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMotion:
-    """Filter the noise out of a reference spot's motion; NaN in the input: lost.
+    """Filter the noise out of a reference spot's positions (n,), NaN in frames without a spot.
 
     Raises DataError for too few frames.
     """
@@ -74,19 +74,19 @@ def common_motion(times_ns: Ints, position_px: Floats, u_px: Floats) -> CommonMo
     even -= even.mean()
     noise = float(np.mean(u_px[found] ** 2))
     pad = max(1, min(int(_PADDED_FRACTION * len(even)), len(even) - 1))
-    # about the level at each end, not about the noise of one frame, which would be a step
+    # mirrored about the mean level at each end; mirroring about one noisy frame would make a step
     about = min(_END_FRAMES, len(even))
     low, high = float(even[:about].mean()), float(even[-about:].mean())
     padded = np.concatenate([2 * low - even[pad:0:-1], even, 2 * high - even[-2 : -2 - pad : -1]])
     spectrum = np.fft.rfft(padded)
-    # the part of each frequency in the variance of a sample; a line that was interpolated has no noise
+    # the contribution of each frequency to the variance of a sample
     power = 2 * np.abs(spectrum) ** 2 / len(padded) ** 2
     white = 2 * noise / len(padded)
     motion = np.maximum(_in_bands(power) - white, 0.0)
     keep = motion / np.maximum(motion + white, np.finfo(float).tiny)
     filtered = np.fft.irfft(keep * spectrum, len(padded))[pad : pad + len(even)]
     u = float(np.sqrt(np.sum(keep[1:] * white)))
-    known = ~_far(time_s, time_s[found], _LONGEST_GAP_S)
+    known = ~_in_long_gap(time_s, time_s[found], _LONGEST_GAP_S)
     value = np.where(known, np.interp(time_s, even_s, filtered), 0.0)
     variance = float(np.sum(motion[1:]))
     return CommonMotion(value, np.where(known, u, inf), known, variance / (variance + noise))
@@ -101,8 +101,8 @@ def _in_bands(power: Floats) -> Floats:
     return np.asarray((np.add.reduceat(power, first) / counts)[which])
 
 
-def _far(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
-    """Which times lie in a gap longer than `longest_s`."""
+def _in_long_gap(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
+    """Whether each time (n,) is in a gap longer than `longest_s`."""
     after = np.clip(np.searchsorted(found_s, time_s), 0, len(found_s) - 1)
     before = np.clip(after - 1, 0, len(found_s) - 1)
     gap_s = np.where(
@@ -117,8 +117,8 @@ def _far(time_s: Floats, found_s: Floats, longest_s: float) -> Flags:
 class CorrectedPositions:
     """Positions of the pendulum's spot minus the common motion, along one axis, in px.
 
-    `fallen_back` are the frames in which the reference was lost: their positions are unchanged, and their u
-    includes the common motion. If the reference is refused, all are unchanged.
+    `fallen_back` marks frames in a long gap of the reference: their positions are unchanged, and their u
+    includes the common motion. If the reference is refused, all positions are unchanged.
     """
 
     position_px: Floats
@@ -130,12 +130,12 @@ class CorrectedPositions:
 
 
 def fitted_gain(position_px: Floats, u_px: Floats, common: CommonMotion, quiet: Flags) -> Estimate:
-    """Motion of the pendulum's spot per motion of the reference, in frames in which the pendulum rests.
+    """Motion of the pendulum's spot per motion of the reference, in `quiet` frames, of a pendulum at rest.
 
-    The reference's noise is filtered out of the motion, so that it does not pull the gain towards 0. Frames
-    that follow one another are correlated: the uncertainty is from the scatter of blocks.
+    The reference's noise is filtered out of the motion, so that it does not reduce the gain. Successive
+    frames are correlated: the uncertainty follows from the scatter of blocks.
 
-    Raises DataError where too few frames are quiet.
+    Raises DataError for too few quiet frames.
     """
     use = quiet & common.known & np.isfinite(position_px) & np.isfinite(u_px)
     if np.count_nonzero(use) < _MIN_FRAMES:
@@ -178,7 +178,7 @@ def subtract_common_motion(
     """
     if not common.share > 0:
         return uncorrected(position_px, u_px, gain, ReferenceVerdict.QUIET)
-    fall = _fall(position_px, common, gain.value, quiet)
+    fall = _likelihood_fall(position_px, common, gain.value, quiet)
     if fall is not None and not fall > _MIN_FALL:
         return replace(uncorrected(position_px, u_px, gain, ReferenceVerdict.NO_GAIN), likelihood_fall=fall)
     size = float(np.sqrt(np.mean(common.value[common.known] ** 2)))
@@ -195,18 +195,18 @@ def subtract_common_motion(
     )
 
 
-def _fall(position: Floats, common: CommonMotion, gain: float, quiet: Flags) -> float | None:
-    """Fall of -2 ln L of the frames at rest, by the number of independent ones; None: too few."""
+def _likelihood_fall(position: Floats, common: CommonMotion, gain: float, quiet: Flags) -> float | None:
+    """Fall of -2 ln L of the frames at rest, by the number of independent ones; None with too few."""
     use = quiet & common.known & np.isfinite(position)
     if np.count_nonzero(use) < _MIN_FRAMES:
         return None
     before = position[use] - position[use].mean()
     after = before - gain * (common.value[use] - common.value[use].mean())
-    return float(_independent(before) * np.log(np.mean(before**2) / np.mean(after**2)))
+    return float(_independent_count(before) * np.log(np.mean(before**2) / np.mean(after**2)))
 
 
-def _independent(values: Floats) -> float:
-    """How many independent numbers the values are worth, by their autocorrelation up to its first zero."""
+def _independent_count(values: Floats) -> float:
+    """Effective number of independent values, by their autocorrelation up to its first zero."""
     spectrum = np.abs(np.fft.rfft(values, 2 * len(values))) ** 2
     correlation = np.fft.irfft(spectrum)[: len(values)]
     correlation /= correlation[0]
@@ -216,15 +216,15 @@ def _independent(values: Floats) -> float:
 
 
 _LAG = 16
-"""Distance in frames for the size of a walk; noise hides it between neighbours."""
+"""Distance in frames of the positions whose difference shows a walk; between neighbours noise hides it."""
 _MEMORY_FRAMES = 1000
-"""Differences in the running mean of their squares."""
+"""Number of differences in the running mean of their squares."""
 _MIN_DIFFERENCES = 32
-"""Differences before a walk is believed."""
+"""Fewest differences from which a walk is accepted."""
 _MIN_RATIO = 1.1
-"""Their mean square over that of the noise alone, above which there is motion."""
+"""Mean square of the differences, relative to that of the noise alone, above which there is motion."""
 _DATUM_FRAMES = 16
-"""First frames, whose mean is the origin of positions."""
+"""Number of the first frames, whose mean is the origin of positions."""
 
 
 class _BeamAxis:
@@ -239,7 +239,7 @@ class _BeamAxis:
         self.level, self.variance, self.walk = math.nan, math.inf, 0.0
 
     def take(self, place: float, u: float) -> tuple[float, float]:
-        """Take a frame (NaN: lost); motion from the datum in px, variance in px^2."""
+        """Add a frame (NaN: no spot); returns the motion from the datum in px and its variance in px^2."""
         if math.isnan(self.level):
             if not math.isfinite(place):
                 return 0.0, 0.0
@@ -247,7 +247,7 @@ class _BeamAxis:
         self.variance += self.walk
         if math.isfinite(place):
             self._learn(place, u * u)
-            # of the first place nothing was known before
+            # before the first place the variance is infinite
             part = self.variance / (self.variance + u * u) if u > 0 and self.variance < math.inf else 1.0
             self.level += part * (place - self.level)
             self.variance = part * u * u
@@ -272,16 +272,16 @@ class _BeamAxis:
 
 
 class CausalReference:
-    """Follows a reference spot frame by frame; `gain` as stated for the pendulum's spot."""
+    """Filter that follows a reference spot frame by frame; `gain` is the stated one."""
 
     def __init__(self, gain: Estimate) -> None:
         self._gain = gain
         self._axes = (_BeamAxis(), _BeamAxis())
 
     def take(self, place_px: Floats, u_px: Floats) -> tuple[Floats, Floats]:
-        """Motion of the pendulum's spot by the beam in the next frames (n, 2), px, and variance.
+        """Motion (n, 2) of the pendulum's spot by the beam in the next frames, px, and its variance, px^2.
 
-        `place_px` and `u_px` are of the reference, NaN where it was lost.
+        `place_px` and `u_px` (n, 2) are those of the reference, NaN in frames without it.
         """
         moved, variance = np.zeros(place_px.shape), np.zeros(place_px.shape)
         gain, u_gain = self._gain

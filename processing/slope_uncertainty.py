@@ -1,4 +1,4 @@
-"""Slow changes: the uncertainty of a slope whose noise wanders, and steps and kicks as they happen."""
+"""Uncertainty of a slope in wandering noise, and detection of steps and kicks while they happen."""
 
 import math
 from collections import deque
@@ -18,17 +18,17 @@ from processing.units import seconds
 Array = NDArray[np.float64]
 
 PARTS: Final = 64
-"""Into which a record is divided; what is faster than these counts as white."""
+"""Number of parts of a record; faster noise counts as white."""
 FEWEST_PARTS: Final = 8
-"""Parts beyond the number of coefficients."""
-_SIZES: Final = np.logspace(-1.5, 4.0, 12)
-"""Variances of what wanders over that of the white noise, after a line was taken off."""
+"""Fewest parts beyond the number of coefficients."""
+_VARIANCE_RATIOS: Final = np.logspace(-1.5, 4.0, 12)
+"""Variances of wandering noise that are tried, relative to white noise, after subtraction of a line."""
 _OCTAVES: Final = 7
 _MEMORIES: Final = (1 / 32, 1 / 8)
-"""Times in which a slope forgets what it was, in the record's length; more it shows of none."""
-_WHITE: Final = 0.6
-_SOON_FORGETS: Final = 0.2
-"""Probabilities, before anything is seen, that noise is white, and that it forgets within a part."""
+"""Correlation times of a wandering slope, relative to the record's length; it cannot show longer ones."""
+_P_WHITE: Final = 0.6
+_P_SHORT: Final = 0.2
+"""Prior probabilities that noise is white, and that its correlation time is within a part."""
 
 
 def part_means(values: Array) -> Array:
@@ -40,15 +40,15 @@ def part_means(values: Array) -> Array:
     return np.asarray(sums / (lengths if values.ndim == 1 else lengths[:, None]))
 
 
-def u_of_wandering(design: Array, residual: Array) -> float:
+def u_wandering_slope(design: Array, residual: Array) -> float:
     """Standard uncertainty of the first coefficient of a linear fit to evenly spaced means.
 
     Parameters
     ----------
     design : (m, k)
-        Means of the fit's columns over the parts; more parts than columns by 8 at least.
+        Means of the fit's columns over the parts, with at least 8 parts more than columns.
     residual : (m,)
-        What the fit, of equal weights, left of them.
+        Residuals of the means from the fit, which has equal weights.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def u_of_wandering(design: Array, residual: Array) -> float:
     left = outside.T @ residual
     to_slope = np.linalg.pinv(design)[0]
     logs, variances = [], []
-    for probability, covariance in _models(count, outside):
+    for probability, covariance in _noise_models(count, outside):
         inner = np.linalg.cholesky(outside.T @ covariance @ outside)
         white = np.linalg.solve(inner, left)
         scale = float(white @ white) / dof
@@ -79,21 +79,21 @@ def u_of_wandering(design: Array, residual: Array) -> float:
     return float(np.sqrt(weights @ np.array(variances) / weights.sum()))
 
 
-def _models(count: int, outside: Array) -> Iterator[tuple[float, Array]]:
-    """Probabilities, before anything is seen, and covariances of the means (m, m)."""
+def _noise_models(count: int, outside: Array) -> Iterator[tuple[float, Array]]:
+    """Prior probabilities of noise models, and covariances (m, m) of the means by each."""
     white = np.eye(count)
-    yield _WHITE, white
-    soon, lasting = _kinds(count)
-    for kinds, probability in ((soon, _SOON_FORGETS), (lasting, 1.0 - _WHITE - _SOON_FORGETS)):
+    yield _P_WHITE, white
+    soon, lasting = _wandering_covariances(count)
+    for kinds, probability in ((soon, _P_SHORT), (lasting, 1.0 - _P_WHITE - _P_SHORT)):
         for kind in kinds:
             size = float(np.trace(outside.T @ kind @ outside)) / outside.shape[1]
-            for ratio in _SIZES:
-                yield probability / (len(kinds) * len(_SIZES)), white + ratio / size * kind
+            for ratio in _VARIANCE_RATIOS:
+                yield probability / (len(kinds) * len(_VARIANCE_RATIOS)), white + ratio / size * kind
 
 
 @lru_cache(maxsize=8)
-def _kinds(count: int) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Covariances of noise that forgets soon, of 1/f noise, of a random walk, and of a slope that forgets."""
+def _wandering_covariances(count: int) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Covariances of wandering noise: of short correlation; of 1/f noise, a random walk, wandering slopes."""
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     flicker = np.asarray(sum(np.exp(-apart * 2.0**-octave) for octave in range(_OCTAVES)))
     total = np.tril(np.ones((count, count)))
@@ -102,68 +102,68 @@ def _kinds(count: int) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
 
 
 _SIGNIFICANCE = 8.0
-"""In white noise one of 1,100 values exceeds it by chance, since six values tell their scatter badly (5: one
-of 150; simulated); of 20,000 turning points 3 exceed 5 and none exceeds 6, and real noise is not as white.
-The least step that is reported is meant to lie above the noise."""
-_HALF = 6
+"""Significance of a step. One of 1,100 values of white noise exceeds it by chance, since six values show
+their scatter badly (one of 150 exceeds 5; simulated). Of 20,000 turning points 3 exceed 5 and none 6, and
+real noise is not as white. The least step that is reported should be above the noise."""
+_STEP_HALF = 6
 _KICK_HALF = 8
 """Turning points of a line: two for the line, six for its scatter."""
 _MOST_MISSING = _KICK_HALF // 2
-"""Half a line: over a longer gap both lines are extrapolated too far."""
+"""Most turning points missing in a row, half a line: over a longer gap the extrapolation is too far."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A change by `size` (unit of the values) that began at `time_ns`."""
+    """Change by `size` (unit of the values) that began at `time_ns`."""
 
     time_ns: int
     size: float
 
 
 class StepWatch:
-    """Compares the median of the last six values with that of the six before.
+    """Detector of steps, which compares the median of the last six values with that of the six before.
 
     Parameters
     ----------
     least
-        Smaller steps are not reported (unit of the values).
+        Smallest step that is reported (unit of the values).
     """
 
     def __init__(self, least: float) -> None:
         self._least = least
-        self._values: deque[tuple[int, float]] = deque(maxlen=2 * _HALF)
+        self._values: deque[tuple[int, float]] = deque(maxlen=2 * _STEP_HALF)
 
     def take(self, time_ns: int, value: float) -> Step | None:
-        """Take the next value; NaN is left out. Returns a step once, six values after it happened."""
+        """Add the next value; NaN is left out. Returns a step once, six values after it happened."""
         if not math.isfinite(value):
             return None
         self._values.append((time_ns, value))
-        if len(self._values) < 2 * _HALF:
+        if len(self._values) < 2 * _STEP_HALF:
             return None
         values = np.array([found for _, found in self._values])
-        before, after = values[:_HALF], values[_HALF:]
+        before, after = values[:_STEP_HALF], values[_STEP_HALF:]
         size = float(np.median(after) - np.median(before))
         scatter = math.hypot(robust_scatter(before), robust_scatter(after))
-        # a step within one half makes that half scatter; so one is seen only when it lies between them
-        if abs(size) < max(self._least, _SIGNIFICANCE * scatter / math.sqrt(_HALF)):
+        # a step within one half makes that half scatter, so that it is found only between the halves
+        if abs(size) < max(self._least, _SIGNIFICANCE * scatter / math.sqrt(_STEP_HALF)):
             return None
-        time_ns = self._values[_HALF][0]
-        for _ in range(_HALF):
+        time_ns = self._values[_STEP_HALF][0]
+        for _ in range(_STEP_HALF):
             self._values.popleft()
         return Step(time_ns, size)
 
 
 class KickWatch:
-    """Compares a straight line through eight turning points with one through the eight before.
+    """Detector of kicks, which compares lines through eight turning points and through the eight before.
 
-    The curvature of a decay bends both alike, so that it cancels. A push while the pendulum is fast changes
-    its amplitude, one at a turning point its phase; both count. The size of a push is the amplitude that it
-    would have given at rest.
+    The curvature of a decay is the same in both lines, so that it cancels. A push while the pendulum is fast
+    changes its amplitude, one at a turning point its phase; both count. The size of a push is the amplitude
+    that it would have given to a pendulum at rest.
 
     Parameters
     ----------
     least
-        Smaller pushes are not reported (unit of the amplitudes).
+        Smallest push that is reported (unit of the amplitudes).
     """
 
     def __init__(self, least: float) -> None:
@@ -171,9 +171,9 @@ class KickWatch:
         self._points: deque[tuple[int, int, float]] = deque(maxlen=2 * _KICK_HALF)
 
     def take(self, index: int, time_ns: int, amplitude: float) -> Step | None:
-        """Take the next turning point; NaN is left out. Returns a push once, eight points after it.
+        """Add the next turning point; NaN is left out. Returns a push once, eight points after it.
 
-        More than four that are missing in a row, by `index`, begin afresh.
+        After more than four missing turning points in a row, by `index`, the detector starts again.
         """
         if not math.isfinite(amplitude):
             return None

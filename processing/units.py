@@ -1,4 +1,4 @@
-"""Units: the one table of them, of angles and of a clock's ticks, how they are read, factors between them."""
+"""Table of units, angles and ticks of a clock; the reading of a unit, and factors between units."""
 
 import math
 import re
@@ -25,7 +25,7 @@ def seconds(ticks_ns: float | np.integer[Any]) -> float: ...
 @overload
 def seconds(ticks_ns: NDArray[np.int64]) -> NDArray[np.float64]: ...
 def seconds(ticks_ns: Any) -> Any:
-    """A number or an array of ticks in s; differences of ticks first, which are exact as integers."""
+    """Ticks, a number or an array, in s. Subtract ticks before: their differences are exact as integers."""
     return ticks_ns * S_PER_NS
 
 
@@ -34,7 +34,7 @@ def nanoseconds(time_s: float) -> int: ...
 @overload
 def nanoseconds(time_s: NDArray[np.float64]) -> NDArray[np.int64]: ...
 def nanoseconds(time_s: Any) -> Any:
-    """The nearest ticks of a number or an array of times in s."""
+    """Nearest ticks of times in s, a number or an array."""
     ticks_ns = time_s * NS_PER_S
     return np.rint(ticks_ns).astype(np.int64) if isinstance(time_s, np.ndarray) else round(ticks_ns)
 
@@ -43,49 +43,49 @@ Powers = Mapping[str, Fraction]
 
 
 class Size(NamedTuple):
-    """A unit as a number of SI units: `factor` times the product of base units to their `powers`.
+    """Size of a unit in SI units: `factor` times the product of base units to their `powers`.
 
-    Angles, pixels, grey values and levels in dB are base units of their own: none is taken for another.
+    Angles, pixels, grey values and levels in dB are base units of their own, so that none equals another.
     """
 
     factor: float
     powers: Powers
 
 
-def _of(factor: float, **powers: int) -> Size:
+def _si(factor: float, **powers: int) -> Size:
     return Size(factor, {name: Fraction(power) for name, power in powers.items()})
 
 
 _PREFIXABLE: Final[Mapping[str, Size]] = {
-    "m": _of(1.0, m=1),
-    "g": _of(1e-3, kg=1),
-    "s": _of(1.0, s=1),
-    "A": _of(1.0, A=1),
-    "V": _of(1.0, kg=1, m=2, s=-3, A=-1),
-    "Hz": _of(1.0, s=-1),
-    "N": _of(1.0, kg=1, m=1, s=-2),
-    "Pa": _of(1.0, kg=1, m=-1, s=-2),
-    "J": _of(1.0, kg=1, m=2, s=-2),
-    "W": _of(1.0, kg=1, m=2, s=-3),
-    "rad": _of(1.0, rad=1),
+    "m": _si(1.0, m=1),
+    "g": _si(1e-3, kg=1),
+    "s": _si(1.0, s=1),
+    "A": _si(1.0, A=1),
+    "V": _si(1.0, kg=1, m=2, s=-3, A=-1),
+    "Hz": _si(1.0, s=-1),
+    "N": _si(1.0, kg=1, m=1, s=-2),
+    "Pa": _si(1.0, kg=1, m=-1, s=-2),
+    "J": _si(1.0, kg=1, m=2, s=-2),
+    "W": _si(1.0, kg=1, m=2, s=-3),
+    "rad": _si(1.0, rad=1),
 }
 _OTHERS: Final[Mapping[str, Size]] = {
-    "1": _of(1.0),
-    "%": _of(1e-2),
-    "ppm": _of(1e-6),
-    "min": _of(60.0, s=1),
-    "h": _of(3600.0, s=1),
-    "d": _of(86400.0, s=1),
-    "deg": _of(math.pi / 180.0, rad=1),
-    "arcmin": _of(60.0 * ARCSEC_RAD, rad=1),
-    "arcsec": _of(ARCSEC_RAD, rad=1),
-    "mas": _of(1e-3 * ARCSEC_RAD, rad=1),
-    "°C": _of(1.0, celsius=1),
-    "K": _of(1.0, kelvin=1),
-    "px": _of(1.0, px=1),
-    "DN": _of(1.0, DN=1),
-    "e": _of(1.0, electron=1),
-    "dB": _of(1.0, dB=1),
+    "1": _si(1.0),
+    "%": _si(1e-2),
+    "ppm": _si(1e-6),
+    "min": _si(60.0, s=1),
+    "h": _si(3600.0, s=1),
+    "d": _si(86400.0, s=1),
+    "deg": _si(math.pi / 180.0, rad=1),
+    "arcmin": _si(60.0 * ARCSEC_RAD, rad=1),
+    "arcsec": _si(ARCSEC_RAD, rad=1),
+    "mas": _si(1e-3 * ARCSEC_RAD, rad=1),
+    "°C": _si(1.0, celsius=1),
+    "K": _si(1.0, kelvin=1),
+    "px": _si(1.0, px=1),
+    "DN": _si(1.0, DN=1),
+    "e": _si(1.0, electron=1),
+    "dB": _si(1.0, dB=1),
 }
 _SPELLINGS: Final[Mapping[str, str]] = {
     "°": "deg", "degrees": "deg", "degree": "deg", "degC": "°C", "″": "arcsec", '"': "arcsec", "′": "arcmin",
@@ -107,7 +107,7 @@ _TOKEN: Final = re.compile(
 )
 
 _LONGEST: Final = 80
-"""Characters of a unit."""
+"""Most characters of a unit."""
 _IN_NAMES: Final[Mapping[str, str]] = {
     "m": "m", "m2": "m^2", "m3": "m^3", "kg": "kg", "s": "s", "s2": "s^2", "ms": "ms", "us": "us",
     "ns": "ns", "a": "A", "hz": "Hz", "rthz": "sqrt(Hz)", "n": "N", "pa": "Pa", "j": "J", "w": "W",
@@ -119,7 +119,7 @@ _PRODUCTS_IN_NAMES: Final = (["n", "m"], ["pa", "s"])
 
 @cache
 def size(unit: str) -> Size:
-    """The unit in SI units. Raises ConfigurationError for a text that is none."""
+    """Size of a unit in SI units. Raises ConfigurationError for a text that is no unit."""
     factor, powers = 1.0, dict[str, Fraction]()
     try:
         for symbol, power in factors(unit):
@@ -136,7 +136,7 @@ def size(unit: str) -> Size:
 
 @cache
 def factors(unit: str) -> tuple[tuple[str, Fraction], ...]:
-    """The symbols of a unit in their order, as they are spelled, each with its power.
+    """Symbols of a unit in their order, as spelled in the text, each with its power.
 
     Raises ConfigurationError for a text that is no unit.
     """
@@ -152,9 +152,9 @@ def factors(unit: str) -> tuple[tuple[str, Fraction], ...]:
 
 
 def conversion(unit: str, into: str) -> float:
-    """What a number in `unit` is multiplied by to be in the unit `into`.
+    """Factor that converts a number in `unit` to the unit `into`.
 
-    Raises ConfigurationError where one of them is no unit, or they are units of different things.
+    Raises ConfigurationError if one of them is no unit, or they are units of different quantities.
     """
     if unit == into:
         return 1.0
@@ -165,20 +165,20 @@ def conversion(unit: str, into: str) -> float:
 
 
 def units_like(unit: str, among: tuple[str, ...]) -> tuple[str, ...]:
-    """Those of several units that measure the same thing as `unit`."""
+    """Those of several units that measure the same quantity as `unit`."""
     return tuple(other for other in among if size(other).powers == size(unit).powers)
 
 
 def unit_of_name(name: str) -> str:
-    """The unit that a name ends in: ``rad/s`` of ``rotation_rad_per_s``; empty where it has none.
+    """Unit in which a name ends, as ``rad/s`` of ``rotation_rad_per_s``; empty if it has none.
 
-    A name that is nothing but a unit (``m``, ``u_c``) is that of a quantity without one.
+    A name that consists only of a unit (``m``, ``u_c``) counts as a symbol, without a unit.
     """
     quantity, *below = name.split("_per_")
     words = quantity.split("_")
     count = 2 if words[-2:] in _PRODUCTS_IN_NAMES else 1
     units = [_IN_NAMES.get(word) for word in (*words[-count:], *"_".join(below).split("_")) if word]
-    # n is an exponent, newtons stand alone in no name; c is a parameter, but for temperatures
+    # a last n is an exponent and not newtons; a last c is a parameter except in temperatures
     is_letter = count == 1 and (words[-1] == "n" or (words[-1] == "c" and "temperature" not in words))
     if words[:-count] in ([], ["u"]) or None in units or is_letter:
         return ""
@@ -193,7 +193,7 @@ def in_ascii(unit: str) -> str:
 def _product(
     unit: str, tokens: list[tuple[str, ...]], *, bracketed: bool = False
 ) -> tuple[list[tuple[str, Fraction]], list[tuple[str, ...]]]:
-    """The product that the tokens begin with, up to the closing bracket if `bracketed`, and what follows."""
+    """Product at the start of the tokens, up to the closing bracket if `bracketed`, and later tokens."""
     found, sign = list[tuple[str, Fraction]](), 0
     while tokens and tokens[0][0] != ")":
         (bracket, _, operator, symbol, raised), *tokens = tokens
@@ -229,9 +229,9 @@ def _power(text: str, unit: str) -> Fraction:
 
 
 def split_prefix(symbol: str) -> tuple[str, str]:
-    """The prefix of a symbol, empty where it has none, and what it stands before, as the table has it.
+    """Prefix of a symbol, empty if it has none, and the symbol without it, as spelled in the table.
 
-    Raises ConfigurationError for a symbol that is none.
+    Raises ConfigurationError for an unknown symbol.
     """
     spelled = _SPELLINGS.get(symbol, symbol)
     if spelled in _OTHERS or spelled in _PREFIXABLE:

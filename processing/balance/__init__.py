@@ -15,4 +15,4 @@ from processing.balance.balance import (
     names_with_units,
 )
 from processing.balance.estimate import BalanceEstimator
-from processing.balance.plane import PlaneOfSwing, balance_of_run, plane_of_swing, square, turned
+from processing.balance.plane import PlaneOfSwing, balance_of_run, plane_of_swing, rotate, square_axes

@@ -1,7 +1,7 @@
-"""Advice for balancing: which weight to turn, which way and how far.
+"""Advice for balancing: which weight to turn, in which direction and how far.
 
-A turn is as large as its expected gain less its doubt allows: what the weights do is a distribution, at first
-from mass, thread and axis, then from the states before and after earlier turns.
+The effect of each weight is a distribution, at first from its mass, thread and axis, then from the states
+before and after earlier turns. A turn is chosen by its expected gain less its uncertainty.
 """
 
 import math
@@ -16,43 +16,43 @@ from processing.arrays import Flags, Floats
 from processing.balance.balance import BalanceLimits, Doubt, Room, Turn, Unreachable
 from processing.balance.weight_response import WeightResponse
 
-_LEAST_SWING_ARCSEC = 10.0
-"""Amplitude of the next look for which a turn must leave room."""
-_WEAKEST = 0.3
-"""The weakest weight that is reckoned with, relative to what is expected of it."""
+_SMALLEST_SWING_ARCSEC = 10.0
+"""Smallest amplitude of the next measurement that a turn must leave possible."""
+_WEAKEST_EFFECT = 0.3
+"""Smallest effect of a weight that is allowed for, relative to its expected effect."""
 _UNKNOWN_EFFECT = 30.0
-"""Standard uncertainty of the effect of one turn of a weight of which nothing is known, in limits."""
+"""Standard uncertainty of the effect of one turn of an unknown weight, in limits."""
 _MOST_UNKNOWN_TURNS = 1.0
 _TEST_MOVE = 10.0
-"""Size of a turn that is made to learn: its expected move in limits."""
+"""Expected move of a test turn, in limits."""
 _TAKE_UP = 0.75
-"""Turns too far and back again, which take the play out of the screw."""
+"""Turns beyond the aim and back again, which take up the play of the screw."""
 _TAKE_UP_COST = 0.3
-_NEEDED = 0.2
-"""Least expected gain of a turn, in squared limits."""
+_SMALLEST_GAIN = 0.2
+"""Smallest expected gain of a turn, in squared limits."""
 _CAUTION = 0.25
-"""Weight of a turn's variance beside its mean: what goes wrong is learned from, so that 1 would be timid."""
-_SURE = 2.0
-"""Standard uncertainties of a line that are believed in, before balance is called out of reach."""
+"""Weight of a turn's variance in its cost. A failed turn teaches something, so that 1 would be timid."""
+_LINE_UNCERTAINTIES = 2.0
+"""Standard uncertainties by which a line may be wrong before balance is called unreachable."""
 _KNOWN_LINE_RAD = 0.3
 """Largest uncertainty of the line of a weight that counts as known."""
-_STRETCH = 4.0
-"""How far the weights together may push the rest position to and fro, relative to the way it has to go."""
+_LARGEST_PUSH = 4.0
+"""Largest move of the rest position by one weight, relative to the distance from balance."""
 
 
-_DOUBT = math.log(1e3)
-"""Evidence for another story than that a turn was made as stated, from which on it is doubted."""
-_SHOWN = 2.0
-"""The same, for a turn to have been made as stated."""
+_DOUBT_EVIDENCE = math.log(1e3)
+"""Log evidence against a turn as stated above which the statement is doubted."""
+_DIRECTION_EVIDENCE = 2.0
+"""Log evidence for a turn as stated above which its direction is confirmed."""
 _DRIFT = 0.1
-"""Change of a state, in limits, that a weight which stands still may show."""
+"""Standard deviation of a state's change, in limits, without any move of a weight."""
 
 
 class WeightResponses:
-    """What turns of the weights do to (rest X in arcsec, rest Y in arcsec, height in m), and what to turn.
+    """Responses of the state (rest X in arcsec, rest Y in arcsec, height in m) to all weights, and advice.
 
-    `nominal` gives what is expected of one turn of each weight: effects and their standard uncertainties, or
-    None if nothing is known; test turns are advised first then.
+    `nominal` has the expected effect of one turn of each weight and its standard uncertainty; None if nothing
+    is known, and then test turns are advised first.
     """
 
     def __init__(self, nominal: Mapping[str, tuple[Floats, Floats] | None], limits: BalanceLimits) -> None:
@@ -67,20 +67,20 @@ class WeightResponses:
 
     @property
     def pairs(self) -> dict[str, int]:
-        """How many turns of each weight were learned from."""
+        """Number of turns of each weight from which its response was learned."""
         return {name: weight.pairs for name, weight in self._weights.items()}
 
     def learn(
         self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
     ) -> None:
-        """Update with the states before and after turns of one weight; NaN for a component not known."""
+        """Learn from the states before and after turns of one weight; NaN for an unknown component."""
         parts = _parts(turns)
         if any(parts):
             step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
             self._weights[weight].learn(parts, step, u_step)
 
     def turned(self, weight: str, turns: float | Sequence[float]) -> None:
-        """A weight was turned, and nothing can be learned from it: only the play of its screw is followed."""
+        """Account for turns without usable states: only the screw's position within its play is updated."""
         self._weights[weight].turned(_parts(turns))
 
     def can_make(
@@ -93,29 +93,29 @@ class WeightResponses:
     def doubt(
         self, weight: str, turns: float | Sequence[float], before: Floats, after: Floats, u_state: Floats
     ) -> Doubt | None:
-        """What rather happened than these turns of one weight; None if they explain the change best."""
+        """Doubt whether these turns of one weight were made; None if they explain the change best."""
         known, parts = self._weights[weight], _parts(turns)
         step, u_step = (after - before) / self._scale, math.sqrt(2.0) * u_state / self._scale
         as_stated = known.log_evidence(parts, step, u_step)
         still = known.log_evidence([0.0], step, np.hypot(u_step, _DRIFT))
-        # all of it, or only the first of several turns, the search back after it as stated
+        # all turns reversed, or only the first of several, with those after it as stated
         other_ways = [[-part for part in parts], [-parts[0], *parts[1:]]]
         reversed_way = max(known.log_evidence(way, step, u_step) for way in other_ways)
-        # one that never moved has taught that it has no effect
-        drawn = WeightResponse(known.nominal, known.u_nominal).log_evidence(parts, step, u_step)
+        # the learned effect of a weight that never moved is zero: compare with the expected one, too
+        as_expected = WeightResponse(known.nominal, known.u_nominal).log_evidence(parts, step, u_step)
         gain, doubt = max(
-            (still - min(as_stated, drawn), Doubt.STUCK), (reversed_way - as_stated, Doubt.REVERSED)
+            (still - min(as_stated, as_expected), Doubt.STUCK), (reversed_way - as_stated, Doubt.REVERSED)
         )
-        if gain > _DOUBT:
+        if gain > _DOUBT_EVIDENCE:
             return doubt
-        return None if as_stated - reversed_way > _SHOWN else Doubt.OPEN
+        return None if as_stated - reversed_way > _DIRECTION_EVIDENCE else Doubt.OPEN
 
-    def again(
+    def relearn(
         self, weight: str, pairs: Sequence[tuple[Sequence[float], Floats, Floats, Floats]] = ()
     ) -> None:
-        """Forget what turns of one weight have taught; of these `pairs` the likeliest is learned from.
+        """Forget the learned response of one weight and learn from the likeliest of `pairs`.
 
-        A pair: turns, states before and after, standard uncertainty.
+        A pair is (turns, state before, state after, standard uncertainty).
         """
         known = self._weights[weight]
         fresh = self._weights[weight] = WeightResponse(known.nominal, known.u_nominal)
@@ -126,19 +126,19 @@ class WeightResponses:
             ]
             fresh.learn(*max(turns, key=lambda turn: fresh.log_evidence(*turn)))
 
-    def without(self, stuck: Collection[str]) -> "WeightResponses":
-        """The same with the other weights only."""
+    def without_weights(self, stuck: Collection[str]) -> "WeightResponses":
+        """Copy with the other weights only."""
         found = copy(self)
         found._weights = {name: known for name, known in self._weights.items() if name not in stuck}
         return found
 
     def can_help(self, state: Floats, room: Room | None = None) -> bool:
-        """Whether a turn of any weight is expected to lead nearer to balance."""
+        """Whether a turn of any weight is expected to improve the balance."""
         wanted = np.nan_to_num(state / self._scale)
-        return any(self._best(name, state, wanted, room).gain > _NEEDED for name in self._weights)
+        return any(self._best(name, state, wanted, room).gain > _SMALLEST_GAIN for name in self._weights)
 
     def test_turn(self, weight: str, state: Floats, room: Room | None, why: str) -> Turn:
-        """The turn of one weight that would be advised, or one as large, which shows whether it moves."""
+        """Best turn of one weight, or a test turn if the best one is too small to show whether it moves."""
         wanted = np.nan_to_num(state / self._scale)
         best = self._best(weight, state, wanted, room)
         known = self._weights[weight]
@@ -152,32 +152,32 @@ class WeightResponses:
         return mean * self._scale, u * self._scale
 
     def largest_turns(self, weight: str, state: Floats) -> float:
-        """The largest turn that can be sensible: enough even if the weight is weak and its screw has play."""
+        """Largest sensible turn: it suffices even if the weight is weak and its screw has play."""
         known = self._weights[weight]
         size = float(np.linalg.norm(known.nominal))
         distance = float(np.linalg.norm(np.nan_to_num(state / self._scale)))
-        return (distance / (_WEAKEST * size) if size else _MOST_UNKNOWN_TURNS) + known.largest_play
+        return (distance / (_WEAKEST_EFFECT * size) if size else _MOST_UNKNOWN_TURNS) + known.largest_play
 
     def advise(self, state: Floats, room: Room | None = None) -> Turn | Unreachable | None:
-        """The next turn of one weight; None if the state is within the limits.
+        """Next turn of one weight; None if the state is within the limits.
 
-        A turn has the smallest expected distance from balance after it, other weights corrected, doubt
-        included; with twice its doubt it leaves the spot on the sensor (`room`). A weight of which nothing
-        was learned comes first, because all later turns benefit; then the one whose turn is the most
-        doubtful.
+        A turn has the smallest expected squared distance from balance that the other weights cannot correct,
+        uncertainty included, and leaves the spot on the sensor (`room`) with a margin of twice its
+        uncertainty. Weights without a learned turn come first, because all later turns benefit; then the one
+        whose turn is the most uncertain.
         """
         wanted = np.nan_to_num(state / self._scale)
         if np.all(np.abs(wanted) <= 1.0):
             return None
         if why := self._unreachable(wanted):
             return Unreachable(why)
-        # a height within its limit is not worth the tilt that a turn for it brings
+        # the correction of a height within its limit would cost more by the tilt that it brings
         planned = wanted * [1.0, 1.0, float(abs(wanted[2]) > 0.7)]
         options = {name: self._best(name, state, planned, room) for name in self._weights}
-        needed = {name: found for name, found in options.items() if found.gain > _NEEDED}
+        needed = {name: found for name, found in options.items() if found.gain > _SMALLEST_GAIN}
         new = [name for name in needed if not self._weights[name].pairs]
         alone = [name for name, found in options.items() if found.suffices]
-        # a weight that seems of no use may stand across the axis that it is named after
+        # a weight that seems useless may act across the axis after which it is named
         idle = [name for name in self._tilting if not self._weights[name].pairs and name not in needed]
         tilted = bool(np.any(np.abs(wanted[:2]) > 1.0))
         if not new and alone:
@@ -186,13 +186,13 @@ class WeightResponses:
             name = idle[0] if tilted and idle else self._least_known(wanted)
             return self._turn(name, self._test(name, state, planned, room), state, room, "a test turn: ")
         else:
-            name = max(new or needed, key=lambda name: (not self._lifts(name), needed[name].doubt))
+            name = max(new or needed, key=lambda name: (not self._lifts(name), needed[name].u_move))
             if not new:
-                name = max(needed, key=lambda name: needed[name].doubt)
+                name = max(needed, key=lambda name: needed[name].u_move)
         return self._turn(name, options[name].parts, state, room, "")
 
     def _best(self, name: str, state: Floats, wanted: Floats, room: Room | None) -> "_Option":
-        """The turn of one weight with the smallest expected cost."""
+        """Turn of one weight with the smallest expected cost."""
         weight = self._weights[name]
         most = self.largest_turns(name, state)
         straight = np.linspace(-most, most, 301)
@@ -208,7 +208,7 @@ class WeightResponses:
         cost += _TAKE_UP_COST * (then != 0) * bool(weight.pairs)
         allowed = self._allowed(state, move, u_move, room)
         if not weight.pairs:
-            # as in `_test`; a longer one is not lost
+            # a first turn needs a take-up, as in `_test`, unless it is longer than the play
             allowed &= (then != 0) | (np.abs(first) > weight.largest_play)
         allowed |= first == 0
         k = int(np.argmin(np.where(allowed, cost, np.inf)))
@@ -217,29 +217,29 @@ class WeightResponses:
         return _Option((float(first[k]), float(then[k])), gain, float(np.linalg.norm(u_move[k])), suffices)
 
     def _uncorrected(self, name: str) -> Floats:
-        """Form (3, 3) of what the other weights will leave of a state, each as far as it is known."""
+        """Quadratic form (3, 3): squared distance from balance that the other weights cannot correct."""
         others = [weight.effect() for other, weight in self._weights.items() if other != name]
         if not others:
             return np.eye(3)
         effects = np.column_stack([mean for mean, _ in others])
-        doubts = np.diag([float(u @ u) + 1e-9 for _, u in others])
-        return np.asarray(np.eye(3) - effects @ np.linalg.solve(effects.T @ effects + doubts, effects.T))
+        variances = np.diag([float(u @ u) + 1e-9 for _, u in others])
+        return np.asarray(np.eye(3) - effects @ np.linalg.solve(effects.T @ effects + variances, effects.T))
 
     def _allowed(self, state: Floats, move: Floats, u_move: Floats, room: Room | None) -> Flags:
-        """Which moves leave the spot on the sensor, or if it has no room now, leave it no less."""
+        """Whether each move (n, 3) leaves the spot on the sensor, or further from its edge than it is now."""
         if room is None:
             return np.ones(len(move), dtype=np.bool_)
         rest, u_rest = state[:2] + move[:, :2] * self._scale[:2], u_move[:, :2] * self._scale[:2]
         now = float(room.largest_swing_arcsec(state[:2], np.zeros(2)))
-        return np.asarray(room.largest_swing_arcsec(rest, u_rest) >= min(_LEAST_SWING_ARCSEC, now))
+        return np.asarray(room.largest_swing_arcsec(rest, u_rest) >= min(_SMALLEST_SWING_ARCSEC, now))
 
     @property
     def _tilting(self) -> list[str]:
-        """The weights that are there for the rest position."""
+        """Names of the weights that adjust the rest position."""
         return [name for name in self._weights if not self._lifts(name)]
 
     def _lifts(self, name: str) -> bool:
-        """Whether a weight is there for the height."""
+        """Whether a weight adjusts the height."""
         nominal = np.abs(self._weights[name].nominal)
         return bool(nominal[2] > max(nominal[0], nominal[1]))
 
@@ -248,7 +248,7 @@ class WeightResponses:
         return min(self._weights, key=lambda name: (self._weights[name].pairs, self._lifts(name) == tilted))
 
     def _test(self, name: str, state: Floats, wanted: Floats, room: Room | None) -> tuple[float, float]:
-        """A turn that shows what a weight does, as large as the sensor has room for."""
+        """Test turn and take-up that show the effect of a weight, as large as the sensor allows."""
         weight = self._weights[name]
         mean, u = weight.effect()
         most = min(
@@ -256,7 +256,7 @@ class WeightResponses:
         )
         most += weight.largest_play * min(1, weight.pairs)
         turns = np.round(np.linspace(-most, most, 40), 2)
-        # a first turn may be lost in the play of the screw, and shows nothing then
+        # without a take-up a first turn may be lost in the play of the screw
         then = np.zeros_like(turns) if weight.pairs else -np.sign(turns) * _TAKE_UP
         move, u_move = weight.predict([turns - then, then])
         allowed = self._allowed(state, move, u_move, room) & (turns != 0)
@@ -274,7 +274,7 @@ class WeightResponses:
         swing = math.inf
         if room is not None:
             rest, u_rest = state[:2] + move[0, :2] * self._scale[:2], u_move[0, :2] * self._scale[:2]
-            swing = max(float(room.largest_swing_arcsec(rest, u_rest)), _LEAST_SWING_ARCSEC)
+            swing = max(float(room.largest_swing_arcsec(rest, u_rest)), _SMALLEST_SWING_ARCSEC)
         count = weight.pairs
         why += (
             f"learned from {count} turn{'s' if count > 1 else ''}"
@@ -286,18 +286,18 @@ class WeightResponses:
         return Turn(name, parts[0], why, parts[1], swing)
 
     def _unreachable(self, wanted: Floats) -> str:
-        """Why the weights that were turned cannot bring the rest position home; empty while it is open."""
+        """Reason why the weights cannot balance the rest position; empty as long as they may."""
         names = self._tilting
         lines = np.array([self._weights[name].line() for name in names])
         if len(names) < 2 or not np.all(lines[:, 1] < _KNOWN_LINE_RAD):
             return ""
-        # the lines as they are found, and turned against one another as far as their doubt allows
-        doubt = _SURE * lines[:, 1] ** 2 / float(np.linalg.norm(lines[:, 1]))
-        ways = product((-1.0, 0.0, 1.0), repeat=len(names))
-        left = [self._left(wanted, lines[:, 0] + way * doubt) for way in ways]
+        # the lines as measured, and turned against one another within their uncertainties
+        error = _LINE_UNCERTAINTIES * lines[:, 1] ** 2 / float(np.linalg.norm(lines[:, 1]))
+        signs = product((-1.0, 0.0, 1.0), repeat=len(names))
+        left = [self._remaining_rest(wanted, lines[:, 0] + sign * error) for sign in signs]
         if not min(np.max(np.abs(rest)) for rest in left) > 1.0:
             return ""
-        across = float(np.linalg.norm(self._left(wanted, lines[:, 0]))) * self._scale[0]
+        across = float(np.linalg.norm(self._remaining_rest(wanted, lines[:, 0]))) * self._scale[0]
         angles = ", ".join(
             f"{name} {math.degrees(angle):.0f} deg" for name, angle in zip(names, lines[:, 0], strict=True)
         )
@@ -306,11 +306,11 @@ class WeightResponses:
             f"{across:.0f} arcsec across it stay; move one of them to another side of the pendulum"
         )
 
-    def _left(self, wanted: Floats, angles_rad: Floats) -> Floats:
-        """What stays of a rest position, in limits, when weights push it along these lines, within reason."""
+    def _remaining_rest(self, wanted: Floats, angles_rad: Floats) -> Floats:
+        """Rest position, in limits, that remains if weights push along these lines within `_LARGEST_PUSH`."""
         from scipy.optimize import lsq_linear
 
-        most = _STRETCH * max(float(np.linalg.norm(wanted[:2])), 1.0)
+        most = _LARGEST_PUSH * max(float(np.linalg.norm(wanted[:2])), 1.0)
         ways = np.array([np.cos(angles_rad), np.sin(angles_rad)])
         pushes = lsq_linear(ways, -wanted[:2], bounds=(-most, most)).x
         return np.asarray(wanted[:2] + ways @ pushes)
@@ -319,7 +319,7 @@ class WeightResponses:
 class _Option(NamedTuple):
     parts: tuple[float, float]
     gain: float
-    doubt: float
+    u_move: float
     suffices: bool
 
 

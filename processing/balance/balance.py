@@ -1,4 +1,4 @@
-"""The balance of the pendulum at one moment, the room that the spot has, and what is to be turned."""
+"""Balance of the pendulum at one moment with its limits, rest positions on the sensor, a turn of a weight."""
 
 import math
 from dataclasses import dataclass, field
@@ -13,10 +13,10 @@ from processing.quantity import Quantity
 from processing.units import ARCSEC_RAD
 
 InUnit = Annotated[float, DeflectionUnit]
-"""A number of `Balance` in its `unit`, or in that unit per s."""
+"""Number of a `Balance` in its `unit`, or in that unit per s."""
 _ANGLE = ("arcsec", "rad")
 _DRIFT = ("arcsec/min", "rad/s")
-"""Unit shown, and unit with a lever."""
+"""Unit in which a number is shown, and its unit with a lever."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Balance:
     slow mode's ellipse, positive if the spot runs from +Y towards +X. `rest_` is the rest position, `drift_`
     its drift. `period_ratio` is T_V/T_U. `u_` are standard uncertainties, enlarged if the residuals exceed
     the samples' uncertainties. If no fast mode is significant, `transverse` is 0, with the amplitude
-    of the strongest spectral line as uncertainty. NaN if the samples do not determine a quantity
+    of the strongest spectral line as uncertainty. A quantity that the samples do not determine is NaN
     (`period_ratio` without a fast mode, rates of change before the fourth period).
 
     The fields of type `InUnit` are in `unit`, the unit of the deflections: rad, or px without a lever. The
@@ -86,10 +86,9 @@ def names_with_units(unit: DeflectionUnit) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Room:
-    """The rest positions at which the spot is on the sensor: a polygon of tilts (X, Y).
+    """Polygon of the rest positions (X, Y), as tilts, at which the spot is on the sensor.
 
-    `normals` (n, 2) are unit vectors towards its edges, `distances_arcsec` (n,) those of the edges from zero
-    tilt.
+    `normals` (n, 2) are unit vectors towards its edges, `distances_arcsec` (n,) those of the edges from zero.
     """
 
     normals: Floats
@@ -100,13 +99,13 @@ class Room:
         return bool(np.all(self.normals @ rest_arcsec <= self.distances_arcsec))
 
     def largest_swing_arcsec(self, rest_arcsec: Floats, u_arcsec: Floats) -> Floats:
-        """Largest amplitude along Y with which the spot stays on the sensor; negative: it is off it at rest.
+        """Largest amplitude (...,) along Y with which the spot stays on the sensor.
 
-        `rest_arcsec` and `u_arcsec` (..., 2): predicted rest positions and their standard uncertainties, of
-        which two are kept clear. Returns (...,).
+        `rest_arcsec` and `u_arcsec` (..., 2) are predicted rest positions and their standard uncertainties;
+        twice the uncertainty is a margin. A negative value means that the spot is off the sensor at rest.
         """
-        doubt = 2.0 * np.sqrt(u_arcsec**2 @ (self.normals**2).T)
-        left = self.distances_arcsec - rest_arcsec @ self.normals.T - doubt
+        margin = 2.0 * np.sqrt(u_arcsec**2 @ (self.normals**2).T)
+        left = self.distances_arcsec - rest_arcsec @ self.normals.T - margin
         along = np.abs(self.normals[:, 1])
         # an edge along which the pendulum swings limits no amplitude, only the rest position
         swing = np.where(
@@ -116,7 +115,7 @@ class Room:
 
 
 class Doubt(StrEnum):
-    """What a turn of a weight shows instead of what was stated."""
+    """Doubt about a turn of a weight: what the measurements show instead of the stated turn."""
 
     STUCK = "does not move"
     REVERSED = "was turned the other way"
@@ -124,10 +123,10 @@ class Doubt(StrEnum):
 
 
 class Turn(NamedTuple):
-    """The next adjustment: the weight, the number of turns (positive: clockwise) and the reason (`why`).
+    """Next adjustment: the weight, the number of turns (positive: clockwise) and the reason (`why`).
 
-    `then` is a second part, the other way, which takes the play out of the screw; 0: none. `swing_arcsec` is
-    the largest amplitude with which the spot will stay on the sensor afterwards (inf: not known).
+    `then` is a second turn in the opposite direction, which takes up the play of the screw, or 0.
+    `swing_arcsec` is the largest amplitude with which the spot stays on the sensor then, inf if unknown.
     """
 
     weight: str
@@ -138,18 +137,18 @@ class Turn(NamedTuple):
 
     @property
     def parts(self) -> tuple[float, ...]:
-        """The turns in sequence."""
+        """Turns in sequence."""
         return (self.turns, self.then) if self.then else (self.turns,)
 
 
 class Unreachable(NamedTuple):
-    """No turn of the weights leads to balance; `why` says what is wrong with them."""
+    """Advice that no turn of the weights leads to balance, with the reason (`why`)."""
 
     why: str
 
 
-_MOST_HEIGHT = 0.2
-"""Height of the mass centre over the ball's radius: beyond it the period was not the pendulum's."""
+_LARGEST_HEIGHT = 0.2
+"""Largest height of the mass centre, relative to the ball's radius, that a pendulum can have."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ class BalanceLimits:
 
 
 class Fault(NamedTuple):
-    """A quantity that describes the balance, with its limit and the meaning of its sign."""
+    """Quantity that describes the balance, with its limit and the meaning of its sign."""
 
     name: str
     value: float
@@ -176,7 +175,7 @@ class Fault(NamedTuple):
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is known against it: within its limit, or not determined (`is_known`)."""
+        """Whether the value is within its limit, or not determined (`is_known`)."""
         return not abs(self.value) > self.limit
 
     @property
@@ -191,7 +190,7 @@ def mass_centre_height_m(
     """Height of the centre of mass above the contact spot in m, from I = m g l T0^2 / (4 pi^2).
 
     l is the distance from the ball's centre down to the centre of mass; it equals the ball's radius if the
-    centre of mass lies at the contact spot (Eq. 4). Negative: the centre of mass is below the contact spot.
+    centre of mass lies at the contact spot (Eq. 4). It is negative if the centre of mass is below the spot.
     """
     arm_m = 4.0 * math.pi**2 * inertia_kg_m2 / (mass_kg * gravity_m_per_s2 * period0_s**2)
     return ball_radius_m - arm_m
@@ -245,9 +244,9 @@ def find_faults(balance: Balance, height: tuple[float, float], limits: BalanceLi
 def implausible(
     state: Floats, u_state: Floats, limits: BalanceLimits, ball_radius_m: float, room: Room | None
 ) -> str:
-    """Why a measured state (rest X, rest Y in arcsec, height in m) is not to be believed; empty if it is.
+    """Reason why a measured state (rest X, rest Y in arcsec, height in m) is implausible; empty if it is not.
 
-    NaN: a height that cannot be computed, or a radius that is not known, is not judged.
+    A height or a radius that is NaN (not known) is not checked.
     """
     rest, height_m = state[:2], float(state[2])
     if not np.all(np.isfinite(rest)):
@@ -256,7 +255,7 @@ def implausible(
         return f"the rest position is uncertain by {np.max(u_state[:2]):.2g} arcsec"
     if room is not None and not room.holds(rest):
         return f"a rest position of ({rest[0]:.0f}, {rest[1]:.0f}) arcsec is not on the sensor"
-    if abs(height_m) > _MOST_HEIGHT * ball_radius_m:
+    if abs(height_m) > _LARGEST_HEIGHT * ball_radius_m:
         return (
             f"a mass centre {height_m * 1e6:+.0f} um from the contact of a ball of"
             f" {ball_radius_m * 1e6:.0f} um cannot be: the period that was found is not the pendulum's,"

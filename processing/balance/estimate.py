@@ -18,26 +18,27 @@ from processing.units import nanoseconds, seconds
 
 _WINDOW_PERIODS = 2.0
 _HISTORY = 8
-"""Looks over which a drift is taken, one a slow period: about half a minute at a period of 4 s."""
+"""Number of estimates, one a slow period, from which rates follow: half a minute at a period of 4 s."""
 _FEWEST_IN_HISTORY = 4
-"""A line through these leaves two degrees of freedom, which show how well it fits."""
+"""Fewest estimates for a rate: a line leaves two degrees of freedom, which show how well it fits."""
 _OVERLAP_CORRELATION = 0.5
-"""Neighbouring windows share half of their samples."""
+"""Correlation of neighbouring estimates, whose windows share half of their samples."""
 
 _FEWEST_SAMPLES, _MOST_SAMPLES = 20, 1200
 _FIRST_LOOK_S = 0.5
 _LONGEST_LOOK_S = 60.0
 _LOOK_GROWTH = 1.5
-"""Until a period is known looks grow, so that all from 0.5 s to a minute are found soon after they have
-passed."""
-_RESTING = 4.0
+"""Factor by which the window of a search grows until a period is known, so that every period of 0.5 s to a
+minute is found soon after it has passed."""
+_REST_CHI2 = 4.0
 """Chi-square per sample below which the pendulum is at rest."""
 _FIRST_SIZE = 4096
-_NEAR = 0.1
-"""Distance from a whole multiple of the slow mode's frequency within which a weak line is one of its
-waveform: damping and the noise below it shift it by more than its uncertainty says."""
-_SAME, _SAME_U = 1e-3, 3.0
-"""Halves of a swing agree within this part of amplitude and period, or so many standard uncertainties."""
+_NEAR_WHOLE = 0.1
+"""Distance from a whole multiple of the slow mode's frequency within which a weak line is a harmonic of its
+waveform: damping and noise under the line shift it by more than its uncertainty."""
+_LARGEST_DIFFERENCE, _LARGEST_DIFFERENCE_U = 1e-3, 3.0
+"""Largest difference of a window and its later half, relative to amplitude and period, and in standard
+uncertainties; the larger one applies."""
 _OVERTONE = 1e-3
 """Largest deviation of the waveform from a sine because of friction, as a fraction of the amplitude."""
 
@@ -46,7 +47,7 @@ class BalanceEstimator:
     """Continuous estimate of the balance from a stream of samples.
 
     Both modes are fitted by least squares to two slow periods at a time. The first estimate is made after two
-    slow periods, then one every period. The result does not depend on how the samples are divided into
+    slow periods, then one every period. The estimates do not depend on how the samples are divided into
     blocks.
     """
 
@@ -64,7 +65,7 @@ class BalanceEstimator:
     def update(self, deflections: Deflections) -> list[Balance]:
         """Add deflections (NaN where the spot was lost) and return the estimates that they complete.
 
-        Their unit is that of the estimates. Raises DataError if the lengths differ.
+        The estimates have the unit of the deflections. Raises DataError if lengths differ.
         """
         times = deflections.times_ns
         columns = [deflections.x, deflections.y, deflections.u_x, deflections.u_y]
@@ -111,11 +112,11 @@ class BalanceEstimator:
         if modes is None or modes.slow.period_s * _WINDOW_PERIODS > span_s * 1.05:
             self._look_again(until_ns)
             return None
-        modes = _without_overtone(modes)
+        modes = _without_harmonic(modes)
         if not known:
             later = self._modes(until_ns - nanoseconds(0.5 * span_s), until_ns, modes.slow.period_s)
-            if later is None or not _is_one_swing(modes, later):
-                # it began within these samples: the push, the pendulum held or at rest are no part of it
+            if later is None or not _is_same_motion(modes, later):
+                # the oscillation began within these samples: leave out the push, or the pendulum at rest
                 self._head = self._position(until_ns - nanoseconds(0.5 * span_s))
                 period_s = modes.slow.period_s if later is None else later.slow.period_s
                 self._look_s = max(self._look_s, _WINDOW_PERIODS * period_s)
@@ -160,13 +161,13 @@ class BalanceEstimator:
         x, y, u_x, u_y = self._columns[:, self._head : last]
         good = np.isfinite(x) & np.isfinite(y)
         if np.count_nonzero(good) < 3:
-            # of so few samples lost spots are told from a low frame rate by their number
+            # few good samples: many lost spots count as rest, few samples (a low frame rate) do not
             return last - self._head >= 3
         chi2 = 0.0
         for value, u in ((x[good], u_x[good]), (y[good], u_y[good])):
             weight = u**-2.0
             chi2 += float(weight @ (value - np.average(value, weights=weight)) ** 2)
-        return bool(chi2 < _RESTING * 2 * np.count_nonzero(good))
+        return bool(chi2 < _REST_CHI2 * 2 * np.count_nonzero(good))
 
     def _balance(self, modes: TwoModes, unit: DeflectionUnit) -> Balance:
         slow, fast = modes.slow, modes.fast
@@ -242,8 +243,8 @@ class BalanceEstimator:
         return slope, math.sqrt(max(misfit, 1.0) * (spread + shared)) / spread
 
 
-def _is_one_swing(whole: TwoModes, later: TwoModes) -> bool:
-    """Whether the samples swing as their later half does: its rest position and its period."""
+def _is_same_motion(whole: TwoModes, later: TwoModes) -> bool:
+    """Whether a window and its later half have the same rest position and period."""
     size = whole.slow.amplitude
     for value, u, scale in (
         (later.rest_x - whole.rest_x, math.hypot(later.u_rest_x, whole.u_rest_x), size),
@@ -254,17 +255,17 @@ def _is_one_swing(whole: TwoModes, later: TwoModes) -> bool:
             whole.slow.period_s,
         ),
     ):
-        if abs(value) > max(_SAME_U * u, _SAME * scale):
+        if abs(value) > max(_LARGEST_DIFFERENCE_U * u, _LARGEST_DIFFERENCE * scale):
             return False
     return True
 
 
-def _without_overtone(modes: TwoModes) -> TwoModes:
+def _without_harmonic(modes: TwoModes) -> TwoModes:
     """Remove a fast mode that is only a harmonic of the slow mode's waveform.
 
-    Friction makes the waveform deviate from a sine by about 5e-4 of the amplitude; without a real fast mode
-    these harmonics are the strongest spectral lines. A real fast mode weaker than that cannot be
-    distinguished from them; the limit is set accordingly.
+    Friction makes the waveform deviate from a sine by about 5e-4 of the amplitude; without a fast mode these
+    harmonics are the strongest spectral lines. A weaker fast mode at such a frequency cannot be distinguished
+    from them: `fast_limit` is raised accordingly.
     """
     slow, fast = modes.slow, modes.fast
     if fast is None:
@@ -272,6 +273,6 @@ def _without_overtone(modes: TwoModes) -> TwoModes:
     ratio = slow.period_s / fast.period_s
     u_ratio = ratio * math.hypot(slow.u_period_s / slow.period_s, fast.u_period_s / fast.period_s)
     size = math.hypot(fast.x_amplitude, fast.y_amplitude)
-    if size > _OVERTONE * slow.amplitude or abs(ratio - round(ratio)) > max(3.0 * u_ratio, _NEAR):
+    if size > _OVERTONE * slow.amplitude or abs(ratio - round(ratio)) > max(3.0 * u_ratio, _NEAR_WHOLE):
         return modes
     return replace(modes, fast=None, fast_limit=max(modes.fast_limit, size))

@@ -1,9 +1,9 @@
-"""How the plane of swing turns during a decay, and the deflections in the plane that turns with it.
+"""Plane of swing that turns during a decay, and the deflections along axes that turn with it.
 
-A pendulum on one ball can turn about the vertical. The slow mode then has the length A cos(theta) along the
-axis that was Y, and the fast mode and the rest position get a part in Y. Every two slow periods give a
-direction of the line on which the spot moves; a smooth curve through these directions turns the deflections
-back.
+A pendulum on one ball can turn about the vertical. By an angle theta of the turn, the slow mode has the
+amplitude A cos(theta) along the original axis Y, and fast mode and rest position get components along Y.
+Every two slow periods give a direction of the line on which the spot moves; a smooth curve through these
+directions turns the deflections back.
 """
 
 import math
@@ -17,28 +17,28 @@ from processing.balance.balance import Balance
 from processing.deflections import Deflections
 from processing.units import seconds
 
-_FEWEST = 6
-"""Directions through which a line is laid: four degrees of freedom show its scatter."""
+_FEWEST_DIRECTIONS = 6
+"""Fewest directions for a curve: with a line four degrees of freedom are left, which show the scatter."""
 _INTERVALS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
-"""Numbers of intervals of a cubic spline that are tried, behind a line and a parabola."""
-_PER_TERM = 3
-"""Directions a term of the curve, at least."""
+"""Numbers of intervals of a cubic spline that are tried, after a line and a parabola."""
+_DIRECTIONS_PER_TERM = 3
+"""Fewest directions per term of the curve."""
 _OVERLAP = 2.0
-"""Variance of a mean of directions whose windows overlap by half, over that of independent ones."""
+"""Variance of a mean of directions whose windows overlap by half, relative to independent ones."""
 _OUTLYING = 4.0
 """Standard uncertainties beyond which a direction counts by its sign alone."""
 _ROUNDS = 3
 _HALVINGS = 40
-_MEDIAN = 1.4826
-"""Standard deviation of a normal distribution over the median of its absolute values."""
-_APART = 4.0
-"""Periods without a direction, from which on the plane is unknown there."""
-_UNKNOWN_PART = 0.05
-"""Of the decay, that may be without directions."""
-_FASTEST = 0.1
-"""Largest rotation in a period, in rad: a window of two periods then sees the curvature of the path."""
-_SCATTER = 0.03
-"""Largest scatter about the curve, in rad: amplitudes are then wrong by 5e-4 without a sign."""
+_MEDIAN_TO_SIGMA = 1.4826
+"""Ratio of a normal distribution's standard deviation to the median of its absolute values."""
+_LONGEST_GAP_PERIODS = 4.0
+"""Longest interval without a direction, in periods, over which the plane counts as known."""
+_LARGEST_UNKNOWN_PART = 0.05
+"""Largest part of the decay in longer intervals."""
+_LARGEST_ROTATION_RAD = 0.1
+"""Largest rotation in a period, in rad: beyond it the path is curved within a window of two periods."""
+_LARGEST_SCATTER_RAD = 0.03
+"""Largest scatter about the curve, in rad: amplitudes then have errors of up to 5e-4."""
 
 
 @dataclass(frozen=True)
@@ -48,31 +48,31 @@ class PlaneOfSwing:
     first_ns: int
     """Time of the first direction, where the spline's argument is 0."""
     last_ns: int
-    """Time of the last direction, where it is 1."""
+    """Time of the last direction, where the argument is 1."""
     knots: Floats
     degree: int
     coefficients: Floats
-    """Of the spline's basis (terms,), in rad."""
+    """(terms,) coefficients of the spline's basis, in rad."""
     covariance: Floats
-    """Of the coefficients (terms, terms)."""
+    """(terms, terms) covariance of the coefficients."""
     directions: int
-    """Number of directions through which the spline is laid."""
+    """Number of directions to which the spline is fitted."""
     chi2_per_dof: float
     """Scatter of the directions about the spline, in their uncertainties."""
     scatter_rad: float
-    """The same in rad, weighted by the size of the swing."""
+    """Rms scatter of the directions about the spline, weighted by the squared amplitudes."""
     start_ns: int
-    """Time from which turning is counted."""
+    """Time from which the turn of the plane is counted."""
     period_s: float
     doubt: str = ""
-    """Why the spline does not describe the plane; empty if it does."""
+    """Reason why the spline does not describe the plane; empty if it does."""
 
     def direction_rad(self, times_ns: Ints) -> Floats:
-        """Direction at these times (n,); before and after the decay, that of its ends."""
+        """Direction at these times (n,); more than a period outside the decay it is constant."""
         return np.asarray(self._basis(times_ns) @ self.coefficients)
 
     def turned_rad(self, times_ns: Ints) -> Floats:
-        """How far the plane has turned since the start."""
+        """Angle by which the plane has turned since the start, at these times (n,)."""
         return np.asarray(self._since_start(times_ns) @ self.coefficients)
 
     def u_turned(self, times_ns: Ints) -> Floats:
@@ -80,17 +80,17 @@ class PlaneOfSwing:
         return self._errors(self._since_start(times_ns))
 
     def u_direction(self, times_ns: Ints) -> Floats:
-        """The same of `direction_rad`."""
+        """Independent errors (n, terms) of `direction_rad`, each for one standard uncertainty, in rad."""
         return self._errors(self._basis(times_ns))
 
     def rate_rad_per_s(self, times_ns: Ints) -> Floats:
         """Rate of rotation at these times (n,)."""
-        # imported here: it takes a fifth of a second, which a live run does without
+        # imported here: the import takes a fifth of a second, and a live run does not need it
         from scipy.interpolate import BSpline
 
         slope = BSpline(self.knots, self.coefficients, self.degree).derivative()
         span_s = float(seconds(self.last_ns - self.first_ns))
-        return np.asarray(slope(self._part(times_ns))) / span_s
+        return np.asarray(slope(self._spline_argument(times_ns))) / span_s
 
     def u_mean_rate(self) -> float:
         """Standard uncertainty of the mean rate of rotation, in rad/s."""
@@ -110,30 +110,30 @@ class PlaneOfSwing:
         values, vectors = np.linalg.eigh(self.covariance)
         return np.asarray(basis @ (vectors * np.sqrt(np.maximum(values, 0.0))))
 
-    def _part(self, times_ns: Ints) -> Floats:
-        """Times as parts of the spline's range; the ends of the decay lie a period outside it."""
+    def _spline_argument(self, times_ns: Ints) -> Floats:
+        """Arguments of the spline at these times; the ends of the decay lie a period outside its range."""
         span_s = float(seconds(self.last_ns - self.first_ns))
         beyond = 1.5 * self.period_s / span_s
         return np.clip(seconds(times_ns - self.first_ns) / span_s, -beyond, 1.0 + beyond)
 
     def _basis(self, times_ns: Ints) -> Floats:
-        return _design(self._part(times_ns), self.knots, self.degree)
+        return _design(self._spline_argument(times_ns), self.knots, self.degree)
 
 
 def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> PlaneOfSwing | None:
-    """The plane in which a decay swings, from the balances of its periods.
+    """Plane of swing of a decay, from the balances of its periods.
 
     Parameters
     ----------
     balances
-        In order of time. Those outside the decay are left out.
+        Balances in order of time. Those outside the decay are left out.
     from_ns, to_ns
         Times of the first and of the last turning point of the decay.
 
     Returns
     -------
     PlaneOfSwing or None
-        None if fewer than six balances know a direction.
+        None if fewer than six balances have a direction.
     """
     known = [
         one
@@ -142,7 +142,7 @@ def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> Pla
         and math.isfinite(one.line_angle_rad)
         and 0.0 < one.u_line_angle_rad < math.inf
     ]
-    if len(known) < _FEWEST:
+    if len(known) < _FEWEST_DIRECTIONS:
         return None
     times_ns = np.array([one.time_ns for one in known], dtype=np.int64)
     # the direction of a line is defined modulo pi
@@ -154,8 +154,8 @@ def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> Pla
     part = seconds(times_ns - times_ns[0]) / float(seconds(times_ns[-1] - times_ns[0]))
     period_s = float(np.median([one.period_s for one in known]))
     u = _with_motion_across(part, angle, u, size)
-    knots, degree = _chosen(part, angle, u)
-    coefficients, covariance, left = _fitted(_design(part, knots, degree), angle, u)
+    knots, degree = _best_curve(part, angle, u)
+    coefficients, covariance, left = _fit_curve(_design(part, knots, degree), angle, u)
     dof = len(angle) - len(coefficients)
     chi2_per_dof = float(left @ left) / dof
     plane = PlaneOfSwing(
@@ -174,11 +174,10 @@ def plane_of_swing(balances: Sequence[Balance], from_ns: int, to_ns: int) -> Pla
     return replace(plane, doubt=_doubt(plane, times_ns, from_ns, to_ns))
 
 
-def square(deflections: Deflections, oblique_rad: float) -> Deflections:
-    """Deflections along two axes at a right angle, the second of them the slow mode's.
+def square_axes(deflections: Deflections, oblique_rad: float) -> Deflections:
+    """Deflections along two axes at a right angle, of which the second is the slow mode's.
 
-    `oblique_rad` is what the angle from the slow to the fast axis has beyond a right one, with the opposite
-    sign where the fast axis is mirrored.
+    `oblique_rad` is the angle from slow to fast axis minus a right angle, negated if the latter is mirrored.
     """
     if oblique_rad == 0.0:
         return deflections
@@ -192,12 +191,12 @@ def square(deflections: Deflections, oblique_rad: float) -> Deflections:
     )
 
 
-def turned(deflections: Deflections, angle_rad: Floats, oblique_rad: float = 0.0) -> Deflections:
-    """Deflections along the axes that have turned from Y towards X by `angle_rad` (n,).
+def rotate(deflections: Deflections, angle_rad: Floats, oblique_rad: float = 0.0) -> Deflections:
+    """Deflections along axes that have turned from Y towards X by `angle_rad` (n,).
 
-    `oblique_rad` is that of `square`, which is undone for the axes as they have turned.
+    The axes are made square with `oblique_rad`, turned, and made oblique again by the same angle.
     """
-    at = square(deflections, oblique_rad)
+    at = square_axes(deflections, oblique_rad)
     sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
     x, u_x = at.x * cosine - at.y * sine, np.hypot(at.u_x * cosine, at.u_y * sine)
     y, u_y = at.y * cosine + at.x * sine, np.hypot(at.u_y * cosine, at.u_x * sine)
@@ -214,17 +213,17 @@ def turned(deflections: Deflections, angle_rad: Floats, oblique_rad: float = 0.0
 
 
 def _with_motion_across(part: Floats, angle: Floats, u: Floats, size: Floats) -> Floats:
-    """Uncertainties with a motion across the line that does not fall with the swing, as the ground makes it.
+    """Uncertainties enlarged by a motion across the line that does not decay, as the ground causes it.
 
-    Its size follows from the scatter about the most flexible curve, and so does which directions are far off.
+    Its size and the outliers among the directions follow from the scatter about the most flexible curve.
     """
     knots, degree = _candidates(len(angle))[-1]
     design = _design(part, knots, degree)
     dof = len(angle) - design.shape[1]
     enlarged = u
     for _ in range(_ROUNDS):
-        _, _, left = _fitted(design, angle, enlarged)
-        usual = max(1.0, _MEDIAN * float(np.median(np.abs(left))))
+        _, _, left = _fit_curve(design, angle, enlarged)
+        usual = max(1.0, _MEDIAN_TO_SIGMA * float(np.median(np.abs(left))))
         far = np.maximum(np.abs(left) / (_OUTLYING * usual), 1.0)
         left2 = (left * enlarged / far) ** 2
         low, high = 0.0, float(np.sum(left2 * size**2)) / dof
@@ -239,25 +238,25 @@ def _with_motion_across(part: Floats, angle: Floats, u: Floats, size: Floats) ->
 
 
 def _candidates(count: int) -> list[tuple[Floats, int]]:
-    """Knots and degrees of the curves that so many directions allow, from the stiffest to the most flexible.
+    """Knots and degrees of the curves that `count` directions allow, from the stiffest to the most flexible.
 
-    A line is the stiffest: what is known of the rate is part of what is known of the plane.
+    The stiffest is a line and not a constant, so that the uncertainty of the rate counts for the plane.
     """
     found = [(np.repeat([0.0, 1.0], degree + 1), degree) for degree in (1, 2)]
     for intervals in _INTERVALS:
         inner = np.linspace(0.0, 1.0, intervals + 1)[1:-1]
         found.append((np.concatenate([np.zeros(4), inner, np.ones(4)]), 3))
-    most = max(count // _PER_TERM, 2)
+    most = max(count // _DIRECTIONS_PER_TERM, 2)
     return [(knots, degree) for knots, degree in found if len(knots) - degree - 1 <= most]
 
 
-def _chosen(part: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
-    """The curve by Bayes' criterion, with the scatter of the most flexible one as noise."""
+def _best_curve(part: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
+    """Knots and degree of the curve chosen by Bayes' criterion; the scatter of the most flexible is noise."""
     candidates = _candidates(len(angle))
     chi2, terms = [], []
     for knots, degree in candidates:
         design = _design(part, knots, degree)
-        _, _, left = _fitted(design, angle, u)
+        _, _, left = _fit_curve(design, angle, u)
         chi2.append(float(left @ left))
         terms.append(design.shape[1])
     noise2 = max(1.0, chi2[-1] / (len(angle) - terms[-1]))
@@ -269,8 +268,8 @@ def _chosen(part: Floats, angle: Floats, u: Floats) -> tuple[Floats, int]:
     return candidates[int(np.argmin(criterion))]
 
 
-def _fitted(design: Floats, angle: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
-    """Coefficients, their covariance and the residuals in uncertainties, of a weighted least-squares fit."""
+def _fit_curve(design: Floats, angle: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
+    """Weighted least-squares fit: coefficients, their covariance, and residuals in uncertainties."""
     design = design / u[:, None]
     directions, sizes, turns = np.linalg.svd(design, full_matrices=False)
     inverse = np.where(sizes > 1e-10 * sizes[0], 1.0 / np.maximum(sizes, 1e-300), 0.0)
@@ -280,7 +279,7 @@ def _fitted(design: Floats, angle: Floats, u: Floats) -> tuple[Floats, Floats, F
 
 
 def _design(part: Floats, knots: Floats, degree: int) -> Floats:
-    """Values (n, terms) of the spline's basis; beyond its ends each continues as a straight line."""
+    """Values (n, terms) of the spline's basis functions, continued beyond the ends as straight lines."""
     from scipy.interpolate import BSpline
 
     inside = np.clip(part, 0.0, 1.0)
@@ -297,31 +296,30 @@ def _design(part: Floats, knots: Floats, degree: int) -> Floats:
 def _doubt(plane: PlaneOfSwing, times_ns: Ints, from_ns: int, to_ns: int) -> str:
     period_ns = 1e9 * plane.period_s
     steps = np.diff(np.concatenate([[from_ns], times_ns, [to_ns]])).astype(np.float64)
-    unknown = float(np.sum(steps[steps > _APART * period_ns])) / (to_ns - from_ns)
-    if unknown > _UNKNOWN_PART:
+    unknown = float(np.sum(steps[steps > _LONGEST_GAP_PERIODS * period_ns])) / (to_ns - from_ns)
+    if unknown > _LARGEST_UNKNOWN_PART:
         return f"its direction is not known in {100 * unknown:.0f} % of the decay"
     fastest = float(np.max(np.abs(plane.rate_rad_per_s(times_ns)))) * plane.period_s
-    if fastest > _FASTEST:
+    if fastest > _LARGEST_ROTATION_RAD:
         return f"it turns by {math.degrees(fastest):.0f} degrees in a period, too fast to be followed"
-    if plane.scatter_rad > _SCATTER:
+    if plane.scatter_rad > _LARGEST_SCATTER_RAD:
         return f"its direction scatters by {math.degrees(plane.scatter_rad):.1f} degrees about a smooth curve"
     return ""
 
 
-_FIRST = 5
-"""Balances at the beginning, where the start has left its transverse motion."""
+_EARLY = 5
+"""Number of balances at the beginning that show the transverse motion from the start."""
 
 
 def balance_of_run(balances: Sequence[Balance], plane: PlaneOfSwing | None) -> Balance | None:
-    """One balance for a decay; None without any.
+    """Balance of a whole decay; None without balances.
 
-    The transverse motion is that of the first periods, ellipticity and rest position are means, and the
-    rotation is the fastest of the decay: that of its `plane`, without which it is NaN. The other fields are
-    those of the first period.
+    The transverse motion is that of the first periods, ellipticity and rest position are means, the rotation
+    is the fastest one of the `plane`, NaN without it. The other fields are those of the first period.
     """
     if not balances:
         return None
-    first = sorted(balances[:_FIRST], key=lambda one: one.transverse_ratio)[len(balances[:_FIRST]) // 2]
+    first = sorted(balances[:_EARLY], key=lambda one: one.transverse_ratio)[len(balances[:_EARLY]) // 2]
     width_ratio, u_width_ratio = _mean(balances, "width_ratio")
     rest_x, u_rest_x = _mean(balances, "rest_x")
     rest_y, u_rest_y = _mean(balances, "rest_y")
@@ -348,7 +346,7 @@ def balance_of_run(balances: Sequence[Balance], plane: PlaneOfSwing | None) -> B
 
 
 def _mean(balances: Sequence[Balance], name: str) -> tuple[float, float]:
-    """Weighted mean of a quantity and its standard uncertainty; NaN if no period knows it."""
+    """Weighted mean of a quantity and its standard uncertainty; NaN if no period determines it."""
     rows = [(getattr(one, name), getattr(one, f"u_{name}")) for one in balances]
     known = np.array([row for row in rows if math.isfinite(row[0]) and 0.0 < row[1] < math.inf])
     if not len(known):

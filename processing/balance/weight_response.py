@@ -1,4 +1,4 @@
-"""What one trimming weight does when it is turned: its effect and its play, learned from turns."""
+"""Response of one trimming weight: the effect of a turn and the play of its screw, learned from turns."""
 
 import math
 from collections.abc import Sequence
@@ -12,22 +12,22 @@ _PLAYS = 25
 _SLACKS = 5
 _USUAL_PLAY = 0.3
 _U_TURN, _U_RELATIVE = 0.015, 0.01
-"""A turn made by hand: standard uncertainty in turns, and relative to the turn."""
-_FLOOR = 0.02
-"""Standard uncertainty of a state that no statistics show, in limits."""
+"""Standard uncertainty of a turn made by hand, in turns and relative to the turn."""
+_U_SYSTEMATIC = 0.02
+"""Systematic standard uncertainty of a state, in limits."""
 
 
 class WeightResponse:
     """Distribution of a weight's effect per turn (3,) and of the play of its screw.
 
-    For each of a grid of plays, and of places of the screw within its play, the effect has a normal
-    distribution that every turn narrows; how well the turn was predicted decides the probability of that
-    play. All in units of the limits.
+    For each of a grid of plays, and of positions of the screw within its play (hypotheses), the effect has a
+    normal distribution that every turn narrows; the probability of a hypothesis follows from how well it
+    predicts the turns. Effects and states are in units of the limits.
 
     Parameters
     ----------
     effect, u_effect
-        What is expected of one turn before any was made, (3,).
+        Expected effect of one turn before any was made, and its standard uncertainty, (3,).
     """
 
     def __init__(self, effect: Floats, u_effect: Floats) -> None:
@@ -44,11 +44,11 @@ class WeightResponse:
 
     @property
     def largest_play(self) -> float:
-        """The largest play considered, in turns."""
+        """Largest play considered, in turns."""
         return _MOST_PLAY
 
-    def _moved(self, parts: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """How far turns in sequence move the weight (turns; ..., hypotheses), and the slack left then."""
+    def _displacement(self, parts: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Displacement (..., hypotheses) of the weight by turns in sequence, in turns, and the slack left."""
         slack = self._slack
         moved = np.zeros(1)
         for part in parts:
@@ -64,31 +64,31 @@ class WeightResponse:
         return np.asarray(weight / weight.sum())
 
     def turned(self, parts: Sequence[float]) -> None:
-        """The weight was turned, with no measurement to learn from: only its play is followed."""
-        _, self._slack = self._moved([np.asarray(part) for part in parts])
+        """Account for turns without a measurement: only the screw's position within its play is updated."""
+        _, self._slack = self._displacement([np.asarray(part) for part in parts])
 
     def log_evidence(self, parts: Sequence[float], step: Floats, u_step: Floats) -> float:
-        """Logarithm of how probable a change (3,) is if these turns made it; NaN: not measured."""
-        moved, _ = self._moved([np.asarray(part) for part in parts])
+        """Log probability of a change `step` (3,) of the state if these turns made it; NaN: not measured."""
+        moved, _ = self._displacement([np.asarray(part) for part in parts])
         seen, turns = np.isfinite(step), moved[:, None]
         hand2 = _U_TURN**2 * (turns != 0) + (_U_RELATIVE * turns) ** 2
         size2 = np.sum(self._mean**2 + self._variance, axis=1, keepdims=True)
-        total = turns**2 * self._variance + u_step**2 + 2.0 * _FLOOR**2 + hand2 * size2
+        total = turns**2 * self._variance + u_step**2 + 2.0 * _U_SYSTEMATIC**2 + hand2 * size2
         left = np.where(seen, step - turns * self._mean, 0.0)
         log = -0.5 * np.sum(np.where(seen, left**2 / total + np.log(total), 0.0), axis=1)
         return float(np.logaddexp.reduce(log + np.log(self._weights() + 1e-300)))
 
     def learn(self, parts: Sequence[float], step: Floats, u_step: Floats) -> None:
-        """Learn from turns in sequence and the change (3,) of the state they made; NaN: not measured."""
-        moved, self._slack = self._moved([np.asarray(part) for part in parts])
+        """Learn from turns in sequence and the change (3,) of the state by them; NaN: not measured."""
+        moved, self._slack = self._displacement([np.asarray(part) for part in parts])
         seen = np.isfinite(step)
         turns = moved[:, None]
-        # a weight that did not move shows nothing of the hand either
+        # a weight that did not move has no error of the hand either
         u_turn2 = _U_TURN**2 * (turns != 0) + (_U_RELATIVE * turns) ** 2
-        other = u_step**2 + 2.0 * _FLOOR**2
+        other = u_step**2 + 2.0 * _U_SYSTEMATIC**2
         mean, variance = self._mean, self._variance
         size2 = mean**2 + variance
-        # the hand's error is relative to the effect, which the first pass finds
+        # the hand's error is proportional to the effect, which the first pass finds
         for _ in range(2):
             noise = other + u_turn2 * np.sum(size2, axis=1, keepdims=True)
             total = turns**2 * variance + noise
@@ -110,7 +110,7 @@ class WeightResponse:
 
     def predict(self, parts: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Mean and standard uncertainty (..., 3) of the change by turns in sequence, each (...,)."""
-        moved, _ = self._moved(parts)
+        moved, _ = self._displacement(parts)
         return self._moments(moved)
 
     def _moments(self, moved: Floats) -> tuple[Floats, Floats]:
@@ -125,15 +125,15 @@ class WeightResponse:
         return first, u
 
     def can_make(self, parts: Sequence[float], step: Floats, u_step: Floats) -> bool:
-        """Whether these turns can have made a change of the state at all, by what was expected."""
+        """Whether these turns can have made a change of the state at all, by the expected effect."""
         most = sum(abs(part) for part in parts) * (np.abs(self.nominal) + 6.0 * self.u_nominal)
         return not bool(np.any(np.abs(step) > most + 6.0 * u_step + 0.5))
 
     def line(self) -> tuple[float, float]:
-        """Angle in rad, from X towards Y, of the line along which it moves the rest position, with its u.
+        """Angle in rad, from X towards Y, of the line along which the weight moves the rest position, and u.
 
-        The play of the screw, which leaves the size of an effect open, does not change its line. Infinite
-        uncertainty: it was not seen to move.
+        The play of the screw makes the size of an effect uncertain, not its line. The uncertainty is infinite
+        if the weight has never moved visibly.
         """
         values, ways = np.linalg.eigh(self._seen)
         way = ways[:, 1] * (math.copysign(1.0, float(ways[:, 1] @ self.effect()[0][:2])))

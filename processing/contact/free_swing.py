@@ -23,7 +23,7 @@ from processing.ambient import Air
 from processing.arrays import Complexes, Floats
 from processing.contact.law import DRAG, Law, PendulumOnBall, weight_moment
 from processing.errors import DataError
-from processing.swing import HALVES, SwingTerms
+from processing.swing import PIECE_HALF_CYCLES, HarmonicTerms
 
 STEEPER_DRAG = "steeper_drag"
 """Key of a drag that grows with the 3/2 power of the speed, in s^1.5: ``-m g R steeper |phi'|^0.5 phi'``."""
@@ -34,7 +34,7 @@ _ROUNDS = 5
 _AMPLITUDES, _BEYOND = 8, 1.02
 """Amplitudes at which a law is computed, and how far above the highest wanted the first begins."""
 _SAMPLES = 256
-"""Samples of a swing of `HALVES` half-swings from which its harmonics are taken."""
+"""Samples of a swing of `PIECE_HALF_CYCLES` from which its harmonics are taken."""
 
 
 class FreeSwing(NamedTuple):
@@ -105,7 +105,7 @@ def law_harmonics(
 ) -> Complexes:
     """Harmonics (rad) of `ORDERS`, shape (n, orders), of free swings of amplitudes (n,) in their middle.
 
-    In the terms in which `HarmonicsWatch` measures pieces of `HALVES` half-swings. They are computed at a few
+    In the terms in which `HarmonicsWatch` measures pieces of `PIECE_HALF_CYCLES`. They are computed at a few
     amplitudes and interpolated.
 
     Raises
@@ -118,9 +118,9 @@ def law_harmonics(
 
     # swings begin above the amplitude of their middle
     first = np.geomspace(amplitudes_rad.min(), _BEYOND * amplitudes_rad.max(), _AMPLITUDES)
-    swing, projection = free_swing(law, values, pendulum, first, HALVES), _projection()
+    swing, projection = free_swing(law, values, pendulum, first, PIECE_HALF_CYCLES), _projection()
     at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    middle, harmonics = SwingTerms.harmonics(_path(swing, swing.end[:, None] * at) @ projection)
+    middle, harmonics = HarmonicTerms.harmonics(_path(swing, swing.end[:, None] * at) @ projection)
     if not (middle[0] > 0 and np.all(np.diff(middle) > 0)):
         raise DataError("larger swings would end below smaller ones: this is no free decay")
     relative = CubicSpline(np.log(middle), harmonics / middle[:, None])(np.log(amplitudes_rad))
@@ -150,7 +150,7 @@ def _path(swing: FreeSwing, wanted: Floats) -> Floats:
 @lru_cache(maxsize=1)
 def _projection() -> Floats:
     x = 2 * (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 1
-    return np.asarray(np.linalg.pinv(SwingTerms.at(x)).T, dtype=np.float64)
+    return np.asarray(np.linalg.pinv(HarmonicTerms.at(x)).T, dtype=np.float64)
 
 
 _PERIOD_RATIO = 5.0

@@ -23,7 +23,7 @@ from processing.fit.ground import Noise, step_of_density
 from processing.fit.known_drive import LEAST_LEFT
 from processing.fit.result import FitResult
 from processing.least_squares import covariance_of
-from processing.swing import HALVES, TurningPoints
+from processing.swing import PIECE_HALF_CYCLES, TurningPoints
 
 _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
 """Parameters that each run has for itself."""
@@ -76,7 +76,7 @@ class Conditions:
         """The waveform of a run through turning points of these amplitudes; its values are zero."""
         if self.of_sine is None:
             return Evidence()
-        middle = amplitude_rad[HALVES // 2 :: HALVES]
+        middle = amplitude_rad[PIECE_HALF_CYCLES // 2 :: PIECE_HALF_CYCLES]
         covariance = np.tile(self.of_sine, (len(middle), 1, 1))
         nothing = np.zeros((len(middle), len(self.of_sine)))
         return Evidence(Waveform(middle, nothing, covariance, 1.0))

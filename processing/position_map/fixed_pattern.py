@@ -1,4 +1,4 @@
-"""Error of position as a function of place, with its covariance."""
+"""Fixed-pattern position error as a function of place, with its covariance."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from processing.least_squares import FactoredJacobian
 
 @dataclass(frozen=True, slots=True)
 class Splines:
-    """`count` cubic B-splines, `spacing` apart; the second is centred on `low`, the first lies outside."""
+    """Set of `count` cubic B-splines, `spacing` apart; the second is centred on `low`, the first outside."""
 
     low: float
     spacing: float
@@ -20,7 +20,7 @@ class Splines:
 
     @classmethod
     def over(cls, low: float, high: float, count: int) -> "Splines":
-        """So many splines from `low` to `high`."""
+        """Set of `count` splines from `low` to `high`."""
         return cls(low, (high - low) / (count - 3), count)
 
     @property
@@ -50,33 +50,33 @@ class Splines:
         return out
 
 
-_ROUNDS = 4
-"""Each makes the place of an error right to the error's slope, a few per cent."""
-_QUADRATURE = 512
-"""Against 16,384 places the errors of amplitudes differ by 2.6e-6 of themselves, at any correlation
-length."""
+_PLACE_ITERATIONS = 4
+"""Iterations for the true place: each reduces its error by the slope of the map, a few per cent."""
+_PHASES = 512
+"""Number of phases of an integral over a cycle. The errors of amplitudes differ by 2.6e-6 of themselves from
+those with 16,384 phases, at any correlation length."""
 
 
 @dataclass(frozen=True)
 class PositionMap:
-    """Error of the measured deflection at every place of the stretch that a run swept.
+    """Error of the measured deflection at every place of the range that a run swept.
 
     Attributes
     ----------
     splines
-        What it is made of, over places: true deflections, in the unit of the measured ones.
+        Splines of the place, which is a true deflection in the unit of the measured ones.
     coefficients, covariance
-        Of the splines: the most likely error, and how well it is known. A constant, which no free swing
-        shows, is as uncertain as errors of the found size and correlation length let it be, a scale by as
-        much as the errors bend it.
+        Most likely coefficients of the splines (count,), and their covariance. A constant error, which no
+        free swing shows, is as uncertain as errors of this size and correlation length allow; an error of
+        scale is as uncertain as the size of the errors (see `PositionMapSearch`).
     correlation_length
         Distance over which the error changes, in the unit of the deflections.
     significance
-        See `PositionMapSearch`.
+        Score of the error in its standard deviations (see `search.SIGNIFICANT`).
     cycles
-        From how many cycles it was made.
+        Number of cycles from which the map follows.
     noise_scale
-        By how much the residuals of whole cycles scatter more than their samples' uncertainties say.
+        Scatter of the residuals of whole cycles, relative to their samples' uncertainties.
     """
 
     splines: Splines
@@ -96,7 +96,7 @@ class PositionMap:
         return found
 
     def u_error(self, place: Floats) -> Floats:
-        """Standard uncertainties (n,) of `error` beside a constant and a scale, which the map leaves open."""
+        """Standard uncertainties (n,) of `error` except for an undetermined constant and scale."""
         matrix = self.splines.matrix(place)
         trend = np.column_stack([np.ones(len(place)), place - place.mean()])
         matrix = FactoredJacobian(trend).left(matrix)
@@ -106,21 +106,21 @@ class PositionMap:
     def corrected(self, deflections: Deflections) -> Deflections:
         """Deflections without the error."""
         place = deflections.y
-        for _ in range(_ROUNDS):
+        for _ in range(_PLACE_ITERATIONS):
             place = deflections.y - self.error(place)
         return replace(deflections, y=place)
 
     @property
-    def stretch(self) -> tuple[float, float]:
-        """Least and largest place."""
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest place."""
         return self.splines.low, self.splines.low + self.splines.spacing * (self.splines.count - 3)
 
-    def with_more(self, other: "PositionMap") -> "PositionMap":
-        """The map with the errors of another one over the same stretch, which was found without its own."""
+    def plus(self, other: "PositionMap") -> "PositionMap":
+        """Sum of this map and another one over the same range, found in deflections corrected by this one."""
         return replace(self, coefficients=self.coefficients + other.coefficients)
 
     def amplitude_errors(self, amplitude: Floats, centre: Floats, side: Floats) -> Floats:
-        """Errors of amplitudes that the map's covariance leaves, as independent columns (n, m).
+        """Errors of n amplitudes by the map's covariance, as independent columns (n, m).
 
         ``errors @ errors.T`` is the amplitudes' covariance. A half-cycle is fitted to all of its samples, its
         rest position to whole cycles: with the place x = centre + side A cos s and the splines B(x), its
@@ -128,20 +128,20 @@ class PositionMap:
         the half-cycle. The time of the turning point does not move: an error that depends on the place alone
         is the same before and after it.
         """
-        s = (np.arange(_QUADRATURE) + 0.5) * (2.0 * math.pi / _QUADRATURE)
+        s = (np.arange(_PHASES) + 0.5) * (2.0 * math.pi / _PHASES)
         cosine = np.cos(s)
         inner = cosine > 0.0
         gain = np.empty((len(amplitude), self.splines.count))
         for k in range(len(amplitude)):
             values = self.splines.matrix(centre[k] + side[k] * amplitude[k] * cosine)
             values[inner] -= values.mean(axis=0)
-            gain[k] = (side[k] * 4.0 / _QUADRATURE) * (cosine[inner] @ values[inner])
+            gain[k] = (side[k] * 4.0 / _PHASES) * (cosine[inner] @ values[inner])
         return np.asarray(gain @ self._root(), dtype=np.float64)
 
     def adjusted(self, values: Floats, covariance: Floats) -> "PositionMap":
-        """The map with what became known of the coordinates whose columns `amplitude_errors` returned.
+        """Map updated by a fit of the coordinates of the columns that `amplitude_errors` returned.
 
-        `values` (m,) and `covariance` (m, m) were 0 and 1 before.
+        `values` (m,) and `covariance` (m, m) are the fitted ones; before the fit they are 0 and 1.
         """
         root = self._root()
         return replace(

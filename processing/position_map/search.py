@@ -1,11 +1,11 @@
 """Search for an error of position that is fixed on the sensor, in the residuals of whole cycles.
 
-The residuals r of cycle c are ``B theta + J l_c + K s + noise``: splines B of the place with one theta for
-all, the derivatives J of the motion by what each cycle has for itself, and K by frequency and shape, which
-all have in common. l_c and s are left free. What swings with the phase of the motion at all amplitudes is
-thus the motion's and not the sensor's; what stays at a place while the amplitude falls, and is passed in both
-directions, is the sensor's. theta is a Gaussian process with a variance and a correlation length that make
-the residuals most likely.
+The residuals r of cycle c are ``B theta + J l_c + K s + noise``: splines B of the place with the same theta
+in all cycles, derivatives J of the motion by the parameters l_c of each cycle, and K by the parameters s that
+all cycles have in common, frequency and shape. l_c and s are free. An error that goes with the phase of the
+motion at all amplitudes is thus ascribed to the motion; one that stays at a place while the amplitude falls,
+and is passed in both directions, to the sensor. theta is a Gaussian process with the variance and correlation
+length that make the residuals most likely.
 """
 
 import math
@@ -16,14 +16,14 @@ import numpy as np
 
 from processing.arrays import Floats
 from processing.position_map.fixed_pattern import PositionMap, Splines
-from processing.swing import SHARED, CycleResiduals
+from processing.swing import SHARED_COLUMNS, CycleResiduals
 
-_AT_ONCE = 8
-"""Cycles whose columns are multiplied together."""
+_BATCH_CYCLES = 8
+"""Number of cycles whose columns are multiplied together."""
 
 
 class NormalEquations(NamedTuple):
-    """Information ``J^T W J`` and score ``J^T W r`` of the splines, followed by the SHARED common columns."""
+    """Information ``J^T W J`` and score ``J^T W r`` of the splines, then of the common columns."""
 
     information: Floats
     score: Floats
@@ -31,10 +31,10 @@ class NormalEquations(NamedTuple):
     @property
     def splines(self) -> int:
         """Number of splines."""
-        return len(self.score) - SHARED
+        return len(self.score) - SHARED_COLUMNS
 
     def spline_equations(self, scale: float = 1.0) -> "NormalEquations":
-        """Those of the splines alone, the common columns free; `scale` is the variance of the residuals."""
+        """Equations of the splines with the common columns free; `scale` is the variance of the residuals."""
         count = self.splines
         gain = self.by_common()
         return NormalEquations(
@@ -43,18 +43,18 @@ class NormalEquations(NamedTuple):
         )
 
     def by_common(self) -> Floats:
-        """What the splines take from a score of the common columns that are left free, (splines, SHARED)."""
+        """Gain (splines, SHARED_COLUMNS) of the splines' score by that of the free common columns."""
         return np.asarray(
             self.information[: self.splines, self.splines :] @ self._inverse(), dtype=np.float64
         )
 
     def with_common(self, coefficients: Floats) -> Floats:
-        """Coefficients of the splines, and those of the common columns that are likeliest with them."""
+        """Coefficients of the splines, followed by the likeliest ones of the common columns given these."""
         left = self.score[self.splines :] - self.information[self.splines :, : self.splines] @ coefficients
         return np.concatenate([coefficients, self._inverse() @ left])
 
     def explained(self, everything: Floats) -> float:
-        """By how much chi-square falls with all the coefficients."""
+        """Reduction of chi-square by the coefficients of all columns."""
         return float(2.0 * everything @ self.score - everything @ self.information @ everything)
 
     def _inverse(self) -> Floats:
@@ -64,34 +64,34 @@ class NormalEquations(NamedTuple):
         return np.asarray(inverse * np.outer(scale, scale), dtype=np.float64)
 
 
-def all_of(parts: Sequence[NormalEquations]) -> NormalEquations:
-    """Sum of one or more."""
+def summed(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """Sum of one or more normal equations."""
     return NormalEquations(
         np.asarray(sum(part.information for part in parts)), np.asarray(sum(part.score for part in parts))
     )
 
 
 class Accumulator:
-    """Sum over cycles; what each cycle has for itself is left free.
+    """Normal equations summed over cycles, with the parameters of each cycle free.
 
-    The splines' own products are a band, and what a cycle takes of them a few columns: the large matrix is
-    not made for every cycle.
+    The products of the splines are a band matrix, from which each cycle's free parameters take a few columns:
+    the large matrix is not computed for every cycle.
 
     Attributes
     ----------
     cycles
-        How many there are so far.
+        Number of cycles so far.
     """
 
     def __init__(self, splines: Splines) -> None:
         self.cycles = 0
         self._splines = splines
         self._band = np.zeros((4, splines.count))
-        self._crossed = np.zeros((splines.count, SHARED))
-        self._common = np.zeros((SHARED, SHARED))
-        self._taken: list[Floats] = []
-        self._together: Floats | None = None
-        self._score = np.zeros(splines.count + SHARED)
+        self._crossed = np.zeros((splines.count, SHARED_COLUMNS))
+        self._common = np.zeros((SHARED_COLUMNS, SHARED_COLUMNS))
+        self._own_columns: list[Floats] = []
+        self._own_products: Floats | None = None
+        self._score = np.zeros(splines.count + SHARED_COLUMNS)
 
     def add(self, cycle: CycleResiduals) -> Floats:
         """Add one cycle and return its score."""
@@ -118,64 +118,64 @@ class Accumulator:
                 products = values[:, j] * values[:, j + apart]
                 self._band[apart] += np.bincount(first + j, products, minlength=splines)
         own_count = directions.shape[1]
-        self._taken.append(crossed[:, :own_count])
+        self._own_columns.append(crossed[:, :own_count])
         self._crossed += crossed[:, own_count:-1]
         self._common += columns[:, :-1].T @ columns[:, :-1]
         score = np.concatenate([crossed[:, -1], columns[:, :-1].T @ columns[:, -1]])
         self._score += score
-        if len(self._taken) == _AT_ONCE:
-            self._put_together()
+        if len(self._own_columns) == _BATCH_CYCLES:
+            self._add_own_products()
         return score
 
     def sums(self) -> NormalEquations:
-        """All cycles so far."""
+        """Normal equations of all cycles so far."""
         splines = self._splines.count
-        information = np.zeros((splines + SHARED, splines + SHARED))
+        information = np.zeros((splines + SHARED_COLUMNS, splines + SHARED_COLUMNS))
         for apart in range(4):
             rows = np.arange(splines - apart)
             information[rows, rows + apart] = information[rows + apart, rows] = self._band[
                 apart, : splines - apart
             ]
-        self._put_together()
-        if self._together is not None:
-            information[:splines, :splines] -= self._together
+        self._add_own_products()
+        if self._own_products is not None:
+            information[:splines, :splines] -= self._own_products
         information[:splines, splines:] = self._crossed
         information[splines:, :splines] = self._crossed.T
         information[splines:, splines:] = self._common
         return NormalEquations(information, self._score)
 
-    def _put_together(self) -> None:
-        if self._taken:
-            taken = np.column_stack(self._taken)
-            self._taken.clear()
+    def _add_own_products(self) -> None:
+        if self._own_columns:
+            taken = np.column_stack(self._own_columns)
+            self._own_columns.clear()
             products = taken @ taken.T
-            self._together = products if self._together is None else self._together + products
+            self._own_products = products if self._own_products is None else self._own_products + products
 
 
 _SPLINES = 320
-"""The shortest correlation length is 2.5 of their spacings."""
+"""Number of splines; the shortest correlation length is 2.5 of their spacings."""
 _LENGTHS = (0.25, 0.125, 0.0625, 0.032, 0.016, 0.008)
-"""Correlation lengths tried, as fractions of the stretch."""
+"""Correlation lengths tried, as fractions of the range."""
 _FEWEST_CYCLES = 8
 _SAMPLED = 24
-"""Cycles whose residuals are kept, to see how much they scatter about a common error."""
+"""Number of cycles whose residuals are stored, to measure their scatter about a common error."""
 _MOST_SUMS = 64
-"""Cycles are summed in groups of neighbours, so that there are about so many at most."""
+"""About the largest number of groups of neighbouring cycles whose scores are summed."""
 _PARTS = 10
-"""Parts of the run, each of which must confirm what the others say."""
-_CONFIRMING = 0.8
-"""Share of the parts that must do so."""
-_VISIBLE = 1e-9
-"""Smallest information of the cycles about a part of the error, relative to the largest."""
+"""Number of parts of the run, each of which is predicted by the others."""
+_SMALLEST_CONFIRMATION = 0.8
+"""Smallest fraction of the parts that must be described better with the map of the others."""
+_SMALLEST_INFORMATION = 1e-9
+"""Smallest information of the cycles about a component of the error, relative to the largest."""
 SIGNIFICANT = 12.0
-"""Score in its standard deviations above which the error is believed.
+"""Score in its standard deviations above which the error is accepted.
 
-Of errors with a single degree of freedom, the most scattered case, noise gives such a score with a
-probability of 2e-5 for each correlation length."""
+Noise gives such a score with a probability of 2e-5 for each correlation length, if the error has a single
+degree of freedom, in which case the score scatters most."""
 
 
 class _LikelihoodPeak(NamedTuple):
-    """Half the logarithm of the likelihood over that without an error, and the error."""
+    """Most likely error for a correlation length; `gain` is its log likelihood relative to no error."""
 
     gain: float
     length: float
@@ -184,14 +184,14 @@ class _LikelihoodPeak(NamedTuple):
 
 
 class PositionMapSearch:
-    """Collects cycles of a run and says whether they share an error of place.
+    """Collection of the cycles of a run, and test whether they share a fixed-pattern position error.
 
     Parameters
     ----------
     low, high
-        Least and largest deflection of the run.
+        Smallest and largest deflection of the run.
     cycles
-        About how many will be added.
+        Approximate number of cycles that will be added.
     """
 
     def __init__(self, low: float, high: float, cycles: int) -> None:
@@ -215,12 +215,12 @@ class PositionMapSearch:
             self._sampled.append(cycle)
         self._cycles += 1
 
-    def found(self) -> PositionMap | None:
-        """The map, where the cycles agree on one beyond doubt; None where they do not."""
+    def position_map(self) -> PositionMap | None:
+        """Map of the error; None if it is not significant, or not confirmed by the parts of the run."""
         if len(self._scores) < _FEWEST_CYCLES:
             return None
         parts = [part.sums() for part in self._parts if part.cycles]
-        whole = all_of(parts)
+        whole = summed(parts)
         scores = np.array(self._scores)
         scores = scores[:, :_SPLINES] - scores[:, _SPLINES:] @ whole.by_common().T
         significance = max(_significance(self._prior(length), scores) for length in _LENGTHS)
@@ -247,44 +247,43 @@ class PositionMapSearch:
         )
 
     def _scale_covariance(self, coefficients: Floats) -> Floats:
-        """Covariance by a scale of which nothing but the size of the errors is known.
+        """Covariance by an unknown error of scale, whose size is taken from that of the position errors.
 
-        Smooth errors of a correlation length have hardly any mean slope; a scale that is bent has one.
+        Smooth errors of a given correlation length have hardly any mean slope, but a nonlinear scale has one.
         """
         place = self._splines.centres - self._splines.centres.mean()
         error = self._splines.matrix(self._splines.centres[1:-1]) @ coefficients
-        # splines whose coefficients are their centres make a straight line
+        # splines whose coefficients equal their centres add up to a straight line
         u_scale = float(np.std(error) / np.std(place[1:-1]))
         return np.asarray(u_scale**2 * np.outer(place, place), dtype=np.float64)
 
     def _confirmed(self, parts: Sequence[NormalEquations], length: float, scale: float) -> bool:
-        """Whether the parts of the run are better described with the map of the others than without one.
+        """Whether the parts of the run are described better with the map of the others than without one.
 
-        What another motion leaves in neighbouring cycles is alike in them, but not over the whole run.
+        Residuals from another motion are alike in neighbouring cycles, but not over the whole run.
         """
         gains = []
         for part in parts:
-            others = all_of([other for other in parts if other is not part])
+            others = summed([other for other in parts if other is not part])
             theirs = _likeliest(length, self._prior(length), others.spline_equations(scale)).coefficients
             gains.append(
                 part.explained(others.with_common(theirs))
                 - part.explained(others.with_common(np.zeros(_SPLINES)))
             )
         found = np.array(gains)
-        return bool(found.sum() > 0.0 and np.mean(found > 0.0) >= _CONFIRMING)
+        return bool(found.sum() > 0.0 and np.mean(found > 0.0) >= _SMALLEST_CONFIRMATION)
 
     def _prior(self, length: float) -> Floats:
-        """Correlation of the coefficients for a correlation length, which is a fraction of the stretch."""
+        """Correlation matrix of the coefficients for a correlation length, a fraction of the range."""
         from scipy.linalg import toeplitz
 
         step = np.arange(_SPLINES) / ((_SPLINES - 3) * length)
         return np.asarray(toeplitz(np.exp(-0.5 * step**2)), dtype=np.float64)
 
     def _scatter(self, found: _LikelihoodPeak, whole: NormalEquations) -> float:
-        """Variance of the cycles' scores about the common error, over that of the samples' uncertainties.
+        """Variance of the cycles' scores about the common error, relative to the samples' uncertainties.
 
-        In the directions in which the error is looked for: what else disturbs neighbouring samples alike
-        counts there in full.
+        It is taken in the directions of the prior, in which disturbances of neighbouring samples count fully.
         """
         everything = whole.with_common(found.coefficients)
         prior, power, expected = self._prior(found.length), 0.0, 0.0
@@ -299,7 +298,7 @@ class PositionMapSearch:
 
 
 def _significance(prior: Floats, scores: Floats) -> float:
-    """Score for an error common to all cycles, in standard deviations of what independent ones give.
+    """Score for an error common to all cycles, in its standard deviations for independent cycles.
 
     With the sum g of the scores, their covariance S and the prior C of the error it is
     ``(g.C g - tr CS) / sqrt(2 tr CSCS)``. S is taken from second differences d of the scores, which have
@@ -314,7 +313,7 @@ def _significance(prior: Floats, scores: Floats) -> float:
 
 
 def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _LikelihoodPeak:
-    """Error whose variance makes the residuals most likely, for one correlation length.
+    """Error with the variance that makes the residuals most likely, for one correlation length.
 
     With the prior ``v C = v A A^T`` and ``A^T N A = Q L Q^T``, ``h = Q^T A^T g``: twice the logarithm of the
     likelihood is ``sum h^2 v/(1 + v L) - ln(1 + v L)``.
@@ -325,8 +324,8 @@ def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _Likeliho
     root = directions[:, kept] * np.sqrt(variance[kept])
     size, turned = np.linalg.eigh(root.T @ information @ root)
     basis = root @ turned
-    # what is not seen has no information but that of rounding
-    visible = size > _VISIBLE * size[-1]
+    # components below this have no information except by rounding errors
+    visible = size > _SMALLEST_INFORMATION * size[-1]
     size = np.where(visible, size, 0.0)
     seen = np.where(visible, basis.T @ score, 0.0)
 
@@ -334,7 +333,7 @@ def _likeliest(length: float, prior: Floats, sums: NormalEquations) -> _Likeliho
         v = math.exp(log_v)
         return float(np.sum(seen**2 * v / (1.0 + v * size) - np.log1p(v * size)))
 
-    # from a thousandth of what one cycle shows to far beyond any
+    # variances from far below what all cycles could show to far above any real one
     middle = -math.log(float(size.max()))
     tried = middle + np.arange(-5.0, 30.0, 0.25)
     log_v = float(tried[np.argmax([gain(one) for one in tried.tolist()])])

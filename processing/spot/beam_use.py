@@ -1,4 +1,4 @@
-"""Which model of the beam a run used, how many spots have which flag, and light that stays where it is."""
+"""Model of the beam in a run, counts of the spots' flags, light that does not move, shape of the beam."""
 
 import math
 from collections.abc import Sequence
@@ -12,35 +12,36 @@ from processing.arrays import Flags, Floats, Ints
 from processing.spot.fit_values import Image, Spot, SpotFlag
 from processing.spot.model_choice import LONGEST_CHOICE_FRAMES, SpotModel
 
-_ANOTHER_FRAMES = 64
-"""Fewer frames in a row with another model are frames that the chosen one missed: a choice takes longer."""
+_NEW_CHOICE_FRAMES = 64
+"""Fewest frames in a row with another model that count as a new choice: fewer are frames without the chosen
+one, since a choice takes longer."""
 
 _FLAGS, _MODELS = tuple(SpotFlag), tuple(SpotModel)
 _BITS = np.array(_FLAGS, dtype=np.int64)
 
 
 class BeamUse:
-    """Counts the spots of a run as they pass, some frames at a time.
+    """Counts of the spots of a run by model and flag, added some frames at a time.
 
-    The spots before the first choice of a learned profile fit badly because it is not there yet: they are
-    counted with their flags, but not judged.
+    Spots before the first learned profile fit poorly because it is not learned yet: they are counted with
+    their flags, but not among the judged ones.
 
     Attributes
     ----------
     frames
-        How many have passed.
+        Number of frames so far.
     flags
         Number of spots with each flag.
     model, since_frame
         The model in use, and the number of the first frame fitted with it; None and -1 without a spot.
     changes
-        How many times the beam got another model after its first choice.
+        Number of times the beam got another model after its first choice.
     choosing_frames
-        Spots before a profile was learned for the first time; 0 if none was.
+        Number of spots before a profile was learned for the first time; 0 if none was.
     judged_frames, poor_frames
-        Spots since then, and how many of them have the flag POOR_FIT.
+        Number of spots since then, and of those among them with the flag POOR_FIT.
     poor_with
-        How many of the latter also have each other flag.
+        Number of spots with POOR_FIT that also have each other flag.
     """
 
     def __init__(self) -> None:
@@ -61,11 +62,11 @@ class BeamUse:
 
     @property
     def text(self) -> str:
-        """`learned profile since frame 147`, or that there is no spot."""
+        """Model in use and its first frame, as in `learned profile since frame 147`, or `no spot`."""
         return "no spot" if self.model is None else f"{self.model} since frame {self.since_frame}"
 
     def take(self, sequences: ArrayLike, flags: ArrayLike) -> None:
-        """Numbers and flags of the next frames, arrays of one length."""
+        """Add the numbers and flags of the next frames, arrays of one length."""
         numbers, marks = np.asarray(sequences, dtype=np.int64), np.asarray(flags, dtype=np.int64)
         self.frames += len(marks)
         _count(self.flags, marks)
@@ -77,7 +78,7 @@ class BeamUse:
             self._stretch(_MODELS[models[start]], int(numbers[start]), marks[start : start + count])
 
     def _stretch(self, model: SpotModel, number: int, marks: Ints) -> None:
-        """Some spots in a row that were fitted with the same model."""
+        """Add spots in a row that were fitted with the same model, from frame `number` on."""
         first_learned = model is SpotModel.LEARNED and not self._learned
         if first_learned:
             self._learned = True
@@ -94,7 +95,7 @@ class BeamUse:
             if model is not self._other or not self._others:
                 self._other, self._other_since, self._others = model, number, 0
             self._others += len(marks)
-            if first_learned or self._others >= _ANOTHER_FRAMES:
+            if first_learned or self._others >= _NEW_CHOICE_FRAMES:
                 self.model, self.since_frame, self._others = model, self._other_since, 0
                 self.changes += self._found > LONGEST_CHOICE_FRAMES
         self._found += len(marks)
@@ -107,7 +108,7 @@ class BeamUse:
 
 
 def _count(flags: dict[SpotFlag, int], marks: Ints) -> None:
-    """Add how many of the spots have each flag."""
+    """Add the number of spots with each flag to `flags`."""
     if len(marks):
         found = np.count_nonzero(marks[:, None] & _BITS, axis=0)
         for flag, count in zip(_FLAGS, found.tolist(), strict=True):
@@ -115,65 +116,66 @@ def _count(flags: dict[SpotFlag, int], marks: Ints) -> None:
 
 
 _AWAY_SIGMAS = 4.5
-"""From the spot: of its own light 4e-5 is left there."""
-_FEWEST = 4
-"""Pictures, without the spot near a pixel, from which on it is known what is there otherwise."""
-_CLEAR = 5.0
-"""Shift, in standard uncertainties that the pictures leave, from which on it is none by chance."""
-_WORTH = 1.0
-"""Shift, in standard uncertainties of a position, from which on it matters."""
+"""Distance from the spot beyond which its own light is below 4e-5 of the peak."""
+_FEWEST_PICTURES = 4
+"""Fewest pictures with the spot away from a pixel, from which the other light of the pixel is known."""
+_CHANCE_U = 5.0
+"""Smallest shift, in standard uncertainties of the mean of the pictures, that is not by chance."""
+_SHIFT_U = 1.0
+"""Smallest shift, in standard uncertainties of a position, that matters."""
 _REACH_SIGMAS = 5.5
-"""From the spot's middle, within which light pulls its fit: its window, and half a pixel of its own."""
-_LIT = 6.0
-"""Standard deviations of the mean picture, from which on a pixel is lit."""
+"""Distance from the spot's centre within which light shifts its fit: the window and the light's width."""
+_LIT_SIGMAS = 6.0
+"""Standard deviations of the mean picture above which a pixel is lit."""
 _MAD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
 class FixedLight:
-    """`light_dn` (ny, nx) is what stays, above its median; 0 where the spot always was.
-
-    The brightest of it near the spot's way is at (`x_px`, `y_px`), `part` of the spot's own height.
-    `shift_px` is the largest shift of the spot that follows, `in_u` the same in uncertainties of a position.
-    `sigma_px` is that of the spot.
-    """
+    """Light that does not move with the spot: a reflection, a lamp."""
 
     light_dn: Floats
+    """(ny, nx) the light, above its median; 0 where the spot always was."""
     sigma_px: float
+    """Standard deviation of the spot."""
     x_px: int
     y_px: int
-    part: float
+    """Place of the brightest fixed light near the path of the spot."""
+    relative_height: float
+    """Light at that place, relative to the spot's amplitude."""
     shift_px: float
-    in_u: float
+    """Largest shift of a position by the light."""
+    shift_in_u: float
+    """Largest shift, in standard uncertainties of a position."""
 
     @property
     def text(self) -> str:
-        """What it is, where, and what it does."""
+        """Sentence part with the kind of the light, its place and its effect."""
         return (
-            f"light that stays where it is, {100 * self.part:.2g} % of the spot at x {self.x_px}, "
+            f"light that stays where it is, {100 * self.relative_height:.2g} % of the spot at x {self.x_px}, "
             f"y {self.y_px} px (a reflection, a lamp): shifts the spot by up to {self.shift_px:.2g} px, "
-            f"{self.in_u:.2g} times the uncertainty of a position"
+            f"{self.shift_in_u:.2g} times the uncertainty of a position"
         )
 
     @cached_property
     def lit(self) -> Flags:
-        """Pixels (ny, nx) that it lights beyond doubt."""
+        """Pixels (ny, nx) that are significantly lit."""
         from scipy.ndimage import gaussian_filter
 
-        # a third of the spot's size, over which nothing of it varies much
+        # a third of the spot's size, over which the light of optics varies little
         smooth = gaussian_filter(self.light_dn, self.sigma_px / 3.0)
         seen = smooth[self.light_dn != 0.0]
-        return np.asarray(smooth > _LIT * _MAD * float(np.median(np.abs(seen - np.median(seen)))))
+        return np.asarray(smooth > _LIT_SIGMAS * _MAD * float(np.median(np.abs(seen - np.median(seen)))))
 
     @cached_property
-    def taken_off_dn(self) -> Floats:
-        """What is taken off pictures (ny, nx): light where it is lit and around it, no noise elsewhere."""
+    def subtracted_dn(self) -> Floats:
+        """Light (ny, nx) to subtract from pictures: at and around lit pixels, without the noise elsewhere."""
         from scipy.ndimage import binary_dilation
 
         return np.where(binary_dilation(self.lit, iterations=round(self.sigma_px) or 1), self.light_dn, 0.0)
 
-    def pulls(self, x_px: Floats, y_px: Floats) -> Flags:
-        """Whether spots at these places (n,) have some of it among the pixels that are fitted."""
+    def affects(self, x_px: Floats, y_px: Floats) -> Flags:
+        """Whether the fits of spots at these places (n,) include lit pixels."""
         from scipy.ndimage import distance_transform_edt
 
         near = distance_transform_edt(~self.lit) <= _REACH_SIGMAS * self.sigma_px
@@ -183,9 +185,9 @@ class FixedLight:
 
 
 def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
-    """What stays in pictures of a spot that moves; None where nothing does, or nothing that matters."""
+    """Light that does not move in pictures of a moving spot; None if its shifts do not matter."""
     pairs = [(image, spot) for image, spot in pictures if not spot.flags & SpotFlag.LOST]
-    if len(pairs) < 2 * _FEWEST:
+    if len(pairs) < 2 * _FEWEST_PICTURES:
         return None
     found = [spot for _, spot in pairs]
     sigma = float(np.median([np.sqrt(spot.sigma_x_px * spot.sigma_y_px) for spot in found]))
@@ -199,19 +201,19 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
         total[box] -= np.where(by_spot, image[box], 0.0)
         count += 1.0
         count[box] -= by_spot
-    known = count >= _FEWEST
+    known = count >= _FEWEST_PICTURES
     if not known.any():
         return None
     mean = total / np.maximum(count, 1.0)
     light = np.where(known, mean - np.median(mean[known]), 0.0)
     shifts = np.array([_shift(light, spot, sigma, height) for spot in found])
     shift_px = float(np.abs(shifts).max())
-    if shift_px < max(_WORTH * u_px, _CLEAR * u_px / np.sqrt(float(np.median(count[known])))):
+    if shift_px < max(_SHIFT_U * u_px, _CHANCE_U * u_px / np.sqrt(float(np.median(count[known])))):
         return None
-    # here, because it would slow down fits of records without any
+    # imported here, because it would slow down fits of records without fixed light
     from scipy.ndimage import gaussian_filter
 
-    # of light as wide as the spot half the height is left
+    # smoothing by its own width leaves half the height of a spot
     smooth = 2.0 * gaussian_filter(light, sigma)
     near = np.zeros(shape, dtype=np.bool_)
     for spot in found:
@@ -222,7 +224,7 @@ def fixed_light(pictures: Sequence[tuple[Image, Spot]]) -> FixedLight | None:
 
 
 def _around(shape: tuple[int, ...], spot: Spot, reach_px: float) -> tuple[tuple[slice, slice], Flags]:
-    """The part of a picture that has all pixels within a distance of a spot, and which of it are."""
+    """Box of a picture around all pixels within a distance of a spot, and which of its pixels these are."""
     rows, columns = (
         slice(max(math.floor(at - reach_px), 0), max(math.ceil(at + reach_px) + 1, 0))
         for at in (spot.y_px, spot.x_px)
@@ -232,7 +234,7 @@ def _around(shape: tuple[int, ...], spot: Spot, reach_px: float) -> tuple[tuple[
 
 
 def _shift(light: Floats, spot: Spot, sigma: float, height: float) -> float:
-    """By how much, in px, light beside a Gaussian pulls its fit: the part of it along the derivative."""
+    """Shift in px of a Gaussian's fit by other light: the projection of the light on the derivative."""
     reach = int(5 * sigma) + 1
     x, y = round(spot.x_px), round(spot.y_px)
     rows, columns = slice(max(y - reach, 0), y + reach + 1), slice(max(x - reach, 0), x + reach + 1)
@@ -246,9 +248,9 @@ def _shift(light: Floats, spot: Spot, sigma: float, height: float) -> float:
 _REACH = 5.0
 """Half-width of the picture in standard deviations of the spot."""
 _FINEST = 8.0
-"""Pixels in a standard deviation; where there are twice as many, they are averaged."""
+"""Most pixels per standard deviation of the spot; pictures with twice as many or more are averaged."""
 _SMOOTH = 0.33
-"""Standard deviation of the smoothing, in those of the spot: single pixels and noise are no shape."""
+"""Standard deviation of the smoothing, in those of the spot; it removes single pixels and noise."""
 _DIRECTIONS = 12
 
 Picture = Floats
@@ -256,21 +258,21 @@ Picture = Floats
 
 @dataclass(frozen=True, slots=True)
 class BeamShape:
-    """Numbers of a beam's shape; the comments give those of a Gaussian.
+    """Numbers that describe the shape of a beam.
 
     Attributes
     ----------
     departure
-        Largest difference from the Gaussian that was fitted, smoothed, over its peak: 0.
+        Largest smoothed difference from the fitted Gaussian, relative to its peak; 0 for a Gaussian.
     away_sigmas, away_px
-        Distance of that place from the centre.
+        Distance of that difference from the centre.
     extra_light
-        Whether there is more light than the Gaussian has, not less.
+        Whether the beam has more light there than the Gaussian.
     middle
-        Light at the centre over that of the brightest ring around it: 1. Hollow beams have less.
+        Light at the centre relative to the brightest ring; 1 for a Gaussian, less for a hollow beam.
     lopsided
-        Steepest fall of the light on one side over that on the opposite side, the largest of several
-        directions: 1. What cuts a beam makes one side steep.
+        Ratio of the steepest fall of the light on one side to that on the opposite side, the largest of
+        several directions; 1 for a Gaussian. An obstacle in the beam makes one side steep.
     """
 
     departure: float
@@ -282,9 +284,9 @@ class BeamShape:
 
 
 def beam_shape(images: Sequence[Image], spots: Sequence[Spot], full_scale_dn: float) -> BeamShape | None:
-    """The shape of the beam in some whole frames (ny, nx), averaged; None where no spot was found in any.
+    """Shape of the beam, averaged over whole frames (ny, nx); None if no spot was found in any.
 
-    Frames may differ in place and in fractions of a pixel: the Gaussian is subtracted in each of them.
+    The spots may be at different places and fractions of a pixel: the Gaussian is subtracted in each frame.
     """
     seen = [
         (image, spot) for image, spot in zip(images, spots, strict=True) if not spot.flags & SpotFlag.LOST
@@ -319,7 +321,7 @@ def beam_shape(images: Sequence[Image], spots: Sequence[Spot], full_scale_dn: fl
 def _add(
     image: Image, spot: Spot, full_scale_dn: float, light: Picture, rest: Picture, count: Picture
 ) -> None:
-    """Add what lies around the spot: light over the background, what the Gaussian leaves, pixels."""
+    """Add the pixels around a spot to the sums: light above the background, residuals, number of pixels."""
     half = len(light) // 2
     ny, nx = image.shape
     left, top = round(spot.x_px) - half, round(spot.y_px) - half
@@ -328,7 +330,7 @@ def _add(
     u, v = np.arange(x0, x1) - spot.x_px, (np.arange(y0, y1) - spot.y_px)[:, None]
     c, s = math.cos(spot.rotation_rad), math.sin(spot.rotation_rad)
     square = ((c * u + s * v) / spot.sigma_x_px) ** 2 + ((c * v - s * u) / spot.sigma_y_px) ** 2
-    # integrated over the pixel, to second order, as the fit has it
+    # integrated over the pixel to second order, as in the fit
     narrow = 1.0 / (1.0 + (spot.sigma_x_px**-2 + spot.sigma_y_px**-2) / 24.0)
     gaussian = spot.amplitude_dn * narrow * np.exp(-0.5 * narrow * square)
     over = image[y0:y1, x0:x1] - spot.background_dn
@@ -370,7 +372,7 @@ def _middle(light: Picture) -> float:
 
 
 def _lopsided(light: Picture, smooth: float) -> float:
-    """The largest ratio, over some directions, of the steepest slopes of the light summed across them."""
+    """Largest ratio of rising to falling slope (or the inverse) of the light summed across a direction."""
     half = len(light) // 2
     v, u = np.indices(light.shape) - half
     blur = _blur(4 * half + 2, 0.5 * smooth)
@@ -380,7 +382,7 @@ def _lopsided(light: Picture, smooth: float) -> float:
         place = np.floor(along).astype(np.int64)
         part = along - place
         values = light.ravel()
-        # shared by the two neighbours, so that no direction has full and empty places
+        # each pixel is divided between two bins, so that no direction has full and empty ones
         total = np.bincount(place, values * (1.0 - part), 4 * half + 2)
         total[1:] += np.bincount(place, values * part, 4 * half + 2)[:-1]
         slopes = np.diff(blur @ total)[half : 3 * half + 1]

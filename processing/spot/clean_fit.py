@@ -1,6 +1,6 @@
 """Fast fit of a clean spot by Fisher scoring with `upright_score` or, if it is tilted, `tilted_score`.
 
-It serves nearly every frame of a measurement. A spot that it does not suit is left to `general_fit`.
+This fit serves nearly every frame of a measurement. Any other spot is left to `general_fit`.
 """
 
 import math
@@ -48,7 +48,7 @@ _LARGEST_SCATTER = 1.3
 """Chi-square per pixel above which the spot is not treated as clean and upright."""
 
 _LEFT_OVER = 0.03
-"""Allowed numerical error as a fraction of the standard uncertainty; it adds 0.05 % to the scatter."""
+"""Allowed error of iteration, as a fraction of the standard uncertainty; it adds 0.05 % to the scatter."""
 
 TILT_EVIDENCE = 6.0
 """Significance of the tilt, in standard deviations, above which a spot is not treated as upright."""
@@ -60,9 +60,9 @@ class CleanFit(NamedTuple):
     fitted: Fitted
     tilt: float
     """Significance of a tilt in standard deviations: the gradient by the covariance, divided by the square
-    root of its information (score test); 0 where it was fitted."""
+    root of its information (score test); 0 if the covariance was fitted."""
     far: bool
-    """The start values were too far from the spot: from better ones the same fit may well succeed."""
+    """Whether the start values were too far from the spot: from better ones this fit may succeed."""
 
 
 @kernel
@@ -74,8 +74,8 @@ def _not_done(far: bool) -> CleanFit:
 def moved(image: Image, p: Floats, noise: PixelNoise) -> bool:
     """Whether the light at the expected centre has fallen so far that the spot must be elsewhere.
 
-    It is below three quarters at a distance of 0.8 standard deviations. The general fit from there would take
-    many passes, each of them as long as finding the spot again.
+    At a distance of 0.8 standard deviations it has fallen below three quarters. The general fit from there
+    would take many passes, each of them as long as a new search for the spot.
     """
     ny, nx = image.shape
     x, y = round(p[X]), round(p[Y])
@@ -98,9 +98,8 @@ def fit_clean(
     """Fisher scoring; `work.parameters` holds the start values and is updated in place.
 
     With rough start values (`rough`) the first passes read only some of the rows of an upright spot. With
-    `tilted` the covariance is fitted too. The result has
-    ``done = False`` if the model reaches full scale, too many pixels are outliers, or the fit does not
-    converge; the general fit is needed then.
+    `tilted` the covariance is fitted too. The result has ``done = False`` if the model reaches full scale,
+    too many pixels are outliers, or the fit does not converge; the general fit is needed then.
     """
     ny, nx = image.shape
     p = work.parameters

@@ -1,4 +1,4 @@
-"""What the fitting kernels share: parameters, windows, results, state between frames, small matrices."""
+"""Values that fitting kernels share: parameters, windows, results, state between frames, small matrices."""
 
 import math
 from enum import IntFlag
@@ -50,7 +50,7 @@ class Place(NamedTuple):
 
 
 class HalfPlane(NamedTuple):
-    """Pixels (i, j) with ``along_x i + along_y j > distance``: those that an obstacle hides."""
+    """Half-plane of pixels (i, j) with ``along_x i + along_y j > distance``, which an obstacle hides."""
 
     along_x: float
     along_y: float
@@ -83,8 +83,9 @@ class Fitted(NamedTuple):
     size: int
     """Order of the information matrix: UPRIGHT or PARAMETERS."""
     tilted: bool
+    """Whether the covariance was fitted."""
     two: bool
-    """`tilted`: the covariance was fitted. `two`: a second spot was fitted."""
+    """Whether a second spot was fitted."""
 
 
 WORKSPACE_SHAPE = (1 + 2 * PARAMETERS, PARAMETERS)
@@ -98,7 +99,7 @@ def nothing_hidden() -> HalfPlane:
 
 @kernel
 def workspace_of(array: Floats) -> Workspace:
-    """`Workspace` made of views of an array of WORKSPACE_SHAPE.
+    """`Workspace` of views of an array of WORKSPACE_SHAPE.
 
     Python passes one array because every argument of a compiled function adds to the time of the call.
     """
@@ -107,7 +108,7 @@ def workspace_of(array: Floats) -> Workspace:
 
 @kernel
 def misfit_limit(pixels: float) -> float:
-    """Chi-square per degree of freedom above which so many pixels show that a Gaussian is not all.
+    """Chi-square per degree of freedom of `pixels` pixels above which a beam is not one Gaussian.
 
     Chi-square of n pixels has the standard deviation sqrt(2 n). A further 5 % is allowed for a beam that is
     not exactly Gaussian.
@@ -117,13 +118,13 @@ def misfit_limit(pixels: float) -> float:
 
 @kernel
 def poor_fit_limit(pixels: float) -> float:
-    """Chi-square per degree of freedom above which a model does not fit so many pixels (flag POOR_FIT)."""
+    """Chi-square per degree of freedom of `pixels` pixels above which a fit has the flag POOR_FIT."""
     return 1.3 + 6.0 * math.sqrt(2.0 / max(pixels, 1.0))
 
 
 @kernel
 def as_kind(fitted: Fitted, size: int, tilted: bool, two: bool) -> Fitted:
-    """The same result with `size`, `tilted` and `two` replaced."""
+    """Copy of a result with `size`, `tilted` and `two` replaced."""
     return Fitted(
         fitted.done, fitted.chi2, fitted.pixels, fitted.saturated, fitted.outliers, size, tilted, two
     )
@@ -250,7 +251,7 @@ class SpotFlag(IntFlag):
     """Problems found with a spot, or a model other than one Gaussian, one bit each; 0 if there are none."""
 
     SATURATED = 1
-    """Pixels are at full scale; where the model expects them there, they were left out."""
+    """Pixels are at full scale. Those that the model expects at full scale were left out."""
     EDGE = 2
     """The spot is cut by the edge of the sensor."""
     LOST = 4
@@ -258,28 +259,28 @@ class SpotFlag(IntFlag):
     LOW_SNR = 8
     """The amplitude is less than about five times the noise of one pixel."""
     POOR_FIT = 16
-    """The residuals are larger than the noise: the beam is not what the model says."""
+    """The residuals are larger than the noise: the model does not describe the beam."""
     OUTLIERS = 32
     """Single pixels (hot pixels, cosmic rays) were left out because of their residuals."""
     MULTIPLE = 64
     """A second spot overlaps the first; the brighter one is reported."""
     LEARNED = 128
-    """Fitted with the beam's own profile, learned from frames before, and a background that is a plane."""
+    """The beam's own profile, learned from earlier frames, was fitted, with a plane as the background."""
     CUT = 256
-    """An obstacle hides a part of the spot: what it leaves was fitted."""
+    """An obstacle hides a part of the spot; the rest of it was fitted."""
 
 
 class Spot(NamedTuple):
     """Spot of one frame. The centre of pixel (0, 0) is at (0.0, 0.0); x points right, y down.
 
     `u_x_px` and `u_y_px` are standard uncertainties: square roots of the diagonal of the inverse Fisher
-    information, times sqrt(max(1, chi2_per_dof)). Where the residuals have a shape (a beam that is no
-    Gaussian), their scatter from pixel to pixel stands for chi2_per_dof; where the spot is wider or narrower
-    than it was at first, what that may have done to its place is added.
+    information, multiplied by sqrt(max(1, chi2_per_dof)). If the residuals have a shape (the beam is not
+    Gaussian), the variance of their scatter from pixel to pixel replaces chi2_per_dof. If the width of the
+    spot has changed, the shift that the cause of the change may have made is added.
 
     `sigma_x_px` is the standard deviation of the light along the principal axis at the angle `rotation_rad`
-    from x towards y, `sigma_y_px` that along the other; with the flag LEARNED they are those of the Gaussian
-    that fits the beam best. If the spot is lost, every field but `flags` is NaN.
+    from x towards y, `sigma_y_px` that along the other axis; with the flag LEARNED they are those of the
+    Gaussian that fits the beam best. `flags` is a `SpotFlag`. If the spot is lost, every other field is NaN.
     """
 
     x_px: float

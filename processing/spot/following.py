@@ -1,7 +1,7 @@
 """Fit of the spot in a frame, started from the position expected from the previous frames, or from a search.
 
 The fit of a clean spot is tried first because it is the fastest; the general fit (second spot, saturation) is
-used where the spot needs it. One kernel has both, so that they are compiled once for each type of pixel.
+used if the spot needs it. One kernel contains both, so that they are compiled once for each type of pixel.
 """
 
 import math
@@ -38,8 +38,8 @@ from processing.spot.sensor_model import PixelNoise, pixel_noise_of
 SEARCH = -1
 """Returned in place of the flags if the spot was not found where the fit began."""
 EXPECTED, NEAR, ROUGH = range(3)
-"""Where a fit begins: at the spot expected from the previous frames, or at start values of a search, good
-enough for the fit of a clean spot or not."""
+"""Start values of a fit: the spot expected from the previous frames (EXPECTED), or values from a search that
+are good enough for the fit of a clean spot (NEAR) or not (ROUGH)."""
 _SMALLEST_SPOT_PX = 0.7
 """A smaller fitted sigma means a cluster of hot pixels and not a spot."""
 
@@ -66,7 +66,7 @@ def follow(
     origin_x, origin_y, sensor_nx, sensor_ny
         Fields of `Place`.
     memory
-        The tracker's state (see `memory`); updated.
+        State of the tracker, with the indices of `fit_values` from `FOLLOWS` on; updated.
     work_array
         Working memory of shape WORKSPACE_SHAPE, which holds the start values of a search.
     tables : (TABLE_ROWS, LARGEST_TABLE)
@@ -74,14 +74,13 @@ def follow(
     noise_values
         Fields of `PixelNoise`.
     start
-        EXPECTED, NEAR or ROUGH. Only a fit that begins at ROUGH values takes any spot: tilted, saturated,
-        irregular.
+        EXPECTED, NEAR or ROUGH. Of NEAR and ROUGH only ROUGH accepts a tilted, saturated or irregular spot.
 
     Returns
     -------
     Result
-        Fields of a `Spot`. If the spot is not there, the flags are `SEARCH`, every other field is NaN and it
-        has to be searched for elsewhere.
+        Fields of a `Spot`. If the spot is not there, the flags are `SEARCH`, every other field is NaN and the
+        caller has to search elsewhere.
     """
     place = Place(origin_x, origin_y, sensor_nx, sensor_ny)
     work = workspace_of(work_array)
@@ -128,8 +127,8 @@ def follow(
 def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fitted: Fitted) -> bool:
     """Whether the fitted spot resembles that of the previous frame; if not, the whole frame is searched.
 
-    Size within a factor of two, amplitude above 5 % of the previous one, and significant against the noise.
-    Otherwise the fit may have followed a reflection or a hot pixel instead of the laser spot.
+    The size must agree within a factor of two, and the amplitude must exceed 5 % of the previous one and be
+    significant. Otherwise the fit may have followed a reflection or a hot pixel instead of the laser spot.
     """
     ratio_x = p[SIGMA_X] / memory[LAST + SIGMA_X]
     ratio_y = p[SIGMA_Y] / memory[LAST + SIGMA_Y]
@@ -143,7 +142,7 @@ def _plausible(p: Floats, memory: Floats, noise: PixelNoise, fitted: Fitted) -> 
 
 @kernel
 def _fit_any(image: Image, work: Workspace, noise: PixelNoise) -> Fitted:
-    """General fit of a single spot; as upright unless its tilt is significant (five standard deviations).
+    """General fit of a single spot, upright unless its tilt is significant (five standard deviations).
 
     The result has ``done = False`` also for a spot that is too small or not significant.
     """

@@ -1,6 +1,6 @@
 """Maximum-likelihood fit of any spot: tilted, saturated, with outliers, or with a second spot.
 
-It works in double precision and is slower than the fit of `clean_fit`.
+This fit works in double precision and is slower than that of `clean_fit`.
 
 The expected value of a pixel at distance (u, v) from the centre of a spot with covariance matrix C is, with
 P = C^-1, background B and amplitude A,
@@ -62,7 +62,7 @@ _FAR = 2.0 * 20.7
 
 @kernel
 def inverse_covariance(p: Floats) -> tuple[float, float, float]:
-    """Elements xx, yy and xy of P = C^-1, in px^-2."""
+    """Elements xx, yy and xy of the inverse covariance matrix P = C^-1, px^-2."""
     xx, yy = p[SIGMA_X] * p[SIGMA_X], p[SIGMA_Y] * p[SIGMA_Y]
     determinant = xx * p[SIGMA_Y] * p[SIGMA_Y] - p[COVARIANCE] * p[COVARIANCE]
     return yy / determinant, xx / determinant, -p[COVARIANCE] / determinant
@@ -85,7 +85,7 @@ def _add_pixel(
 
 @kernel
 def _light_at(u: float, v: float, pxx: float, pyy: float, pxy: float) -> tuple[float, float, float]:
-    """f, q_x and q_y at a distance (u, v) from the centre."""
+    """Light f of unit amplitude, q_x and q_y at a distance (u, v) from the centre."""
     qx = pxx * u + pxy * v
     qy = pxy * u + pyy * v
     exponent = u * qx + v * qy
@@ -130,7 +130,7 @@ def score_general(
     gate
         Limit of the squared residual, in variances.
     hidden
-        Pixels that are passed over, and counted nowhere.
+        Pixels that are ignored, and not counted either.
     gradient, matrix : (PARAMETERS,), (PARAMETERS, PARAMETERS)
         Overwritten with the gradient and the information matrix. A parameter that is not fitted has the
         gradient 0 and the row and column of a unit matrix.
@@ -244,10 +244,9 @@ def fit_general(
     residuals of poor start values are not taken for outliers, and it stays wide where the beam is not
     Gaussian, in proportion to the misfit.
 
-    `reach` is the half-width of the window in standard deviations of the spot; pixels that are `hidden` are
-    passed over. The result has
-    ``done = False`` if there is no convergence, too few pixels are left, or the parameters leave their
-    physical range.
+    `reach` is the half-width of the window in standard deviations of the spot; `hidden` pixels are ignored.
+    The result has ``done = False`` if there is no convergence, too few pixels are left, or the parameters
+    leave their physical range.
     """
     ny, nx = image.shape
     p = work.parameters

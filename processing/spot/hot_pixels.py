@@ -1,4 +1,4 @@
-"""The hot pixels of a sensor: the map of its calibration, left out of searches and fits."""
+"""Hot pixels of a sensor, from the map of its calibration, and how searches and fits leave them out."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -31,18 +31,18 @@ from processing.spot.following import SEARCH
 from processing.spot.outcome import FLAGS, Result
 
 _MARGIN_PX = 2
-"""Beyond the window of the fit: no more than what a record keeps, so that a replay fits the same pixels."""
-_ROUNDS = 5
+"""Margin beyond the fit's window, smaller than that of a record, so that a replay fits the same pixels."""
+_MOST_FITS = 5
 _NEIGHBOURS = tuple((dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dx or dy)
 
 Follow = Callable[[Image, Place], Result]
 
 
 class HotPixels:
-    """Pixels (x, y) of the sensor whose values say nothing of the light.
+    """Pixels (x, y) of the sensor whose values do not depend on the light.
 
-    A fit that leaves out a pixel is the one for which the pixel has the value that the fit expects there: it
-    is found by filling in what is expected and fitting again until the value stays.
+    A fit without a pixel equals the fit in which the pixel has the value that this fit expects there. It is
+    found by filling in the expected value and fitting again until the value does not change.
     """
 
     def __init__(self, places: Sequence[tuple[int, int]]) -> None:
@@ -50,8 +50,8 @@ class HotPixels:
         self._y = np.array([y for y, _ in at], dtype=np.int64)
         self._x = np.array([x for _, x in at], dtype=np.int64)
 
-    def within(self, x0: int, y0: int, x1: int, y1: int) -> tuple[Ints, Ints] | None:
-        """Rows and columns, counted from (x0, y0), of those in x0 <= x < x1, y0 <= y < y1, if any."""
+    def in_window(self, x0: int, y0: int, x1: int, y1: int) -> tuple[Ints, Ints] | None:
+        """Rows and columns, from (x0, y0), of those in x0 <= x < x1, y0 <= y < y1; None if there are none."""
         first, last = np.searchsorted(self._y, (y0, y1))
         columns = self._x[first:last] - x0
         inside = (columns >= 0) & (columns < x1 - x0)
@@ -60,7 +60,7 @@ class HotPixels:
     def smoothed(self, image: Image, origin_px: tuple[int, int]) -> Image:
         """The image, hot pixels replaced by the mean of their neighbours: for searches and samples."""
         (ny, nx), (x0, y0) = image.shape, origin_px
-        hot = self.within(x0, y0, x0 + nx, y0 + ny)
+        hot = self.in_window(x0, y0, x0 + nx, y0 + ny)
         if hot is None:
             return image
         rows, columns = hot
@@ -73,13 +73,13 @@ class HotPixels:
             total[good] += image[row[good], column[good]]
             count += good
         filled: Image = image.copy()
-        # in the midst of a cluster nothing is known: the least value is the background
+        # a pixel within a cluster has no good neighbours: the smallest value stands for the background
         dark = float(image.min())
         filled[hot] = np.rint(np.where(count > 0, total / np.maximum(count, 1.0), dark)).astype(image.dtype)
         return filled
 
     def follow(self, image: Image, place: Place, memory: Floats, follow: Follow) -> Result:
-        """Result of `follow`, which fits the spot in an image near its last place, without hot pixels."""
+        """Result of the fit `follow` of the spot near its last place, without hot pixels."""
         spot = memory[LAST : LAST + PARAMETERS].copy()
         spot[[X, SECOND_X]] += memory[STEP_X]
         spot[[Y, SECOND_Y]] += memory[STEP_Y]
@@ -88,13 +88,13 @@ class HotPixels:
         left, top = max(x - reach_x, 0), max(y - reach_y, 0)
         right, bottom = min(x + reach_x + 1, image.shape[1]), min(y + reach_y + 1, image.shape[0])
         x0, y0 = place.origin_x + left, place.origin_y + top
-        hot = self.within(x0, y0, place.origin_x + right, place.origin_y + bottom)
+        hot = self.in_window(x0, y0, place.origin_x + right, place.origin_y + bottom)
         if hot is None:
             return follow(image, place)
         cut = image[top:bottom, left:right].copy()
         before = memory.copy()
-        light = partial(_light, two=bool(before[TWO]), rows=hot[0] + y0, columns=hot[1] + x0)
-        for _ in range(_ROUNDS):
+        light = partial(_expected_dn, two=bool(before[TWO]), rows=hot[0] + y0, columns=hot[1] + x0)
+        for _ in range(_MOST_FITS):
             memory[:] = before
             expected = np.rint(light(spot))
             cut[hot] = np.clip(expected, 0, np.iinfo(cut.dtype).max)
@@ -105,8 +105,8 @@ class HotPixels:
         return result
 
 
-def _light(p: Floats, *, two: bool, rows: Ints, columns: Ints) -> Floats:
-    """What is expected, in DN, at places on the sensor."""
+def _expected_dn(p: Floats, *, two: bool, rows: Ints, columns: Ints) -> Floats:
+    """Expected values in DN at places on the sensor, of one spot or two."""
     determinant = (p[SIGMA_X] * p[SIGMA_Y]) ** 2 - p[COVARIANCE] ** 2
     xx, yy, xy = p[SIGMA_Y] ** 2 / determinant, p[SIGMA_X] ** 2 / determinant, -p[COVARIANCE] / determinant
     total = np.full(len(rows), p[BACKGROUND])

@@ -1,13 +1,13 @@
-"""A spot that an obstacle cuts: where its edge lies, and the fit of the light that is left.
+"""Spot cut by an obstacle: search for the obstacle's edge, and fit of the light that is left.
 
-Light that is missing on one side shifts a fit that expects it, by far more than the residuals tell: the fit
-becomes narrower, or takes what it cannot explain for outliers. But the edge of an obstacle is a step of the
-residuals along a line, from the light to darkness, steeper and straighter than anything in a beam. Without
-the pixels behind that line the fit is unbiased again, and its information says how well the rest tells the
-place. A spot of which too little is left for that is lost.
+Light that is missing on one side shifts a fit that expects it, by far more than the residuals suggest: the
+fit becomes narrower, or treats as outliers what it cannot explain. But the edge of an obstacle is a step of
+the residuals along a line, from light to darkness, steeper and straighter than any structure of a beam.
+Without the pixels behind that line the fit is unbiased again, and its information gives the uncertainty from
+the rest of the light. If too little is left for a fit, the spot is lost.
 
-The gradient of the residuals, by central differences, is summed with its sixth power as the weight: the
-slopes of a beam that is no Gaussian surround it on all sides and cancel, those of a step do not.
+The gradients of the residuals, by central differences, are summed with their sixth power as the weight: the
+slopes of a beam that is not Gaussian surround it on all sides and cancel, those of a step do not.
 """
 
 import math
@@ -40,43 +40,46 @@ from processing.spot.general_fit import fit_general, inverse_covariance, window_
 from processing.spot.sensor_model import PixelNoise, background_variance
 
 WHOLE, CUT, HIDDEN = range(3)
-"""No obstacle; cut, and fitted to what is left; cut, and too little is left."""
+"""State of a spot: without obstacle; cut, with a fit of the rest; cut, with too little left."""
 
 FEWEST_OUTLIERS = 6
-"""Fewer outliers are hot pixels: an edge that costs light leaves more."""
+"""Fewest outliers that suggest an edge; fewer are hot pixels."""
 _MARGIN_PX = 2
-"""Beyond the window of the fit."""
+"""Pixels beyond the window of the fit in which the edge is searched for."""
 _CLEAR = 12.0
-"""Squared gradient over the variance of a pixel, below which it may be noise."""
+"""Squared gradient, relative to the variance of a pixel, below which it may be noise."""
 _ONE_WAY = 0.6
-"""Mean direction of the gradients (1: all alike), above which they belong to one edge."""
+"""Length of the mean unit vector of the gradients (1: all parallel) above which they belong to one edge."""
 _ALONG = 0.8
-"""Cosine of the angle to that direction up to which a gradient belongs to the edge."""
+"""Cosine of the angle to the mean direction above which a gradient belongs to the edge."""
 _STRAIGHT_PX = 1.2
 """Largest scatter of the edge's pixels about a line."""
 _FEWEST = 3.0
-"""Fewest pixels, by their weights, that are an edge and no hot pixel."""
+"""Smallest effective number of pixels, by their weights, of an edge; fewer are a hot pixel."""
 _NEAR_PX = 3.0
+"""Largest distance from the line of a pixel of the edge."""
 _BEFORE_PX = 1.0
-"""Pixels so far before the line are left out, too: the obstacle may cover a part of them."""
+"""Distance before the line within which pixels are left out, too: the obstacle may cover a part of them."""
 _BEHIND_PX = 8.0
-"""Darkness is looked for so far behind an edge."""
+"""Distance behind an edge within which it must be dark."""
 _DARK = 0.2
-"""Part of the step that may be seen behind it, in some of its pixels (`_LIT`)."""
+"""Light behind an edge, relative to the step, above which a pixel is lit."""
 _LIT = 0.02
+"""Largest fraction of lit pixels behind an edge."""
 _MISSING = 8.0
-"""Significance of the light that is missing."""
+"""Smallest significance of the light that is missing."""
 _TALL = 0.25
-"""Step, over the brightest light, that no beam of its own has along a line into darkness."""
+"""Step, relative to the brightest light, above which it is not a structure of the beam itself."""
 _EXPLAINS = 0.5
-"""Part of chi-square left without what an obstacle hides; of a beam that is no Gaussian it is more."""
+"""Largest fraction of chi-square that remains without the hidden pixels if there is an obstacle; in a beam
+that is not Gaussian more remains."""
 _TOLD = 0.1
-"""Largest standard uncertainty, over sigma, of a place that the rest of the light tells."""
+"""Largest standard uncertainty, relative to sigma, of a position from the rest of the light."""
 
 
 @kernel
 def _left_by(image: Image, window: Window, p: Floats, amplitude: float) -> Floats:
-    """Image minus background and a spot of this amplitude, DN, in a window."""
+    """Image minus background and a Gaussian of `amplitude`, DN, in a window."""
     pxx, pyy, pxy = inverse_covariance(p)
     found = np.empty((window.y1 - window.y0, window.x1 - window.x0))
     for j in range(window.y0, window.y1):
@@ -92,10 +95,10 @@ def _left_by(image: Image, window: Window, p: Floats, amplitude: float) -> Float
 
 @kernel
 def edge_of(image: Image, p: Floats, amplitude: float, noise: PixelNoise) -> tuple[HalfPlane, float]:
-    """The half-plane behind the edge of an obstacle, and the step there over the brightest light.
+    """Half-plane behind the edge of an obstacle, and the step there relative to the brightest light.
 
-    Without an edge it is a half-plane without pixels. `p` is a fit of the whole spot; with an `amplitude` of
-    0 it is the light that is looked at, not what the fit leaves of it.
+    Without an edge the half-plane has no pixels and the step is 0. `p` is a fit of the whole spot; with an
+    `amplitude` of 0 the edge is searched for in the light itself instead of the residuals.
     """
     ny, nx = image.shape
     inner = window_of(p, nx, ny, REACH)
@@ -129,7 +132,7 @@ def edge_of(image: Image, p: Floats, amplitude: float, noise: PixelNoise) -> tup
     along_x /= length
     along_y /= length
     at = 0.0
-    # without the pixels that point elsewhere, then with those near the line alone
+    # without the pixels whose gradient has another direction, and from the second pass on only near the line
     for count in range(3):
         mass = moment = second = squares = 0.0
         for j in range(1, rows - 1):
@@ -161,7 +164,7 @@ def edge_of(image: Image, p: Floats, amplitude: float, noise: PixelNoise) -> tup
 
 @kernel
 def _step_into_dark(image: Image, window: Window, edge: HalfPlane, background: float, floor: float) -> float:
-    """Light before an edge over the brightest; 0 if some pixels behind are as bright as a part of it."""
+    """Light before an edge relative to the brightest; 0 if more than `_LIT` of the pixels behind are lit."""
     step = brightest = 0.0
     for j in range(window.y0, window.y1):
         for i in range(window.x0, window.x1):
@@ -182,7 +185,7 @@ def _step_into_dark(image: Image, window: Window, edge: HalfPlane, background: f
 
 @kernel
 def _missing(image: Image, p: Floats, edge: HalfPlane, noise: PixelNoise) -> float:
-    """Significance of the light that a fit expects behind an edge and that is not there."""
+    """Significance of the light that a fit expects behind an edge and that is missing there."""
     ny, nx = image.shape
     window = window_of(p, nx, ny, REACH)
     pxx, pyy, pxy = inverse_covariance(p)
@@ -201,14 +204,14 @@ def _missing(image: Image, p: Floats, edge: HalfPlane, noise: PixelNoise) -> flo
 
 @kernel
 def fit_uncovered(image: Image, work: Workspace, noise: PixelNoise, whole: Fitted) -> tuple[int, Fitted]:
-    """Fit again what an obstacle leaves of a spot; `work` holds the fit of the whole one.
+    """Fit the rest of a spot that an obstacle cuts; `work` holds the fit of the whole one.
 
-    Returns WHOLE and the fit as it was, CUT and the new one, or HIDDEN. Only for CUT is `work` changed.
+    Returns the state and a fit: WHOLE or HIDDEN and `whole`, or CUT and the new fit, which is in `work` then.
     """
     p = work.parameters
     edge, step = edge_of(image, p, p[AMPLITUDE], noise)
     if step == 0.0:
-        # a fit to a small rest of the spot leaves more beside the light than at the edge
+        # a fit to a small rest of the spot has larger residuals beside the light than at the edge
         edge, step = edge_of(image, p, 0.0, noise)
     if step == 0.0:
         return WHOLE, whole
@@ -218,7 +221,7 @@ def fit_uncovered(image: Image, work: Workspace, noise: PixelNoise, whole: Fitte
     rest = fit_general(
         image, Workspace(trial, information, factor), whole.tilted, False, noise, REACH, before
     )
-    # a small step beside a beam that is no Gaussian is its own
+    # a small step may be a structure of a beam that is not Gaussian
     otherwise = HIDDEN if step > _TALL else WHOLE
     if not rest.done:
         return otherwise, whole
@@ -228,7 +231,7 @@ def fit_uncovered(image: Image, work: Workspace, noise: PixelNoise, whole: Fitte
     if not fits and rest.chi2 * whole.pixels > _EXPLAINS * whole.chi2 * rest.pixels:
         return WHOLE, whole
     if _missing(image, trial, edge, noise) < _MISSING:
-        # nothing is missing: a step that belongs to the light itself
+        # no light is missing: the step is a structure of the beam
         return WHOLE, whole
     sigma = min(trial[SIGMA_X], trial[SIGMA_Y])
     u_px = math.sqrt(max(inverse_diagonal(factor, PARAMETERS, X), inverse_diagonal(factor, PARAMETERS, Y)))

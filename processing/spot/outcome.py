@@ -1,4 +1,4 @@
-"""From a converged fit to the reported spot: test for a second spot, flags, standard uncertainties."""
+"""Steps from a converged fit to the reported spot: test for a second spot, flags, standard uncertainties."""
 
 import math
 from typing import Final
@@ -45,7 +45,7 @@ from processing.spot.sensor_model import PixelNoise, background_variance
 Result = tuple[float, float, float, float, float, float, float, float, float, float, int]
 """Fields of a `Spot` in order. It is a plain tuple because numba returns that faster than a NamedTuple."""
 FLAGS: Final = -1
-"""The last of them."""
+"""Index of the flags in a `Result`."""
 
 # numba does not support IntFlag
 _SATURATED = SpotFlag.SATURATED.value
@@ -60,7 +60,7 @@ _CUT = SpotFlag.CUT.value
 
 @kernel
 def without_spot(flags: int) -> Result:
-    """Result with these flags, and NaN for every other field."""
+    """Result with `flags`, and NaN for every other field."""
     nan = math.nan
     return nan, nan, nan, nan, nan, nan, nan, nan, nan, nan, flags
 
@@ -97,8 +97,8 @@ def finish(
 ) -> Result:
     """Store the spot in `memory` and return its fields.
 
-    After a search a second spot is fitted if the residuals indicate one. Frames that follow keep what the
-    search has chosen: a choice in every frame would follow the noise, and the position with it.
+    After a search a second spot is fitted if the residuals indicate one. Later frames use the same number of
+    spots: if it were chosen in every frame, it would change with the noise, and the position with it.
     """
     p = work.parameters
     limit = misfit_limit(fitted.pixels) * max(fitted.pixels - UPRIGHT, 1)
@@ -161,7 +161,7 @@ def _clipped(image: Image, p: Floats, noise: PixelNoise) -> bool:
 def _report(
     image: Image, place: Place, work: Workspace, noise: PixelNoise, fitted: Fitted, flags: int
 ) -> Result:
-    """Fields of the `Spot`: position on the sensor, uncertainties, principal axes, and `flags` and more."""
+    """Fields of the `Spot`: position on the sensor, uncertainties, principal axes; flags added to `flags`."""
     p = work.parameters
     x = p[X] + place.origin_x
     y = p[Y] + place.origin_y
@@ -175,7 +175,7 @@ def _report(
     inflate = math.sqrt(max(1.0, excess))
     u_x = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, X))
     u_y = inflate * math.sqrt(inverse_diagonal(work.factor, fitted.size, Y))
-    # of a beam that is not Gaussian the model may reach full scale where no pixel does
+    # the model of a beam that is not Gaussian may reach full scale where no pixel does
     if fitted.saturated > 0 and _clipped(image, p, noise):
         flags |= _SATURATED
     if (
@@ -203,9 +203,9 @@ def _report(
 
 @kernel
 def principal_axes(xx: float, yy: float, xy: float) -> tuple[float, float, float]:
-    """Standard deviations along the axes of a covariance matrix, and the first one's angle from x towards y.
+    """Standard deviations along the principal axes of a covariance matrix, and the first axis's angle, rad.
 
-    The first belongs to the axis nearer to x, so that the axes do not change places between frames.
+    The angle counts from x towards y. The first axis is the nearer one to x, so that axes are never swapped.
     """
     # eigenvalues of [[xx, xy], [xy, yy]]: mean +- sqrt(half^2 + xy^2)
     mean = 0.5 * (xx + yy)
@@ -272,7 +272,7 @@ def try_second(image: Image, work: Workspace, noise: PixelNoise, one: Fitted) ->
     """Fit two spots jointly and return that fit if it is clearly better; otherwise return `one` unchanged.
 
     It is clearly better if the excess of chi-square per degree of freedom over 1 falls by at least half, and
-    if two spots fit well: a beam of any other form would get two places that depend on the noise.
+    if two spots fit well: in a beam of any other form their positions would depend on the noise.
     The second spot must be the fainter one, and the two must lie more than 1.2 sigma apart; otherwise
     both would describe the same light. `work.information` and `work.factor` are overwritten in any case.
     """
@@ -311,11 +311,11 @@ def try_second(image: Image, work: Workspace, noise: PixelNoise, one: Fitted) ->
 
 @kernel
 def excess_noise(image: Image, p: Floats, two: bool, noise: PixelNoise, chi2_per_dof: float) -> float:
-    """Variance of the residuals from pixel to pixel, over that of the noise model.
+    """Variance of the residuals' scatter from pixel to pixel, relative to that of the noise model.
 
-    Of a beam that is no Gaussian, chi-square per degree of freedom is large because the residuals have a
-    shape. It moves with the spot and does not scatter the place: what scatters it is the noise. Differences
-    of four neighbours, across rows and columns, take a smooth shape out and leave the noise.
+    If the beam is not Gaussian, chi-square per degree of freedom is large because the residuals have a shape.
+    The shape moves with the spot and does not scatter its position; only the noise does. Differences of four
+    neighbours, across rows and columns, remove a smooth shape and leave the noise.
     """
     ny, nx = image.shape
     window = window_of(p, nx, ny, REACH)
@@ -336,7 +336,7 @@ def excess_noise(image: Image, p: Floats, two: bool, noise: PixelNoise, chi2_per
                     -0.5 * (pxx * u * u + 2.0 * pxy * u * v + pyy * v * v)
                 )
             left = image[j, i] - p[BACKGROUND] - light
-            # the noise is that of the light there is, which here is not what the model expects
+            # the noise is that of the measured light, since the model of the light is wrong here
             lit = max(light + left, 0.0)
             variance = floor + lit * (noise.dn_per_e + lit * noise.prnu2)
             if j > window.y0 and i > window.x0:

@@ -1,4 +1,4 @@
-"""A beam's own profile, learned from frames of it."""
+"""Profile of a beam's light that is no Gaussian, learned from frames, and its fit to a frame."""
 
 import math
 from collections import deque
@@ -28,15 +28,15 @@ from processing.spot.sensor_model import LEAST_VARIANCE_DN2, PixelNoise
 
 REACH = 4.5
 """Half-width of the fitted window in standard deviations of the Gaussian that fits the beam best."""
-_DETERMINED = 1e-10
-"""Combinations of knots that the grid sees less than this, of the best seen one, have no value."""
-_PER_SIGMA = 8.0
-"""Knots of the learned profile in a standard deviation: what is finer is noise, unless the spot is small."""
+_SMALLEST_SINGULAR_VALUE = 1e-10
+"""Smallest singular value, relative to the largest, of a combination of knots that the grid determines."""
+_KNOTS_PER_SIGMA = 8.0
+"""Knots of the learned profile per standard deviation: finer structure is noise, unless the spot is small."""
 ROUNDS = 3
 _LEFT_OUT_DN = 1e18
-"""Further from any model than any gate allows; its square is still a number in single precision."""
-MOST_APART_PX = 2.0
-"""Largest distance of the profile's centre from the Gaussian's: beyond it, they have met different spots."""
+"""Value of an excluded pixel, beyond the gate of any model; its square is finite in single precision."""
+LARGEST_OFFSET_PX = 2.0
+"""Largest distance of the profile's centre from the Gaussian's, if both were fitted to the same spot."""
 
 
 class Shape(NamedTuple):
@@ -50,7 +50,7 @@ class Shape(NamedTuple):
 class Sample(NamedTuple):
     """Pixels around the spot in one frame; `origin_px` is the first one's place (x, y) on the sensor.
 
-    The spot as a single Gaussian has it: centre on the sensor in px, amplitude and background in DN.
+    The other fields are those of a fitted Gaussian: centre on the sensor, amplitude and background.
     """
 
     pixels: Image
@@ -63,30 +63,31 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class BeamProfile:
-    """A beam's light on a grid of one pixel, as coefficients of a cubic spline.
+    """Light of a beam on a grid of one pixel.
 
-    The light is about 1 where the Gaussian that fits the beam best has its peak; `centre` is that place
-    (x, y) in the grid. `half_px` are the half-widths (x, y) of the window that is fitted. `misfit` is the
-    mean chi2/dof of the samples that it was learned from.
+    The light is about 1 where the Gaussian that fits the beam best has its peak.
     """
 
     spline: Singles
+    """Coefficients of a cubic spline on the grid."""
     centre: Floats
+    """Place (x, y) of the Gaussian's peak in the grid."""
     half_px: tuple[int, int]
+    """Half-widths (x, y) of the window that is fitted."""
     shape: Shape
     misfit: float
+    """Mean chi2/dof of the samples from which it was learned."""
 
 
 class ProfileFit(NamedTuple):
-    """A profile's fit to one frame: `p` as in `profile_fit`, but the centre on the sensor.
-
-    `saturated` is the number of pixels at full scale, where the profile reaches it.
-    """
+    """Fit of a profile to one frame; the three counts are numbers of pixels."""
 
     p: Floats
+    """Parameters as in `profile_fit`, but with the centre on the sensor."""
     chi2_per_dof: float
     kept: float
     saturated: float
+    """Pixels at full scale; 0 if the profile does not reach it."""
     outliers: float
     u_x_px: float
     u_y_px: float
@@ -100,7 +101,7 @@ def fit_at(
     noise_values: Floats,
     hot: HotPixels | None = None,
 ) -> ProfileFit | None:
-    """Fit of a profile near the place in `start` (parameters, centre on the sensor); None if there is none.
+    """Fit of a profile from the parameters `start` (centre on the sensor); None if it does not converge.
 
     `origin_px` are the sensor coordinates of the first pixel, `hot` the pixels to be left out. The window
     follows the spot, at most twice.
@@ -117,7 +118,7 @@ def fit_at(
             return None
         window = np.ascontiguousarray(pixels[y0:y1, x0:x1], dtype=np.float32)
         left, top = x0 + origin_px[0], y0 + origin_px[1]
-        left_out = hot.within(left, top, x1 + origin_px[0], y1 + origin_px[1]) if hot is not None else None
+        left_out = hot.in_window(left, top, x1 + origin_px[0], y1 + origin_px[1]) if hot is not None else None
         if left_out is not None:
             window[left_out] = _LEFT_OUT_DN
         p[CENTRE_X] -= left
@@ -143,12 +144,12 @@ def fit_at(
 def learn(
     samples: Sequence[Sample], shape: Shape, noise: PixelNoise
 ) -> Generator[None, None, BeamProfile | None]:
-    """The profile of the beam in some samples, or None if it cannot be fitted to them.
+    """Profile of the beam in some samples; None if it cannot be fitted to them.
 
-    It begins as the Gaussian that fits best. The profile is fitted to all samples; what is left in them,
-    averaged on their sub-pixel shifts, is added to it; and so on. Where the model reaches full scale nothing
-    is left to learn from, and the Gaussian remains. The work is divided into about equal pieces, one for each
-    `yield`, so that frames can be tracked meanwhile.
+    The first profile is the Gaussian that fits best. In each of ROUNDS rounds the profile is fitted to all
+    samples, and the residuals, averaged over their sub-pixel shifts, are added to it. Where the model reaches
+    full scale there are no residuals, and the Gaussian remains. The work is divided into about equal pieces,
+    one for each `yield`, so that frames can be tracked meanwhile.
     """
     noise_values = np.array(noise)
     half_px = math.ceil(REACH * math.sqrt(shape.xx)), math.ceil(REACH * math.sqrt(shape.yy))
@@ -159,34 +160,34 @@ def learn(
     spline = to_spline_y @ _gaussian(size_x, size_y, centre, shape) @ to_spline_x.T
     yield
     starts = [np.array([s.amplitude_dn, s.x_px, s.y_px, s.background_dn, 0.0, 0.0]) for s in samples]
-    misfit = apart_x = apart_y = 0.0
+    misfit = offset_x = offset_y = 0.0
     for count in range(ROUNDS + 1):
         profile = BeamProfile(spline.astype(np.float32), centre, half_px, shape, math.nan)
         left = _MeanResidual(profile, noise)
-        misfit = apart_x = apart_y = 0.0
+        misfit = offset_x = offset_y = 0.0
         for k, sample in enumerate(samples):
             fit = fit_at(profile, sample.pixels, sample.origin_px, starts[k], noise_values)
             if fit is None:
                 return None
             starts[k] = fit.p
             misfit += fit.chi2_per_dof / len(samples)
-            apart_x += (fit.p[CENTRE_X] - sample.x_px) / len(samples)
-            apart_y += (fit.p[CENTRE_Y] - sample.y_px) / len(samples)
+            offset_x += (fit.p[CENTRE_X] - sample.x_px) / len(samples)
+            offset_y += (fit.p[CENTRE_Y] - sample.y_px) / len(samples)
             if count < ROUNDS:
                 left.add(sample, fit)
             yield
         if count < ROUNDS:
             spline = spline + to_spline_y @ left.mean @ to_spline_x.T
-    if max(abs(apart_x), abs(apart_y)) > MOST_APART_PX:
+    if max(abs(offset_x), abs(offset_y)) > LARGEST_OFFSET_PX:
         return None
     # the centre is where the Gaussian has it, so that the position does not jump at the change
-    return BeamProfile(profile.spline, centre - (apart_x, apart_y), half_px, shape, misfit)
+    return BeamProfile(profile.spline, centre - (offset_x, offset_y), half_px, shape, misfit)
 
 
 def dark_variance(level_dn: float, noise: PixelNoise) -> float:
     """Variance in DN^2 of a pixel that receives only the background.
 
-    The kernels have it compiled; compiling it for Python too would take longer than it is worth.
+    It repeats `background_variance` of the kernels, whose compilation for Python would take longer.
     """
     return max(noise.at_zero_dn2 + level_dn * noise.dn_per_e, LEAST_VARIANCE_DN2)
 
@@ -203,7 +204,7 @@ def compile_kernels(noise: PixelNoise) -> None:
 
 
 class _MeanResidual:
-    """What the fits leave, over the amplitude, averaged in the profile's grid; 0 where nothing is known."""
+    """Mean of the fits' residuals, relative to the amplitude, on the profile's grid; 0 without any."""
 
     def __init__(self, profile: BeamProfile, noise: PixelNoise) -> None:
         self._profile = profile
@@ -212,7 +213,7 @@ class _MeanResidual:
         self._count = np.zeros(profile.spline.shape)
 
     def add(self, sample: Sample, fit: ProfileFit) -> None:
-        """One sample, interpolated to the grid points between its pixels."""
+        """Add one sample, interpolated to the grid points between its pixels."""
         start_x = self._profile.centre[0] - (fit.p[CENTRE_X] - sample.origin_px[0])
         start_y = self._profile.centre[1] - (fit.p[CENTRE_Y] - sample.origin_px[1])
         residual = _residual(self._profile, sample, fit, self._noise, start_x, start_y)
@@ -231,22 +232,22 @@ class _MeanResidual:
 
     @property
     def mean(self) -> Floats:
-        """The average."""
+        """Mean residual at each grid point."""
         return np.asarray(self._total / np.maximum(self._count, 1.0))
 
 
 def _residual(
     profile: BeamProfile, sample: Sample, fit: ProfileFit, noise: PixelNoise, start_x: float, start_y: float
 ) -> Floats:
-    """A sample minus the fit, over the amplitude; NaN for pixels that the fit leaves out, and outside."""
+    """Sample minus fit, divided by the amplitude; NaN for pixels that the fit leaves out, and outside."""
     ny, nx = sample.pixels.shape
     light = np.full((ny, nx), np.nan)
-    drawn = _spline_between(profile.spline, start_x % 1.0, start_y % 1.0)
-    # element k of `drawn` is the value at the grid place k + 1 + phase, pixel i at start + i
+    values = _spline_between(profile.spline, start_x % 1.0, start_y % 1.0)
+    # element k of `values` is at the grid place k + 1 + phase, pixel i at start + i
     shift_x, shift_y = math.floor(start_x) - 1, math.floor(start_y) - 1
-    x0, x1 = max(0, -shift_x), min(nx, drawn.shape[1] - shift_x)
-    y0, y1 = max(0, -shift_y), min(ny, drawn.shape[0] - shift_y)
-    light[y0:y1, x0:x1] = fit.p[LIGHT] * drawn[y0 + shift_y : y1 + shift_y, x0 + shift_x : x1 + shift_x]
+    x0, x1 = max(0, -shift_x), min(nx, values.shape[1] - shift_x)
+    y0, y1 = max(0, -shift_y), min(ny, values.shape[0] - shift_y)
+    light[y0:y1, x0:x1] = fit.p[LIGHT] * values[y0 + shift_y : y1 + shift_y, x0 + shift_x : x1 + shift_x]
     column, row = np.arange(nx) + sample.origin_px[0], np.arange(ny) + sample.origin_px[1]
     # the background is that in the middle of the fitted window
     middle_x, middle_y = _window_middle(profile, sample, fit)
@@ -291,7 +292,7 @@ def _cubic(t: float) -> list[float]:
 def _four_pixel_sums(
     image: Singles | Floats, along_x: Sequence[float] | Singles, along_y: Sequence[float] | Singles
 ) -> Floats:
-    """Sums of four neighbours along x and y with these weights; the first is that of the first four."""
+    """Weighted sums of four neighbours along x and along y; the first sum is of the first four."""
     ny, nx = image.shape
     rows = np.zeros((ny - 3, nx))
     for k in range(4):
@@ -322,7 +323,7 @@ def _to_spline(size: int, sigma_px: float) -> Floats:
     np.fill_diagonal(unit, 4.0 / 6.0)
     np.fill_diagonal(unit[1:], 1.0 / 6.0)
     np.fill_diagonal(unit[:, 1:], 1.0 / 6.0)
-    spacing = sigma_px / _PER_SIGMA
+    spacing = sigma_px / _KNOTS_PER_SIGMA
     if spacing <= 1.0:
         return np.asarray(np.linalg.inv(unit))
     knots = np.arange(math.ceil((size - 1) / spacing) + 3) - 1.0
@@ -330,6 +331,6 @@ def _to_spline(size: int, sigma_px: float) -> Floats:
     near = (4.0 + distance**2 * (3.0 * distance - 6.0)) / 6.0
     far = np.maximum(2.0 - distance, 0.0) ** 3 / 6.0
     coarse = np.where(distance < 1.0, near, far)
-    # a knot that lies between the same two grid points as another is not determined: its part is left out
-    smooth = coarse @ np.linalg.pinv(coarse, rcond=_DETERMINED)
+    # two knots between the same two grid points are not determined one by one: the pseudo-inverse omits that
+    smooth = coarse @ np.linalg.pinv(coarse, rcond=_SMALLEST_SINGULAR_VALUE)
     return np.asarray(np.linalg.solve(unit, smooth))

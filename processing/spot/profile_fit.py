@@ -1,7 +1,7 @@
 """Maximum-likelihood fit of a beam's own profile: shift, amplitude and a background that is a plane.
 
 The light of a pixel at distance (u, v) from the centre is A T(u, v), with T a cubic spline on a grid of one
-pixel: the beam's image as the sensor integrates it. All pixels of a frame meet the grid at the same phase, so
+pixel: the beam's image as the sensor integrates it. All pixels of a frame have the same phase on the grid, so
 that T and its derivatives are sums of four values along x and along y, with weights that are common to all
 pixels. With the derivatives d of A T + B + B_x i + B_y j by the six parameters, Fisher scoring is that of
 `general_fit`.
@@ -21,8 +21,8 @@ LIGHT, CENTRE_X, CENTRE_Y, LEVEL, SLOPE_X, SLOPE_Y = range(6)
 window's middle and its slopes in DN/px."""
 FITTED = 6
 MARGIN_PX = 4
-"""The spline reaches so much further than the window of the fit: two pixels that cubic pieces need at each
-end, and two by which the spot may lie away from the window's middle."""
+"""Margin of the spline beyond the window of the fit: two pixels that cubic pieces need at each end, and two
+by which the spot may be off the window's middle."""
 _PASSES = 25
 _LEAST_PIXELS = 24  # four for each fitted parameter
 _NO_GATE = 1e30
@@ -65,7 +65,7 @@ def score_profile(
     spline
         Coefficients of T; those from (base_x, base_y) on reach the window's first pixel.
     weights : (4, 4)
-        Of `spline_weights`: along x, derivatives along x, along y, derivatives along y.
+        Values of `spline_weights`: along x, derivatives along x, along y, derivatives along y.
     p : (FITTED,)
     noise_values
         Fields of `PixelNoise`.
@@ -226,7 +226,7 @@ def fit_profile(
     for _ in range(_PASSES):
         start_x, start_y = centre[0] - p[CENTRE_X], centre[1] - p[CENTRE_Y]
         reach_y, reach_x = spline.shape
-        # compared before they are made whole numbers, which NaN has not
+        # checked before the conversion to whole numbers, which NaN would break
         if not (1.0 <= start_x < reach_x - nx - 1 and 1.0 <= start_y < reach_y - ny - 1):
             return failed
         floor_x, floor_y = math.floor(start_x), math.floor(start_y)

@@ -1,4 +1,4 @@
-"""Following of a beam by its learned profile, from frame to frame."""
+"""Tracking of a beam from frame to frame by its learned profile."""
 
 import math
 
@@ -32,12 +32,12 @@ from processing.spot.profile import BeamProfile, ProfileFit, dark_variance, fit_
 from processing.spot.profile_fit import CENTRE_X, CENTRE_Y, FITTED, LEVEL, LIGHT, SLOPE_X, SLOPE_Y
 from processing.spot.sensor_model import PixelNoise
 
-_ALIKE = 2.0
-"""The amplitude changes by less than this factor from frame to frame, or the fit has met something else."""
+_MAX_RATIO = 2.0
+"""Largest factor by which the amplitude changes from frame to frame; beyond it the fit is not of the spot."""
 
 
 class ProfileFollower:
-    """Fits a profile where the tracker's memory expects the spot."""
+    """Fit of a profile to each frame, started where the tracker's memory expects the spot."""
 
     def __init__(self, profile: BeamProfile, noise: PixelNoise, hot: HotPixels | None = None) -> None:
         self._profile = profile
@@ -52,7 +52,7 @@ class ProfileFollower:
     def follow(self, image: Image, place: Place, memory: Floats, *, fresh: bool = False) -> Spot | None:
         """Spot of one frame, stored in `memory` too; None if it is not at the expected place.
 
-        `fresh`: a Gaussian has just found the spot in this very frame.
+        If `fresh`, the memory holds the spot of this very frame, as a Gaussian has found it.
         """
         start = np.empty(FITTED)
         start[LIGHT], start[LEVEL] = memory[LAST + AMPLITUDE], memory[LAST + BACKGROUND]
@@ -63,7 +63,7 @@ class ProfileFollower:
             start[CENTRE_Y] += memory[STEP_Y]
         origin_px = place.origin_x, place.origin_y
         fit = fit_at(self._profile, image, origin_px, start, self._noise_values, self._hot)
-        if fit is None or not 1.0 / _ALIKE < fit.p[LIGHT] / memory[LAST + AMPLITUDE] < _ALIKE:
+        if fit is None or not 1.0 / _MAX_RATIO < fit.p[LIGHT] / memory[LAST + AMPLITUDE] < _MAX_RATIO:
             return None
         spot = self._report(fit, place)
         self._slopes = fit.p[SLOPE_X], fit.p[SLOPE_Y]

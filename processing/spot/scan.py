@@ -64,11 +64,12 @@ _SAMPLES_X = 32
 SAMPLES = _SAMPLES_Y * _SAMPLES_X
 
 _STREAMS = 4
-"""Places of the frame that are read in turns: more loads are under way at once than from a single place."""
+"""Number of places of the frame that are read alternately, so that more loads are under way at once."""
 _BLOCK = 64
 _LARGEST_BLOCK_BYTES = 256
-"""Pixels of a row between two prefetches, a multiple of _BLOCK so that vector loops have no remainder: small
-enough that the loads do not come in bursts and queue, large enough that the loop's start does not count."""
+"""Largest number of pixels and bytes of a row between two prefetches. The number is a multiple of _BLOCK, so
+that vector loops have no remainder; it is small enough that loads do not queue in bursts, and large enough
+that the overhead of a loop is negligible."""
 _ROWS_AHEAD = 4
 
 # The loops over a row use conditional expressions on values of the pixels' own type: min(), max() or a sum

@@ -8,7 +8,7 @@ from processing.errors import DataError
 from processing.kernel import kernel
 
 LEAST_VARIANCE_DN2 = 1.0 / 12.0
-"""Variance of rounding to whole DN (uniform distribution of width 1), the least that a pixel can have."""
+"""Smallest variance of a pixel: that of rounding to whole DN (uniform distribution of width 1)."""
 
 
 class PixelNoise(NamedTuple):
@@ -35,8 +35,8 @@ class SensorModel:
     in DN^2: read noise, quantisation, shot noise. Light is everything above `pedestal_dn`, the level
     of a pixel in the dark; with the default 0 the whole background counts as light. `prnu` is the
     relative spread of the pixels' response (photo-response non-uniformity); it adds
-    ``(prnu * spot_dn)^2``, where spot_dn is the spot's own light. `hot_pixels_xy` are pixels whose values say
-    nothing of the light, counted from the first of a frame.
+    ``(prnu * spot_dn)^2``, where spot_dn is the spot's own light. `hot_pixels_xy` are pixels whose values do
+    not depend on the light, with (0, 0) as the first pixel of a frame.
 
     Raises
     ------
@@ -75,7 +75,7 @@ class SensorModel:
 
     @property
     def pixel_noise(self) -> PixelNoise:
-        """The same model in the form used by the kernels.
+        """This model in the form used by the kernels.
 
         The variance at 0 DN is an extrapolation below the pedestal, and is negative for a high pedestal.
         """

@@ -54,7 +54,7 @@ class _Area(NamedTuple):
 def _crossing(image: Image, x: int, y: int, dx: int, dy: int, level: float) -> float:
     """Distance in px from (x, y) to where the light falls below a level, along the direction (dx, dy).
 
-    Interpolated linearly between pixels; NaN if the image's edge comes first.
+    It is interpolated linearly between pixels, and NaN if the image's edge comes first.
     """
     ny, nx = image.shape
     before = float(image[y, x])
@@ -222,7 +222,7 @@ at half maximum; the areas above two levels, for spots that are tilted, saturate
 block of pixels, for a spot too faint to be seen in single pixels."""
 _PEAK, _PLACE_X, _PLACE_Y, _LEVEL, _SPREAD = range(5)
 SEEN = 5
-"""What the methods of one search tell each other: highest value, its place, background and its scatter."""
+"""Number of values that the methods of one search share: peak, its x and y, background and its scatter."""
 _NEAR_PX = 32
 
 
@@ -230,7 +230,7 @@ _NEAR_PX = 32
 def _climb(image: Image, peak: int, x: int, y: int) -> tuple[int, int]:
     """Climb up or down column `x` to its local maximum; returns the value there and y.
 
-    Needed because a scan of every `row_step`-th row does not usually meet the spot's brightest row.
+    This is needed because a scan of every `row_step`-th row usually misses the spot's brightest row.
     """
     ny = image.shape[0]
     for _ in range(64):
@@ -260,11 +260,11 @@ def find_start(
     mask: NDArray[np.uint8],
     stack: Ints,
 ) -> bool:
-    """Write start values by one of the methods into `p`, and return whether it has found any.
+    """Write start values by one of the methods into `p`; returns whether it has found any.
 
-    The methods are tried in their order: `seen` (SEEN,) holds what the first ones have found. SOME_ROWS reads
-    every `row_step`-th row and is left out for a `row_step` of 1. `bands`, `sample`, `mask` and `stack` are
-    working memory.
+    The caller tries the methods in their order: `seen` (SEEN,) holds values found by the first ones.
+    SOME_ROWS reads every `row_step`-th row, and is not called for a `row_step` of 1. The last four arguments
+    are working memory.
     """
     if method <= EVERY_ROW:
         some = method == SOME_ROWS

@@ -5,8 +5,8 @@ Along a row the light of a tilted Gaussian is a Gaussian too: with P the inverse
 
     (u, v) P (u, v)^T = P_xx w^2 + C v^2,   w = u + (P_xy/P_xx) v,   C = P_yy - P_xy^2/P_xx.
 
-The second term is constant in a row. What is left for each pixel is one exponential in single precision,
-written as a polynomial so that the compiler turns it into vector instructions.
+The second term is constant in a row. Each pixel then takes one exponential in single precision, written as a
+polynomial so that the compiler turns it into vector instructions.
 """
 
 import math
@@ -33,8 +33,9 @@ from processing.spot.general_fit import inverse_covariance, score_general
 from processing.spot.sensor_model import PixelNoise
 
 _PARTS = 32.0
+"""Divisor of the exponent before the exponential series; the sum is then squared five times."""
 _FAR = np.float32(20.7 / _PARTS)
-"""Exponent, in parts, beyond which the light is less than 1e-9 of the peak."""
+"""Divided exponent beyond which the light is less than 1e-9 of the peak."""
 
 
 @kernel(fastmath=True)
@@ -72,7 +73,7 @@ def score_tilted(
     spread = np.float32(noise.prnu2)
     limit = np.float32(gate)
     far = np.float32(_FAR)
-    # w is counted in units whose square is the exponent, in parts
+    # the unit of w is that whose square is the divided exponent
     unit = math.sqrt(2.0 * _PARTS / pxx)
     bent = (pxx * pxx + pxy * pxy) / 24.0 * unit * unit
     # 1/2, 1/6 and 1/24 of the exponential series: with exponents divided by _PARTS the error is below 2e-7
@@ -145,8 +146,8 @@ def information_tilted(
 ) -> None:
     """Fisher information of the first TILTED parameters, summed over every step-th row and column.
 
-    As `upright_score.information`: exact to many digits for steps of up to the sigma of the light along a row
-    or column.
+    Like that of `upright_score.information` it is exact to many digits, for steps of up to the sigma of the
+    light along a row or column.
     """
     score_general(
         image, window, p, True, False, noise, math.inf, nothing_hidden(), np.empty(PARAMETERS), matrix,

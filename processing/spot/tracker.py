@@ -35,7 +35,7 @@ from processing.spot.fit_values import (
 )
 from processing.spot.following import EXPECTED, NEAR, ROUGH, SEARCH, follow
 from processing.spot.hot_pixels import HotPixels
-from processing.spot.model_choice import KnownWidth, ModelChoice, SpotModel
+from processing.spot.model_choice import FirstWidths, ModelChoice, SpotModel
 from processing.spot.outcome import FLAGS, Result
 from processing.spot.profile import Shape
 from processing.spot.profile_follower import ProfileFollower
@@ -46,7 +46,7 @@ from processing.spot.upright_score import TABLE_ROWS
 
 
 class _Writable:
-    """Array interface to a read-only array's memory that does not declare it read-only.
+    """Array interface to the memory of a read-only array, without the mark that it is read-only.
 
     numba treats read-only arrays as a separate type and would compile every kernel a second time for them.
     The kernels do not write to the image.
@@ -59,8 +59,8 @@ class _Writable:
         self.__array_interface__ = interface
 
 
-def plain(images: Image) -> Image:
-    """The image in C order, aligned, and of the array type that the kernels are compiled for."""
+def kernel_image(images: Image) -> Image:
+    """Image in C order, aligned, and of the array type for which the kernels are compiled."""
     if not (images.flags.c_contiguous and images.flags.aligned):
         return images.copy(order="C")
     memory: Any = _Writable(images)
@@ -82,25 +82,26 @@ class SearchMemory:
         self.bands: Image = np.zeros((rows, columns), dtype=image.dtype)
 
     def fits(self, image: Image) -> bool:
-        """Whether it is for such images."""
+        """Whether this memory has the shape and type of an image."""
         return image.shape == self.mask.shape and image.dtype == self.bands.dtype
 
 
 _RECORD_REACH = 6.0
 _RECORD_MARGIN_PX = 4
-"""Of a record's window: sigmas of the spot, and pixels beyond, so that a replay can fit again with the spot
-moved."""
+"""Half-width of a recorded window, in sigmas of the spot, and pixels beyond, so that a replay can fit again
+with the spot displaced."""
 _NEAR_REACH = 6.0
 _NEAR_MARGIN_PX = 16
 _NEAR_STEP_PX = 32
-"""A jump is looked for within _NEAR_REACH sigmas and _NEAR_MARGIN_PX of the last place, in steps, so that the
-search's memory seldom changes its size."""
+"""A spot that has jumped is searched for within _NEAR_REACH sigmas and _NEAR_MARGIN_PX of its last place. The
+window's size is a multiple of _NEAR_STEP_PX, so that the search's memory seldom changes its size."""
 _ROW_STEP = 8
-"""A search reads every so many rows first, and every row if that finds no clean spot."""
-_ALIKE = (AMPLITUDE, SIGMA_X, SIGMA_Y)
+"""Step of the rows that a search reads first; it reads every row if it finds no clean spot in them."""
+_COMPARED_PARAMETERS = (AMPLITUDE, SIGMA_X, SIGMA_Y)
+"""Parameters that change by less than a factor of two when a spot jumps."""
 _TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))
 _SPOT = tuple.__new__
-_NOT_HERE: Result = (*(math.nan,) * 10, SEARCH)
+_NOT_NEAR: Result = (*(math.nan,) * 10, SEARCH)
 _LOST: Result = (*(math.nan,) * 10, SpotFlag.LOST.value)
 _METHODS = SOME_ROWS, EVERY_ROW, AREAS, BLOCK
 
@@ -110,12 +111,12 @@ class SpotTracker:
 
     An elliptical Gaussian, integrated over the pixels, is fitted by Fisher scoring with weights from the
     sensor's noise model. The start values are the previous frame's spot, displaced by its last movement.
-    A spot that is not there is looked for near its last place, then in the whole frame.
+    If the spot is not there, it is searched for near its last place, then in the whole frame.
 
     Parameters
     ----------
     sensor
-        Noise and full scale of a pixel, and the hot pixels, which are left out.
+        Noise and full scale of a pixel, and the hot pixels, which are excluded from fits.
     """
 
     def __init__(self, sensor: SensorModel) -> None:
@@ -130,13 +131,13 @@ class SpotTracker:
         self._frame = self._near = SearchMemory(np.zeros((5, 5), dtype=np.uint8))
         self._hot = HotPixels(sensor.hot_pixels_xy) if sensor.hot_pixels_xy else None
         self._choice = ModelChoice(self._pixel_noise, self._one_gaussian)
-        self._settled = False
-        self._width = KnownWidth()
+        self._model_chosen = False
+        self._width = FirstWidths()
         self._follower: ProfileFollower | None = None
 
     @property
     def model(self) -> SpotModel | None:
-        """What is fitted to every frame; None as long as it is not chosen."""
+        """Model of the beam that is fitted to every frame; None as long as it is not chosen."""
         return self._choice.model
 
     def reset(self) -> None:
@@ -156,8 +157,7 @@ class SpotTracker:
             Sensor coordinates (x, y) of the image's first pixel, if the image is a window of the sensor.
             The returned position is in sensor coordinates.
         sensor_shape
-            (ny, nx) of the sensor, so that the edges of a window are not taken for those of the sensor
-            (flag EDGE). None: the image is the whole sensor.
+            (ny, nx) of the sensor, for the flag EDGE; None if the image is the whole sensor.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class SpotTracker:
                 f"image has shape {image.shape} and type {image.dtype}; (ny, nx) of uint8 or uint16 is needed"
             )
         if not image.flags.carray:
-            image = plain(image)
+            image = kernel_image(image)
         x0, y0 = origin_px
         ny, nx = sensor_shape if sensor_shape is not None else image.shape
         if self._follower is not None:
@@ -181,15 +181,15 @@ class SpotTracker:
                 )
             else:
                 found = self._hot.follow(image, Place(x0, y0, nx, ny), self._memory, self._follow)
-            if not found[FLAGS] and self._settled:
+            if not found[FLAGS] and self._model_chosen:
                 return _SPOT(Spot, found)
             if found[FLAGS] != SEARCH:
                 spot = _SPOT(Spot, found)
-                self._judge(spot, image, Place(x0, y0, nx, ny))
-                return self._width.widened(spot)
-            if self._memory[TWO] and not self._settled:
-                self._memory[ALONE] = 1.0  # two Gaussians have not lasted
-        return self._width.widened(_SPOT(Spot, self._find(image, Place(x0, y0, nx, ny))))
+                self._choose_model(spot, image, Place(x0, y0, nx, ny))
+                return self._width.with_width_error(spot)
+            if self._memory[TWO] and not self._model_chosen:
+                self._memory[ALONE] = 1.0  # the fit of two Gaussians could not be followed
+        return self._width.with_width_error(_SPOT(Spot, self._find(image, Place(x0, y0, nx, ny))))
 
     def _follow(self, image: Image, place: Place) -> Result:
         return follow(image, *place, self._memory, self._work, self._tables, self._noise, EXPECTED)
@@ -211,7 +211,7 @@ class SpotTracker:
         return result
 
     def _find_in(self, image: Image, place: Place) -> Result:
-        """The same in an image all of whose pixels are taken."""
+        """Spot of such a frame, with all pixels used."""
         if self._memory[FOLLOWS]:
             found = self._follow_jump(image, place)
             if found[FLAGS] != SEARCH:
@@ -221,23 +221,23 @@ class SpotTracker:
         return self._search(image, place, self._memory, self._frame, _ROW_STEP, False)
 
     def _with_profile(self, follower: ProfileFollower, image: Image, place: Place) -> Spot:
-        """Spot of one frame with the learned profile; a Gaussian finds it where it was not expected."""
+        """Spot of one frame with the learned profile; a Gaussian finds it away from the expected place."""
         found = follower.follow(image, place, self._memory) if self._memory[FOLLOWS] else None
         if found is None:
             spot = _SPOT(Spot, self._find(image, place))
             found = follower.follow(image, place, self._memory, fresh=True) if self._memory[FOLLOWS] else None
             return spot if found is None else found
-        self._judge(found, image, place)
+        self._choose_model(found, image, place)
         return found
 
-    def _judge(self, spot: Spot, image: Image, place: Place) -> None:
+    def _choose_model(self, spot: Spot, image: Image, place: Place) -> None:
         """Choose the model from the first spots; choose again if the beam has changed."""
         choice, memory = self._choice, self._memory
-        if self._settled:
+        if self._model_chosen:
             if choice.changed(spot.chi2_per_dof, memory[POOR_FRAMES]):
-                choice.begin()
-                self._width.begin()
-                self._settled, self._follower = False, None
+                choice.restart()
+                self._width.restart()
+                self._model_chosen, self._follower = False, None
                 memory[ALONE] = 0.0
                 self.reset()
             return
@@ -249,11 +249,11 @@ class SpotTracker:
             origin_px = left + place.origin_x, top + place.origin_y
             return cut if self._hot is None else self._hot.smoothed(cut, origin_px), origin_px
 
-        self._width.see(spot)
+        self._width.add(spot)
         fitted = (2.0 * REACH) ** 2 * spot.sigma_x_px * spot.sigma_y_px
-        choice.see(spot.chi2_per_dof, spot.flags, fitted, window)
+        choice.add(spot.chi2_per_dof, spot.flags, fitted, window)
         if choice.model is not None:
-            self._settled = True
+            self._model_chosen = True
             self._width.settle()
             memory[ALONE] = 0.0 if choice.model is SpotModel.TWO else 1.0
             memory[POOR_FRAMES] = 0.0
@@ -262,7 +262,7 @@ class SpotTracker:
                 memory[TWO] = 0.0
 
     def _one_gaussian(self, image: Image, origin_px: tuple[int, int]) -> tuple[Floats, Shape] | None:
-        """Fit of a single Gaussian to a window."""
+        """Fit of a single Gaussian to a window (`Refit`)."""
         memory = empty_memory()
         memory[ALONE] = 1.0
         place = Place(*origin_px, 2**30, 2**30)
@@ -276,8 +276,8 @@ class SpotTracker:
     def _follow_jump(self, image: Image, place: Place) -> Result:
         """Spot of a frame in which it is not at the expected place, but may be near its last one.
 
-        A search there gives the start of the fit. What it finds must resemble the last spot: it could be a
-        reflection, and the spot further away.
+        A search there gives the start values of the fit. The spot found must resemble the last one: it could
+        be a reflection while the spot is further away.
         """
         last = self._memory[LAST : LAST + PARAMETERS].copy()
         reach_px = _NEAR_REACH * max(last[SIGMA_X], last[SIGMA_Y]) + _NEAR_MARGIN_PX
@@ -291,8 +291,8 @@ class SpotTracker:
         around = place._replace(origin_x=place.origin_x + left, origin_y=place.origin_y + top)
         self._search(near, around, self._memory, self._near, 1, True)
         found = self._memory[LAST : LAST + PARAMETERS]
-        if not self._memory[FOLLOWS] or not all(0.5 < found[k] / last[k] < 2.0 for k in _ALIKE):
-            return _NOT_HERE
+        if not self._memory[FOLLOWS] or not all(0.5 < found[k] / last[k] < 2.0 for k in _COMPARED_PARAMETERS):
+            return _NOT_NEAR
         result = self._follow(image, place)
         self._memory[STEP_X] = found[X] - last[X]
         self._memory[STEP_Y] = found[Y] - last[Y]
@@ -303,8 +303,8 @@ class SpotTracker:
     ) -> Result:
         """Spot of an image without knowledge of earlier ones; LOST if there is none.
 
-        An image that is `cut_out` of a frame may hold the flank of a spot outside: the last two methods,
-        which take long, are left out for a place near its edge.
+        An image that is `cut_out` of a frame may contain the flank of a spot outside it: near its edge the
+        last two methods, which take long, are not tried.
         """
         memory[TILT_HINTS] = 0.0
         for method in _METHODS if row_step > 1 else _METHODS[1:]:

@@ -104,9 +104,10 @@ def score(
     """Gradient of the log likelihood by the first TILTED parameters, written into `gradient`.
 
     Element p is the sum over pixels of (dmu/dp)(I - mu)/variance. The covariance c is zero here; the
-    gradient by it tells whether the spot is tilted (dmu/dc = (dmu/dx)(dmu/dy)/(A f), f being the light of
+    gradient by it shows whether the spot is tilted (dmu/dc = (dmu/dx)(dmu/dy)/(A f), f being the light of
     unit amplitude). Every `row_step`-th row is summed and represents the rows between. Pixels whose
-    squared residual exceeds `gate` variances are left out.
+    squared residual exceeds `gate` variances are left out. `dark_variance` is the variance of a pixel without
+    light, `inverse_gain` and `uneven` are `dn_per_e` and `prnu2` of `PixelNoise`.
 
     Returns
     -------

@@ -1,14 +1,14 @@
 """Analysis of a decaying oscillation: turning points with uncertainties, separation of two modes."""
 
-from processing.swing.cycle_residuals import SHARED, CycleResiduals, CycleWatch
+from processing.swing.cycle_residuals import SHARED_COLUMNS, CycleResiduals, CycleWatch
 from processing.swing.detector import TurningPointDetector, compile_kernels, swings_of, swings_of_blocks
 from processing.swing.half_cycle_harmonics import (
-    HALVES,
     ORDERS,
+    PIECE_HALF_CYCLES,
     HarmonicClass,
     HarmonicsWatch,
+    HarmonicTerms,
     SwingHarmonics,
-    SwingTerms,
     harmonic_classes,
 )
 from processing.swing.modes import TwoModes, separate_modes

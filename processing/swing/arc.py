@@ -35,7 +35,7 @@ from processing.swing.waveform import NODES, SHAPES, zero_phases
 from processing.units import nanoseconds, seconds
 
 _STEPS = 30
-_SETTLED = 0.1
+_CONVERGED_COST = 0.1
 """The fit has converged if a step reduces the cost (chi-square and prior) by less than this."""
 
 
@@ -91,9 +91,9 @@ class Arc:
 
     @property
     def reduced_chi2_each(self) -> Vector:
-        """Chi-square per sample of each half-cycle that has any."""
-        seen = self.chi2_each[self.chi2_each[:, 1] > 0]
-        return np.asarray(seen[:, 0] / seen[:, 1], dtype=np.float64)
+        """Chi-square per sample of each half-cycle that has samples."""
+        sampled = self.chi2_each[self.chi2_each[:, 1] > 0]
+        return np.asarray(sampled[:, 0] / sampled[:, 1], dtype=np.float64)
 
 
 @kernel
@@ -174,7 +174,7 @@ def _joined(halves: Sequence[HalfCycleSamples]) -> _Samples:
 
 
 def _walk(x0: Vector, samples: _Samples, reference: float, active: Ints, prior: Matrix) -> Arc:
-    """The arc from a first state, which need not be the likeliest one."""
+    """Arc of the motion from the first state `x0`, which need not be the likeliest one."""
     states, transitions, information, score, windows, chi2_each, moving = _walk_kernel(
         x0, reference, active, *samples
     )
@@ -223,7 +223,7 @@ def fit_arc(
         if cost < best_cost:
             gain = best_cost - cost
             best_cost, best_x, best = cost, x, arc
-            if gain < _SETTLED and part == 1.0:
+            if gain < _CONVERGED_COST and part == 1.0:
                 break
             # Gauss-Newton with step halving. Levenberg-Marquardt damping is not used: it would prevent any
             # progress along directions that the samples hardly determine.
@@ -234,7 +234,7 @@ def fit_arc(
             step = covariance @ (arc.score.sum(axis=0) + prior @ offset)
         elif best is None:
             return None
-        elif cost < best_cost + _SETTLED and part == 1.0:
+        elif cost < best_cost + _CONVERGED_COST and part == 1.0:
             break
         else:
             part *= 0.25
@@ -253,7 +253,7 @@ def gain_of_more(
     halves: Sequence[HalfCycleSamples],
     terms: tuple[int, ...],
 ) -> float:
-    """Estimate how much chi-square would fall if more `terms` were free (score test, no iteration).
+    """Estimate by how much chi-square would fall if more `terms` were free (score test, no iteration).
 
     With the score g and the information H at the present solution, the fall is g^T H^-1 g. `start` is the
     arc's first state with the new terms at values that leave the motion unchanged.
@@ -271,7 +271,7 @@ def gain_of_more(
 def state_on_arc(arc: Arc, k: int, left_out: int | None = None) -> tuple[Vector, Matrix]:
     """State (STATES,) and covariance at half-cycle `k`, optionally without the samples of `left_out`.
 
-    Leaving out subtracts that half-cycle's information and score from the normal equations of the arc.
+    The information and score of half-cycle `left_out` are subtracted from the arc's normal equations.
     """
     total = arc.prior + arc.information.sum(axis=0)
     if left_out is not None:

@@ -1,8 +1,8 @@
-"""What is left of whole cycles when a known motion is taken off, and what of it the motion may still explain.
+"""Residuals of whole cycles from a known motion, with the derivatives by what the motion may still explain.
 
-Half-cycles that are measured one by one follow an error that is fixed on the sensor: each has an amplitude
-and a time of its own. A whole cycle, two half-cycles with one amplitude, time and rest position, passes every
-place of its stretch twice, in both directions, and can follow no more than a constant and a scale.
+Half-cycles that are measured one by one adapt to an error that is fixed on the sensor, since each has an
+amplitude and a time of its own. A whole cycle, two half-cycles with one amplitude, time and rest position,
+passes every place of its range twice, in both directions, and can adapt no more than a constant and a scale.
 """
 
 import math
@@ -34,70 +34,68 @@ from processing.units import NS_PER_S, seconds
 
 _ACTIVE = np.array([AMPLITUDE, TIME, RATE, *range(SHAPE, SHAPE + SHAPES), CENTRE, DRIFT])
 _OWN = np.isin(_ACTIVE, (AMPLITUDE, TIME, CENTRE, DRIFT))
-_TIMING = 3
-"""Highest power of the place with which the time of a sample may change: rows that are exposed in turn."""
-SHARED = 1 + SHAPES + _TIMING
+_TIMING_POWERS = 3
+"""Highest power of the place in the error of a sample's time, which rows exposed in turn cause."""
+SHARED_COLUMNS = 1 + SHAPES + _TIMING_POWERS
 """Number of columns that all cycles have in common: frequency, shape and timing."""
 
-_REACH = 0.6
-"""Half periods before the first and after the second turning point that surely hold the cycle."""
-_FEWEST = 8
-"""Samples of a half-cycle: its own four terms and the fast mode's four."""
+_REACH_HALF_PERIODS = 0.6
+"""Half periods before the first and after the second turning point within which the cycle lies."""
+_FEWEST_SAMPLES = 8
+"""Fewest samples of a half-cycle: as many as its own four terms and the fast mode's four."""
 _GATE = 6.0
-"""Standard deviations: of noise alone 2e-9 of the samples lie beyond."""
-_LINE = 40.0
-"""Power of a line in the fast deflection, over the median of all frequencies, that makes it the fast mode."""
+"""Standard deviations beyond which a sample is an outlier: of noise alone 2e-9 of the samples."""
+_LINE_PROMINENCE = 40.0
+"""Power of a line in the fast deflection, relative to the median of all frequencies, that is a fast mode."""
 
 
 class CycleResiduals(NamedTuple):
-    """Samples of one cycle, from a zero crossing to the next but one.
-
-    `place` is where the known motion, fitted to this cycle, has the spot. (A place as measured would hold
-    the residual, and explain it.) `residual` is what remains of the measured deflections beside the motion
-    before that fit, `weight` the inverse squares of their uncertainties, 0 for outliers. `own` (n, q) are the
-    derivatives of the motion by what each cycle has for itself (amplitude, time, rest position and its drift,
-    a fast mode), `shared` (n, SHARED) those by frequency, shape and a time that depends on the place.
-    """
+    """Samples of one cycle, from a zero crossing to the next but one, as arrays of n samples."""
 
     place: Floats
+    """Deflection by the known motion fitted to this cycle; a measured one would explain the residual."""
     residual: Floats
+    """Measured deflection minus that of the motion before the fit."""
     weight: Floats
+    """Inverse square of the deflection's uncertainty; 0 for outliers."""
     own: Floats
+    """(n, q) derivatives by amplitude, time, rest position and drift of the cycle, and by a fast mode."""
     shared: Floats
+    """(n, SHARED_COLUMNS) derivatives by frequency, shape and an error of time that depends on the place."""
 
 
 class CycleWatch:
-    """Takes the cycles out of deflections that pass.
+    """Extraction of the cycles from a stream of deflections.
 
     Parameters
     ----------
     swings
         Half-cycles of these deflections. Two neighbours without a flag make a cycle.
     motion
-        Frequency and waveform, fitted to all of them.
+        Frequency and waveform, fitted to all half-cycles.
     """
 
     def __init__(self, swings: Sequence[HalfCycle], motion: KnownMotion) -> None:
         self._motion = motion
         self._pairs = _pairs(swings)
         self._half_ns = round(NS_PER_S * math.pi / motion.rate_rad_per_s)
-        self._kept: list[Deflections] = []
+        self._blocks: list[Deflections] = []
 
     @property
     def cycles(self) -> int:
-        """How many are still to come."""
+        """Number of cycles whose deflections have not arrived."""
         return len(self._pairs)
 
     def update(self, block: Deflections) -> Iterator[CycleResiduals]:
         """The cycles that end within this block of deflections."""
         if not self._pairs or not len(block):
             return
-        self._kept.append(block)
-        reach_ns = round(_REACH * self._half_ns)
+        self._blocks.append(block)
+        reach_ns = round(_REACH_HALF_PERIODS * self._half_ns)
         last_ns = int(block.times_ns[-1])
         if self._pairs[0][1].turn_time_ns + reach_ns > last_ns:
             return
-        kept = joined(self._kept, block.unit)
+        kept = joined(self._blocks, block.unit)
         while self._pairs and self._pairs[0][1].turn_time_ns + reach_ns <= last_ns:
             first, second = self._pairs.pop(0)
             begin, end = np.searchsorted(
@@ -108,7 +106,7 @@ class CycleWatch:
                 yield found
         if self._pairs:
             kept = kept.since(self._pairs[0][0].turn_time_ns - reach_ns)
-        self._kept = [kept]
+        self._blocks = [kept]
 
 
 def _pairs(swings: Sequence[HalfCycle]) -> list[tuple[HalfCycle, HalfCycle]]:
@@ -137,13 +135,13 @@ def _residuals(samples: Deflections, first: HalfCycle, motion: KnownMotion) -> C
         table, turn = tabulated(state, anchor, motion.reference, _ACTIVE)
         begin_s, end_s = np.array(zero_phases(table)) / state[RATE] + state[TIME]
         rows = np.flatnonzero(usable & (tau_s >= begin_s) & (tau_s < end_s))
-        if len(rows) < _FEWEST:
+        if len(rows) < _FEWEST_SAMPLES:
             return None
         residual, jacobian = np.empty(len(rows)), np.empty((len(rows), len(_ACTIVE)))
         linearise(state, side, _ACTIVE, table, tau_s[rows], samples.y[rows], residual, jacobian)
         parts.append((rows, residual, jacobian @ transition[np.ix_(_ACTIVE, _ACTIVE)]))
         if len(parts) == 1:
-            # both count from the first turning point: centre and drift stay what they are
+            # times of both half-cycles count from the first turning point: centre and drift do not change
             state, transition = propagate(state, turn, 0.0)
             side = -side
     rows, residual, jacobian = (np.concatenate([part[k] for part in parts]) for k in range(3))
@@ -152,19 +150,19 @@ def _residuals(samples: Deflections, first: HalfCycle, motion: KnownMotion) -> C
     own = jacobian[:, _OWN]
     by_time = jacobian[:, _ACTIVE == TIME]
     relative = (samples.y[rows, None] - state[CENTRE]) / motion.reference
-    shared = np.column_stack([jacobian[:, ~_OWN], by_time * relative ** np.arange(1, _TIMING + 1)])
+    shared = np.column_stack([jacobian[:, ~_OWN], by_time * relative ** np.arange(1, _TIMING_POWERS + 1)])
     weight = samples.u_y[rows] ** -2.0
-    fast = fast_mode(tau_s[rows], samples.x[rows], own)
+    fast = fast_mode_columns(tau_s[rows], samples.x[rows], own)
     if fast is not None:
         own = np.column_stack([own, fast])
-    left = without(residual, own, np.sqrt(weight))
+    left = without_columns(residual, own, np.sqrt(weight))
     size = np.abs(left) * np.sqrt(weight)
     far = size > _GATE * max(1.0, MAD_TO_SIGMA * float(np.median(size)))
     return CycleResiduals(samples.y[rows] - left, residual, np.where(far, 0.0, weight), own, shared)
 
 
-def without(values: Floats, columns: Floats, root_weight: Floats | float = 1.0) -> Floats:
-    """Values (n,) without what the columns (n, q) explain of them."""
+def without_columns(values: Floats, columns: Floats, root_weight: Floats | float = 1.0) -> Floats:
+    """Residuals (n,) of a linear fit of the columns (n, q) to the values (n,)."""
     size = np.sqrt(np.sum(columns**2, axis=0))
     scaled = columns / np.where(size > 0.0, size, 1.0)
     weighted = (scaled.T * root_weight).T
@@ -173,21 +171,22 @@ def without(values: Floats, columns: Floats, root_weight: Floats | float = 1.0) 
     )
 
 
-def fast_mode(tau_s: Floats, fast: Floats, own: Floats) -> Floats | None:
-    """Cosine and sine of the strongest line in the fast deflection, if it has one, and both times the time.
+def fast_mode_columns(tau_s: Floats, fast: Floats, own: Floats) -> Floats | None:
+    """Columns (n, 4) of the fast mode: cosine and sine of its frequency, and both multiplied by the time.
 
-    What of it is seen along the slow axis would scatter the residuals by more than most errors of the sensor.
-    The last two of the columns (n, 4) allow for an error of its frequency, and for its damping.
+    The frequency is that of the strongest line in the deflection `fast` (n,) across the slow axis; None if no
+    line is strong or a sample is missing. The mode's part along the slow axis would scatter the residuals
+    by more than most errors of the sensor. The last two columns allow for damping and a wrong frequency.
     """
     if not np.isfinite(fast).all():
         return None
-    left = without(fast, own)
+    left = without_columns(fast, own)
     count = 4 * len(tau_s)
     even_s = np.linspace(tau_s[0], tau_s[-1], len(tau_s))
     window = np.hanning(len(tau_s))
     power = np.abs(np.fft.rfft(window * np.interp(even_s, tau_s, left), count)) ** 2
     top = int(np.argmax(power))
-    if not 0 < top < len(power) - 1 or power[top] < _LINE * float(np.median(power)):
+    if not 0 < top < len(power) - 1 or power[top] < _LINE_PROMINENCE * float(np.median(power)):
         return None
     below, peak, above = np.log(power[top - 1 : top + 2])
     rate = 2.0 * math.pi * (top + 0.5 * (below - above) / (below - 2.0 * peak + above))

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from processing.deflections import Deflections
 from processing.swing.follower import OscillationTracker
 from processing.swing.half_cycle_fit import HalfCycleFit
-from processing.swing.judgement import turned
+from processing.swing.judgement import holds_turning_point
 from processing.swing.modes import separate_modes
 from processing.swing.onset import FirstHalfCycle, Onset, OnsetSearch
 from processing.swing.prediction import KnownMotion
@@ -17,12 +17,12 @@ from processing.swing.sample_buffer import SampleBuffer
 from processing.swing.swing import HalfCycle, HalfCycleFlag
 from processing.units import nanoseconds, seconds
 
-_OFF = 0.05
+_LARGEST_TIME_ERROR = 0.05
 """Largest deviation of a turning point, in half periods, for the motion after a disturbance to count as the
 same as before it (no new release)."""
 
-_GROWN, _SHRUNK = 1.02, 0.8
-"""Limits of the ratio of the amplitudes after and before a disturbance, for the same purpose. The lower one
+_LARGEST_AMPLITUDE_RATIO, _SMALLEST_AMPLITUDE_RATIO = 1.02, 0.8
+"""Limits of the ratio of the amplitudes after and before a disturbance, for the same decision. The lower one
 applies per half period."""
 
 
@@ -35,7 +35,7 @@ class TurningPointDetector:
     half-cycle only, from zero crossing to zero crossing; the other parameters come mainly from the
     half-cycles before. Errors of neighbouring half-cycles are therefore nearly independent. Errors
     of friction and stiffness shift the times of many half-cycles in common, by less than their
-    uncertainties; if the motion is `known`, there are no such shifts (see `processing.fit.refinement`).
+    uncertainties; a `known` motion has no such shifts (see `processing.fit.refinement`).
 
     The first four half-cycles are returned together, each later one with the first sample after its end.
 
@@ -55,7 +55,7 @@ class TurningPointDetector:
     >>> import numpy as np
     >>> time_s = np.arange(0.0, 60.0, 0.01)
     >>> deflection = 300.0 * np.exp(-0.002 * time_s) * np.cos(1.5 * time_s)
-    >>> detector = SwingDetector()
+    >>> detector = TurningPointDetector()
     >>> swings = detector.update((time_s * 1e9).astype(np.int64), deflection, np.full(6000, 0.02))
     >>> swings += detector.finish()
     >>> len(swings)
@@ -67,11 +67,11 @@ class TurningPointDetector:
         self._known = known
         self._search: OnsetSearch | None = OnsetSearch(self._samples, 0, known=known)
         self._follower: OscillationTracker | None = None
-        self._before: OscillationTracker | None = None
+        self._previous_follower: OscillationTracker | None = None
         self._half_period_s = math.nan
         self._last: HalfCycle | None = None
         self._last_good: HalfCycle | None = None
-        self._broken_off: HalfCycle | None = None
+        self._last_before_loss: HalfCycle | None = None
 
     def update(self, times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[HalfCycle]:
         """Add samples and return the half-cycles that they complete.
@@ -92,7 +92,7 @@ class TurningPointDetector:
         return self._process(final=False)
 
     def finish(self) -> list[HalfCycle]:
-        """End of the record: return the last half-cycle, although it is incomplete, if it was measured."""
+        """Return the half-cycles that the end of the record completes, also one cut off after its turn."""
         return self._process(final=True)
 
     def _process(self, final: bool) -> list[HalfCycle]:
@@ -119,33 +119,33 @@ class TurningPointDetector:
             if not first.result.valid or (self._last is not None and index <= self._last.index):
                 continue
             flags = first.flags
-            if self._broken_off is not None:
-                flags |= self._continuation(self._broken_off, first)
-                self._broken_off = None
+            if self._last_before_loss is not None:
+                flags |= self._start_flag(self._last_before_loss, first)
+                self._last_before_loss = None
             self._emit(index, first.half.reference_ns, first.half.side, first.result, flags, swings)
         self._search = None
         self._follower = OscillationTracker(
-            onset, index, self._before, drive=0.0 if self._known is None else self._known.drive
+            onset, index, self._previous_follower, drive=0.0 if self._known is None else self._known.drive
         )
         self._samples.forget_before(self._samples.position(self._follower.start_ns))
 
-    def _continuation(self, before: HalfCycle, first: FirstHalfCycle) -> HalfCycleFlag:
+    def _start_flag(self, before: HalfCycle, first: FirstHalfCycle) -> HalfCycleFlag:
         """Flag START if the motion after a disturbance differs from the motion before it; otherwise no flag.
 
-        It is the same if the time since the last good turning point is a whole number of half periods with
-        the right parity, and the amplitude has neither grown nor fallen faster than a decay.
+        The motion is the same if the time since the last good turning point is a whole number of half periods
+        of the right parity, and the amplitude has neither grown nor fallen faster than in a decay.
         """
         time_s = seconds(first.half.reference_ns - before.turn_time_ns) + first.result.time_s
         halves = time_s / self._half_period_s
         off = abs(math.remainder(halves - int(first.half.side != before.side), 2.0))
-        grown = first.result.amplitude > before.amplitude * _GROWN
-        shrunk = first.result.amplitude < before.amplitude * _SHRUNK ** max(halves, 1.0)
-        return HalfCycleFlag.START if off > _OFF or grown or shrunk else HalfCycleFlag(0)
+        grown = first.result.amplitude > before.amplitude * _LARGEST_AMPLITUDE_RATIO
+        shrunk = first.result.amplitude < before.amplitude * _SMALLEST_AMPLITUDE_RATIO ** max(halves, 1.0)
+        return HalfCycleFlag.START if off > _LARGEST_TIME_ERROR or grown or shrunk else HalfCycleFlag(0)
 
     def _index_after(self, last: HalfCycle, time_ns: int, side: int) -> int:
         """Index of the first half-cycle after an interruption.
 
-        The last index plus the nearest number of half periods that is odd if the sides differ, even if not.
+        It is the last index plus the nearest number of half periods, odd if and only if the sides differ.
         """
         halves = seconds(time_ns - last.turn_time_ns) / self._half_period_s
         odd = int(side != last.side)
@@ -160,12 +160,12 @@ class TurningPointDetector:
         end_ns = follower.end_ns
         self._half_period_s = follower.half_period_s
         result, flags = follower.take(half)
-        if turned(result, half):
+        if holds_turning_point(result, half):
             self._emit(index, reference_ns, side, result, flags, swings)
         if follower.lost:
             position = self._samples.position(follower.first_miss_ns if follower.misses else end_ns)
             if follower.misses:
-                self._broken_off = self._last_good
+                self._last_before_loss = self._last_good
             self._follower = None
             self._search = OnsetSearch(
                 self._samples,
@@ -175,7 +175,7 @@ class TurningPointDetector:
                 self._known,
                 follower.noise.level.effective,
             )
-            self._before = follower
+            self._previous_follower = follower
         elif not follower.misses:
             self._samples.forget_before(self._samples.position(end_ns))
         return True
@@ -212,13 +212,13 @@ class TurningPointDetector:
 
 
 def swings_of(times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> list[HalfCycle]:
-    """All half-cycles of samples that are there as a whole; see `TurningPointDetector.update`."""
+    """All half-cycles of samples in memory; arguments and errors as of `TurningPointDetector.update`."""
     detector = TurningPointDetector()
     return [*detector.update(times_ns, deflection, u_deflection), *detector.finish()]
 
 
 def swings_of_blocks(blocks: Iterable[Deflections], known: KnownMotion | None = None) -> list[HalfCycle]:
-    """All half-cycles of deflections along the slow axis, in pieces that need not be in memory together."""
+    """All half-cycles of deflections along the slow axis, in blocks that need not be in memory together."""
     detector = TurningPointDetector(known)
     found = [swing for block in blocks for swing in detector.update(block.times_ns, block.y, block.u_y)]
     return [*found, *detector.finish()]
@@ -231,7 +231,7 @@ def compile_kernels() -> None:
     """Run every compiled kernel of this package once, so that numba compiles it or loads it from its cache.
 
     This takes about 10 s on the first run after an installation and a few tenths of a second later. Call
-    it before a measurement: compilation during the first swing would block the processing of samples.
+    it before a measurement: compilation during the first half-cycle would block the processing of samples.
     """
     time_s = np.arange(0.0, _SECONDS, 1.0 / _FRAMES_PER_S)
     phase = _RATE * time_s

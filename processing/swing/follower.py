@@ -1,10 +1,10 @@
-"""Follows one oscillation from half-cycle to half-cycle: an extended Kalman filter with adaptive noise.
+"""Extended Kalman filter with adaptive noise that follows one oscillation from half-cycle to half-cycle.
 
 Each half-cycle is predicted (`prediction`), measured (`half_cycle_fit`) and judged (`judgement`). An
 undisturbed one updates the state. The process noise has two adaptive scales. `_process_noise` multiplies the
 variance by which all terms may change and grows while the normalised innovations of the turning points are
-too large. `_drift_noise` does so for the drift of the rest position and grows while its corrections are
-larger than expected.
+too large. `_drift_noise` multiplies that of the drift of the rest position and grows while the corrections of
+the centre are larger than expected.
 """
 
 import math
@@ -30,7 +30,7 @@ from processing.swing.noise import SampleNoise
 from processing.swing.onset import Onset
 from processing.swing.prediction import SLOPE_WANDER, DrivenWalk, predict
 from processing.swing.swing import HalfCycleFlag
-from processing.swing.term_selection import ANHARMONIC, FAST_MODE, bent, extend, prior
+from processing.swing.term_selection import ANHARMONIC, FAST_MODE, extend, friction_start, prior
 from processing.swing.waveform import DAMPING, RISE
 from processing.units import nanoseconds, seconds
 
@@ -45,38 +45,37 @@ _JUMP = 100.0
 """Normalised innovation squared (two degrees of freedom) of a turning point above which it was a kick."""
 
 _INCONSISTENT = 3.0
-"""Running mean of it per degree of freedom above which the predictions are considered wrong."""
-_CALM = 100.0
+"""Running mean of the squared innovation per degree of freedom above which the predictions count as wrong."""
+_CALM_DRIFT_NOISE = 100.0
 """Scale of the drift's process noise below which an insignificant drift of the centre may be set to zero."""
 _DRIFT_NOISE_AT_FIRST = 30.0
-_WITHIN = 0.15
-"""Effect of the centre's wandering on a turning point, relative to its wandering from one half-cycle to the
-next."""
+_CENTRE_WANDER_EFFECT = 0.15
+"""Effect on a turning point of the centre's change per half-cycle, relative to that change."""
 _ARC_EXCESS = 4.0
 """Largest chi-square, in standard deviations above its expectation, for which an arc without process noise is
 accepted."""
-_SETTLED = 8
+_START_HALF_CYCLES = 8
 """Number of half-cycles before which an unexpected turning point is blamed on a wrong start, not on a
 kick."""
-_PATIENCE = 3
+_MOST_MISSES = 3
 """Number of disturbed half-cycles in a row after which the oscillation counts as lost."""
 
 _MUCH_DRIFT_NOISE = 1e4
 """Scale of the drift's process noise that a rest position without draughts does not reach."""
 
-_THIRD = 0.4
-"""Distance of a fast mode's frequency from three times the pendulum's within which it may be a harmonic."""
+_THIRD_HARMONIC_RANGE = 0.4
+"""Largest difference between a fast mode's frequency and three times the pendulum's, in the pendulum's, at
+which the mode may be the third harmonic."""
 
-_MOST_COLOURED = 1e6
-"""Largest scale of it in slow noise, which moves the rest position, too, and counts in the samples'
-noise."""
+_MOST_COLOURED_DRIFT_NOISE = 1e6
+"""Largest scale of the drift's process noise in slow noise, which already counts as noise of the samples."""
 
-_DOUBT = 2.0
+_SHAPE_INFLATION = 2.0
 """Factor on the uncertainties of frequency and shape where they predict a driven motion wrongly."""
 
 _RUNAWAY = 10.0
 """Amplitude, relative to the reference, above which the filter has diverged."""
-_BLUR = 0.1
+_LARGEST_U_TIME = 0.1
 """Uncertainty of the next turning point's time, in half periods, above which the oscillation counts as
 lost."""
 
@@ -89,8 +88,8 @@ class OscillationTracker:
     ) -> None:
         """Start from a newly found oscillation; `index` is the index of its last half-cycle.
 
-        What the follower `before` it has learned of the samples' noise still holds. `drive` is what is known
-        of the ground's (`KnownMotion`).
+        The samples' noise is taken over from `before`, the follower before a loss. `drive` is the known step
+        by the ground, as in `KnownMotion`; 0 if unknown.
         """
         arc, last = onset.arc, onset.halves[-1]
         self.index = index
@@ -138,18 +137,18 @@ class OscillationTracker:
         """Whether the oscillation is lost and a new search is needed."""
         if not 0.0 < self._x[AMPLITUDE] < _RUNAWAY * self._reference or not math.isfinite(self._end_s):
             return True
-        blurred = math.sqrt(self._covariance[TIME, TIME]) > _BLUR * self.half_period_s
-        return blurred or self.misses >= _PATIENCE
+        blurred = math.sqrt(self._covariance[TIME, TIME]) > _LARGEST_U_TIME * self.half_period_s
+        return blurred or self.misses >= _MOST_MISSES
 
     def take(self, half: HalfCycleSamples) -> tuple[HalfCycleFit, HalfCycleFlag]:
         """Measure the present half-cycle, update the state unless it was disturbed, and go on to the next.
 
-        Returns the measurement and its flags; 0 if nothing was wrong.
+        Returns the measurement and its flags, 0 for an undisturbed one.
         """
         result = self._measure(half, self._covariance)
         flags = self._judge(result)
         if not result.valid or flags & HalfCycleFlag.VIBRATION or result.normalised_innovation > _JUMP:
-            # the rest position may have moved: test whether that explains the misfit
+            # the rest position may have moved: test whether this explains the large residuals
             again = self._measure_moved_rest(half)
             flags_again = self._judge(again)
             if (
@@ -182,7 +181,7 @@ class OscillationTracker:
 
     def _measure(self, half: HalfCycleSamples, covariance: Matrix) -> HalfCycleFit:
         noise = self.noise.level
-        within = self.walk.within(self._resolution)
+        drive = self.walk.inflation(self._resolution)
         result = fit_half_cycle(
             self._x,
             covariance,
@@ -190,8 +189,8 @@ class OscillationTracker:
             float(self.side),
             self._reference,
             self._active,
-            noise.effective * within.samples,
-            self._drift_noise < _CALM,
+            noise.effective * drive.samples,
+            self._drift_noise < _CALM_DRIFT_NOISE,
             self._start_s,
             self._end_s,
             half.tau_s,
@@ -200,11 +199,11 @@ class OscillationTracker:
         )
         # A centre that wanders between half-cycles also wanders within one, which the model of a linear drift
         # does not describe: enlarge the uncertainties accordingly.
-        wider = math.sqrt(1.0 + (_WITHIN * SLOPE_WANDER) ** 2 * self._drift_noise)
+        wider = math.sqrt(1.0 + (_CENTRE_WANDER_EFFECT * SLOPE_WANDER) ** 2 * self._drift_noise)
         return result._replace(
-            u_amplitude=result.u_amplitude * wider * noise.amplitude * within.amplitude / within.samples,
-            u_time_s=result.u_time_s * wider * within.time / within.samples,
-            resolution=result.resolution / within.samples,
+            u_amplitude=result.u_amplitude * wider * noise.amplitude * drive.amplitude / drive.samples,
+            u_time_s=result.u_time_s * wider * drive.time / drive.samples,
+            resolution=result.resolution / drive.samples,
         )
 
     def _measure_moved_rest(self, half: HalfCycleSamples) -> HalfCycleFit:
@@ -243,21 +242,21 @@ class OscillationTracker:
 
     def _learn(self, result: HalfCycleFit) -> HalfCycleFlag:
         jumped = result.normalised_innovation > _JUMP and self._mean_innovation < _INCONSISTENT
-        if jumped and self._age < _SETTLED:
+        if jumped and self._age < _START_HALF_CYCLES:
             # too early to distinguish a kick from a wrong model at the start: search again
-            self.misses = _PATIENCE
+            self.misses = _MOST_MISSES
             self.first_miss_ns = self.start_ns
             return HalfCycleFlag.VIBRATION
         self._learn_drift_noise(result)
         self._drift_noise = min(self._drift_noise, self.walk.most_drift_noise(self._resolution))
         if self.noise.level.colour > 1.0:
-            self._drift_noise = min(self._drift_noise, _MOST_COLOURED)
+            self._drift_noise = min(self._drift_noise, _MOST_COLOURED_DRIFT_NOISE)
         self._x, self._covariance = result.state, result.covariance
         self._resolution = result.resolution
         self._mean_innovation += (min(result.normalised_innovation / 2.0, 8.0) - self._mean_innovation) / 8.0
         if self.walk.variance > 0.0:
-            if self.walk.offset():
-                self._loosen_shape()
+            if self.walk.biased():
+                self._inflate_shape()
         elif self._mean_innovation > _INCONSISTENT:
             self._process_noise = min(self._process_noise * max(2.0, 0.1 * result.normalised_innovation), 1e6)
         else:
@@ -274,7 +273,7 @@ class OscillationTracker:
         return HalfCycleFlag(0)
 
     def _drive_begins(self, result: HalfCycleFit) -> bool:
-        """Learn the drive; where it begins to be seen, forget what the motion without one seemed to be."""
+        """Learn the drive; True if it becomes significant now, and the state is freed for a driven motion."""
         to_arc = float(self._x[AMPLITUDE] * self._x[RATE])
         differences = result.amplitude - self._x[AMPLITUDE], (result.time_s - self._x[TIME]) * to_arc
         variances = (
@@ -289,31 +288,31 @@ class OscillationTracker:
         self._covariance[TIME, TIME] += self.walk.variance / to_arc**2
         self._process_noise = self._mean_innovation = self._correction = 1.0
         self._drift_noise = min(self._drift_noise, _DRIFT_NOISE_AT_FIRST)
-        # a joint fit without the drive says nothing
+        # a joint fit of the half-cycles would ignore the drive
         self._history = None
         if RATE in self._active and SHAPE + RISE not in self._active:
-            self._bend()
+            self._add_anharmonic_terms()
         return True
 
-    def _bend(self) -> None:
+    def _add_anharmonic_terms(self) -> None:
         """Add the anharmonic terms, which joint fits of a driven motion do not find.
 
-        A fast mode near the third harmonic is dropped: it has stood for them.
+        A fast mode near the third harmonic is dropped: it has taken the place of these terms.
         """
         terms = {*self._active.tolist(), *ANHARMONIC}
-        if abs(self._x[FAST_RATE] / self._x[RATE] - 3.0) < _THIRD:
+        if abs(self._x[FAST_RATE] / self._x[RATE] - 3.0) < _THIRD_HARMONIC_RANGE:
             terms -= set(FAST_MODE)
             self._x[list(FAST_MODE)] = 0.0
         sigma = prior(self._x, anharmonic=True)[1]
-        self._x = bent(self._x)
+        self._x = friction_start(self._x)
         self._anchor = self._x.copy()
         for term in ANHARMONIC:
             self._covariance[term, term] = sigma[term] ** 2
         self._active = np.array(sorted(terms), dtype=np.int64)
 
-    def _loosen_shape(self) -> None:
-        """Doubt frequency and shape, which predict a driven motion wrongly."""
-        factors = np.full(STATES, _DOUBT)
+    def _inflate_shape(self) -> None:
+        """Enlarge the uncertainties of frequency and shape, which predict a driven motion wrongly."""
+        factors = np.full(STATES, _SHAPE_INFLATION)
         factors[[AMPLITUDE, TIME]] = 1.0
         self._covariance *= np.outer(factors, factors)
 
@@ -336,10 +335,10 @@ class OscillationTracker:
         if self._history is None or len(self._history) not in refits:
             return
         arc = extend(self._first, self._history, self._reference, self._active)
-        bent = SHAPE + RISE in self._active
+        anharmonic = SHAPE + RISE in self._active
         if arc is not None and excess(arc.chi2 / self.noise.level.scale**2, float(arc.samples)) < _ARC_EXCESS:
             self._first = arc.states[0].copy()
-            if bent or len(arc.active) > len(self._active):
+            if anharmonic or len(arc.active) > len(self._active):
                 self._adopt(arc)
         if len(self._history) == _REFITS[-1]:
             self._history = None

@@ -85,11 +85,11 @@ def invert(matrix: Matrix, inverse: Matrix) -> bool:
 def tabulate_state(
     x: Vector, anchor: Vector, reference: float, active: Ints, table: Table, turn: Matrix
 ) -> None:
-    """Tabulate the half-swing of the state `x` and its derivatives by the active shape terms.
+    """Tabulate the waveform of the state `x` and its derivatives by the active shape terms.
 
-    The half-swing is expanded to first order in the shape terms about those of `anchor`, another state. While
-    the anchor is kept, all half-cycles give information about the same linear combinations of terms
-    that are hard to distinguish. With a new expansion at every step these combinations would change,
+    The waveform is expanded to first order in the shape terms about those of `anchor`, another state. As
+    long as the anchor stays the same, all half-cycles give information about the same linear combinations of
+    terms that are hard to distinguish. With a new expansion at every step these combinations would change,
     the filter would gain information in all of them, and the covariance would be too small (the
     inconsistency known of extended Kalman filters).
 
@@ -128,7 +128,7 @@ def tabulate_state(
 def tabulated(x: Vector, anchor: Vector, reference: float, active: Ints) -> tuple[Table, Matrix]:
     """The table and the turn that `tabulate_state` fills, in new arrays.
 
-    It is called from Python, so that what uses them has no copy of the waveform's machine code.
+    Kernels get these arrays from Python, because one that calls `tabulate_state` copies its machine code.
     """
     table, turn = np.zeros((2 + SHAPES, NODES, 2)), np.zeros((2, 2 + SHAPES))
     tabulate_state(x, anchor, reference, active, table, turn)
@@ -148,7 +148,7 @@ def linearise(
 ) -> None:
     """Residuals and derivatives of the model by the active entries of the state, at every sample.
 
-    With the time tau since the reference time, the phase s = (tau - TIME) RATE, the tabulated half-swing y(s)
+    With the time tau since the reference time, the phase s = (tau - TIME) RATE, the tabulated waveform y(s)
     and the amplitude A, the model is
 
         CENTRE + DRIFT tau + side A y(s)

@@ -40,11 +40,11 @@ from processing.swing.waveform import NODES, SHAPES, N, P
 
 SEGMENTS = 8
 SLOW_TERMS = (4, 5, 6)
-"""Terms of a cosine series over the half-cycle that show slow noise: 4 to 6 times the pendulum's frequency.
-Those below are mostly taken up by amplitude, time, centre and drift."""
+"""Orders of a cosine series over the half-cycle that show slow noise: 4 to 6 times the pendulum's frequency.
+Lower orders are mostly taken up by amplitude, time, centre and drift."""
 SLOW_FEWEST = 24
 _GATE = 6.0
-"""Standard deviations: of noise alone 2e-9 of the samples lie beyond."""
+"""Standard deviations beyond which a sample is an outlier: of noise alone 2e-9 of the samples."""
 _ITERATIONS = 4
 _SEEN = 2.5
 """Significance of the drift, in standard uncertainties, above which it is used."""
@@ -56,8 +56,8 @@ _ENOUGH = 0.02
 class HalfCycleFit(NamedTuple):
     """Local amplitude and time with uncertainties, the full solution, and the quality of the fit.
 
-    If `valid` is False there was no solution, and every float but `hole_s` is NaN. `centre` is the rest
-    position at the turning point. `state` and `covariance` are the full solution.
+    If `valid` is False there was no solution, and every float but `hole_s` is NaN. `time_s` is relative to
+    the reference time, `centre` the rest position at the turning point. The last two are the full solution.
     """
 
     valid: bool
@@ -74,12 +74,12 @@ class HalfCycleFit(NamedTuple):
     samples: int
     outliers: int
     worst_segment: float
-    """Largest chi-square per sample of one of SEGMENTS parts of the half-cycle, of the same kind."""
+    """Largest chi-square per sample of one of SEGMENTS parts of the half-cycle, without noise scale too."""
     slow: float
     """Mean power of the residuals in the bands of `SLOW_TERMS`, in units of white noise of the samples'
     uncertainties as given; NaN with fewer than `SLOW_FEWEST` samples."""
     normalised_innovation: float
-    """Squared: chi-square (two degrees of freedom) of the local amplitude and time against the prediction."""
+    """Chi-square (two degrees of freedom) of the local amplitude and time against the prediction."""
     hole_s: float
     """Longest gap between samples within the window, s."""
     state: Vector

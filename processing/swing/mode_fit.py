@@ -33,7 +33,7 @@ def line(rate: float, time_s: Vector, value: Vector, weight: Vector) -> tuple[fl
 def _line_of_sums(
     cc: float, cs: float, ss: float, c_value: float, s_value: float
 ) -> tuple[float, float, float]:
-    """`line`, of the weighted sums of products of cosine, sine and value."""
+    """The result of `line` from the weighted sums of products of cosine, sine and value."""
     determinant = cc * ss - cs * cs
     if not determinant > 1e-6 * cc * ss:
         return 0.0, 0.0, 0.0
@@ -61,22 +61,22 @@ _FAST_TERMS = (
     Y + FAST_SINE,
 )
 _COLUMNS = Y
-"""Terms of one coordinate: those that both share, and its own."""
+"""Number of terms on which one coordinate depends: those that both share, and its own."""
 
 EVERY = list(range(TERMS))
 SLOW_ONLY = [k for k in EVERY if k not in _FAST_TERMS]
 _DIAGONAL = np.diag_indices(TERMS)
 _STEPS = 8
 _DETERMINED = 1e-8
-"""Part of a term's information, beside all terms before it, that rounding leaves as exact as is needed."""
+"""Smallest fraction of a term's information, beside the terms before it, that is free of rounding errors."""
 _NOISE_LIKE = 4.0
-"""Chi-square per sample: residuals of twice the stated noise may still be noise that was stated too small."""
-_FALSE = 1e-7
-"""Probability with which noise is taken for a fast mode in one look. A run takes some hundred looks, and the
-search in each goes through all frequencies: see `bench_modes` for false detections in a thousand runs."""
+"""Chi-square per sample up to which residuals may be noise whose stated uncertainty is half of the true."""
+_FALSE_ALARM = 1e-7
+"""Probability with which one search takes noise for a fast mode. A run makes some hundred searches, each
+through all frequencies: see `bench_modes` for false detections in a thousand runs."""
 
-_FASTEST = 25.0
-_SLOWEST_FAST = 2.2
+_HIGHEST_FAST_RATE = 25.0
+_LOWEST_FAST_RATE = 2.2
 """Range in which a fast mode is searched, in multiples of the slow mode's frequency."""
 
 
@@ -105,14 +105,14 @@ class ModeSamples(NamedTuple):
 
 
 class ModeFit(NamedTuple):
-    """Terms with their covariance, chi-square and residuals."""
+    """Terms `p` (TERMS,) with their covariance, chi-square and the residuals of both coordinates (n,)."""
 
     p: Floats
     covariance: Floats
     active: list[int]
     chi2: float
-    left_x: Floats
-    left_y: Floats
+    residual_x: Floats
+    residual_y: Floats
 
     def explains(self, samples: ModeSamples) -> bool:
         """Whether the fit explains more than half of the variation, and nearly all that is not noise.
@@ -152,13 +152,13 @@ def with_fast_mode(slow: ModeFit, samples: ModeSamples) -> tuple[ModeFit, float]
     cannot show one.
     """
     slow_rate = float(slow.p[SLOW_RATE])
-    top = min(_FASTEST * slow_rate, 0.8 * math.pi * len(samples.t) / samples.span_s)
-    lowest, spacing = _SLOWEST_FAST * slow_rate, math.pi / samples.span_s
+    top = min(_HIGHEST_FAST_RATE * slow_rate, 0.8 * math.pi * len(samples.t) / samples.span_s)
+    lowest, spacing = _LOWEST_FAST_RATE * slow_rate, math.pi / samples.span_s
     count = math.ceil((top - lowest) / spacing)
     if count < 1:
         return slow, math.nan
-    left = samples._replace(x=slow.left_x, y=slow.left_y)
-    rate, limit = _strongest(*left, lowest, spacing, count)
+    residuals = samples._replace(x=slow.residual_x, y=slow.residual_y)
+    rate, limit = _strongest(*residuals, lowest, spacing, count)
     start = slow.p.copy()
     start[FAST_RATE] = rate
     fit = fit_terms(start, EVERY, samples, slow_rate)
@@ -170,15 +170,15 @@ def with_fast_mode(slow: ModeFit, samples: ModeSamples) -> tuple[ModeFit, float]
 def fast_mode_seen(fit: ModeFit, frequencies: int = 1) -> bool:
     """Whether the fast mode's four amplitudes together differ significantly from zero (Wald test).
 
-    `frequencies` is how many were looked at to find it: the strongest of many is strong by chance.
+    `frequencies` is the number of frequencies searched: the strongest of many lines is strong by chance.
     """
-    limit = 2.0 * math.log(frequencies / _FALSE)
+    limit = 2.0 * math.log(frequencies / _FALSE_ALARM)
     # chi-square of four degrees of freedom: its tail exp(-w/2) (1 + w/2) is solved for w by iteration
     for _ in range(20):
-        limit = 2.0 * math.log((1.0 + 0.5 * limit) * frequencies / _FALSE)
+        limit = 2.0 * math.log((1.0 + 0.5 * limit) * frequencies / _FALSE_ALARM)
     places = [X + FAST_COSINE, X + FAST_SINE, Y + FAST_COSINE, Y + FAST_SINE]
     part = fit.p[places]
-    scale = fit.chi2 / max(2 * len(fit.left_x) - TERMS, 1)
+    scale = fit.chi2 / max(2 * len(fit.residual_x) - TERMS, 1)
     covariance = fit.covariance[np.ix_(places, places)] * max(scale, 1.0)
     try:
         return bool(part @ np.linalg.solve(covariance, part) > limit)
@@ -187,11 +187,11 @@ def fast_mode_seen(fit: ModeFit, frequencies: int = 1) -> bool:
 
 
 def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: float) -> ModeFit:
-    """Gauss-Newton from `p` in the `active` terms."""
+    """Fit the `active` terms by Gauss-Newton, starting from `p` (TERMS,); `slow_rate` in rad/s."""
     places = np.array(active)
     p = p.copy()
     ridge = np.zeros(TERMS)
-    # a weak prior excludes oscillations damped out within a period and rotations of the ellipse as fast
+    # a weak prior excludes oscillations damped out within a period, and ellipses that turn as fast
     ridge[[SLOW_DAMPING, FAST_DAMPING, TURNING, WIDENING]] = 1.0 / (0.2 * slow_rate) ** 2
     covariance = np.zeros((TERMS, TERMS))
     limit = 0.5 * math.pi / samples.span_s
@@ -201,7 +201,7 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
         score -= ridge * p
         change, covariance, determined = _step(information, score, places)
         if not determined:
-            change, covariance = _step_in_what_is_determined(information, score, places)
+            change, covariance = _step_in_determined_terms(information, score, places)
         for place in (SLOW_RATE, FAST_RATE):
             change[place] = min(max(change[place], -limit), limit)
         p += change
@@ -215,12 +215,12 @@ def fit_terms(p: Floats, active: list[int], samples: ModeSamples, slow_rate: flo
         )
         if step > 1 and abs(change[SLOW_RATE]) <= 0.01 * u_slow and abs(change[FAST_RATE]) <= 0.01 * u_fast:
             break
-    _, _, chi2, left_x, left_y = _equations(p, *samples)
-    return ModeFit(p, covariance, active, chi2, left_x, left_y)
+    _, _, chi2, residual_x, residual_y = _equations(p, *samples)
+    return ModeFit(p, covariance, active, chi2, residual_x, residual_y)
 
 
-def _step_in_what_is_determined(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Floats]:
-    """`_step` by eigenvectors, without those combinations of terms that the samples do not determine."""
+def _step_in_determined_terms(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Floats]:
+    """Change and covariance as of `_step`, by eigenvectors, without undetermined combinations of terms."""
     part = information[np.ix_(places, places)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
     small = np.linalg.pinv(part * np.outer(scale, scale), rcond=1e-12, hermitian=True)
@@ -234,8 +234,7 @@ def _step_in_what_is_determined(information: Floats, score: Floats, places: Ints
 def _step(information: Floats, score: Floats, places: Ints) -> tuple[Floats, Floats, bool]:
     """Change of the terms at `places`, their covariance, and whether the samples determine all of them well.
 
-    Terms without any information stay as they are. It is a Cholesky decomposition of the information in units
-    of each term's own.
+    Terms without any information do not change. The scaled information is decomposed after Cholesky.
     """
     change, covariance = np.zeros(TERMS), np.zeros((TERMS, TERMS))
     known = places[np.array([information[place, place] > 0.0 for place in places])]
@@ -279,7 +278,7 @@ def _equations(
     The coupling k mixes the slow parts of the coordinates: x has X + k t Y, y has Y - k t X (see `modes`).
     """
     information, score = np.zeros((TERMS, TERMS)), np.zeros(TERMS)
-    # each coordinate's own, in which its terms are side by side: the innermost loop takes several at once
+    # sums of each coordinate, whose terms are side by side: the innermost loop takes several at once
     sums, scores = np.zeros((2, _COLUMNS, _COLUMNS)), np.zeros((2, _COLUMNS))
     left_x, left_y = np.empty(len(t)), np.empty(len(t))
     row = np.empty(_COLUMNS)
@@ -350,7 +349,7 @@ def _strongest(
 ) -> tuple[float, float]:
     """Angular frequency of the strongest line, by its power in both coordinates, and its amplitude in x.
 
-    Of `count` frequencies from `first` on. From each to the next a sample's phase turns by the same angle.
+    The search takes `count` frequencies from `first` on; a sample's phase turns equally between neighbours.
     """
     turn_c, turn_s = np.cos(spacing * t), np.sin(spacing * t)
     phase_c, phase_s = np.cos(first * t), np.sin(first * t)

@@ -35,7 +35,8 @@ from processing.swing.mode_fit import (
 )
 from processing.units import seconds
 
-_FEWEST = 20  # samples of two coordinates each, for the 18 terms of both modes
+_FEWEST_SAMPLES = 20
+"""Fewest samples, of two coordinates each, for the 18 terms of both modes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +64,11 @@ class Mode:
 
 @dataclass(frozen=True, slots=True)
 class TwoModes:
-    """Slow and fast mode, and rest position, at `time_ns`, the middle of the samples.
+    """Slow mode, fast mode and rest position at `time_ns`, the middle of the samples.
 
     `fast` is None if no fast mode is significant; `fast_limit` is then the amplitude in X of the strongest
-    spectral line in the residuals. Standard uncertainties (`u_`) are multiplied by the square root of
-    chi-square per degree of freedom where that exceeds 1, for each coordinate by its own.
+    spectral line in the residuals. Standard uncertainties (`u_`) of each coordinate are multiplied by the
+    square root of its chi-square per degree of freedom where that exceeds 1.
     """
 
     time_ns: int
@@ -114,7 +115,7 @@ def separate_modes(
         raise DataError("times, coordinates and uncertainties must be of one length")
     good = np.isfinite(x) & np.isfinite(y)
     times = times_ns[good]
-    if len(times) < _FEWEST or times[0] == times[-1]:
+    if len(times) < _FEWEST_SAMPLES or times[0] == times[-1]:
         return None
     middle_ns = int(times[0] + (times[-1] - times[0]) // 2)
     t = seconds(times - middle_ns)
@@ -136,8 +137,8 @@ def separate_modes(
     if not fit.p[SLOW_RATE] * samples.span_s > 1.8 * math.pi:
         return None
     dof = max(len(t) - len(fit.active) / 2.0, 1.0)
-    misfit_x = float((fit.left_x**2 * samples.weights_x).sum()) / dof
-    misfit_y = float((fit.left_y**2 * samples.weights_y).sum()) / dof
+    misfit_x = float((fit.residual_x**2 * samples.weights_x).sum()) / dof
+    misfit_y = float((fit.residual_y**2 * samples.weights_y).sum()) / dof
     if min(misfit_x, misfit_y) > 0.0 and max(misfit_x, misfit_y) > 1.0:
         # Each coordinate gets its own scatter: friction and anharmonicity distort the motion along the major
         # axis and hardly the one across it.
@@ -168,7 +169,7 @@ def _mode(p: Floats, covariance: Floats, rate_place: int, offset: int) -> Mode:
     parts, part_covariance = p[places], covariance[np.ix_(places, places)]
     size = max(float(np.abs(parts).max()), 1e-300)
     change = 1e-6 * size * np.eye(4)
-    # the motion itself, and with each part larger, and smaller
+    # the ellipse itself, then with each of its four amplitudes larger, then smaller: central differences
     found = _ellipse(np.column_stack([parts, parts[:, None] + change, parts[:, None] - change]))
     values, differences = found[:, 0], found[:, 1:5] - found[:, 5:]
     # the angle is defined modulo pi: remove jumps

@@ -1,10 +1,10 @@
-"""The samples' noise: estimated from a record, or learned from the residuals of the half-cycles.
+"""Noise of the samples: estimated from a record, or learned from the residuals of the half-cycles.
 
-Air, a pointing that walks and what a drive does within a half-cycle leave residuals that are slow. In white
-noise each cosine of a series over the half-cycle holds the same power; here the slow ones hold more, and
-amplitude and time of the turning point, which are slower still, suffer more than the scatter of the samples
-tells. What stands at 4 to 6 times the pendulum's frequency is seen; at the frequency itself it cannot be
-told from the motion. It is taken to rise like 1/f from there.
+Air, a wandering pointing and the effect of a drive within a half-cycle leave slow residuals. In white noise
+each cosine of a series over the half-cycle holds the same power; here the slow ones hold more, and amplitude
+and time of the turning point, which are slower still, have larger errors than the scatter of the samples
+suggests. The residuals are measured at 4 to 6 times the pendulum's frequency; at the frequency itself noise
+cannot be distinguished from the motion. Its power is assumed to rise like 1/f towards it.
 """
 
 import math
@@ -26,41 +26,40 @@ from processing.units import seconds
 _MEMORY = 15
 """Number of half-cycles whose median reduced chi-square gives the factor on the samples' uncertainties."""
 _SLOW_MEMORY = 63
-"""Their median is known to 0.13, so that noise counts as slow from 1.8 times the power of white noise on."""
-_MEDIAN = 0.789
+"""Number of half-cycles whose median slow power is used. It is known to 0.13, so that noise counts as slow
+from 1.8 times the power of white noise on."""
+_CHI2_MEDIAN = 0.789
 """Median of a chi-square of three degrees of freedom, per degree."""
-_SPREAD = 1.02
-"""Standard deviation of the median of m such values, times sqrt(m)."""
+_MEDIAN_SPREAD = 1.02
+"""Standard deviation of the median of m such values, multiplied by sqrt(m)."""
 _SIGNIFICANT = 6.0
-"""Standard deviations of the median: it is looked at after every half-cycle of runs of thousands."""
+"""Significance in standard deviations; high, because a run tests after each of thousands of half-cycles."""
 _RISE = 4.0
-"""Power at 1.25 times the pendulum's frequency, about where turning points take it up, relative to that at
-five times, in noise of 1/f."""
+"""Power of 1/f noise at 1.25 times the pendulum's frequency, where turning points see it, over 5 times."""
 _CENTRE_RISE = 9.0
-"""The same at half the frequency, about where the centre takes it up."""
+"""The same ratio for half the frequency, to which the centre is about sensitive."""
 
 
 class NoiseLevel(NamedTuple):
-    """Noise of the samples in units of their stated uncertainties.
-
-    `scale` is the factor on them, `colour` a further one on what follows for turning points, and `amplitude`
-    one more on amplitudes, in which the centre's error stands as well. `concentration` is the power of the
-    slow residuals relative to white ones: so many times fewer are independent.
-    """
+    """Noise of the samples in units of their stated uncertainties, as factors."""
 
     scale: float
+    """Factor on the samples' uncertainties."""
     colour: float = 1.0
+    """Further factor on the uncertainties of turning points, for slow noise."""
     amplitude: float = 1.0
+    """Further factor on those of amplitudes, which contain the centre's error as well."""
     concentration: float = 1.0
+    """Power of the slow residuals relative to white ones; the number of independent ones is divided by it."""
 
     @property
     def effective(self) -> float:
-        """Factor on the samples' uncertainties with which white noise would harm turning points as much."""
+        """Factor on the samples' uncertainties for white noise of the same effect on turning points."""
         return self.scale * self.colour
 
 
 class SampleNoise:
-    """Learns the noise, half-cycle by half-cycle."""
+    """Estimate of the noise, updated by every half-cycle; `level` is the present one."""
 
     def __init__(self, scale: float) -> None:
         self.level = NoiseLevel(scale)
@@ -68,7 +67,7 @@ class SampleNoise:
         self._slow: deque[float] = deque(maxlen=_SLOW_MEMORY)
 
     def learn(self, result: HalfCycleFit) -> None:
-        """Take in one more half-cycle without gaps."""
+        """Add one more half-cycle without gaps."""
         degrees = max(result.samples - 2, 1)
         self._ratios.append(result.chi2 / degrees)
         median = sorted(self._ratios)[_MEMORY // 2]
@@ -82,70 +81,70 @@ class SampleNoise:
         count = len(self._slow)
         if not count:
             return 1.0, 1.0, 1.0
-        power = sorted(self._slow)[count // 2] / (_MEDIAN * scale**2)
-        if power < 1.0 + _SIGNIFICANT * _SPREAD / math.sqrt(count):
+        power = sorted(self._slow)[count // 2] / (_CHI2_MEDIAN * scale**2)
+        if power < 1.0 + _SIGNIFICANT * _MEDIAN_SPREAD / math.sqrt(count):
             return 1.0, 1.0, 1.0
         colour, amplitude = (math.sqrt(1.0 + rise * (power - 1.0)) for rise in (_RISE, _CENTRE_RISE))
         return colour, amplitude / colour, power
 
 
-_BINS = 8
-"""Of speeds, over which the scatter is compared."""
-_FEWEST = 24
-"""Differences in a bin."""
-_LEAST = 1e-3
-"""Of the scatter of the differences, squared, that expected of a bin at least."""
-_SAME_SPEED = 0.99
-"""Of the mean square speed of the fastest differences, that of the slowest where they do not differ."""
+_SPEED_BINS = 8
+"""Number of bins of speed, over which the scatter is compared."""
+_FEWEST_DIFFERENCES = 24
+"""Fewest differences in a bin."""
+_SMALLEST_VARIANCE_RATIO = 1e-3
+"""Smallest expected variance of a bin, relative to the median variance of the differences."""
+_LARGEST_SPEED_RATIO = 0.99
+"""Ratio of the mean square speeds of slowest and fastest bin above which speeds do not differ."""
 _ORDER = 5
-"""Order of the differences; of a sinusoid sampled 20 times per period they leave less than 1e-3."""
+"""Order of the differences; they leave less than 1e-3 of a sinusoid sampled 20 times per period."""
 
 
 class SampleScatter(NamedTuple):
-    """What no smooth motion explains: noise of the position, and jitter of the times (0: none is seen).
-
-    `u_deflection` (n,) holds both: a time that is off by d moves a sample by d times its speed.
-    """
+    """Scatter of samples about any smooth motion."""
 
     noise: float
+    """Standard uncertainty of a deflection alone."""
     jitter_s: float
+    """Standard uncertainty of the times; 0 if it is not significant."""
     u_deflection: Floats
+    """(n,) uncertainty from both: an error d of its time moves a sample by d times its speed."""
 
 
 def estimate_scatter(times_ns: ArrayLike, deflection: ArrayLike) -> SampleScatter:
-    """Noise of the samples, and how far their times are off, as stamps of a busy host are.
+    """Noise of the samples, and jitter of their times, as in time stamps of a busy host.
 
-    The fifth differences of `estimate_noise` scatter more where the motion is fast if times jitter. Those of
-    a motion with few samples a period are larger there, too, but neighbours do not alternate then as those of
-    noise do. Raises as `estimate_noise` does.
+    If times jitter, the fifth differences of `estimate_noise` scatter more where the motion is fast. In a
+    motion with few samples per period they are larger there, too, but then neighbours do not alternate in
+    sign as those of noise do. Errors as of `estimate_noise`.
     """
     noise = estimate_noise(times_ns, deflection)
     times, values, good = _usable(times_ns, deflection)
     left, speed = _differences(times, values)
     order = np.argsort(speed)
-    bins = [part for part in np.array_split(order, _BINS) if len(part) >= _FEWEST]
+    bins = [part for part in np.array_split(order, _SPEED_BINS) if len(part) >= _FEWEST_DIFFERENCES]
     none = SampleScatter(noise, 0.0, np.full(len(good), noise))
-    if len(bins) < _BINS:
+    if len(bins) < _SPEED_BINS:
         return none
     fast = np.sort(order[len(order) // 2 :])
     fast = fast[fast + 1 < len(left)]
     alternates = float(np.median(np.sign(left[fast] * left[fast + 1])))
     found2 = np.array([robust_scatter(left[part], middle=0.0) ** 2 for part in bins])
     speed2 = np.array([np.mean(speed[part] ** 2) for part in bins])
-    # that of a sensor with few digits is zero in some of the bins
-    least2 = _LEAST * float(np.median(found2))
-    if not (least2 > 0 and speed2[0] < _SAME_SPEED * speed2[-1]):
-        # a sensor that stands still, a motion without swings
+    # the scatter of a sensor with few digits is zero in some of the bins
+    least2 = _SMALLEST_VARIANCE_RATIO * float(np.median(found2))
+    if not (least2 > 0 and speed2[0] < _LARGEST_SPEED_RATIO * speed2[-1]):
+        # the sensor stands still, or the motion does not oscillate
         return none
     size = np.array([len(part) for part in bins])
-    terms = np.column_stack([np.ones(_BINS), speed2 / speed2[-1]])
+    terms = np.column_stack([np.ones(_SPEED_BINS), speed2 / speed2[-1]])
     expected = np.maximum(found2, least2)
     for _ in range(3):
-        # of neighbouring differences one in six is new
+        # fifth differences share samples: one in six neighbours is independent
         weight = np.sqrt(size / 6.0 / 2.0) / expected
         covariance = np.linalg.inv((terms * weight[:, None]).T @ (terms * weight[:, None]))
         line = covariance @ (terms.T @ (weight**2 * found2))
-        expected = np.maximum(terms @ line, np.maximum(_LEAST * found2, least2))
+        expected = np.maximum(terms @ line, np.maximum(_SMALLEST_VARIANCE_RATIO * found2, least2))
     steady2, moving2 = float(max(line[0], 0.0)), float(line[1])
     if alternates > 0 or not moving2 > _SIGNIFICANT * float(np.sqrt(covariance[1, 1])):
         return none
@@ -192,7 +191,7 @@ def estimate_noise(times_ns: ArrayLike, deflection: ArrayLike) -> float:
 
 
 def _usable(times_ns: ArrayLike, deflection: ArrayLike) -> tuple[Ints, Floats, Ints]:
-    """Times and values that are there, at times of their own, and all times."""
+    """Times and values of the finite samples, one per time, and the times of all samples."""
     times = np.asarray(times_ns, dtype=np.int64)
     values = np.asarray(deflection, dtype=np.float64)
     if times.shape != values.shape or times.ndim != 1:
@@ -204,7 +203,7 @@ def _usable(times_ns: ArrayLike, deflection: ArrayLike) -> tuple[Ints, Floats, I
 
 
 def _differences(times: Ints, values: Floats) -> tuple[Floats, Floats]:
-    """Divided differences as single samples scatter, and the speeds there per second."""
+    """Divided differences, scaled to the scatter of a single sample, and the speeds there per second."""
     windows = np.lib.stride_tricks.sliding_window_view
     t = windows(seconds(times - times[0]), _ORDER + 1)
     y = windows(values, _ORDER + 1)
@@ -215,31 +214,31 @@ def _differences(times: Ints, values: Floats) -> tuple[Floats, Floats]:
     return left, np.abs((middle * y).sum(axis=1) / (middle**2).sum(axis=1))
 
 
-_LEARNED = 63
-"""Half-cycles without a flag after which the noise counts as learned: so many it is learned from."""
-_KNOWING = 15
-"""Number of half-cycles whose median says what was learned; the last ones, where there are no later."""
+_LEARNING_HALF_CYCLES = 63
+"""Number of unflagged half-cycles from which the noise is learned."""
+_LEARNED_HALF_CYCLES = 15
+"""Number of later half-cycles whose median is the learned uncertainty; the last ones of a short run."""
 
 
 def with_learned_weights(swings: Sequence[HalfCycle]) -> list[HalfCycle]:
-    """The half-cycles, with uncertainties of the first ones that are no smaller than those learned from them.
+    """The half-cycles, with uncertainties of the first ones at least as large as those learned from them.
 
-    Slow noise, of air or a pointing that walks, and what a drive does within a half-cycle (`driven_walk`) are
-    seen only after some half-cycles. Until then turning points stand with what white noise of the samples
-    leaves them, a tenth of what is true in a basement, and a fit would hang on the first ones. What a
-    half-cycle says is known live stays; a fit, which comes later, knows better.
+    Slow noise, of air or a wandering pointing, and the effect of a drive within a half-cycle (`DrivenWalk`)
+    are detected only after some half-cycles. Until then the uncertainties of turning points follow from white
+    noise of the samples alone, a tenth of the truth in a basement, and the first ones would dominate a fit.
+    Half-cycles of the live measurement are not changed; this is for a fit, which comes later.
 
-    Amplitude and time count apart. The time's uncertainty is compared as that of the arc, amplitude times
-    time, which the same noise leaves at every amplitude. Noise that is smaller in the beginning, or learned
-    at once, changes nothing.
+    Amplitude and time are treated separately. The time's uncertainty is compared as that of the arc,
+    amplitude times time, in which the same noise has the same effect at every amplitude. Noise that is
+    smaller in the beginning, or learned at once, changes nothing.
     """
     good = [number for number, swing in enumerate(swings) if not swing.flags]
-    first = max(0, min(_LEARNED, len(good) - _KNOWING))
-    knowing = [swings[number] for number in good[first : first + _KNOWING]]
+    first = max(0, min(_LEARNING_HALF_CYCLES, len(good) - _LEARNED_HALF_CYCLES))
+    learned = [swings[number] for number in good[first : first + _LEARNED_HALF_CYCLES]]
     if not first:
         return list(swings)
-    least = float(np.median([swing.u_amplitude for swing in knowing]))
-    least_arc = float(np.median([swing.u_turn_time_s * swing.amplitude for swing in knowing]))
+    least = float(np.median([swing.u_amplitude for swing in learned]))
+    least_arc = float(np.median([swing.u_turn_time_s * swing.amplitude for swing in learned]))
     out: list[HalfCycle] = []
     early = set(good[:first])
     for number, swing in enumerate(swings):
@@ -257,19 +256,19 @@ def with_learned_weights(swings: Sequence[HalfCycle]) -> list[HalfCycle]:
 
 
 _FEWEST_SWINGS = 8
-_PERIODS = 20
+_SEGMENT_PERIODS = 20
 """Length of a segment in periods; the resolution is the reciprocal."""
-_UNEVEN = 1.5
-"""Longest interval between samples, in median ones, that does not end a stretch."""
-_FROM = 2.2
-"""Lowest frequency of the spectrum, in those of the pendulum."""
-_HARMONIC = 0.15
-"""Distance from odd harmonics, in frequencies of the pendulum, that is left out."""
+_LONGEST_INTERVAL = 1.5
+"""Longest interval between samples, in median intervals, that does not end a stretch."""
+_LOWEST_FREQUENCY = 2.2
+"""Lowest frequency of the spectrum, in the pendulum's frequency."""
+_HARMONIC_RANGE = 0.15
+"""Range on both sides of odd harmonics, in the pendulum's frequency, that is left out."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualSpectrum:
-    """Power spectral density, one-sided, of what is left of the deflection.
+    """Power spectral density, one-sided, of the deflection's residuals from the motion.
 
     Attributes
     ----------
@@ -299,7 +298,7 @@ def residual_spectrum(times_ns: Ints, deflection: Floats, swings: Sequence[HalfC
         Fewer than eight good half-cycles, too few samples per period, or no stretch of twenty periods
         without a gap.
     """
-    # imported here, since every command imports this module and few draw a spectrum
+    # imported here, since every command imports this module and few of them draw a spectrum
     from scipy.interpolate import CubicSpline
 
     good = [swing for swing in swings if not swing.flags]
@@ -315,22 +314,22 @@ def residual_spectrum(times_ns: Ints, deflection: Floats, swings: Sequence[HalfC
     swing *= good[0].side * np.cos(CubicSpline(turn_s, phase)(time_s))
     residual = deflection[seen] - swing - CubicSpline(turn_s, [one.centre for one in good])(time_s)
     step_s = float(np.median(np.diff(time_s)))
-    length = round(_PERIODS * period_s / step_s)
-    if period_s / step_s < 4 * _FROM:
+    length = round(_SEGMENT_PERIODS * period_s / step_s)
+    if period_s / step_s < 4 * _LOWEST_FREQUENCY:
         raise DataError(f"{period_s / step_s:.1f} samples a period are too few for a spectrum")
     total, segments = np.zeros(length // 2 + 1), 0
-    for part in np.split(residual, np.flatnonzero(np.diff(time_s) > _UNEVEN * step_s) + 1):
+    for part in np.split(residual, np.flatnonzero(np.diff(time_s) > _LONGEST_INTERVAL * step_s) + 1):
         if len(part) >= length:
             powers = segment_powers(part, length)
             total += powers.sum(axis=0) * step_s
             segments += len(powers)
     if not segments:
-        raise DataError(f"no {_PERIODS} periods without a gap: no spectrum")
+        raise DataError(f"no {_SEGMENT_PERIODS} periods without a gap: no spectrum")
     frequency_hz = np.arange(length // 2 + 1) / (length * step_s)
     relative = frequency_hz * period_s
-    kept = (relative > _FROM) & (relative < 0.5 * period_s / step_s)
+    kept = (relative > _LOWEST_FREQUENCY) & (relative < 0.5 * period_s / step_s)
     for harmonic in (3, 5, 7):
-        kept &= abs(relative - harmonic) > _HARMONIC
+        kept &= abs(relative - harmonic) > _HARMONIC_RANGE
     return ResidualSpectrum(
         frequency_hz[kept],
         np.asarray(total[kept] / segments),
@@ -353,7 +352,7 @@ def segment_powers(samples: Floats, length: int) -> Floats:
     Returns
     -------
     array (segments, length // 2 + 1)
-        In squared units of the samples at a rate of 1/s; times the step between samples it is per Hz.
+        In squared units of the samples; multiplied by the step between samples (s) they are densities per Hz.
     """
     # not scipy.signal: its import alone takes as long as all others of a fit together
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)

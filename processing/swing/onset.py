@@ -1,8 +1,8 @@
 """Search for an oscillation of unknown period and amplitude, and measurement of its first half-cycles.
 
-Rough turning points (`pivots`) are collected until four in a row are regular. An arc is fitted to the samples
-around them (`term_selection`, `arc`). If the fit is plausible, each half-cycle is measured with the
-prediction by the others.
+Rough turning points (`Pivot`) are collected until four in a row may belong to one oscillation. An arc is
+fitted to the samples around them (`term_selection`, `arc`). If the fit is plausible, each half-cycle is
+measured with the prediction from the others as a prior.
 """
 
 import math
@@ -15,7 +15,7 @@ from processing.arrays import Matrix, Vector
 from processing.swing.arc import Arc, HalfCycleSamples, state_before, state_on_arc
 from processing.swing.half_cycle import AMPLITUDE, RATE, TIME
 from processing.swing.half_cycle_fit import HalfCycleFit, fit_half_cycle
-from processing.swing.judgement import judge, turned
+from processing.swing.judgement import holds_turning_point, judge
 from processing.swing.noise import NoiseLevel
 from processing.swing.prediction import KnownMotion, window
 from processing.swing.sample_buffer import (
@@ -24,7 +24,7 @@ from processing.swing.sample_buffer import (
     SEARCH_STATE,
     Pivot,
     SampleBuffer,
-    regular,
+    is_regular,
     search,
 )
 from processing.swing.swing import HalfCycleFlag
@@ -37,32 +37,32 @@ _PIVOTS = 4
 _FEWEST_PIVOTS = 3
 """... and the number that suffices at the end of the record."""
 
-_KEPT_SAMPLES = 1 << 17
-"""Number of samples kept while no oscillation is found, so that memory is bounded."""
+_STORED_SAMPLES = 1 << 17
+"""Number of samples stored while no oscillation is found, so that memory is bounded."""
 
-_DOUBTFUL = 1.5
+_LARGEST_CHI2 = 1.5
 """Reduced chi-square of a first fit above which a fit without the first half-cycle is tried."""
 
-_UNEVEN = 4.0
+_LARGEST_CHI2_RATIO = 4.0
 """Ratio of a half-cycle's reduced chi-square to the median of all above which the fit is rejected."""
 
 _SILENCE = 50
 """Number of half periods after a loss from which on an oscillation of a different period is accepted."""
 
-_FASTEST, _SLOWEST = 0.7, 1.4
-"""Range of the ratio of new to old half period that is accepted before that."""
+_SHORTEST, _LONGEST = 0.7, 1.4
+"""Range of the ratio of new to old half period that is accepted before that time."""
 
-_OTHER, _OTHER_U = 0.5, 5.0
-"""Part of the predicted amplitude, and standard uncertainties, by which a half-cycle of the same decay cannot
-deviate from the prediction."""
+_LARGEST_DEVIATION, _LARGEST_DEVIATION_U = 0.5, 5.0
+"""Largest deviation of an amplitude of the same decay from the prediction, as a fraction of the prediction
+and in standard uncertainties; the larger one applies."""
 
-_SHAPELESS = 0.2
+_LARGEST_RELATIVE_RMS = 0.2
 """Largest accepted rms residual, as a fraction of the amplitude."""
 
 
 @dataclass(frozen=True, slots=True)
 class FirstHalfCycle:
-    """One of the half-cycles that are measured together at the start."""
+    """Measurement of one of the half-cycles at the start: its samples, fit and flags."""
 
     half: HalfCycleSamples
     result: HalfCycleFit
@@ -85,7 +85,7 @@ class Onset:
     def resolution(self) -> float:
         """Uncertainty of the last half-cycle's amplitude if all other parameters were known.
 
-        For n samples of uncertainty u, sqrt(2/n) u: the mean of cos^2 over a half-cycle is 1/2.
+        For n samples of uncertainty u it is sqrt(2/n) u, since the mean of cos^2 over a half-cycle is 1/2.
         """
         half = self.halves[-1]
         u = half.u_deflection[np.isfinite(half.deflection)] * self.noise_scale
@@ -98,7 +98,7 @@ class Onset:
 
 
 class OnsetSearch:
-    """Search of the arriving samples for four turning points in a row that belong to one oscillation."""
+    """Search of arriving samples for four turning points in a row that belong to one oscillation."""
 
     def __init__(
         self,
@@ -111,9 +111,9 @@ class OnsetSearch:
     ) -> None:
         """Start at a position in the buffer.
 
-        After the loss of an oscillation, `half_period_s` is its half period, `lost_ns` the time of the
-        loss, and `least_noise` the factor on the samples' uncertainties found before; NaN at the
-        beginning of a record. `known` is the motion, if it is known.
+        After the loss of an oscillation, `half_period_s` is its half period (NaN at the beginning of a
+        record), `lost_ns` the time of the loss, and `least_noise` the factor on the samples' uncertainties
+        learned before it. `known` is the frequency and shape of the motion, if they are known.
         """
         self._least_noise = least_noise
         self._samples = samples
@@ -127,7 +127,7 @@ class OnsetSearch:
         self._ready_ns: int | None = None
 
     def advance(self, final: bool) -> Onset | None:
-        """Search all samples that have arrived; `final` if no more will. None if nothing was found so far."""
+        """Search all samples that have arrived; `final` if no more will. None if no oscillation is found."""
         samples = self._samples
         while True:
             if self._ready_ns is not None:
@@ -153,10 +153,10 @@ class OnsetSearch:
             self._searched = found + samples.dropped
             self._pivots.append(Pivot(int(self._marks[FOUND_TIME]), float(self._state[FOUND])))
             del self._pivots[:-_PIVOTS]
-            if len(self._pivots) == _PIVOTS and regular(self._pivots) and not self._foreign():
+            if len(self._pivots) == _PIVOTS and is_regular(self._pivots) and not self._is_disturbance():
                 self._ready_ns = self._pivots[-1].time_ns + _spacing_ns(self._pivots) * 6 // 10
 
-    def _foreign(self) -> bool:
+    def _is_disturbance(self) -> bool:
         """Whether these turning points are a disturbance and not the oscillation that was followed before.
 
         Shortly after a loss, the period must be similar to the one before.
@@ -165,15 +165,15 @@ class OnsetSearch:
             return False
         since_s = seconds(self._pivots[0].time_ns - self._lost_ns)
         ratio = seconds(_spacing_ns(self._pivots)) / self._half_period_s
-        return since_s < _SILENCE * self._half_period_s and not _FASTEST < ratio < _SLOWEST
+        return since_s < _SILENCE * self._half_period_s and not _SHORTEST < ratio < _LONGEST
 
     def _forget(self) -> None:
         # count from the samples searched and not from those received, so that the result does not depend on
         # how the samples are divided into blocks
-        self._samples.forget_before(self._searched - self._samples.dropped - _KEPT_SAMPLES)
+        self._samples.forget_before(self._searched - self._samples.dropped - _STORED_SAMPLES)
 
     def _last_attempt(self) -> Onset | None:
-        if len(self._pivots) >= _FEWEST_PIVOTS and regular(self._pivots[-_FEWEST_PIVOTS:]):
+        if len(self._pivots) >= _FEWEST_PIVOTS and is_regular(self._pivots[-_FEWEST_PIVOTS:]):
             self._pivots = self._pivots[-_FEWEST_PIVOTS:]
             return self._attempt()
         return None
@@ -183,12 +183,12 @@ class OnsetSearch:
         pivots = self._pivots
         halves = _cut(self._samples, pivots)
         arc = choose(first_guess(pivots), halves, self._known)
-        if len(pivots) > 2 and (arc is None or arc.chi2 > _DOUBTFUL * arc.samples):
+        if len(pivots) > 2 and (arc is None or arc.chi2 > _LARGEST_CHI2 * arc.samples):
             # the first half-cycle may contain the release or a kick
             later = choose(first_guess(pivots[1:]), halves[1:], self._known)
             if later is not None and (arc is None or later.reduced_chi2 < 0.5 * arc.reduced_chi2):
                 arc, halves = later, halves[1:]
-        if arc is None or not _believable(arc, halves):
+        if arc is None or not _is_plausible(arc, halves):
             return None
         reduced = arc.chi2 / max(arc.samples - len(arc.active), 1)
         noise_scale = max(self._least_noise, math.sqrt(max(1.0, reduced)))
@@ -215,14 +215,14 @@ def _cut(samples: SampleBuffer, pivots: list[Pivot]) -> list[HalfCycleSamples]:
     ]
 
 
-def _believable(arc: Arc, halves: list[HalfCycleSamples]) -> bool:
+def _is_plausible(arc: Arc, halves: list[HalfCycleSamples]) -> bool:
     each = arc.reduced_chi2_each
     if not np.all(np.isfinite(arc.windows)) or len(each) == 0:
         return False
-    if np.any(~np.isfinite(each)) or each.max() > _UNEVEN * max(np.median(each), 1.0):
+    if np.any(~np.isfinite(each)) or each.max() > _LARGEST_CHI2_RATIO * max(np.median(each), 1.0):
         return False
     u = np.median(np.concatenate([h.u_deflection[np.isfinite(h.deflection)] for h in halves]))
-    return bool(math.sqrt(arc.reduced_chi2) * u < _SHAPELESS * arc.states[-1][AMPLITUDE])
+    return bool(math.sqrt(arc.reduced_chi2) * u < _LARGEST_RELATIVE_RMS * arc.states[-1][AMPLITUDE])
 
 
 def _fit(
@@ -252,8 +252,8 @@ def _measure_before(
 ) -> FirstHalfCycle | None:
     """Measure the half-cycle before the arc; None if its turning point was not recorded.
 
-    If it is disturbed, it contains the release and is flagged START; so is one of another amplitude, as of a
-    pendulum that has not quite come to rest before a push.
+    A disturbed one contains the release and is flagged START. So is one whose amplitude does not belong to
+    the decay, as of a pendulum that was not quite at rest before a push.
     """
     x, covariance, reference_ns = state_before(arc, first.reference_ns)
     start, _, _ = window(x, arc.reference)
@@ -262,10 +262,10 @@ def _measure_before(
     end_ns = first.reference_ns + nanoseconds(arc.windows[0][0])
     half = samples.between(reference_ns, -first.side, reference_ns + nanoseconds(start), end_ns)
     found = _fit(arc, x, covariance, half, start, seconds(end_ns - reference_ns), noise_scale)
-    if not turned(found.result, half):
+    if not holds_turning_point(found.result, half):
         return None
     away = abs(found.result.amplitude - x[AMPLITUDE])
-    is_other = away > max(_OTHER * x[AMPLITUDE], _OTHER_U * found.result.u_amplitude)
+    is_other = away > max(_LARGEST_DEVIATION * x[AMPLITUDE], _LARGEST_DEVIATION_U * found.result.u_amplitude)
     if is_other or found.flags & HalfCycleFlag.VIBRATION:
         return replace(found, flags=found.flags & ~HalfCycleFlag.VIBRATION | HalfCycleFlag.START)
     return found

@@ -1,4 +1,4 @@
-"""Prediction from one half-cycle to the next, with frequency and waveform of the motion known or not."""
+"""Prediction of the next half-cycle, frequency and waveform of a known motion, random walk by a drive."""
 
 import math
 from dataclasses import astuple, dataclass
@@ -29,12 +29,13 @@ from processing.units import NS_PER_S, S_PER_NS
 
 @dataclass(frozen=True, slots=True)
 class KnownMotion:
-    """Frequency and shape of the half-swing at every amplitude (see `waveform` for the equation).
+    """Frequency and shape of the motion at every amplitude (see `waveform` for the equation).
 
     `rate_rad_per_s` is the angular frequency of the linear part of the waveform's equation at the amplitude
     `reference`, which has the unit of the deflection. The fields from `damping` to `bend` are dimensionless,
-    in the order of the state's shape terms. `drive` is the step by which the ground moves either quadrature
-    in a half-swing, in the unit of the deflection: a rest that seems to move hides one that is unknown.
+    in the order of the state's shape terms. `drive` is the step (standard deviation, unit of the deflection)
+    by which the ground moves either quadrature in a half-cycle. It is 0 if unknown, and then a rest position
+    that seems to move hides it.
     """
 
     rate_rad_per_s: float
@@ -58,7 +59,7 @@ class KnownMotion:
 
 
 SLOPE_WANDER = 1e-3
-"""Standard deviation of the change of the drift per half-cycle, in units of (resolution per half-cycle)."""
+"""Standard deviation of the drift's change per half-cycle, in units of (resolution per half-cycle)."""
 
 
 @kernel
@@ -92,7 +93,7 @@ def predict(
         Scale of the process noise: factor on the variances Q of all terms but centre and drift; 1 while
         predictions agree with measurements.
     drift_noise
-        The same factor for the drift; its square root applies to the centre.
+        Factor on the variance Q of the drift; its square root applies to the centre.
     walk
         Variance of the steps that a drive adds to the amplitude, and to the phase times the amplitude, from
         one half-cycle to the next; square of the unit of the deflection.
@@ -159,36 +160,37 @@ def predict(
 
 
 def window(x: Vector, reference: float) -> tuple[float, float, float]:
-    """Zero crossings before and after the turning point and the next turning point, s from the reference."""
+    """Zero crossings before and after the turning point and the next turning point, s after the reference."""
     table, turn = tabulated(x, x, reference, np.empty(0, dtype=np.int64))
     before, after = zero_phases(table)
     start, rate = float(x[TIME]), float(x[RATE])
     return start + before / rate, start + after / rate, start + float(turn[0, 0]) / rate
 
 
-_MEMORY = 32
-_AT_FIRST = 16
-_BEGINS = 4.0
+_VARIANCE_MEMORY = 32
+_MEAN_MEMORY = 16
+"""Number of half-cycles over which the steps' variance and the other running means extend."""
+_DRIVE_THRESHOLD = 4.0
 """Sum of the running means of both squares, in units of their variances, above which there is a drive."""
-_BEGINS_AS_REST_MOVES = 3.4
-"""The same where the rest position seems to move: by chance the sum is 2, with a deviation of 0.35."""
-_LARGEST = 4.0
-"""Largest difference that counts later, in standard deviations."""
-_OFFSET = 0.65
+_THRESHOLD_MOVING_REST = 3.4
+"""The same threshold where the rest position seems to move. By chance the sum is 2 ± 0.35."""
+_LARGEST_DEVIATE = 4.0
+"""Limit on differences in standard deviations, once there is a drive."""
+_LARGEST_OFFSET = 0.65
 """Running mean of the differences, in standard deviations (it scatters by 0.18), above which the motion
 without the drive is predicted wrongly."""
-_IN_TURNS = 0.3
-"""Part of the amplitudes' squares that stands in turns, above which they say nothing of a drive."""
-_CLIP = 32.0
-"""Largest square that counts; so large that one knock alone is no drive."""
-_NEGLIGIBLE = 0.2
-"""Step, in units of an amplitude's uncertainty with all else known, that the prediction allows for anyway."""
+_LARGEST_ALTERNATION = 0.3
+"""Alternating part of the amplitudes' squares above which they are no evidence of a drive."""
+_LARGEST_SQUARE = 32.0
+"""Limit on the square of a difference, in its variance; with it one knock alone is no drive."""
+_NEGLIGIBLE_STEP = 0.2
+"""Step that the prediction allows for anyway, in units of an amplitude's uncertainty with all else known."""
 
 
-_AMPLITUDE_WITHIN, _TIME_WITHIN, _CENTRE_WITHIN = 0.35, 0.37, 0.33
-"""What a white drive does within a half-cycle, as errors of a fit of amplitude, phase and centre to its
-samples about a turning point, in steps. Of the amplitude's, half is the centre's, which is taken with it.
-The centre's own is relative to what white noise of the same resolution does to it."""
+_AMPLITUDE_ERROR, _TIME_ERROR, _CENTRE_ERROR = 0.35, 0.37, 0.33
+"""Errors that a white drive causes within a half-cycle, in steps: of a fit of amplitude, phase and centre to
+its samples about a turning point. Half of the amplitude's error is the centre's, which is fitted with it.
+The centre's error is relative to that from white noise of the same resolution."""
 
 
 _DRIFT_PART = 0.05
@@ -196,7 +198,7 @@ _MOST_DRIFT_NOISE = 1e9
 
 
 class DriveInflation(NamedTuple):
-    """Factors on uncertainties for what the drive does within a half-cycle, which looks like noise."""
+    """Factors on uncertainties for the effect of a drive within a half-cycle, which looks like noise."""
 
     samples: float = 1.0
     amplitude: float = 1.0
@@ -204,51 +206,50 @@ class DriveInflation(NamedTuple):
 
 
 class DrivenWalk:
-    """Variance of the steps; 0 while none are seen. A `variance` that is known is not learned."""
+    """Variance of a drive's random steps of amplitude and phase, learned unless known; 0 without a drive."""
 
     def __init__(self, variance: float = 0.0) -> None:
         self.variance = variance
         self._known = variance > 0.0
         self._means = [1.0, 1.0]
         self._offsets = [0.0, 0.0]
-        self._in_turns = self._before = 0.0
+        self._alternation = self._last_deviate = 0.0
         self._count = 0
 
-    def offset(self) -> bool:
-        """Whether the differences have come to lie on one side, which no drive does for long."""
-        if max(abs(one) for one in self._offsets) < _OFFSET:
+    def biased(self) -> bool:
+        """Whether the differences have a mean, which a drive does not cause for long; resets the mean."""
+        if max(abs(one) for one in self._offsets) < _LARGEST_OFFSET:
             return False
         self._offsets = [0.0, 0.0]
         return True
 
-    def within(self, resolution: float) -> DriveInflation:
-        """The factors, for an uncertainty of the amplitude with all else known."""
+    def inflation(self, resolution: float) -> DriveInflation:
+        """Factors on uncertainties; `resolution` is the amplitude's uncertainty with all else known."""
         if self.variance == 0.0:
             return DriveInflation()
         relative = self.variance / resolution**2
         samples, amplitude, time = (
-            math.sqrt(1.0 + part**2 * relative) for part in (_CENTRE_WITHIN, _AMPLITUDE_WITHIN, _TIME_WITHIN)
+            math.sqrt(1.0 + part**2 * relative) for part in (_CENTRE_ERROR, _AMPLITUDE_ERROR, _TIME_ERROR)
         )
         return DriveInflation(samples, amplitude, time)
 
     def most_drift_noise(self, resolution: float) -> float:
-        """Largest variance of the change of the drift, in that of `prediction`, which is a part of the steps.
+        """Largest `drift_noise` of `predict`: a part of the steps' variance.
 
-        The rest position, too, seems to move with a drive; more would let it take up what amplitude and
-        phase do.
+        With a drive the rest position seems to move, too; more noise would give it the other steps as well.
         """
-        if self.variance == 0.0 or self._wandering:
+        if self.variance == 0.0 or self._alternates:
             return _MOST_DRIFT_NOISE
         return max(1.0, self.variance * (_DRIFT_PART / (SLOPE_WANDER * resolution)) ** 2)
 
     @property
-    def _wandering(self) -> bool:
-        """Whether amplitudes differ in turns, as with a rest position that wanders."""
-        return self._in_turns > _IN_TURNS * self._means[0]
+    def _alternates(self) -> bool:
+        """Whether the amplitudes' differences alternate, as with a rest position that wanders."""
+        return self._alternation > _LARGEST_ALTERNATION * self._means[0]
 
     @property
     def excess(self) -> float:
-        """How many times as large as their variances the squares have been."""
+        """Mean ratio of the squared differences to their expected variances, at least 1."""
         return max(1.0, 0.5 * sum(self._means))
 
     def learn(
@@ -258,45 +259,46 @@ class DrivenWalk:
         resolution: float,
         rest_moves: bool,
     ) -> bool:
-        """Take in one more half-cycle; True if a drive begins to be seen with it.
+        """Add one more half-cycle; True if the drive becomes significant with it.
 
         Parameters
         ----------
         differences
-            Measured minus predicted amplitude, and the same of the time, times amplitude and frequency.
+            Measured minus predicted amplitude, and measured minus predicted time multiplied by amplitude and
+            angular frequency; unit of the deflection.
         variances
-            Their expected variances, with the present steps.
+            Expected variances of the differences, with the present steps.
         resolution
-            Uncertainty of the amplitude if all else were known; the unit of all is that of the deflection.
+            Uncertainty of the amplitude if all else were known, unit of the deflection.
         rest_moves
-            Whether the rest position seems to move as well, to which an unseen drive leads.
+            Whether the rest position seems to move as well, as it does with an unknown drive.
         """
         squares = [d * d for d in differences]
-        ratios = [min(s / v, _CLIP) for s, v in zip(squares, variances, strict=True)]
+        ratios = [min(s / v, _LARGEST_SQUARE) for s, v in zip(squares, variances, strict=True)]
         for k in (0, 1):
-            self._means[k] += (ratios[k] - self._means[k]) / _AT_FIRST
-        now = math.copysign(math.sqrt(ratios[0]), differences[0])
-        self._in_turns += (-now * self._before - self._in_turns) / _AT_FIRST
-        self._before = now
+            self._means[k] += (ratios[k] - self._means[k]) / _MEAN_MEMORY
+        deviate = math.copysign(math.sqrt(ratios[0]), differences[0])
+        self._alternation += (-deviate * self._last_deviate - self._alternation) / _MEAN_MEMORY
+        self._last_deviate = deviate
         if self._known:
             return False
         if self.variance == 0.0:
             self._offsets = [0.0, 0.0]
             together = sum(self._means)
-            if together < (_BEGINS_AS_REST_MOVES if rest_moves else _BEGINS) or self._wandering:
+            if together < (_THRESHOLD_MOVING_REST if rest_moves else _DRIVE_THRESHOLD) or self._alternates:
                 return False
             self._count = 2
             self.variance = max(0.5 * (sum(squares) - sum(variances)), resolution**2)
             return True
-        self._count = min(self._count + 1, _MEMORY)
+        self._count = min(self._count + 1, _VARIANCE_MEMORY)
         found = self.variance
         for k in (0, 1):
-            deviate = max(-_LARGEST, min(differences[k] / math.sqrt(variances[k]), _LARGEST))
-            square = (deviate - self._offsets[k]) ** 2 - (max(self._in_turns, 0.0) if k == 0 else 0.0)
+            deviate = max(-_LARGEST_DEVIATE, min(differences[k] / math.sqrt(variances[k]), _LARGEST_DEVIATE))
+            square = (deviate - self._offsets[k]) ** 2 - (max(self._alternation, 0.0) if k == 0 else 0.0)
             found += 0.5 * variances[k] * (square - 1.0)
-            self._offsets[k] += (deviate - self._offsets[k]) / _AT_FIRST
+            self._offsets[k] += (deviate - self._offsets[k]) / _MEAN_MEMORY
         self.variance += (found - self.variance) / self._count
-        if self.variance < (_NEGLIGIBLE * resolution) ** 2:
+        if self.variance < (_NEGLIGIBLE_STEP * resolution) ** 2:
             self.variance = 0.0
             self._means = [1.0, 1.0]
         return False

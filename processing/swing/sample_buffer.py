@@ -1,4 +1,4 @@
-"""Buffer of the samples that are still needed; new samples are checked."""
+"""Buffer of the samples that are still needed, check of new ones, search for rough turning points."""
 
 import math
 from typing import NamedTuple
@@ -28,7 +28,7 @@ def _fault(times_ns: Ints, deflection: Floats, u_deflection: Floats, last: int) 
 
 
 class SampleBuffer:
-    """Samples in order of time; old ones are dropped. Positions are indices into its arrays."""
+    """Samples in order of time, without the old ones. Positions are indices into its arrays."""
 
     def __init__(self) -> None:
         self.times_ns = np.empty(_FIRST_SIZE, dtype=np.int64)
@@ -38,7 +38,7 @@ class SampleBuffer:
         self.tail = 0
         self.last_ns = -(1 << 63)
         self.dropped = 0
-        """Number of samples before position 0. Positions shift by its changes, when the arrays are packed."""
+        """Number of samples dropped before position 0. When it grows, positions become smaller by as much."""
 
     def append(self, times_ns: ArrayLike, deflection: ArrayLike, u_deflection: ArrayLike) -> None:
         """Check a block of samples and add it; raises `DataError` and adds nothing if it is not valid."""
@@ -96,7 +96,7 @@ class SampleBuffer:
         self.head = max(self.head, min(position, self.tail))
 
     def between(self, reference_ns: int, side: int, start_ns: int, end_ns: int) -> HalfCycleSamples:
-        """Copy of the samples from `start_ns` up to, not including, `end_ns`."""
+        """Copy of the samples from `start_ns` to before `end_ns`, with times relative to `reference_ns`."""
         i, j = self.position(start_ns), self.position(end_ns)
         return HalfCycleSamples(
             reference_ns,
@@ -108,15 +108,14 @@ class SampleBuffer:
 
 
 REVERSAL = 0.25
-"""A turning point is accepted once the deflection has returned by this fraction of the last swing's range
-..."""
+"""A turning point is accepted once the deflection has returned by this fraction of the last range ..."""
 
 NOISE_REVERSAL = 8.0
 """... and by this many standard uncertainties of a sample, so that noise makes no turning points."""
 
 DIRECTION, HIGHEST, LOWEST, LAST_PIVOT, LAST_RANGE, FOUND, BEFORE_LAST, LAST, SEEN, HAS_PIVOT = range(10)
 """Indices of the state of the search: direction of the motion (+1, -1; 0 unknown), running maximum and
-minimum, deflection of the last pivot, range of the last swing, deflection of the pivot just found, the
+minimum, deflection of the last pivot, range between the last two, deflection of the pivot just found, the
 previous two samples and their number, and whether a pivot was found before (1.0)."""
 
 SEARCH_STATE = 10
@@ -149,8 +148,8 @@ def search(
 ) -> int:
     """Search samples `first` to `last` (not included) for the next turning point.
 
-    `state` (SEARCH_STATE,), zeros at the start, and `marks` (three times) keep the state of the search from
-    one call to the next. A running median of three removes single outliers; NaN samples are skipped.
+    `state` (SEARCH_STATE,) and `marks` (three times in ns), zeros at the start, hold the state of the search
+    from one call to the next. A running median of three removes single outliers; NaN samples are skipped.
 
     Returns
     -------
@@ -196,8 +195,8 @@ def search(
     return -1
 
 
-def regular(pivots: list[Pivot]) -> bool:
-    """Whether the turning points may belong to one oscillation: similar spacing and similar range."""
+def is_regular(pivots: list[Pivot]) -> bool:
+    """Whether turning points may belong to one oscillation: their spacings and ranges are similar."""
     spacing = np.diff([p.time_ns for p in pivots]).astype(float)
     span = np.abs(np.diff([p.deflection for p in pivots]))
     if np.any(spacing <= 0) or np.any(span <= 0):

@@ -29,24 +29,24 @@ class HalfCycleFlag(IntFlag):
 class HalfCycle:
     """One half-cycle.
 
-    `index` counts half-cycles from the first one, including missing ones, so that a difference of indices is
-    a number of half periods. `turn_time_ns` is the time of the turning point on the samples' clock.
-    `amplitude` (positive) and `centre` have the unit of the deflection; the deflection at the turning point
-    is ``centre + side * amplitude``, where side is +1 or -1 and alternates with the index. `half_period_s` is
-    the time since the previous turning point, NaN for the first one and after a missing one. `u_` marks
-    standard uncertainties. `flags` is a `HalfCycleFlag`.
+    `amplitude` (positive) and `centre` have the unit of the deflection, which at the turning point is
+    ``centre + side * amplitude``; side is +1 or -1 and alternates. `u_` marks standard uncertainties.
     """
 
     index: int
+    """Number since the first half-cycle, missing ones counted: a difference is a number of half periods."""
     turn_time_ns: int
+    """Time of the turning point on the samples' clock."""
     u_turn_time_s: float
     amplitude: float
     u_amplitude: float
     half_period_s: float
+    """Time since the previous turning point; NaN for the first one and after a missing one."""
     u_half_period_s: float
     centre: float
     side: int
     flags: int
+    """Bits of `HalfCycleFlag`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +67,12 @@ class TurningPoints:
         return len(self.index)
 
     def first(self, count: int) -> "TurningPoints":
-        """The first so many of them."""
+        """The first `count` turning points."""
         return TurningPoints(*(getattr(self, column.name)[:count] for column in fields(self)))
 
 
 def turning_points(swings: Sequence[HalfCycle]) -> TurningPoints:
-    """Unflagged swings as arrays; times are relative to the first of them."""
+    """Unflagged half-cycles as arrays; times are relative to the first of them."""
     good = [swing for swing in swings if swing.flags == 0]
     turn_time_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)
     return TurningPoints(

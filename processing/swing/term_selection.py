@@ -29,7 +29,7 @@ from processing.swing.sample_buffer import Pivot
 from processing.swing.waveform import BEND, DAMPING, DRY, RISE, SHAPES, STIFF, N, P
 from processing.units import seconds
 
-PLACE: tuple[int, ...] = (AMPLITUDE, TIME, CENTRE, DRIFT)
+KNOWN_MOTION_TERMS: tuple[int, ...] = (AMPLITUDE, TIME, CENTRE, DRIFT)
 LINEAR: tuple[int, ...] = (AMPLITUDE, TIME, RATE, SHAPE + DAMPING, CENTRE, DRIFT)
 ANHARMONIC: tuple[int, ...] = tuple(range(SHAPE + 1, SHAPE + SHAPES))
 ANHARMONIC_LINEAR: tuple[int, ...] = (SHAPE + DRY, SHAPE + RISE, SHAPE + STIFF, SHAPE + BEND)
@@ -42,15 +42,15 @@ _FAST_MODE_TOLL = 20.0
 """... and a further reduction required of a fast mode, because many frequencies are tried."""
 
 _PROMINENT = 15.0
-"""Power of a line of a fast mode over the median power of the rates around it ..."""
+"""Smallest power of a fast mode's line, relative to the median power of the rates around it ..."""
 
 _NEIGHBOURHOOD = 1.6
-"""... up to so many times higher and lower."""
+"""... within this factor above and below."""
 
-_HOPELESS = 0.25
-"""Fraction of the variance left by a damped sinusoid above which no further term is tried."""
+_LARGEST_VARIANCE_LEFT = 0.25
+"""Fraction of the variance that a damped sinusoid leaves, above which no further term is tried."""
 
-_SUSPICIOUS = 1.2
+_FAST_MODE_CHI2 = 1.2
 """Reduced chi-square above which a fast mode is searched for."""
 
 
@@ -69,10 +69,10 @@ def first_guess(pivots: Sequence[Pivot]) -> Vector:
 
 
 def prior(start: Vector, anharmonic: bool) -> tuple[Vector, Vector]:
-    """Mean and standard deviation of the prior of a state, given a rough state `start`.
+    """Mean and standard deviation of a state's normal prior, given a rough state `start`.
 
-    It is wide enough for any pendulum. It only stabilises terms that a few half-cycles cannot distinguish
-    (dry friction from damping, the exponents).
+    The prior is wide enough for any pendulum. It only stabilises terms that a few half-cycles cannot
+    distinguish (dry friction from damping, the exponents).
     """
     mean, sigma = start.copy(), np.full(STATES, math.inf)
     mean[SHAPE : SHAPE + SHAPES] = 0.0
@@ -95,7 +95,7 @@ def prior(start: Vector, anharmonic: bool) -> tuple[Vector, Vector]:
     return mean, sigma
 
 
-def bent(linear: Vector) -> Vector:
+def friction_start(linear: Vector) -> Vector:
     """Start values of the anharmonic fit from the linear fit: most of the loss is ascribed to friction."""
     start = linear.copy()
     start[[SHAPE + P, SHAPE + N]] = 0.9, 0.4
@@ -106,7 +106,7 @@ def bent(linear: Vector) -> Vector:
 
 
 def relative_loss(x: Vector) -> float:
-    """Relative loss of amplitude in one half-swing at the amplitude of `x`."""
+    """Relative loss of amplitude in one half-cycle at the amplitude of `x`."""
     _, turn = tabulated(x, x, float(x[AMPLITUDE]), np.empty(0, dtype=np.int64))
     return abs(1.0 - float(turn[1, 0]))
 
@@ -118,35 +118,35 @@ def choose(start: Vector, halves: Sequence[HalfCycleSamples], known: KnownMotion
     centre, drift and fast mode are free. None if no fit succeeds.
     """
     if known is not None:
-        return _on_known(known, start, halves)
+        return _fit_known_motion(known, start, halves)
     reference = float(start[AMPLITUDE])
     linear = fit_arc(start, prior(start, anharmonic=False), halves, reference, LINEAR)
     if linear is None:
         return None
     base = linear.states[0]
     spread = np.std(np.concatenate([h.deflection[np.isfinite(h.deflection)] for h in halves]))
-    if linear.reduced_chi2 * _typical_variance(halves) > _HOPELESS * spread**2:
+    if linear.reduced_chi2 * _typical_variance(halves) > _LARGEST_VARIANCE_LEFT * spread**2:
         return linear
     candidates = [linear]
     expected = prior(base, anharmonic=True)
-    anharmonic = fit_arc(bent(base), expected, halves, reference, LINEAR + ANHARMONIC)
+    anharmonic = fit_arc(friction_start(base), expected, halves, reference, LINEAR + ANHARMONIC)
     if anharmonic is not None:
         candidates.append(anharmonic)
     for arc in tuple(candidates):
-        if arc.chi2 > _SUSPICIOUS * arc.samples:
+        if arc.chi2 > _FAST_MODE_CHI2 * arc.samples:
             found = _with_fast_mode(arc, halves)
             if found is not None:
                 candidates.append(found)
-    return best_of(candidates)
+    return best_arc(candidates)
 
 
-def _on_known(known: KnownMotion, start: Vector, halves: Sequence[HalfCycleSamples]) -> Arc | None:
+def _fit_known_motion(known: KnownMotion, start: Vector, halves: Sequence[HalfCycleSamples]) -> Arc | None:
     expected = prior(start, anharmonic=False)
-    arc = fit_arc(known.put_into(start), expected, halves, known.reference, PLACE)
-    if arc is None or not arc.chi2 > _SUSPICIOUS * arc.samples:
+    arc = fit_arc(known.put_into(start), expected, halves, known.reference, KNOWN_MOTION_TERMS)
+    if arc is None or not arc.chi2 > _FAST_MODE_CHI2 * arc.samples:
         return arc
     found = _with_fast_mode(arc, halves)
-    return arc if found is None else best_of((arc, found))
+    return arc if found is None else best_arc((arc, found))
 
 
 def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, active: Ints) -> Arc | None:
@@ -167,15 +167,15 @@ def extend(first: Vector, halves: Sequence[HalfCycleSamples], reference: float, 
     gain = gain_of_more(same, base, (mean, sigma), halves, terms + ANHARMONIC_LINEAR)
     if gain < _GAIN_PER_TERM * len(ANHARMONIC):
         return same
-    more = fit_arc(bent(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC)
-    return same if more is None else best_of((same, more))
+    more = fit_arc(friction_start(base), prior(base, anharmonic=True), halves, reference, terms + ANHARMONIC)
+    return same if more is None else best_arc((same, more))
 
 
 def _typical_variance(halves: Sequence[HalfCycleSamples]) -> float:
     return float(np.median(np.concatenate([h.u_deflection[np.isfinite(h.deflection)] for h in halves])) ** 2)
 
 
-def best_of(arcs: Sequence[Arc]) -> Arc:
+def best_arc(arcs: Sequence[Arc]) -> Arc:
     """The arc with the lowest chi-square after a penalty for each term (like an information criterion)."""
     # if the samples' uncertainties are too small, chi-square is too large and would favour every term: scale
     # it
@@ -205,8 +205,8 @@ def _lines(time_s: Vector, residual: Vector, weight: Vector, rates: Vector) -> M
     return out
 
 
-def _outstanding(rates: Vector, power: Vector) -> int | None:
-    """The strongest line, if it stands out of its neighbourhood; or the one that stands out most."""
+def _prominent_line(rates: Vector, power: Vector) -> int | None:
+    """Index of the strongest line if it is prominent, else of the most prominent one; None if none is."""
 
     def prominence(k: int) -> float:
         near = (rates > rates[k] / _NEIGHBOURHOOD) & (rates < rates[k] * _NEIGHBOURHOOD)
@@ -221,10 +221,10 @@ def _outstanding(rates: Vector, power: Vector) -> int | None:
 
 
 def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float, float, float] | None:
-    """Strongest spectral line in the residuals: angular frequency in rad/s, cosine and sine amplitude.
+    """Most prominent spectral line in the residuals: angular frequency in rad/s, cosine and sine amplitude.
 
-    None if the samples are too short or too sparse for a fast mode, or no line stands out: noise of air or
-    ground has no lines, but is strong where it is slow.
+    None if the samples are too short or too sparse for a fast mode, or no line is prominent: noise of air or
+    ground has no lines, but is strong at low frequencies.
     """
     times, residuals, weights = [], [], []
     k = len(arc.active)
@@ -245,5 +245,5 @@ def guess_fast_mode(arc: Arc, halves: Sequence[HalfCycleSamples]) -> tuple[float
     if len(rates) == 0:
         return None
     found = _lines(time_s, np.nan_to_num(residual), weight, rates)
-    place = _outstanding(rates, found[:, 0])
+    place = _prominent_line(rates, found[:, 0])
     return None if place is None else (float(rates[place]), float(found[place, 1]), float(found[place, 2]))

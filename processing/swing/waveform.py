@@ -1,4 +1,4 @@
-"""The half-swing of a damped, slightly anharmonic pendulum, in units of its own amplitude.
+"""Waveform of one half-cycle of a damped, slightly anharmonic pendulum, in units of its own amplitude.
 
 Between two turning points friction does not change its sign and the motion is smooth; at the turning points
 the second derivative jumps. The table therefore starts at a turning point, with y = 1 and y' = 0. With the
@@ -46,7 +46,7 @@ after."""
 
 @kernel
 def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]:
-    """``(u^q - 1)/q`` and its derivative by q, from ln u and u^q; by a series near q = 0."""
+    """Box-Cox function ``(u^q - 1)/q`` and its derivative by q, from ln u and u^q; a series near q = 0."""
     if abs(exponent) < _SMALLEST_EXPONENT:
         square = logarithm * logarithm
         return logarithm + 0.5 * exponent * square, square * (0.5 + exponent * logarithm / 3.0)
@@ -56,7 +56,7 @@ def _box(logarithm: float, power: float, exponent: float) -> tuple[float, float]
 
 @kernel
 def _acceleration(y: float, v: float, sense: float, shape: Vector, by: Vector) -> float:
-    """y''; its derivatives by the terms, by ln r, by y and by v are written into `by`.
+    """Second derivative y''; its derivatives by the terms, by ln r, by y and by v are written into `by`.
 
     `sense` is +1 after the turning point, and -1 before it, where the integration runs backwards in time.
     v = dy/ds is negative after the turning point, so that friction adds to y''. The derivatives by ln r and
@@ -184,7 +184,7 @@ def _tabulate_sinusoid(damping: float, table: Table, turn: Matrix) -> None:
 
 @kernel
 def tabulate(shape: Vector, wanted: Ints, table: Table, turn: Matrix) -> None:
-    """Tabulate the half-swing and its derivatives by the wanted terms.
+    """Tabulate the waveform and its derivatives by the wanted terms.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def tabulate(shape: Vector, wanted: Ints, table: Table, turn: Matrix) -> None:
 def locate(s: float) -> tuple[int, float]:
     """First of the two nodes around phase `s`, position between them (0 to 1); node -1 outside the table.
 
-    A phase that is NaN or infinite, of a fit that runs away, has no whole number and lies outside, too.
+    A NaN or infinite phase, of a fit that diverges, is outside, too: it cannot be converted to a node.
     """
     if 0.0 <= s < (NODES_AFTER - 1) * STEP:
         cell = int(s / STEP)

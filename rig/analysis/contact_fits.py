@@ -107,7 +107,7 @@ def settled_swings(
     settled = RefinedHalfCycles(
         *settled_by_either(swings, blocks, motion, first, fit, again), harmonics=harmonics
     )
-    found = search.found()
+    found = search.position_map()
     if found is None:
         return settled
     corrected = _without_position_errors(swings, blocks, motion, settled.exact or first, found, fit, drag)
@@ -176,11 +176,11 @@ def _with_what_is_left(
     It was found at places that the errors themselves had moved, which is much where the scale is bent.
     """
     watch = CycleWatch(swings, motion)
-    search = PositionMapSearch(*found.stretch, watch.cycles)
+    search = PositionMapSearch(*found.limits, watch.cycles)
     for _ in _watched(map(found.corrected, blocks), watch, search):
         pass
-    more = search.found()
-    return found if more is None else found.with_more(more)
+    more = search.position_map()
+    return found if more is None else found.plus(more)
 
 
 def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) -> SwingHarmonics:

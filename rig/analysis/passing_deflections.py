@@ -249,7 +249,7 @@ class WithoutFixedLight:
     def __init__(self, reader: RecordReader, config: Configuration, light: FixedLight) -> None:
         self._light = light
         spots = np.concatenate(list(reader.spot_blocks(fields=_FIELDS)))
-        pulled = light.pulls(spots["x_px"], spots["y_px"])
+        pulled = light.affects(spots["x_px"], spots["y_px"])
         self._frames, self._pulled = len(spots), int(np.count_nonzero(pulled))
         # a profile is learned of all frames
         again = pulled | bool(np.any(spots["flags"] & SpotFlag.LEARNED))
@@ -292,7 +292,7 @@ def _tracked_again(
     """The spots of some frames, tracked again in their pixels less the light; without those lost."""
     fine = _FINER if reader.full_scale_dn <= _DEEPEST else 1
     stated = sensor_model(config, reader.full_scale_dn)
-    full, less = fine * int(stated.full_scale_dn), np.rint(fine * light.taken_off_dn).astype(np.int64)
+    full, less = fine * int(stated.full_scale_dn), np.rint(fine * light.subtracted_dn).astype(np.int64)
     tracker = SpotTracker(
         replace(
             stated,

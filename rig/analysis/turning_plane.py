@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calibration import Axes
 from processing.arrays import Floats
-from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of_swing, square, turned
+from processing.balance import Balance, BalanceEstimator, PlaneOfSwing, plane_of_swing, rotate, square_axes
 from processing.decay_summary import mean_period
 from processing.deflections import Deflections
 from processing.swing import HalfCycle, TurningPoints, swings_of_blocks, turning_points
@@ -110,7 +110,7 @@ class PlaneBalances:
         stride = max(self._stride, 1)
         few = block[-self._passed % stride :: stride]
         self._passed += len(block)
-        return list(self._estimator.update(square(few, self._oblique_rad)))
+        return list(self._estimator.update(square_axes(few, self._oblique_rad)))
 
 
 def _oblique_rad(axes: Axes) -> float:
@@ -166,7 +166,7 @@ def follow_plane(
         return replace(found, plane=plane, problem=problem.replace("-", "−"))
     angle_rad = plane.direction_rad if along_line else plane.turned_rad
     back = PassingDeflections(
-        Changed(deflections, lambda block: turned(block, angle_rad(block.times_ns), _oblique_rad(axes))),
+        Changed(deflections, lambda block: rotate(block, angle_rad(block.times_ns), _oblique_rad(axes))),
         deflections.unit,
     )
     return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)

@@ -114,7 +114,7 @@ class LearnedTurns:
         assert self._state is not None
         state, room = self._state, self.room
         stuck = {name for name, doubts in self._doubts.items() if doubts.count(Doubt.STUCK) > 1}
-        usable = self.responses.without(stuck)
+        usable = self.responses.without_weights(stuck)
         advice = usable.advise(state, room)
         if advice is None:
             return None
@@ -214,7 +214,7 @@ class LearnedTurns:
             # this turn, or what was learned before it
             say(f"weight {weight} may do the opposite of what was learned; what was learned is discarded")
             seen = [(each.parts, each.before, each.after, np.nan_to_num(each.u)) for each in told]
-            responses.again(weight, seen if responses.pairs[weight] == 1 else seen[-1:])
+            responses.relearn(weight, seen if responses.pairs[weight] == 1 else seen[-1:])
             doubts.clear()
         else:
             responses.turned(weight, pair.parts)

@@ -111,7 +111,7 @@ def film_trajectory(
         camera.configure(CameraSettings())
         seen = _follow(camera, full_dn, asked, progress)
         light = None if seen.dark else fixed_light(seen.sampled)
-        if light is not None and camera.lossy and light.part < _LEFT_BY_COMPRESSION:
+        if light is not None and camera.lossy and light.relative_height < _LEFT_BY_COMPRESSION:
             light = None
         taken_off = None if light is None else _follow(camera, full_dn, asked, progress, light.light_dn)
         status = camera.status

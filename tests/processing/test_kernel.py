@@ -407,7 +407,7 @@ def test_another_byte_is_free(tmp_path: Path) -> None:
 def test_a_process_that_hangs_is_not_waited_for_for_ever(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kernel_compiler, "LONGEST_S", 0.2)
+    monkeypatch.setattr(kernel_compiler, "LONGEST_WAIT_S", 0.2)
     other = holder(tmp_path / "lock")
     with byte_locked(tmp_path / "lock", 7, lambda: None):
         assert other.poll() is None

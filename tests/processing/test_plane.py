@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from processing.balance import Balance, plane_of_swing, square, turned
+from processing.balance import Balance, plane_of_swing, rotate, square_axes
 from processing.deflections import Deflections, DeflectionUnit
 
 PERIOD_S, COUNT = 4.0, 150
@@ -111,8 +111,8 @@ def test_deflections_are_turned_back_in_axes_at_any_angle(oblique_rad: float) ->
     y = along + math.tan(oblique_rad) * perp
     u = np.full(len(x), 1e-3)
     seen = Deflections(np.rint(1e9 * time_s).astype(np.int64), x, y, u, u, DeflectionUnit.RAD)
-    back = turned(seen, angle, oblique_rad)
+    back = rotate(seen, angle, oblique_rad)
     np.testing.assert_allclose(back.y, slow, atol=1e-12)
     np.testing.assert_allclose(back.x, fast, atol=1e-12)
-    np.testing.assert_allclose(square(seen, oblique_rad).y, along, atol=1e-12)
+    np.testing.assert_allclose(square_axes(seen, oblique_rad).y, along, atol=1e-12)
     np.testing.assert_allclose(back.u_y, 1e-3, rtol=0.05)

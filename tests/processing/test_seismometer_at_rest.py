@@ -91,7 +91,7 @@ def test_two_components_tell_together_what_neither_does(minutes: tuple[Floats, F
     one = witness_at_rest(time_s, seen[0], Witness(both.time_s, both.value[:, :1], ("N",)))
     found = witness_at_rest(time_s, seen[0], both)
     assert found.coherence > 0.95 > one.coherence
-    assert found.by_chance > one.by_chance
+    assert found.chance_coherence > one.chance_coherence
 
 
 def test_a_gap_costs_its_periods(minutes: tuple[Floats, Floats, Floats]) -> None:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from processing.errors import DataError
-from processing.slope_uncertainty import part_means, u_of_wandering
+from processing.slope_uncertainty import part_means, u_wandering_slope
 
 N = 1000
 Noise = Callable[[np.random.Generator], NDArray[np.float64]]
@@ -39,7 +39,7 @@ def test_the_slope_scatters_as_much_as_is_claimed(noise: Noise, least: float, mo
     for seed in range(80):
         means = part_means(noise(np.random.default_rng([seed, 3])))
         found = np.linalg.lstsq(design, means, rcond=None)[0]
-        z.append(found[0] / u_of_wandering(design, means - design @ found))
+        z.append(found[0] / u_wandering_slope(design, means - design @ found))
     assert least < np.sqrt(np.mean(np.square(z))) < most
 
 
@@ -53,6 +53,6 @@ def test_parts_are_means_of_all_samples() -> None:
 
 def test_a_line_through_all_means_has_no_uncertainty_and_too_few_have_none() -> None:
     design = np.column_stack([np.arange(20.0), np.ones(20)])
-    assert u_of_wandering(design, np.zeros(20)) == 0.0
+    assert u_wandering_slope(design, np.zeros(20)) == 0.0
     with pytest.raises(DataError, match="9 means for 2 coefficients; 10 are needed"):
-        u_of_wandering(design[:9], np.zeros(9))
+        u_wandering_slope(design[:9], np.zeros(9))

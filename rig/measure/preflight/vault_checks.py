@@ -101,7 +101,7 @@ def _alive(reason: str, kind: str) -> Verdict:
 def _gives(found: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
     in_all = f"squared coherence {plain(found.coherence, 3)} in {found.steps} periods"
     if not found.related:
-        chance = f"{in_all}; unrelated records reach {plain(found.by_chance, 2)}"
+        chance = f"{in_all}; unrelated records reach {plain(found.chance_coherence, 2)}"
         if not ground_seen:
             hidden = "the ground does not exceed the noise of the spot, so its benefit is unknown"
             return _alive(f"{hidden} ({chance})", kind)

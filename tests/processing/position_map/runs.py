@@ -74,4 +74,4 @@ def searched(one: Run) -> PositionMap | None:
     for start in range(0, len(one.deflections), 1000):
         for cycle in watch.update(one.deflections[start : start + 1000]):
             search.add(cycle)
-    return search.found()
+    return search.position_map()

@@ -20,7 +20,7 @@ def test_a_map_takes_its_errors_off_whatever_their_slope() -> None:
     one = run(bent, seed=1)
     found = searched(one)
     assert found is not None
-    true = np.linspace(*found.stretch, 500)
+    true = np.linspace(*found.limits, 500)
     few = one.deflections[:500]
     measured = replace(few, y=true + found.error(true))
     assert np.max(np.abs(found.corrected(measured).y - true)) < 1e-5 * ARCSEC_RAD
@@ -29,7 +29,7 @@ def test_a_map_takes_its_errors_off_whatever_their_slope() -> None:
 def test_the_scale_that_a_map_leaves_open_is_as_uncertain_as_it_is_wrong() -> None:
     found = searched(run(bent, seed=1))
     assert found is not None
-    place = np.linspace(*found.stretch, 500)
+    place = np.linspace(*found.limits, 500)
     weight = place / (place @ place)
     matrix = found.splines.matrix(place)
     u_scale = float(np.sqrt(weight @ matrix @ found.covariance @ matrix.T @ weight))

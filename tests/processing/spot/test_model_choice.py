@@ -13,7 +13,7 @@ def test_a_large_spot_is_judged_by_fewer_windows(side_px: int, windows: int) -> 
     image = np.zeros((side_px, side_px), np.uint8)
     seen = 0
     while choice.model is None:
-        choice.see(0.5, 0, float(side_px**2), lambda: (image, (0, 0)))
+        choice.add(0.5, 0, float(side_px**2), lambda: (image, (0, 0)))
         seen += 1
     assert choice.model is SpotModel.ONE
     assert seen == 4 * windows

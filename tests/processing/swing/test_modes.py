@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from processing.balance.estimate import _without_overtone
+from processing.balance.estimate import _without_harmonic
 from processing.errors import DataError
 from processing.swing import mode_fit
 from processing.swing.mode_fit import (
@@ -19,7 +19,7 @@ from processing.swing.mode_fit import (
     X,
     Y,
     _step,
-    _step_in_what_is_determined,
+    _step_in_determined_terms,
     fast_mode_seen,
 )
 from processing.swing.modes import TwoModes, separate_modes
@@ -116,7 +116,7 @@ def test_a_line_beside_a_harmonic_of_the_waveform_is_no_fast_mode() -> None:
     modes = separate_modes(times_ns, NOISE * rng.standard_normal(2400), y, u, u)
     assert modes is not None
     assert modes.fast is not None
-    assert _without_overtone(modes).fast is None
+    assert _without_harmonic(modes).fast is None
 
 
 def test_lost_spots_and_uneven_steps() -> None:
@@ -188,6 +188,6 @@ def test_a_step_leaves_out_a_combination_that_samples_do_not_determine() -> None
     information, score = design.T @ design, design.T @ rng.standard_normal(60)
     places = np.array(EVERY)
     assert not _step(information, score, places)[2]
-    change, _ = _step_in_what_is_determined(information, score, places)
+    change, _ = _step_in_determined_terms(information, score, places)
     np.testing.assert_allclose(information @ change, score, rtol=1e-9, atol=1e-9)
     assert change[X] == pytest.approx(change[Y])

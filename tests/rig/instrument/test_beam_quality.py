@@ -68,7 +68,7 @@ def test_light_that_stays_where_it_is_is_a_caution() -> None:
         pictures.append((image, tracker.track(image)))
     found = fixed_light(pictures)
     assert found is not None
-    assert found.part == pytest.approx(0.03, rel=0.2)
+    assert found.relative_height == pytest.approx(0.03, rel=0.2)
     images, spots = zip(*pictures, strict=True)
     verdict = beam_quality(images, spots, tracker.model, 255.0, PreflightSettings(), light=found)
     assert "light that stays where it is" in verdict.reason
