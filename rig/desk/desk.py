@@ -243,7 +243,7 @@ class Desk:
         """The newest session, where it was interrupted and none runs: its missing runs can be made."""
         if self.following.running or self.session_state is StartState.RUNNING:
             return None
-        newest = next(iter(self.sessions.page(None, most=1).rows), None)
+        newest = next(iter(self.sessions.rows(None)), None)
         return newest.folder if newest is not None and newest.died else None
 
     def hand_over(self) -> HandOver | None:

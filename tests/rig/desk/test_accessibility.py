@@ -145,7 +145,7 @@ def test_no_form_error_list_picture_or_hand_over_has_a_violation(
     page.mark(folder.name)
     judge("a session that is marked")
     page.click("archive")
-    page.wait_text("1 to 3 of 3")
+    page.wait_text("1-3 of 3")
     judge("the archive")
     # not the panel of this name
     page.ask(
