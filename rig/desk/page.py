@@ -18,7 +18,6 @@ from rig.desk.lighting import lamps, refusal
 from rig.desk.panels import PANELS
 from rig.desk.sessions import last_state
 from rig.desk.tab import DELIBERATE, Tab, apart, at_once
-from rig.desk.theme import named_colours
 from rig.instrument import Phase
 from rig.presentation import loud
 
@@ -193,6 +192,7 @@ DARK = "/dark"
 _DEAD_S = 30.0
 """A page that was told nothing for so long is not merely slow."""
 _STATIC = Path(__file__).with_name("static")
+_STYLES = ("theme.css", "desk.css")
 _SCRIPTS = ("page.js", "safety.js", "watchdog.js")
 _BARS = """
 <div id="watchdog" role="alert" aria-live="assertive" hidden></div>
@@ -217,7 +217,9 @@ def build_head(off_port: int) -> None:
         "deadS": _DEAD_S,
         "lost": {"title": AlarmKey.DESK_LOST, "remedy": AlarmKey.DESK_LOST.remedy},
     }
-    ui.add_css(named_colours() + (_STATIC / "desk.css").read_text("utf-8"))
-    scripts = "".join((_STATIC / name).read_text("utf-8") for name in _SCRIPTS)
+    styles, scripts = (
+        "".join((_STATIC / name).read_text("utf-8") for name in names) for names in (_STYLES, _SCRIPTS)
+    )
+    ui.add_css(styles)
     ui.add_head_html(f"<script>window.rigDesk = {json.dumps(told)};\n{scripts}</script>")
     ui.add_body_html(_BARS)

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from rig.archive import add_folders
-from rig.desk.theme import THEMES
 from rig.devices import OrderSocket, SessionNews
 from tests.rig.desk.desk_page import DeskProcess, Page
+from tests.rig.desk.test_theme import themes
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
@@ -57,7 +57,7 @@ def judge(shown: Shown, axe: str) -> Iterator[Callable[[str], None]]:
         if not page.ask("typeof axe === 'object'"):
             page.ask(axe + "; true")
             page.ask(STILL)
-        for theme, colours in THEMES.items():
+        for theme, colours in themes().items():
             page.prefer(theme)
             for place, ink in {"#light-off": "off-ink", "#lamp-recording": "bar-ink"}.items():
                 red, green, blue = (int(colours[ink][k : k + 2], 16) for k in (1, 3, 5))
