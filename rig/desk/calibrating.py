@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from acquisition import atomic_write
 from processing.errors import ConfigurationError, DataError, RecordError, RigError
-from rig.calibrate import CalibrationReport, Filing, filed, next_free
+from rig.calibrate import CalibrationReport, filed, next_free
 from rig.desk.jobs import Job
 
 if TYPE_CHECKING:
@@ -165,20 +165,19 @@ class Calibrating:
             self.recorded[kind] = path
         return ""
 
-    def file(self, kind: str, given: str, stated: Stated, filing: Filing) -> None:
+    def file(self, kind: str, given: str, stated: Stated) -> None:
         """Make the calibration by `rig calibrate KIND` and file it; takes seconds.
 
-        `given` is the name of a record, or the text of a list, which is first written to a file.
-        Raises RigError where the measurement does not serve.
+        `given` is the name of a record, or the text of a list, which is first written to a file. The command
+        judges what was `stated`. Raises RigError where the measurement does not serve.
         """
-        options = {"output": str(filing.folder), "valid-days": str(filing.valid_days), "by": filing.made_by}
         self.problems.pop(kind, None)
         try:
             path = _written(kind, given) if self.kinds[kind].list_text else _record(given)
             words = [
                 f"--{name}={text.strip()}"
-                for name, text in {**options, **stated}.items()
-                if text.strip() and (name in options or text != _UNKNOWN)
+                for name, text in {"output": str(FOLDER), **stated}.items()
+                if text.strip() not in ("", _UNKNOWN)
             ]
             name = f"calibrate {kind}"
             job = self._desk.jobs.begin(name, str(path), *words, "--json", uses_camera=False)

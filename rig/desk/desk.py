@@ -20,10 +20,10 @@ from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, start_session
 from rig.desk.lighting import Lighting, Safety
-from rig.desk.sessions import SessionIndex
+from rig.desk.sessions import SessionIndex, last_state
 from rig.desk.store import DeskStore
 from rig.devices import NoSession
-from rig.measure import HandOver, hand_over, session_folder
+from rig.measure import HandOver, RunState, hand_over, session_folder
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
@@ -240,11 +240,11 @@ class Desk:
         return self.following.last_folder or (self.started[1] if self.started is not None else None)
 
     def resumable(self) -> Path | None:
-        """The newest session, where it was interrupted and none runs: its missing runs can be made."""
-        if self.following.running or self.session_state is StartState.RUNNING:
+        """The last session, where it was interrupted and none runs: its missing runs can be made."""
+        folder = self.session_folder
+        if folder is None or self.following.running or self.session_state is StartState.RUNNING:
             return None
-        newest = next(iter(self.sessions.rows(None)), None)
-        return newest.folder if newest is not None and newest.died else None
+        return folder if last_state(folder) == RunState.INTERRUPTED else None
 
     def hand_over(self) -> HandOver | None:
         """What the last session hands over; None without a record. Read again when that changes."""
@@ -279,7 +279,6 @@ class Desk:
         self.end_aligning()
         for job in self.jobs.values():
             job.end()
-        self.sessions.stop()
         self.place.close()
 
 

@@ -337,7 +337,7 @@ def lamps(safety: Safety, recording: str) -> dict[str, Mapping[str, object]]:
     forbidden = "light forbidden until acknowledged" if now.trip is not None else now.refusal
     return {
         "laser": {**laser, **_last(safety.light), "more": forbidden},
-        "interlock": {**interlock, **_last_loop(safety.interlock)},
+        "interlock": {**interlock, **_last(safety.interlock)},
         "recording": _lamp(recording or "nothing", "caution" if recording else "dim", 0.0),
     }
 
@@ -346,16 +346,10 @@ def _lamp(text: str, kind: str, age_s: float) -> Mapping[str, object]:
     return {"text": text, "kind": kind, "age_s": round(age_s, 2) if math.isfinite(age_s) else None}
 
 
-def _last_loop(confirmed: ConfirmedState | None) -> Mapping[str, object]:
-    """`closed at 05:48:36`."""
-    return {} if confirmed is None else {"last": f"{confirmed.state} at {clock(confirmed.at_s)}"}
-
-
 def _last(confirmed: ConfirmedState | None) -> Mapping[str, object]:
     """`off, confirmed 05:48:36 by board and camera`; light that was on may be off by now."""
     if confirmed is None:
         return {}
-    said = f"confirmed {clock(confirmed.at_s)} by {confirmed.by}"
-    is_on = confirmed.state is Light.ON
-    text = f"unknown; on, {said}" if is_on else f"{confirmed.state}, {said}"
+    said = f"{confirmed.state}, confirmed {clock(confirmed.at_s)} by {confirmed.by}"
+    text = f"unknown; {said}" if confirmed.state is Light.ON else said
     return {"last": text, "last_age_s": round(time.time() - confirmed.at_s, 1)}

@@ -3,8 +3,6 @@
 import json
 import math
 import os
-import threading
-import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -22,8 +20,6 @@ SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
 RESULTS_NAME = "results.json"
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
-_LEAST_WAIT_S, _WAIT_OF_WORK = 1.0, 15.0
-"""A large folder is looked through less often: one part in fifteen of a core at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +28,7 @@ class SessionRow:
 
     `conditions` are the amplitudes it was to run between. `sigma`, `b` and `c` are those of its last run,
     with their whole uncertainty, in the units of `NUMBERS`; `balance` is go, no, or empty where it was not
-    judged. `resumable`: it lacks runs, which can be made; `died`: it was killed. `text` is what is searched.
+    judged. `resumable`: it lacks runs, which can be made. `text` is what is searched.
     """
 
     folder: Path
@@ -47,7 +43,6 @@ class SessionRow:
     c: str = ""
     balance: str = ""
     resumable: bool = False
-    died: bool = False
     text: str = ""
 
     @property
@@ -64,64 +59,39 @@ class SessionRow:
 
 
 class SessionIndex:
-    """All sessions of a folder, the newest first; one is read again only when its files have changed.
-
-    `look` reads the folder once; after `start` that is done again and again beside, while somebody asks.
-    """
+    """All sessions of a folder, the newest first, as the last `look` has found them."""
 
     def __init__(self, output: Path) -> None:
         self._output = output
         self._known: dict[str, tuple[tuple[int, int], SessionRow]] = {}
-        self._sorted: list[SessionRow] = []
-        self._ended, self._asked = threading.Event(), threading.Event()
-        self._thread: threading.Thread | None = None
 
     def rows(self, running: Path | None, words: str = "") -> list[SessionRow]:
         """The sessions with all these words in folder, sample, operator, state or date; never blocks."""
-        self._asked.set()
         wanted = words.lower().split()
         now = None if running is None else running.resolve()
         return [
-            replace(row, state="running", resumable=False, died=False)
+            replace(row, state="running", resumable=False)
             if now is not None and row.folder.resolve() == now
             else row
-            for row in self._sorted
+            for _, row in self._known.values()
             if all(word in row.text for word in wanted)
         ]
 
-    def start(self) -> None:
-        """Look again and again, in a thread; the first look begins at once."""
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._follow, name="sessions", daemon=True)
-            self._thread.start()
-
-    def stop(self) -> None:
-        self._ended.set()
-        self._asked.set()
-
     def look(self) -> None:
-        """Read what is new or has changed."""
+        """Read the sessions that are new, or whose files have changed; may take long."""
         files: list[tuple[tuple[int, int], str]] = []
         with suppress(OSError), os.scandir(self._output) as entries:
             for entry in entries:
                 with suppress(OSError):
                     changed_ns = os.stat(f"{entry.path}/{STATE_NAME}").st_mtime_ns
                     files.append(((changed_ns, _changed_ns(f"{entry.path}/{RESULTS_NAME}")), entry.path))
-        before, self._known = self._known, {}
+        found = {}
         for changed, path in sorted(files, reverse=True):
-            known = before.get(path)
+            known = self._known.get(path)
             if known is None or known[0] != changed:
                 known = changed, session_row(Path(path))
-            self._known[path] = known
-        self._sorted = [row for _, row in self._known.values()]
-
-    def _follow(self) -> None:
-        while not self._ended.is_set():
-            began_s = time.monotonic()
-            self.look()
-            self._asked.clear()
-            self._ended.wait(max(_LEAST_WAIT_S, _WAIT_OF_WORK * (time.monotonic() - began_s)))
-            self._asked.wait()
+            found[path] = known
+        self._known = found
 
 
 def _changed_ns(path: str) -> int:
@@ -155,7 +125,6 @@ def session_row(folder: Path) -> SessionRow:
         conditions="" if first is None or last is None else f"{float(first):g} to {float(last):g} arcsec",
         operator=operator,
         resumable=ended not in (None, RunState.COMPLETE),
-        died=ended is RunState.INTERRUPTED,
         text=" ".join((folder.name, when, sample, operator, state, notes)).lower(),
         **last_run(folder),
     )

@@ -26,12 +26,12 @@ _LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
 _ROWS_PER_PAGE, _LAST_LINES = 15, 14
 _MOST_ROWS = 500
 """So many are sent to the browser; older ones are found by words."""
+_WAIT_OF_WORK = 15.0
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${props.row.folder}`" />'
 
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
-    desk.sessions.start()
 
     def words() -> str:
         return str(find.value or "")
@@ -52,7 +52,7 @@ def build(desk: Desk, tab: Tab) -> None:
         archived.table.set_visibility(is_archive)
         for one in (listed.table, *actions.elements):
             one.set_visibility(not is_archive)
-        listed.refresh()
+        await listed.refresh()
         actions.refresh()
         output.refresh()
         await archived.refresh()
@@ -79,6 +79,7 @@ class SessionList:
         self._desk, self._words, self._on_mark = desk, words, on_mark
         self._rows: dict[str, SessionRow] = {}
         self._marked = ""
+        self._due_s = 0.0
         self.table = _table("sessions", row_key="folder", selection="multiple")
         self.table.columns = _columns({name: _head(name) for name in _COLUMNS})
         self.table.props('hide-selected-banner no-data-label="no session is found"')
@@ -87,8 +88,13 @@ class SessionList:
         self.table.add_slot("body-cell-balance", _LAMP)
         self.table.on_select(self._mark)
 
-    def refresh(self) -> None:
+    async def refresh(self) -> None:
         """Show what is found now."""
+        began_s = time.monotonic()
+        if began_s >= self._due_s:
+            await run.io_bound(self._desk.sessions.look)
+            # a large folder is looked through less often
+            self._due_s = time.monotonic() + _WAIT_OF_WORK * (time.monotonic() - began_s)
         found = self._desk.sessions.rows(self._desk.following.folder, self._words())[:_MOST_ROWS]
         self._rows = {str(row.folder): row for row in found}
         if self._marked in self._rows:
