@@ -13,7 +13,7 @@ from typing import Any
 from processing.errors import RigError
 from processing.fit import FitMethod
 from rig.instrument import BALANCE_CONDITIONS
-from rig.measure import STATE_NAME, RunState, read_session, state_of
+from rig.measure import STATE_NAME, HandOver, RunState, hand_over, read_session, state_of
 from rig.presentation import quantity, with_uncertainty
 
 SERVED = "/sessions"
@@ -170,10 +170,21 @@ def _state_at(folder: Path, _changed_ns: int) -> str:
 
 def last_state(folder: Path) -> str:
     """The word of the list for a session that has ended; empty if it left none."""
+    return _state_at(folder, _changed_ns(f"{folder}/{STATE_NAME}"))
+
+
+@lru_cache(maxsize=1)
+def _hand_over_at(folder: Path, *_changed_ns: int) -> HandOver | None:
     try:
-        return _state_at(folder, (folder / STATE_NAME).stat().st_mtime_ns)
-    except OSError:
-        return ""
+        return hand_over(folder)
+    except RigError:
+        return None
+
+
+def last_hand_over(folder: Path) -> HandOver | None:
+    """What a session hands over, None where there is none; read again when its files have changed."""
+    names = (STATE_NAME, RESULTS_NAME, "report.html")
+    return _hand_over_at(folder, *(_changed_ns(f"{folder}/{name}") for name in names))
 
 
 def served_file(output: Path, name: str) -> Path | None:

@@ -86,16 +86,13 @@ def look_now(desk: Desk) -> AlignmentFrame | None:
     if seen is None or "full_scale_dn" not in camera:
         return None
     full_scale_dn, config = int(camera["full_scale_dn"]), desk.following.config
-    own, reference, reference_px = seen.image, None, None
+    own, reference = seen.image, None
     if config is not None and config.reference is not None and seen.reference is not None:
         row = config.reference.from_row_px
         reference = SeenReference.in_image(seen.reference, row, seen.image, full_scale_dn)
         own = seen.image[:row]
     figures = picture.figures(own, full_scale_dn)
-    lever = None if config is None else config.lever
-    if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
-        reference_px = (lever.reference_x_px, lever.reference_y_px)
-    middle_px = middle_of(seen.image, reference_px)
+    middle_px = middle_of(seen.image, None if config is None else config.lever_reference_px)
     applied = CameraSettings.model_validate(camera["applied"])
     return AlignmentFrame(
         seen.image, full_scale_dn, figures, seen.spot, middle_px, applied, reference=reference
