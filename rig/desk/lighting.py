@@ -4,6 +4,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import Future, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,12 +31,18 @@ AT = "the desk"
 """Where it was pressed, in the words of a trip."""
 
 
-class _Pressing:
-    """One press: what failed, once everything was done."""
+def _beside(do: Callable[..., T], *given: object) -> Future[T]:
+    """Do it in a thread of its own, which may hang: for a process that is frozen, or a disk."""
+    done: Future[T] = Future()
 
-    def __init__(self) -> None:
-        self.done = threading.Event()
-        self.problems: list[str] = []
+    def work() -> None:
+        try:
+            done.set_result(do(*given))
+        except Exception as error:
+            done.set_exception(error)
+
+    threading.Thread(target=work, name="light off beside", daemon=True).start()
+    return done
 
 
 class Lighting:
@@ -44,7 +51,7 @@ class Lighting:
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
         self._pressing = threading.Lock()
-        self._pressed: dict[str, _Pressing] = {}
+        self._pressed: dict[str, Future[list[str]]] = {}
 
     def off(self, press: str = "") -> list[str]:
         """Switch everything off, whichever program has lit it; returns what failed.
@@ -57,21 +64,17 @@ class Lighting:
         darken what a person has acknowledged and lit again meanwhile, and says what the first one says.
         """
         with self._pressing:
-            pressing = self._pressed.get(press) if press else None
-            is_first = pressing is None
-            if pressing is None:
-                pressing = _Pressing()
-                self._pressed[press] = pressing
-                while len(self._pressed) > _PRESSES_KEPT:
-                    self._pressed.pop(next(iter(self._pressed)))
-        if not is_first:
-            pressing.done.wait(2.0 * _HEARD_WITHIN_S)
-            return pressing.problems
-        try:
-            pressing.problems = self._off()
-        finally:
-            pressing.done.set()
-        return pressing.problems
+            first = self._pressed.get(press) if press else None
+            said: Future[list[str]] = first or Future()
+            self._pressed[press] = said
+            while len(self._pressed) > _PRESSES_KEPT:
+                self._pressed.pop(next(iter(self._pressed)))
+        if first is None:
+            try:
+                said.set_result(self._off())
+            except Exception as error:
+                said.set_exception(error)
+        return said.result(2.0 * _HEARD_WITHIN_S)
 
     def _off(self) -> list[str]:
         desk = self._desk
@@ -88,14 +91,15 @@ class Lighting:
                 # it hears no order yet; one that was seen before, and is gone, is being fitted
                 begun[0].terminate()
                 heard = True
-        orders = [_Order(_order_dark, folder) for folder in folders]
-        # in a thread of its own: a disk that hangs holds nothing else up
-        orders.append(_Order(self._holder_dark, folders))
+        orders = [_beside(_order_dark, folder) for folder in folders]
+        # the disk that says who has the rig may hang
+        orders.append(_beside(self._holder_dark, folders))
         for _, job in desk.jobs.running(uses_camera=True):
             job.end()
             heard = True
-        end_s = time.monotonic() + _HEARD_WITHIN_S
-        heard = any(order.heard(end_s) for order in orders) or heard
+        with suppress(TimeoutError):
+            answers = as_completed(orders, _HEARD_WITHIN_S)
+            heard = any(one.exception() is None and one.result() for one in answers) or heard
         unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
         if not heard and unfiled is not None and unfiled.trip is None:
             # a rig without a file is remembered as long as the desk lives
@@ -116,20 +120,13 @@ class Lighting:
         presses = self._desk.rig.presses
         if presses is None:
             return ""
-        problems: list[str] = []
-
-        def keep() -> None:
-            try:
-                presses.press(AT)
-            except DeviceError as error:
-                problems.append(str(error))
-
-        keeping = threading.Thread(target=keep, name="press", daemon=True)
-        keeping.start()
-        keeping.join(_KEPT_WITHIN_S)
-        if keeping.is_alive():
+        try:
+            _beside(presses.press, AT).result(_KEPT_WITHIN_S)
+        except TimeoutError:
             return f"{presses.path}: the disk hangs"
-        return "".join(problems)
+        except DeviceError as error:
+            return str(error)
+        return ""
 
     def _holder_dark(self, told: Collection[Path]) -> bool:
         """Also the program that has the rig and works in another folder; whether it has heard."""
@@ -181,20 +178,6 @@ class Lighting:
             # between two runs, too
             return True
         return bool(news.get("darkness") and (news.get("state") or {}).get("alarm"))
-
-
-class _Order:
-    """An order in a thread of its own; the process that gets it may be frozen."""
-
-    def __init__(self, give: Callable[[T], bool], to: T) -> None:
-        self._done: list[bool] = []
-        self._thread = threading.Thread(target=lambda: self._done.append(give(to)), daemon=True)
-        self._thread.start()
-
-    def heard(self, end_s: float) -> bool:
-        """Whether somebody has answered until then (`time.monotonic`)."""
-        self._thread.join(max(end_s - time.monotonic(), 0.0))
-        return bool(self._done) and self._done[0]
 
 
 def _order_dark(folder: Path) -> bool:
