@@ -7,7 +7,7 @@ from nicegui import run, ui
 
 from rig.calibrate import CalibrationReport
 from rig.desk import tables
-from rig.desk.calibrating import FOLDER, Calibrating
+from rig.desk.calibrating import FOLDER, KINDS, Calibrating
 from rig.desk.desk import Desk
 from rig.desk.panels.between_runs import as_typed
 from rig.desk.tab import DELIBERATE, Tab, at_once, box
@@ -17,7 +17,6 @@ _DAYS, _DARK_FRAMES = "90", "16"
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
-    kinds = desk.calibrating.kinds
     forms: dict[str, CalibrationForm] = {}
 
     def choose(chosen: str) -> None:
@@ -31,12 +30,12 @@ def build(desk: Desk, tab: Tab) -> None:
             form.refresh(busy)
 
     with ui.row().classes("items-center"):
-        buttons = {name: ui.button(name, on_click=partial(choose, name)) for name in kinds}
+        buttons = {name: ui.button(name, on_click=partial(choose, name)) for name in KINDS}
     for name, button in buttons.items():
         button.props(f'dense aria-label="{name}, calibrate it"')
-    for name in kinds:
+    for name in KINDS:
         forms[name] = CalibrationForm(desk, tab, name)
-    choose(next(iter(kinds)))
+    choose(next(iter(KINDS)))
     tab.every(0.5, refresh)
     refresh()
 
@@ -46,7 +45,7 @@ class CalibrationForm:
 
     def __init__(self, desk: Desk, tab: Tab, name: str) -> None:
         self._calibrating: Calibrating = desk.calibrating
-        self._name, self._kind = name, desk.calibrating.kinds[name]
+        self._name, self._kind = name, KINDS[name]
         self._offered: object = None
         self._drawn: CalibrationReport | None = None
         kind = self._kind

@@ -12,7 +12,7 @@ from rig.desk.charts import Chart, ChartCurve, Mark
 from rig.desk.desk import Desk
 from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, RunResult, build_form
-from rig.desk.panels.live_picture import LivePicture, no_frame_yet
+from rig.desk.panels.live_picture import LivePicture
 from rig.desk.tab import Tab, at_once, box
 from rig.instrument import Phase
 
@@ -35,7 +35,7 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.column().classes("stack"):
             numbers = RunNumbers(desk, tab)
             with ui.column().classes("box"):
-                LivePicture(tab, _SIZE, lambda: desk.following.running, lambda: no_frame_yet(desk.following))
+                LivePicture(desk, tab, _SIZE)
         with ui.column().classes("box"):
             way = charts.TrajectoryChart()
             way.chart.element.style("width: min(100%, max(240px, 32vh))")

@@ -15,7 +15,7 @@ from rig.balance import BalanceStage
 from rig.cli import app
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
-from rig.desk.calibrating import kinds
+from rig.desk.calibrating import KINDS
 from rig.desk.desk import Desk
 from rig.desk.lighting import refusal
 from rig.desk.panels.balance import net_of
@@ -139,8 +139,8 @@ def test_every_form_of_a_calibration_has_the_options_of_its_command() -> None:
         for one in group.registered_commands
         if one.callback is not None
     }
-    assert options.keys() == kinds().keys()
-    for name, kind in kinds().items():
+    assert options.keys() == KINDS.keys()
+    for name, kind in KINDS.items():
         assert {"output", "valid-days", "by", "as-json", *kind.fields} <= options[name]
 
 
