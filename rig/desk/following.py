@@ -12,7 +12,6 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from acquisition.record.events import Event
 from processing.errors import RigError
 from rig.control import STALE_S, DevicesNow, SafetyNow
 from rig.desk.alarm_list import AlarmKey, RaisedAlarm
@@ -251,23 +250,12 @@ class Following:
         self.silent = False
         self._read(news["record"])
         if (reader := self._reader) is not None and reader.begun:
-            for elapsed_s, told in reader.take_events():
-                self._keep(reader.began_s, elapsed_s, told, news["run"])
+            for event in reader.take_events():
+                event["run"] = news["run"]
+                self.events.append(event)
+                self.unheard.append(event)
             news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
-
-    def _keep(self, began_s: float, elapsed_s: float, event: Event, run: str) -> None:
-        """An event of a record that began at `began_s`."""
-        told = {
-            "run": run,
-            "elapsed_s": elapsed_s,
-            "kind": event.kind,
-            "level": event.level,
-            "text": event.text,
-            "at": clock(time.time() - time.monotonic() + began_s + elapsed_s),
-        }
-        self.events.append(told)
-        self.unheard.append(told)
 
     def _read(self, record: str) -> None:
         """Read this record from now on; none, if it is empty."""
@@ -284,11 +272,6 @@ def _configuration_in(folder: Path) -> Configuration | None:
     with suppress(RigError):
         return validate_configuration(unnumbered(read_session(folder).configuration, path), path)
     return None
-
-
-def clock(at_s: float) -> str:
-    """Time of the day of this computer."""
-    return time.strftime("%H:%M:%S", time.localtime(at_s))
 
 
 def doing(state: Mapping[str, Any] | None) -> str:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, TypeVar
 from processing.errors import ConfigurationError, DeviceError, RigError
 from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause, darken_beside
 from rig.desk.aligner import Aligner
-from rig.desk.following import Following, clock
+from rig.desk.following import Following
+from rig.desk.run_reader import clock
 from rig.devices import NOT_OURS, ORDERS_NAME, Devices, NoSession, OrderConnection, SessionBusy
 
 if TYPE_CHECKING:

@@ -51,10 +51,9 @@ def build_page(desk: Desk, off_port: int) -> None:
         state.set_text(_state(desk))
         crying = over_all.refresh()
         shown = json.dumps(lamps(desk.safety, _recording(desk)))
-        cry = json.dumps(" ".join(_name(row) for row in crying))
         told = json.dumps([_told(row) for row in crying])
         of_session = json.dumps(_session_age(desk))
-        ui.run_javascript(f"window.rigSafety({shown}, {cry}); window.rigAlarms({told}, {of_session});")
+        ui.run_javascript(f"window.rigSafety({shown}, {told}); window.rigAlarms({told}, {of_session});")
 
     refresh()
     ui.timer(_LOOK_S, refresh)
@@ -129,15 +128,10 @@ def _taken(trip: LatchedTrip) -> str:
     return sentence(trip.why if trip.cause is TripCause.PERSON else trip.text)
 
 
-def _name(row: AlarmRow) -> str:
-    """One that comes again has another one."""
-    return f"{row.key}@{row.raised_s:.2f}"
-
-
 def _told(row: AlarmRow) -> dict[str, str]:
-    """As the browser is told of it."""
-    text = f"{row.cause}\n{row.key.remedy}"
-    return {"name": _name(row), "key": row.key, "title": row.key, "text": text}
+    """As the browser is told of it; one that comes again has another name."""
+    name = f"{row.key}@{row.raised_s:.2f}"
+    return {"name": name, "title": row.key, "text": f"{row.cause}\n{row.key.remedy}"}
 
 
 def _session_age(desk: Desk) -> dict[str, object] | None:
