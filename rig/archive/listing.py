@@ -229,15 +229,12 @@ _SEARCHED = (
 )
 
 
-def find_runs(archive: Path, words: str, first: int = 0, most: int = 20) -> tuple[Table, int, int]:
-    """Some of the runs with all these words in their texts, newest first; how many have them, and how many
-    there are.
-    """
+def find_runs(archive: Path, words: str, most: int) -> Table:
+    """The newest runs with all these words in their texts, the newest first."""
     quoted = (word.replace("'", "''") for word in words.lower().split())
     where = " and ".join(f"contains({_SEARCHED}, '{word}')" for word in quoted) or "true"
-    _, ((every, found),) = selected(archive, f"count(*), count(*) filter (where {where})", "")
-    order = f"order by began_utc desc nulls last, sha256 limit {most:d} offset {first:d}"
-    return _table(*selected(archive, _FOUND, f"{where} {order}")), found, every
+    order = f"order by began_utc desc nulls last, sha256 limit {most:d}"
+    return _table(*selected(archive, _FOUND, f"{where} {order}"))
 
 
 def selected(

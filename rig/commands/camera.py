@@ -299,10 +299,6 @@ def align(
     from rig.view import ScratchHead, ScratchView
 
     loaded = complete(load_configuration(config, set_ or []))
-    lever = loaded.lever
-    reference_px = None
-    if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
-        reference_px = (lever.reference_x_px, lever.reference_y_px)
     with ExitStack() as stack:
         camera, info, applied = stack.enter_context(_opened_camera(config, set_))
         show = None
@@ -324,7 +320,7 @@ def align(
             optics.tracker(),
             folder=output,
             reference=optics.reference(),
-            reference_px=reference_px,
+            reference_px=loaded.lever_reference_px,
             seconds=seconds,
             view=show,
         ):

@@ -11,7 +11,7 @@ this tab of the browser: `tab.every(seconds, function)` keeps something fresh wh
 `tab.button(text, function)` is a button that shows a RigError as one line (`tab.act(function)` a handler that
 does). Work that takes longer than a moment is awaited with ``nicegui.run.io_bound``; what moves devices is a
 command in a process (`Desk.start`). Charts are declared by quantities (`charts.py`), colours have names
-(`theme.py`). `panels/between_runs.py` has fields that the settings' own models judge.
+(`static/theme.css`). `panels/between_runs.py` has fields that the settings' own models judge.
 """
 
 from rig.desk.server import open_desk

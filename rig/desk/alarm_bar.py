@@ -7,7 +7,7 @@ from nicegui import ui
 from rig.desk.alarm_list import AlarmKey, AlarmRow, AlarmState
 from rig.desk.desk import Desk
 from rig.desk.dialogs import resume_dialog
-from rig.desk.following import clock
+from rig.desk.run_reader import clock
 from rig.desk.tab import DELIBERATE, Tab, at_once
 
 

@@ -1,4 +1,4 @@
-"""Every alarm with its usual cause and remedy, and their list: active, cleared, acknowledged, with times."""
+"""Every alarm with its remedy, and their list: active, cleared, acknowledged, with times."""
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
@@ -9,179 +9,106 @@ from typing import Final, Self
 
 from processing.errors import RigError
 
-
-class Grade(StrEnum):
-    """How much an alarm matters; the order is that of the list."""
-
-    DANGER = "danger"
-    """Light may be where none should be."""
-    URGENT = "urgent"
-    """What is measured is being lost."""
-    CAUTION = "caution"
-    """Seen in the list and not heard: data that will have to be looked at."""
+_SEEN_ONLY: Final = False
+"""Of an alarm that is not heard: data that will have to be looked at."""
 
 
 class AlarmKey(StrEnum):
-    """The alarms: each with its title, its usual cause, its remedy, and how much it matters.
+    """The alarms, the gravest first: each with its title, its remedy, and whether it is heard."""
 
-    The cause is used where nothing tells the real one.
-    """
-
-    cause: str
     remedy: str
-    grade: Grade
+    is_heard: bool
 
-    def __new__(cls, title: str, cause: str, remedy: str, grade: Grade) -> Self:
+    def __new__(cls, title: str, remedy: str, is_heard: bool = True) -> Self:
         alarm = str.__new__(cls, title)
         alarm._value_ = title
-        alarm.cause, alarm.remedy, alarm.grade = cause, remedy, grade
+        alarm.remedy, alarm.is_heard = remedy, is_heard
         return alarm
 
     LIGHT_DISAGREES = (
         "light although it is commanded off",
-        "the laser's output, or its light in the picture, is seen to be on",
         "turn the key switch; then check its driver and cable",
-        Grade.DANGER,
     )
-    TRIP = (
-        "light taken away",
-        "the interlock opened, a watchdog ran out, or somebody pressed LIGHT OFF",
-        "check that nobody is in the beam path, then Acknowledge trip",
-        Grade.DANGER,
-    )
+    TRIP = "light taken away", "check that nobody is in the beam path, then Acknowledge trip"
     INTERLOCK = (
         "interlock open",
-        "a door, a cover or the connector of the loop is open",
         "close it, then press Acknowledge trip and Light again; the laser stays dark until then",
-        Grade.DANGER,
     )
-    LASER_DARK = (
-        "laser dark",
-        "its light was taken away during a run",
-        "remove the cause, acknowledge the trip, then Light again",
-        Grade.URGENT,
-    )
+    LASER_DARK = "laser dark", "remove the cause, acknowledge the trip, then Light again"
     LASER_UNKNOWN = (
         "state of the laser unknown",
-        "it has not reported for more than 2 s",
         "check cable and power of laser and controller; assume until then that the laser is lit",
-        Grade.URGENT,
     )
-    CONTROLLER = (
-        "controller does not answer",
-        "its cable or its power",
-        "plug it in again; it is found automatically",
-        Grade.URGENT,
-    )
+    CONTROLLER = "controller does not answer", "plug it in again; it is found automatically"
     CAMERA = (
         "no frames from the camera",
-        "unplugged, without power, or without its trigger",
         (
             "check cable, power and trigger at once: it is reopened automatically, but the laser goes dark "
             "after some seconds without frames, and that may end the run"
         ),
-        Grade.URGENT,
     )
-    SPOT = (
-        "spot lost",
-        "the beam is blocked or misses the sensor, or the swing is too large",
-        "look at the picture; clear the beam path, or align again",
-        Grade.URGENT,
-    )
-    DISK_FULL = (
-        "disk full",
-        "less space is free than closing a run needs",
-        "free some space on the disk of session.output, or name another folder there",
-        Grade.URGENT,
-    )
-    DISK_HANGS = (
-        "disk does not answer",
-        "a network drive has gone, or a disk is failing",
-        "check the drive; frames wait in memory for about half a minute",
-        Grade.URGENT,
-    )
+    SPOT = "spot lost", "look at the picture; clear the beam path, or align again"
+    DISK_FULL = "disk full", "free some space on the disk of session.output, or name another folder there"
+    DISK_HANGS = "disk does not answer", "check the drive; frames wait in memory for about half a minute"
     DISK_FORECAST = (
         "disk will be full before the end",
-        "the record will outgrow the free space",
         "free some space now; if the disk does fill up, the record is closed complete",
-        Grade.URGENT,
     )
     SESSION_DIED = (
         "session died",
-        "its process was killed or crashed",
-        "check that the laser is dark; then press Resume to measure the missing runs. Recorded data are kept",
-        Grade.URGENT,
+        (
+            "check that the laser is dark; then press Resume to measure the missing runs. Recorded data are "
+            "kept"
+        ),
     )
     SESSION_FROZEN = (
         "session does not answer",
-        "its process is stopped, or is waiting for a disk or a device",
         (
-            "wait half a minute; LIGHT OFF still works. If it stays silent, press Stop: it ends the process, "
-            "and the record is kept"
+            "wait half a minute; LIGHT OFF still works. If it stays silent, press Stop: it ends the "
+            "process, and the record is kept"
         ),
-        Grade.URGENT,
     )
-    SESSION_FAILED = (
-        "session failed",
-        "an error ended it early",
-        "remove the cause that the error names, then start again",
-        Grade.URGENT,
-    )
-    STALLED = (
-        "run in trouble",
-        "a part of the run has stalled; a laser that the program switches is told off",
-        "check the computer's load and disk; the record is complete up to here",
-        Grade.URGENT,
-    )
+    SESSION_FAILED = "session failed", "remove the cause that the error names, then start again"
+    STALLED = "run in trouble", "check the computer's load and disk; the record is complete up to here"
     PREFLIGHT = (
         "preflight says no-go",
-        "a check before the run has failed",
         "see its remedy under Rig; then start again, or overrule it for this session",
-        Grade.URGENT,
+    )
+    WATCHER = "alarms are not judged", "end the desk and open it again; a session goes on"
+    DESK_LOST = (
+        "the desk does not answer",
+        (
+            "start rig desk again: this page reconnects automatically; a running session continues; to "
+            "darken the laser now, turn the key switch"
+        ),
     )
     DISTURBED = (
         "data disturbed",
-        "frames were lost, a clock was set, or something was touched",
         "keep away, keep the room dark, close other programs; the run's events name every disturbance",
-        Grade.CAUTION,
+        _SEEN_ONLY,
     )
     ENVIRONMENT = (
         "environment not measured",
-        "the sensor does not answer",
         "check its cable and port; without it the run has no temperature, humidity or pressure",
-        Grade.CAUTION,
+        _SEEN_ONLY,
     )
     BALANCE = (
         "out of balance",
-        "the pendulum turns, was pushed sideways at the start, or its weights are not set",
         "the run is recorded; before the next one balance the pendulum and let it settle (rig balance)",
-        Grade.CAUTION,
-    )
-    WATCHER = (
-        "alarms are not judged",
-        "a part of the desk that looks for alarms has failed",
-        "end the desk and open it again; a session goes on",
-        Grade.URGENT,
-    )
-    DESK_LOST = (
-        "the desk does not answer",
-        "its process has ended or hangs, or the connection is gone",
-        (
-            "start rig desk again: this page reconnects automatically; a running session continues; "
-            "to darken the laser now, turn the key switch"
-        ),
-        Grade.URGENT,
+        _SEEN_ONLY,
     )
 
 
 RaisedAlarm = tuple[AlarmKey, str]
-"""An alarm and its cause; one that is empty is the usual one."""
+"""An alarm and its cause."""
 _LATCHED: Final = frozenset(
     {AlarmKey.SESSION_DIED, AlarmKey.SESSION_FAILED, AlarmKey.DISTURBED, AlarmKey.WATCHER}
 )
 """What has happened, and is active until somebody acknowledges it."""
 AFTER_S: Final[Mapping[AlarmKey, float]] = {
     AlarmKey.CONTROLLER: 1.5,
+    # a desk that was held up itself finds everything late at its first look
+    AlarmKey.SESSION_FROZEN: 0.4,
     AlarmKey.DISK_FORECAST: 1.0,
     AlarmKey.ENVIRONMENT: 1.0,
     AlarmKey.BALANCE: 5.0,
@@ -227,7 +154,7 @@ class AlarmRow:
     @property
     def cries(self) -> bool:
         """Whether it is to be heard: it is there, matters, and nobody has seen it yet."""
-        matters = self.key.grade is not Grade.CAUTION and not self.earlier
+        matters = self.key.is_heard and not self.earlier
         return matters and self.state is AlarmState.ACTIVE
 
 
@@ -290,7 +217,6 @@ class AlarmList:
                 self._rows[key] = replace(row, acknowledged_s=self._clock())
 
     def _raise(self, key: AlarmKey, cause: str, now_s: float, *, again: bool) -> None:
-        cause = cause or key.cause
         row = self._rows.get(key)
         if row is None or again or row.cleared_s is not None:
             # where it comes again the operator has seen the last one, and not this one
@@ -299,5 +225,5 @@ class AlarmList:
             self._rows[key] = replace(row, cause=cause, earlier=False)
 
 
-def _order(row: AlarmRow) -> tuple[bool, int, int, float]:
-    return row.earlier, list(AlarmState).index(row.state), list(Grade).index(row.key.grade), -row.raised_s
+def _order(row: AlarmRow) -> tuple[bool, int, int]:
+    return row.earlier, list(AlarmState).index(row.state), list(AlarmKey).index(row.key)

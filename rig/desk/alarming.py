@@ -3,13 +3,13 @@
 import math
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from acquisition.record.events import EventKind, Severity, level_of
+from acquisition.frames.queue import taken_from
+from acquisition.record.events import EventKind, Severity
 from processing.errors import RigError
 from rig.control import STALE_S, ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey, AlarmList, RaisedAlarm
@@ -27,14 +27,12 @@ _NEWS_S = 10.0
 """A busy machine makes the news of a sound session late by seconds, never by so much."""
 _SILENT: Final = (Light.SILENT, Light.CONTROLLER_SILENT)
 _WITH_FRAMES: Final = frozenset({Phase.REST, Phase.WARM_UP, Phase.RELEASE, Phase.MEASURING})
-_CAMERA_GONE: Final = frozenset({EventKind.CAMERA_LOST, EventKind.CAMERA_SILENT})
-OF_CAMERA: Final = _CAMERA_GONE | {EventKind.CAMERA_SPEAKS, EventKind.CAMERA_BACK}
 _OWN: Final[Mapping[str, AlarmKey]] = {
     EventKind.FAILED: AlarmKey.SESSION_FAILED,
     EventKind.RECORD: AlarmKey.DISK_FULL,
 }
 """Events that are alarms of their own."""
-_CONDITIONS: Final = frozenset({EventKind.ENDED_EARLY, EventKind.SPOT_LOST, EventKind.CAMERA_LOST})
+_CONDITIONS: Final = frozenset({EventKind.ENDED_EARLY, EventKind.SPOT_LOST})
 """Warnings that a person gave, or that hold for as long as a condition does."""
 _OF_DARKNESS: Final = frozenset({EventKind.LIGHT_STEP, EventKind.REST_STEP, EventKind.PUSH})
 _UNDER_TRIP: Final = frozenset({AlarmKey.LASER_DARK, AlarmKey.SPOT, AlarmKey.BALANCE})
@@ -46,8 +44,8 @@ class Seen:
     """What a desk sees at one moment.
 
     `news` is what the running session said `news_age_s` ago, empty without one, and `beat_age_s` how long ago
-    it gave any sign of life; `camera_event` its last event of the camera; `lit_by` who has the laser;
-    `picture_late_s` for how long the live picture has stood still.
+    it gave any sign of life; `lit_by` who has the laser; `picture_late_s` for how long the live picture has
+    stood still.
     """
 
     safety: SafetyNow = field(default_factory=SafetyNow)
@@ -57,13 +55,12 @@ class Seen:
     beat_age_s: float = math.inf
     session: str = ""
     devices: DevicesNow = field(default_factory=DevicesNow)
-    camera_event: Mapping[str, Any] | None = None
     sensor_wanted: bool = False
     picture_late_s: float = 0.0
 
 
 def conditions(seen: Seen) -> dict[AlarmKey, str]:
-    """The alarms whose conditions hold, each with its cause where something tells it.
+    """The alarms whose conditions hold, each with its cause.
 
     What somebody does with LIGHT OFF is none, and what follows from a trip is not told beside it.
     """
@@ -75,7 +72,7 @@ def conditions(seen: Seen) -> dict[AlarmKey, str]:
 
 
 def happened(
-    events: Sequence[Mapping[str, Any]], ends: Sequence[RaisedAlarm], trip: LatchedTrip | None = None
+    events: Iterable[Mapping[str, Any]], ends: Iterable[RaisedAlarm], trip: LatchedTrip | None = None
 ) -> list[RaisedAlarm]:
     """Alarms of a session's new events that are warnings, and of its end; none of what follows from a `trip`.
 
@@ -87,7 +84,7 @@ def happened(
         kind, text = str(event["kind"]), str(event["text"])
         if kind in _OWN:
             found.append((_OWN[kind], text))
-        elif level_of(kind) is Severity.WARNING and kind not in passed_over:
+        elif event["level"] == Severity.WARNING and kind not in passed_over:
             found.append((AlarmKey.DISTURBED, f"{kind}: {text}"))
     is_own = trip is not None and _is_own(trip)
     return [one for one in (*found, *ends) if not (is_own and one[0] is AlarmKey.SESSION_FAILED)]
@@ -103,20 +100,16 @@ def _of_light(seen: Seen) -> Iterator[RaisedAlarm]:
     if safety.trip is not None and not _is_own(safety.trip):
         yield AlarmKey.TRIP, safety.trip.text
     if safety.light is Light.DISAGREES:
-        yield AlarmKey.LIGHT_DISAGREES, ""
+        yield AlarmKey.LIGHT_DISAGREES, "the laser's output, or its light in the picture, is seen to be on"
     if safety.interlock is Loop.OPEN and safety.interlock_age_s <= STALE_S:
-        yield AlarmKey.INTERLOCK, ""
-    silent = safety.light in (*_SILENT, Light.UNKNOWN)
-    if seen.lit_by and (silent or safety.light_age_s > STALE_S) and not math.isinf(safety.light_age_s):
-        yield AlarmKey.LASER_UNKNOWN, f"{seen.lit_by} has the laser, which {_silence(safety)}"
+        yield AlarmKey.INTERLOCK, "a door, a cover or the connector of the loop is open"
+    silent = safety.light in _SILENT
+    unknown = silent or safety.light is Light.UNKNOWN or safety.light_age_s > STALE_S
+    if seen.lit_by and unknown and not math.isinf(safety.light_age_s):
+        silence = str(safety.light) if silent else "nothing was heard of for more than 2 s"
+        yield AlarmKey.LASER_UNKNOWN, f"{seen.lit_by} has the laser, which {silence}"
     if seen.devices.controller not in (None, ControlState.OPEN):
         yield AlarmKey.CONTROLLER, str(seen.devices.controller)
-
-
-def _silence(safety: SafetyNow) -> str:
-    if safety.light in _SILENT:
-        return str(safety.light)
-    return "nothing was heard of for more than 2 s"
 
 
 def _of_session(seen: Seen) -> Iterator[RaisedAlarm]:
@@ -125,22 +118,19 @@ def _of_session(seen: Seen) -> Iterator[RaisedAlarm]:
         return
     if min(seen.news_age_s, seen.beat_age_s) > STALE_S:
         yield AlarmKey.SESSION_FROZEN, f"{seen.session} has said nothing for more than 2 s"
-        return
-    if seen.news_age_s > _NEWS_S:
+    elif seen.news_age_s > _NEWS_S:
         yield AlarmKey.SESSION_FROZEN, f"{seen.session} answers, but has told nothing for {_NEWS_S:g} s"
-        return
     state = news.get("state") or {}
     crying = str(state.get("alarm") or "")
-    disk_silent_s = float(state.get("disk_silent_s") or 0.0)
-    if disk_silent_s:
+    if float(state.get("disk_silent_s") or 0.0):
         yield AlarmKey.DISK_HANGS, "a write to the record takes more than 2 s"
-    if crying and not disk_silent_s:
+    elif crying:
         dark = AlarmKey.LASER_UNKNOWN if seen.safety.light in _SILENT else AlarmKey.LASER_DARK
         yield (dark if news.get("darkness") else AlarmKey.STALLED), crying
     if state.get("phase") in _WITH_FRAMES:
-        yield from _of_frames(seen)
+        yield from _of_frames(news)
     if seen.sensor_wanted and state.get("phase") == Phase.MEASURING and state.get("temperature_c") is None:
-        yield AlarmKey.ENVIRONMENT, ""
+        yield AlarmKey.ENVIRONMENT, "the sensor of the environment does not answer"
     against = (news.get("balance") or {}).get("against") or ()
     if against and state.get("phase") == Phase.MEASURING:
         yield AlarmKey.BALANCE, "; ".join(map(str, against))
@@ -150,17 +140,13 @@ def _of_session(seen: Seen) -> Iterator[RaisedAlarm]:
     yield from _of_forecast(state)
 
 
-def _of_frames(seen: Seen) -> Iterator[RaisedAlarm]:
-    news = seen.news
+def _of_frames(news: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
     rate_hz = ((news.get("camera") or {}).get("applied") or {}).get("frame_rate_hz")
     patience_s = max(_FRAMES_S, 3.0 / float(rate_hz)) if rate_hz else _FRAMES_S
-    age_s = news.get("frames_age_s")
-    told = seen.camera_event
-    gone = told is not None and str(told["kind"]) in _CAMERA_GONE
-    if gone or (age_s is not None and float(age_s) > patience_s):
-        yield AlarmKey.CAMERA, str(told["text"]) if told is not None and gone else ""
+    if float(news.get("frames_age_s") or 0.0) > patience_s:
+        yield AlarmKey.CAMERA, f"none for more than {patience_s:.2g} s"
     elif float(news.get("spot_lost_s") or 0.0) > _SPOT_S:
-        yield AlarmKey.SPOT, ""
+        yield AlarmKey.SPOT, "the beam is blocked or misses the sensor, or the swing is too large"
 
 
 def _of_forecast(state: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
@@ -178,7 +164,6 @@ def _of_forecast(state: Mapping[str, Any]) -> Iterator[RaisedAlarm]:
 
 
 _LOOK_S = 0.1
-_SECOND_LOOK_S = 0.4
 
 
 class Alarming:
@@ -188,11 +173,9 @@ class Alarming:
         self._desk = desk
         self.alarms = AlarmList()
         self._ended = threading.Event()
-        self._heard: tuple[Path | None, int] = (None, 0)
-        self._followed: Path | None = None
+        self._was_running = False
         self._trip: LatchedTrip | None = None
         self._begun: object = None
-        self._late_since_s = math.inf
 
     def start(self) -> None:
         """Begin to look."""
@@ -213,16 +196,13 @@ class Alarming:
 
     def _look(self) -> None:
         following = self._desk.following
-        before, self._followed = self._followed, following.folder
-        if before is None and self._followed is not None:
+        was_running, self._was_running = self._was_running, following.running
+        if self._was_running and not was_running:
             self.alarms.session_begins()
-        events = self._new_events()
         # the end of a session is seen before the latch of a rig that ends with it
         trip, self._trip = self._desk.safety.trip or self._trip, self._desk.safety.trip
-        ends = []
-        while following.ended:
-            ends.append(following.ended.popleft())
-        ends += self._start_alarms()
+        events = taken_from(following.unheard)
+        ends = [*taken_from(following.ended), *self._start_alarms()]
         self.alarms.see(conditions(self._seen()), happened(events, ends, trip))
 
     def _seen(self) -> Seen:
@@ -232,46 +212,23 @@ class Alarming:
         age_s = time.monotonic() - following.heard_s if running else 0.0
         return Seen(
             safety=safety,
-            lit_by=self._lit_by(safety, age_s),
+            lit_by=self._lit_by(age_s),
             news=news if running else {},
             news_age_s=age_s,
-            beat_age_s=self._beat_age_s(),
+            beat_age_s=following.heartbeat.age_s,
             session="" if following.folder is None else following.folder.name,
             devices=following.devices,
-            camera_event=following.camera_event,
             sensor_wanted=desk.config.environment_sensor.kind != "none",
             picture_late_s=0.0 if desk.aligner is None else desk.aligner.late_s,
         )
 
-    def _beat_age_s(self) -> float:
-        """How long ago the session gave a sign of life; that it is late is believed at a second look.
-
-        A desk that was held up itself finds everything late at its first one.
-        """
-        age_s, now_s = self._desk.following.heartbeat.age_s, time.monotonic()
-        if age_s <= STALE_S:
-            self._late_since_s = math.inf
-            return age_s
-        self._late_since_s = min(self._late_since_s, now_s)
-        return age_s if now_s - self._late_since_s >= _SECOND_LOOK_S else STALE_S
-
-    def _lit_by(self, safety: SafetyNow, news_age_s: float) -> str:
+    def _lit_by(self, news_age_s: float) -> str:
         aligner, following = self._desk.aligner, self._desk.following
         if aligner is not None and aligner.running and aligner.safety is not None:
             return "the live picture"
         measures = (following.news.get("state") or {}).get("phase") == Phase.MEASURING
         has_laser = following.devices.laser is not None
         return "the session" if following.running and measures and has_laser and news_age_s < 1.0 else ""
-
-    def _new_events(self) -> list[dict[str, Any]]:
-        following = self._desk.following
-        folder, number = self._heard
-        if following.folder not in (None, folder):
-            # those of a session that has ended were heard
-            folder, number = following.folder, 0
-        events = [event for event in tuple(following.events) if event["number"] > number]
-        self._heard = folder, max((int(event["number"]) for event in events), default=number)
-        return events
 
     def _start_alarms(self) -> Iterator[RaisedAlarm]:
         """A session of this desk that has ended with an error before it could be followed."""

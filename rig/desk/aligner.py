@@ -200,10 +200,7 @@ class Aligner:
             light = LightWatch(devices)
             tracker = optics.tracker()
             reference = optics.reference()
-            lever = config.lever
-            reference_px = None
-            if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
-                reference_px = (lever.reference_x_px, lever.reference_y_px)
+            reference_px = config.lever_reference_px
             while not self._ended.is_set():
                 frames = watch_latest(camera, 1, float("inf"), interval_s=_LOOK_S)
                 with contextlib.closing(frames):

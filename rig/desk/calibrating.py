@@ -4,11 +4,11 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from acquisition import atomic_write
 from processing.errors import ConfigurationError, DataError, RecordError, RigError
-from rig.calibrate import CalibrationReport, Filing, filed, next_free
+from rig.calibrate import CalibrationReport, filed, next_free
 from rig.desk.jobs import Job
 
 if TYPE_CHECKING:
@@ -23,91 +23,80 @@ _SIDES = (_UNKNOWN, "+", "-")
 
 @dataclass(frozen=True)
 class CalibrationKind:
-    """One kind of calibration as a form over ``rig calibrate KIND``.
-
-    Parameters
-    ----------
-    title
-        What it measures.
-    do
-        What is to be done at the rig, for a person.
-    seconds
-        Length of a record that it needs; None: it needs whole frames.
-    list_text
-        The list of measured values (TOML) to begin with; empty where the input is one record.
-    fields
-        Further options of the command by name: what is asked for, and the choices, if there are any.
-    """
+    """One kind of calibration as a form over ``rig calibrate KIND``; `title` says what it measures."""
 
     title: str
     do: str
+    """What is to be done at the rig, for a person."""
     seconds: float | None = None
+    """Length of a record that it needs; None: it needs whole frames."""
     list_text: str = ""
+    """The list of measured values (TOML) to begin with; empty where the input is one record."""
     fields: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
+    """Further options of the command by name: what is asked for, and the choices, if there are any."""
 
 
-def kinds() -> dict[str, CalibrationKind]:
-    """All kinds by the word after ``rig calibrate``, in the order in which a rig is calibrated."""
-    return {
-        "lever": CalibrationKind(
-            "Lever: from px to radians",
-            "Measure both lengths with a tape or a rod; 1 mm in 1 m is 0.1 % of every angle. Or clamp the "
-            'pendulum, set known tilts, and list them: kind = "tilt", then [[step]] for each.',
-            20.0,
-            "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n",
-        ),
-        "axes": CalibrationKind(
-            "Axes: directions of both modes on the sensor",
-            "Decide which end and which side of the pendulum, moving down, count as positive. Push it gently "
-            "in both directions, so that both modes swing, remember to which sides, and record from then on.",
-            60.0,
-            fields={
-                "slow-began": ("sign of the slow mode's tilt in the first frame", _SIDES),
-                "fast-began": ("sign of the fast mode's tilt in the first frame", _SIDES),
-            },
-        ),
-        "sensor": CalibrationKind(
-            "Sensor: gain, read noise, dark level",
-            "Laser off, lamp off, lens cap on: record dark frames. Then cap off, a lamp behind a diffuser, "
-            "a metre away, and two frames or more at each of five exposures or more, from almost dark to "
-            "almost saturated.",
-            None,
-            'darks = "records/sensor-001"\n\n[[level]]\nframes = "records/sensor-002"\nexposure_us = 50.0\n',
-        ),
-        "clock": CalibrationKind(
-            "Clock: the camera's against the computer's",
-            "Any long run of a real camera will do; half an hour gives a few parts in 10⁷.",
-            1800.0,
-            fields={"counter-bits": ("width of the camera's nanosecond counter, if it rolls over", ())},
-        ),
-        "shutter": CalibrationKind(
-            "Rolling shutter: the time from row to row",
-            "Let the spot swing across the rows by a large part of the picture, without [shutter] in the "
-            "configuration.",
-            120.0,
-        ),
-        "air": CalibrationKind(
-            "Drag of the air: vanes on the pendulum, or several pressures",
-            "Make two runs without vanes, two with the smaller and two with the larger ones, in turn, from "
-            "one start, without lifting the ball off its place. rig calibrate air says which to cut.",
-            1500.0,
-            '[[run]]\nrecord = "records/air-001.mcap"\narea_m2 = 0.0\n\n'
-            '[[run]]\nrecord = "records/air-002.mcap"\narea_m2 = 0.067\n',
-        ),
-        "pointing": CalibrationKind(
-            "Pointing: noise and drift of the spot",
-            "Clamp the pendulum, close the cover, and let nobody walk around during the recording.",
-            120.0,
-        ),
-        "check": CalibrationKind(
-            "Check of the lever against known tilts",
-            "Clamp the pendulum and set known tilts of both signs, before and after a series.",
-            20.0,
-            'kind = "tilt"\nunit = "arcsec"\npixel_pitch_m = 4.8e-6\nu_reference = 0.05\n\n'
-            "[[step]]\nreference = -60.0\nx_px = 160.02\ny_px = 441.21\nu_px = 0.02\n",
-            fields={"lever": ("calibration file of the lever to be checked", ())},
-        ),
-    }
+KINDS: Final[Mapping[str, CalibrationKind]] = {
+    "lever": CalibrationKind(
+        "Lever: from px to radians",
+        "Measure both lengths with a tape or a rod; 1 mm in 1 m is 0.1 % of every angle. Or clamp the "
+        'pendulum, set known tilts, and list them: kind = "tilt", then [[step]] for each.',
+        20.0,
+        "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n",
+    ),
+    "axes": CalibrationKind(
+        "Axes: directions of both modes on the sensor",
+        "Decide which end and which side of the pendulum, moving down, count as positive. Push it gently "
+        "in both directions, so that both modes swing, remember to which sides, and record from then on.",
+        60.0,
+        fields={
+            "slow-began": ("sign of the slow mode's tilt in the first frame", _SIDES),
+            "fast-began": ("sign of the fast mode's tilt in the first frame", _SIDES),
+        },
+    ),
+    "sensor": CalibrationKind(
+        "Sensor: gain, read noise, dark level",
+        "Laser off, lamp off, lens cap on: record dark frames. Then cap off, a lamp behind a diffuser, "
+        "a metre away, and two frames or more at each of five exposures or more, from almost dark to "
+        "almost saturated.",
+        None,
+        'darks = "records/sensor-001"\n\n[[level]]\nframes = "records/sensor-002"\nexposure_us = 50.0\n',
+    ),
+    "clock": CalibrationKind(
+        "Clock: the camera's against the computer's",
+        "Any long run of a real camera will do; half an hour gives a few parts in 10⁷.",
+        1800.0,
+        fields={"counter-bits": ("width of the camera's nanosecond counter, if it rolls over", ())},
+    ),
+    "shutter": CalibrationKind(
+        "Rolling shutter: the time from row to row",
+        "Let the spot swing across the rows by a large part of the picture, without [shutter] in the "
+        "configuration.",
+        120.0,
+    ),
+    "air": CalibrationKind(
+        "Drag of the air: vanes on the pendulum, or several pressures",
+        "Make two runs without vanes, two with the smaller and two with the larger ones, in turn, from "
+        "one start, without lifting the ball off its place. rig calibrate air says which to cut.",
+        1500.0,
+        '[[run]]\nrecord = "records/air-001.mcap"\narea_m2 = 0.0\n\n'
+        '[[run]]\nrecord = "records/air-002.mcap"\narea_m2 = 0.067\n',
+    ),
+    "pointing": CalibrationKind(
+        "Pointing: noise and drift of the spot",
+        "Clamp the pendulum, close the cover, and let nobody walk around during the recording.",
+        120.0,
+    ),
+    "check": CalibrationKind(
+        "Check of the lever against known tilts",
+        "Clamp the pendulum and set known tilts of both signs, before and after a series.",
+        20.0,
+        'kind = "tilt"\nunit = "arcsec"\npixel_pitch_m = 4.8e-6\nu_reference = 0.05\n\n'
+        "[[step]]\nreference = -60.0\nx_px = 160.02\ny_px = 441.21\nu_px = 0.02\n",
+        fields={"lever": ("calibration file of the lever to be checked", ())},
+    ),
+}
+"""All kinds by the word after ``rig calibrate``, in the order in which a rig is calibrated."""
 
 
 class Calibrating:
@@ -120,7 +109,6 @@ class Calibrating:
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
         self._recording: tuple[str, Path, Job] | None = None
-        self.kinds = kinds()
         self.made: dict[str, CalibrationReport] = {}
         self.recorded: dict[str, Path] = {}
         self.problems: dict[str, str] = {}
@@ -133,7 +121,7 @@ class Calibrating:
         """
         if self.recording():
             raise ConfigurationError("a recording is under way; wait, or cancel it")
-        form = self.kinds[kind]
+        form = KINDS[kind]
         path = next_free(FOLDER / "records", kind, "" if form.seconds is None else ".mcap")
         path.parent.mkdir(parents=True, exist_ok=True)
         self.problems.pop(kind, None)
@@ -165,20 +153,19 @@ class Calibrating:
             self.recorded[kind] = path
         return ""
 
-    def file(self, kind: str, given: str, stated: Stated, filing: Filing) -> None:
+    def file(self, kind: str, given: str, stated: Stated) -> None:
         """Make the calibration by `rig calibrate KIND` and file it; takes seconds.
 
-        `given` is the name of a record, or the text of a list, which is first written to a file.
-        Raises RigError where the measurement does not serve.
+        `given` is the name of a record, or the text of a list, which is first written to a file. The command
+        judges what was `stated`. Raises RigError where the measurement does not serve.
         """
-        options = {"output": str(filing.folder), "valid-days": str(filing.valid_days), "by": filing.made_by}
         self.problems.pop(kind, None)
         try:
-            path = _written(kind, given) if self.kinds[kind].list_text else _record(given)
+            path = _written(kind, given) if KINDS[kind].list_text else _record(given)
             words = [
                 f"--{name}={text.strip()}"
-                for name, text in {**options, **stated}.items()
-                if text.strip() and (name in options or text != _UNKNOWN)
+                for name, text in {"output": str(FOLDER), **stated}.items()
+                if text.strip() not in ("", _UNKNOWN)
             ]
             name = f"calibrate {kind}"
             job = self._desk.jobs.begin(name, str(path), *words, "--json", uses_camera=False)

@@ -54,7 +54,6 @@ def chart_options(
     reach: float | None = None,
     is_square: bool = False,
     empty: str = "",
-    below: str = "",
 ) -> dict[str, Any]:
     """Options of a chart over `x` that is `is_square` or not; `Chart.show` says what the rest is."""
     last = max(curve.row for curve in curves)
@@ -125,12 +124,13 @@ def chart_options(
             {"type": "inside", "yAxisIndex": every, "filterMode": "none", "zoomOnMouseWheel": "shift"},
         ],
         # a chart in the browser merges what it gets: words go only where others, or none, replace them
-        "graphic": [
-            _words(empty if nothing else "", "middle", 15),
-            _words(
-                "" if nothing else below, f"{100.0 - _BELOW_PERCENT - 0.5 * (part - _NAME_PERCENT):.1f}%", 13
-            ),
-        ],
+        "graphic": {
+            "type": "text",
+            "left": "center",
+            "top": "middle",
+            "silent": True,
+            "style": {"text": empty if nothing else "", "fill": "var(--dim)", "fontSize": 15},
+        },
     }
 
 
@@ -154,11 +154,6 @@ def _axis(
         },
         "axisPointer": {"label": {":formatter": f"p => ({_number(shown.unit)})(p.value)", **_BOX}},
     }
-
-
-def _words(text: str, top: str, size: int) -> dict[str, Any]:
-    style = {"text": text, "fill": "var(--dim)", "fontSize": size}
-    return {"type": "text", "left": "center", "top": top, "silent": True, "style": style}
 
 
 def _whole(points: Sequence[Points]) -> dict[str, float]:
@@ -235,14 +230,12 @@ class Chart:
         marks: Sequence[Mark] = (),
         reach: float | None = None,
         empty: str = "nothing to draw yet",
-        below: str = "",
     ) -> None:
         """Draw the points of each curve, in the units shown; `marks` are lines at an x, with words.
 
-        `reach` is how far both axes go from zero; None: as far as there is anything. `below` is what the last
-        row says while it is empty.
+        `reach` is how far both axes go from zero; None: as far as there is anything.
         """
-        now = (tuple(map(tuple, points)), unit, tuple(marks), reach, below)
+        now = (tuple(map(tuple, points)), unit, tuple(marks), reach)
         if now == self._shown:
             return
         self._shown = now
@@ -255,7 +248,6 @@ class Chart:
             reach=reach,
             is_square=self._is_square,
             empty=empty,
-            below=below,
         )
         if self._small:
             for axis in options["yAxis"]:

@@ -20,10 +20,10 @@ from rig.desk.calibrating import Calibrating
 from rig.desk.following import Following
 from rig.desk.jobs import MESSAGES_NAME, Balancing, Job, Jobs, start_session
 from rig.desk.lighting import Lighting, Safety
-from rig.desk.sessions import SessionIndex
+from rig.desk.sessions import SessionIndex, last_hand_over, last_state
 from rig.desk.store import DeskStore
 from rig.devices import NoSession
-from rig.measure import HandOver, hand_over, session_folder
+from rig.measure import HandOver, RunState, session_folder
 from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
@@ -31,7 +31,6 @@ _WAKES_WITHIN_S = 10.0
 """A process that was stopped, and goes on to end, answers again by then, or is gone."""
 _LOOK_S = 0.1
 _REGION = ("width_px", "height_px", "offset_x_px", "offset_y_px")
-_HANDED_OVER = ("session.json", "results.json", "report.html")
 
 
 class StartState(StrEnum):
@@ -67,7 +66,6 @@ class Desk:
         self.jobs = Jobs()
         self.sessions = SessionIndex(self.config.session.output)
         self.started: tuple[subprocess.Popen[bytes], Path] | None = None
-        self._handed_over: tuple[tuple[object, ...], HandOver | None] | None = None
         self.place = DeskStore(source)
         self.alarming = Alarming(self)
         self.lighting = Lighting(self)
@@ -240,27 +238,16 @@ class Desk:
         return self.following.last_folder or (self.started[1] if self.started is not None else None)
 
     def resumable(self) -> Path | None:
-        """The newest session, where it was interrupted and none runs: its missing runs can be made."""
-        if self.following.running or self.session_state is StartState.RUNNING:
+        """The last session, where it was interrupted and none runs: its missing runs can be made."""
+        folder = self.session_folder
+        if folder is None or self.following.running or self.session_state is StartState.RUNNING:
             return None
-        newest = next(iter(self.sessions.page(None, most=1).rows), None)
-        return newest.folder if newest is not None and newest.died else None
+        return folder if last_state(folder) == RunState.INTERRUPTED else None
 
     def hand_over(self) -> HandOver | None:
-        """What the last session hands over; None without a record. Read again when that changes."""
+        """What the last session hands over; None without one. Takes a moment where that has changed."""
         folder = self.session_folder
-        if folder is None:
-            return None
-        stamp = tuple(
-            (folder / name).stat().st_mtime_ns if (folder / name).exists() else 0 for name in _HANDED_OVER
-        )
-        if self._handed_over is None or self._handed_over[0] != (folder, *stamp):
-            try:
-                found = hand_over(folder)
-            except RigError:
-                found = None
-            self._handed_over = (folder, *stamp), found
-        return self._handed_over[1]
+        return None if folder is None else last_hand_over(folder)
 
     def last_words(self) -> list[str]:
         """What the last session has printed, its last lines."""
@@ -279,7 +266,6 @@ class Desk:
         self.end_aligning()
         for job in self.jobs.values():
             job.end()
-        self.sessions.stop()
         self.place.close()
 
 

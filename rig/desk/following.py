@@ -12,11 +12,9 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from acquisition.record.events import Event
 from processing.errors import RigError
 from rig.control import STALE_S, DevicesNow, SafetyNow
 from rig.desk.alarm_list import AlarmKey, RaisedAlarm
-from rig.desk.alarming import OF_CAMERA
 from rig.desk.run_reader import RecordFollower
 from rig.devices import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
 from rig.measure import STATE_NAME, RunState, read_session
@@ -81,8 +79,8 @@ class Following:
     `news` is what it said last (empty without a session), `events` those of its records, `folder` where it is
     and `last_folder` where the last one was; `silent` is True while it is there and does not answer;
     `heard_s` is the monotonic time of the last news, `heartbeat` tells when it last gave a sign of life.
-    `camera_event` is the last event of its camera, `ended` are alarms of sessions that have ended under its
-    eyes.
+    `ended` are alarms of sessions that have ended under its eyes, and `unheard` events, until the alarms have
+    been judged by them.
     """
 
     def __init__(self, output: Path) -> None:
@@ -93,13 +91,12 @@ class Following:
         self.last_folder: Path | None = None
         self.silent = False
         self.heard_s = -math.inf
-        self.camera_event: dict[str, Any] | None = None
         self.ended: deque[RaisedAlarm] = deque(maxlen=8)
+        self.unheard: deque[dict[str, Any]] = deque(maxlen=_EVENTS_KEPT)
         self.heartbeat = Heartbeat(lambda: self.folder)
         self._line: OrderConnection | None = None
         self._reader: RecordFollower | None = None
         self._stated: Configuration | None = None
-        self._count = 0
         self._pictures: OrderConnection | None = None
         self._last_picture: SessionPicture | None = None
         self._one_picture = threading.Lock()
@@ -229,7 +226,7 @@ class Following:
         for folder in islice(running_sessions(self._output), 1):
             with suppress(NoSession):
                 self._line = OrderConnection(folder)
-                self.camera_event, self._stated = None, _configuration_in(folder)
+                self._stated = _configuration_in(folder)
                 self.events.clear()
                 self._read("")
                 self.folder = self.last_folder = folder
@@ -251,31 +248,14 @@ class Following:
                 self._read("")
             return
         self.silent = False
-        if news["run"] != self.news.get("run"):
-            # a camera that was lost in the run before is opened again
-            self.camera_event = None
         self._read(news["record"])
         if (reader := self._reader) is not None and reader.begun:
-            for elapsed_s, told in reader.take_events():
-                self._keep(reader.began_s, elapsed_s, told, news["run"])
+            for event in reader.take_events():
+                event["run"] = news["run"]
+                self.events.append(event)
+                self.unheard.append(event)
             news |= {"path": reader.path(), "balance": reader.balance}
         self.news, self.heard_s = news, time.monotonic()
-
-    def _keep(self, began_s: float, elapsed_s: float, event: Event, run: str) -> None:
-        """An event of a record that began at `began_s`; the numbers go on from one record to the next."""
-        self._count += 1
-        told = {
-            "number": self._count,
-            "run": run,
-            "elapsed_s": elapsed_s,
-            "kind": event.kind,
-            "level": event.level,
-            "text": event.text,
-            "at": clock(time.time() - time.monotonic() + began_s + elapsed_s),
-        }
-        self.events.append(told)
-        if event.kind in OF_CAMERA:
-            self.camera_event = told
 
     def _read(self, record: str) -> None:
         """Read this record from now on; none, if it is empty."""
@@ -292,11 +272,6 @@ def _configuration_in(folder: Path) -> Configuration | None:
     with suppress(RigError):
         return validate_configuration(unnumbered(read_session(folder).configuration, path), path)
     return None
-
-
-def clock(at_s: float) -> str:
-    """Time of the day of this computer."""
-    return time.strftime("%H:%M:%S", time.localtime(at_s))
 
 
 def doing(state: Mapping[str, Any] | None) -> str:

@@ -4,6 +4,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import Future, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,8 @@ from typing import TYPE_CHECKING, TypeVar
 from processing.errors import ConfigurationError, DeviceError, RigError
 from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause, darken_beside
 from rig.desk.aligner import Aligner
-from rig.desk.following import Following, clock
+from rig.desk.following import Following
+from rig.desk.run_reader import clock
 from rig.devices import NOT_OURS, ORDERS_NAME, Devices, NoSession, OrderConnection, SessionBusy
 
 if TYPE_CHECKING:
@@ -30,12 +32,18 @@ AT = "the desk"
 """Where it was pressed, in the words of a trip."""
 
 
-class _Pressing:
-    """One press: what failed, once everything was done."""
+def _beside(do: Callable[..., T], *given: object) -> Future[T]:
+    """Do it in a thread of its own, which may hang: for a process that is frozen, or a disk."""
+    done: Future[T] = Future()
 
-    def __init__(self) -> None:
-        self.done = threading.Event()
-        self.problems: list[str] = []
+    def work() -> None:
+        try:
+            done.set_result(do(*given))
+        except Exception as error:
+            done.set_exception(error)
+
+    threading.Thread(target=work, name="light off beside", daemon=True).start()
+    return done
 
 
 class Lighting:
@@ -44,7 +52,7 @@ class Lighting:
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
         self._pressing = threading.Lock()
-        self._pressed: dict[str, _Pressing] = {}
+        self._pressed: dict[str, Future[list[str]]] = {}
 
     def off(self, press: str = "") -> list[str]:
         """Switch everything off, whichever program has lit it; returns what failed.
@@ -57,21 +65,17 @@ class Lighting:
         darken what a person has acknowledged and lit again meanwhile, and says what the first one says.
         """
         with self._pressing:
-            pressing = self._pressed.get(press) if press else None
-            is_first = pressing is None
-            if pressing is None:
-                pressing = _Pressing()
-                self._pressed[press] = pressing
-                while len(self._pressed) > _PRESSES_KEPT:
-                    self._pressed.pop(next(iter(self._pressed)))
-        if not is_first:
-            pressing.done.wait(2.0 * _HEARD_WITHIN_S)
-            return pressing.problems
-        try:
-            pressing.problems = self._off()
-        finally:
-            pressing.done.set()
-        return pressing.problems
+            first = self._pressed.get(press) if press else None
+            said: Future[list[str]] = first or Future()
+            self._pressed[press] = said
+            while len(self._pressed) > _PRESSES_KEPT:
+                self._pressed.pop(next(iter(self._pressed)))
+        if first is None:
+            try:
+                said.set_result(self._off())
+            except Exception as error:
+                said.set_exception(error)
+        return said.result(2.0 * _HEARD_WITHIN_S)
 
     def _off(self) -> list[str]:
         desk = self._desk
@@ -88,14 +92,15 @@ class Lighting:
                 # it hears no order yet; one that was seen before, and is gone, is being fitted
                 begun[0].terminate()
                 heard = True
-        orders = [_Order(_order_dark, folder) for folder in folders]
-        # in a thread of its own: a disk that hangs holds nothing else up
-        orders.append(_Order(self._holder_dark, folders))
+        orders = [_beside(_order_dark, folder) for folder in folders]
+        # the disk that says who has the rig may hang
+        orders.append(_beside(self._holder_dark, folders))
         for _, job in desk.jobs.running(uses_camera=True):
             job.end()
             heard = True
-        end_s = time.monotonic() + _HEARD_WITHIN_S
-        heard = any(order.heard(end_s) for order in orders) or heard
+        with suppress(TimeoutError):
+            answers = as_completed(orders, _HEARD_WITHIN_S)
+            heard = any(one.exception() is None and one.result() for one in answers) or heard
         unfiled = desk.safety.unfiled if desk.config.laser.kind != "none" else None
         if not heard and unfiled is not None and unfiled.trip is None:
             # a rig without a file is remembered as long as the desk lives
@@ -116,20 +121,13 @@ class Lighting:
         presses = self._desk.rig.presses
         if presses is None:
             return ""
-        problems: list[str] = []
-
-        def keep() -> None:
-            try:
-                presses.press(AT)
-            except DeviceError as error:
-                problems.append(str(error))
-
-        keeping = threading.Thread(target=keep, name="press", daemon=True)
-        keeping.start()
-        keeping.join(_KEPT_WITHIN_S)
-        if keeping.is_alive():
+        try:
+            _beside(presses.press, AT).result(_KEPT_WITHIN_S)
+        except TimeoutError:
             return f"{presses.path}: the disk hangs"
-        return "".join(problems)
+        except DeviceError as error:
+            return str(error)
+        return ""
 
     def _holder_dark(self, told: Collection[Path]) -> bool:
         """Also the program that has the rig and works in another folder; whether it has heard."""
@@ -181,20 +179,6 @@ class Lighting:
             # between two runs, too
             return True
         return bool(news.get("darkness") and (news.get("state") or {}).get("alarm"))
-
-
-class _Order:
-    """An order in a thread of its own; the process that gets it may be frozen."""
-
-    def __init__(self, give: Callable[[T], bool], to: T) -> None:
-        self._done: list[bool] = []
-        self._thread = threading.Thread(target=lambda: self._done.append(give(to)), daemon=True)
-        self._thread.start()
-
-    def heard(self, end_s: float) -> bool:
-        """Whether somebody has answered until then (`time.monotonic`)."""
-        self._thread.join(max(end_s - time.monotonic(), 0.0))
-        return bool(self._done) and self._done[0]
 
 
 def _order_dark(folder: Path) -> bool:
@@ -337,7 +321,7 @@ def lamps(safety: Safety, recording: str) -> dict[str, Mapping[str, object]]:
     forbidden = "light forbidden until acknowledged" if now.trip is not None else now.refusal
     return {
         "laser": {**laser, **_last(safety.light), "more": forbidden},
-        "interlock": {**interlock, **_last_loop(safety.interlock)},
+        "interlock": {**interlock, **_last(safety.interlock)},
         "recording": _lamp(recording or "nothing", "caution" if recording else "dim", 0.0),
     }
 
@@ -346,16 +330,10 @@ def _lamp(text: str, kind: str, age_s: float) -> Mapping[str, object]:
     return {"text": text, "kind": kind, "age_s": round(age_s, 2) if math.isfinite(age_s) else None}
 
 
-def _last_loop(confirmed: ConfirmedState | None) -> Mapping[str, object]:
-    """`closed at 05:48:36`."""
-    return {} if confirmed is None else {"last": f"{confirmed.state} at {clock(confirmed.at_s)}"}
-
-
 def _last(confirmed: ConfirmedState | None) -> Mapping[str, object]:
     """`off, confirmed 05:48:36 by board and camera`; light that was on may be off by now."""
     if confirmed is None:
         return {}
-    said = f"confirmed {clock(confirmed.at_s)} by {confirmed.by}"
-    is_on = confirmed.state is Light.ON
-    text = f"unknown; on, {said}" if is_on else f"{confirmed.state}, {said}"
+    said = f"{confirmed.state}, confirmed {clock(confirmed.at_s)} by {confirmed.by}"
+    text = f"unknown; {said}" if confirmed.state is Light.ON else said
     return {"last": text, "last_age_s": round(time.time() - confirmed.at_s, 1)}

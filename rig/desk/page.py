@@ -18,7 +18,6 @@ from rig.desk.lighting import lamps, refusal
 from rig.desk.panels import PANELS
 from rig.desk.sessions import last_state
 from rig.desk.tab import DELIBERATE, Tab, apart, at_once
-from rig.desk.theme import named_colours
 from rig.instrument import Phase
 from rig.presentation import loud
 
@@ -52,10 +51,9 @@ def build_page(desk: Desk, off_port: int) -> None:
         state.set_text(_state(desk))
         crying = over_all.refresh()
         shown = json.dumps(lamps(desk.safety, _recording(desk)))
-        cry = json.dumps(" ".join(_name(row) for row in crying))
         told = json.dumps([_told(row) for row in crying])
         of_session = json.dumps(_session_age(desk))
-        ui.run_javascript(f"window.rigSafety({shown}, {cry}); window.rigAlarms({told}, {of_session});")
+        ui.run_javascript(f"window.rigSafety({shown}, {told}); window.rigAlarms({told}, {of_session});")
 
     refresh()
     ui.timer(_LOOK_S, refresh)
@@ -130,15 +128,10 @@ def _taken(trip: LatchedTrip) -> str:
     return sentence(trip.why if trip.cause is TripCause.PERSON else trip.text)
 
 
-def _name(row: AlarmRow) -> str:
-    """One that comes again has another one."""
-    return f"{row.key}@{row.raised_s:.2f}"
-
-
 def _told(row: AlarmRow) -> dict[str, str]:
-    """As the browser is told of it."""
-    text = f"{row.cause}\n{row.key.remedy}"
-    return {"name": _name(row), "key": row.key, "title": row.key, "text": text}
+    """As the browser is told of it; one that comes again has another name."""
+    name = f"{row.key}@{row.raised_s:.2f}"
+    return {"name": name, "title": row.key, "text": f"{row.cause}\n{row.key.remedy}"}
 
 
 def _session_age(desk: Desk) -> dict[str, object] | None:
@@ -193,6 +186,7 @@ DARK = "/dark"
 _DEAD_S = 30.0
 """A page that was told nothing for so long is not merely slow."""
 _STATIC = Path(__file__).with_name("static")
+_STYLES = ("theme.css", "desk.css")
 _SCRIPTS = ("page.js", "safety.js", "watchdog.js")
 _BARS = """
 <div id="watchdog" role="alert" aria-live="assertive" hidden></div>
@@ -217,7 +211,9 @@ def build_head(off_port: int) -> None:
         "deadS": _DEAD_S,
         "lost": {"title": AlarmKey.DESK_LOST, "remedy": AlarmKey.DESK_LOST.remedy},
     }
-    ui.add_css(named_colours() + (_STATIC / "desk.css").read_text("utf-8"))
-    scripts = "".join((_STATIC / name).read_text("utf-8") for name in _SCRIPTS)
+    styles, scripts = (
+        "".join((_STATIC / name).read_text("utf-8") for name in names) for names in (_STYLES, _SCRIPTS)
+    )
+    ui.add_css(styles)
     ui.add_head_html(f"<script>window.rigDesk = {json.dumps(told)};\n{scripts}</script>")
     ui.add_body_html(_BARS)

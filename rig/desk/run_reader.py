@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from acquisition.record.events import Event
+from acquisition.frames.queue import taken_from
 from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import KIND_OF, SPOT, RecordedFittedPoint
 from processing.balance import Balance
@@ -30,8 +30,8 @@ Point = tuple[float, ...]
 class RecordFollower:
     """Follows a record, which need not be there yet, until it is closed; one of the same name is the next.
 
-    `began_s` is when the record began on the monotonic clock, NaN before; `balance` the last one, as news;
-    `config` its configuration, None before it begins and where it has none that can be read.
+    `balance` is the last one, as news; `config` its configuration, None before it begins and where it has
+    none that can be read.
     """
 
     def __init__(self, record: Path) -> None:
@@ -52,9 +52,8 @@ class RecordFollower:
             self._path: deque[Deflections] = deque()
             self._swings = {name: deque[Point](maxlen=_KEPT) for name in ("amplitude", "period")}
             self._fitted: list[RecordedFittedPoint] = []
-            self._events: deque[tuple[float, Event]] = deque(maxlen=_EVENTS)
+            self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
             self.balance: dict[str, Any] | None = None
-            self.began_s = math.nan
 
     # -- for who shows it ------------------------------------------------------
 
@@ -63,11 +62,10 @@ class RecordFollower:
         """Whether the record has any frame."""
         return self._start_ns is not None
 
-    def take_events(self) -> list[tuple[float, Event]]:
-        """Events since the last call, each with its time in s since the record began."""
+    def take_events(self) -> list[dict[str, Any]]:
+        """Events since the last call; their times are in s since the record began, and of the day."""
         with self._lock:
-            taken, self._events = list(self._events), deque(maxlen=_EVENTS)
-        return taken
+            return taken_from(self._events)
 
     def path(self) -> dict[str, list[float | None]]:
         """The last seconds of the trajectory, in some hundred points, as they are shown."""
@@ -109,8 +107,6 @@ class RecordFollower:
             if SPOT.topic not in piece:
                 return
             self._start_ns = int(reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
-            ago_s = time.time() - seconds(self._start_ns + reader.epoch_offset_ns)
-            self.began_s = time.monotonic() - ago_s
         start_ns, size = self._start_ns, reader.deflection_unit.shown_size
         told = told_in(reader, piece, start_ns, start_ns)
         if told.balances and self.config is not None:
@@ -132,7 +128,20 @@ class RecordFollower:
                 # those of an earlier fit are forgotten
                 last_ns = points[-1].time_ns
                 self._fitted = [one for one in (*self._fitted, *points) if one.time_ns == last_ns]
-            self._events.extend((seconds(event.time_ns - start_ns), event) for event in told.events)
+            for event in told.events:
+                told_of = {
+                    "elapsed_s": seconds(event.time_ns - start_ns),
+                    "kind": event.kind,
+                    "level": event.level,
+                    "text": event.text,
+                    "at": clock(seconds(event.time_ns + reader.epoch_offset_ns)),
+                }
+                self._events.append(told_of)
+
+
+def clock(at_s: float) -> str:
+    """Time of the day of this computer."""
+    return time.strftime("%H:%M:%S", time.localtime(at_s))
 
 
 def decimated(points: Sequence[Point]) -> list[Point]:

@@ -1,20 +1,17 @@
 """Serves the desk on the loopback interface until Ctrl-C, to a browser that has its key.
 
-LIGHT OFF has a second server, of one address in threads of its own: it answers while the event loop is busy.
+LIGHT OFF is heard by a second server, too, in a thread of its own: it answers while the page's is busy.
 """
 
 import asyncio
 import contextlib
 import hmac
 import http
-import http.server
 import socket
 import threading
 import urllib.parse
 import webbrowser
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import uvicorn
 from fastapi import FastAPI, Request
@@ -22,6 +19,7 @@ from fastapi.responses import FileResponse
 from nicegui import ui
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
+from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -57,16 +55,16 @@ class Guard:
     Without the key (in the address at first, then in a cookie) nothing is answered: other users of this
     machine do not have it. The name of the host is checked so that no foreign page can ask under a name of
     its own (DNS rebinding), the origin so that none can use the browser's cookie, least of all for the web
-    socket, which browsers open for anyone. `off_port` is where LIGHT OFF is heard beside this server.
+    socket, which browsers open for anyone. `off_port` is where LIGHT OFF is heard beside the page's server;
+    its guard, which `hears_off`, admits the same pages.
     """
 
-    def __init__(self, app: ASGIApp, key: str, port: int, off_port: int) -> None:
+    def __init__(self, app: ASGIApp, key: str, port: int, off_port: int, *, hears_off: bool = False) -> None:
         self._app, self._key = app, key
-        self._hosts, self._off_hosts = ({f"{name}:{one}" for name in _NAMES} for one in (port, off_port))
-        self._origins = {f"http://{host}" for host in self._hosts}
-        self._policy = _POLICY.replace(
-            "OFF_SWITCH", " ".join(f"http://{host}" for host in sorted(self._off_hosts))
-        )
+        hosts, off_hosts = ([f"{name}:{one}" for name in _NAMES] for one in (port, off_port))
+        self._hosts = off_hosts if hears_off else hosts
+        self.origins = [f"http://{host}" for host in hosts]
+        self._policy = _POLICY.replace("OFF_SWITCH", " ".join(f"http://{host}" for host in off_hosts))
         # browsers keep one set of cookies for all ports of a host
         self._cookie = f"rig_desk_{port}"
 
@@ -83,10 +81,6 @@ class Guard:
         else:
             await refused(scope, receive, send)
 
-    def admits(self, host: str, origin: str, cookie: str) -> bool:
-        """Whether what LIGHT OFF's own port hears comes from a page of this desk that was let in."""
-        return host in self._off_hosts and origin in self._origins and self._has_key(cookie)
-
     def _refusal(self, scope: Scope) -> Response | None:
         """The answer to who may not enter, or has just come with the key; None for who may."""
         headers = Headers(scope=scope)
@@ -95,7 +89,7 @@ class Guard:
             return PlainTextResponse("wrong host", http.HTTPStatus.MISDIRECTED_REQUEST)
         if origin is None and (scope["type"] == "websocket" or scope["method"] == "POST"):
             return PlainTextResponse("no origin", http.HTTPStatus.FORBIDDEN)
-        if origin is not None and origin not in self._origins:
+        if origin is not None and origin not in self.origins:
             return PlainTextResponse("wrong origin", http.HTTPStatus.FORBIDDEN)
         if scope["type"] == "http" and scope["method"] == "GET":
             query = urllib.parse.parse_qs(scope["query_string"].decode(errors="replace"))
@@ -132,56 +126,6 @@ class Guard:
         return passed  # type: ignore[return-value]
 
 
-class OffSwitch(http.server.ThreadingHTTPServer):
-    """Hears LIGHT OFF on a port of its own, in threads; it writes nothing into the terminal.
-
-    `admits` judges host, origin and cookie of who asks, `off` switches off, and is given the press's name.
-    """
-
-    request_queue_size = 64
-    daemon_threads = True
-
-    def __init__(self, off: Callable[[str], list[str]], admits: Callable[[str, str, str], bool]) -> None:
-        super().__init__((LOOPBACK, 0), _Handler)
-        self.off, self.admits = off, admits
-        self.port = int(self.server_address[1])
-
-    def start(self) -> None:
-        """Begin to listen."""
-        threading.Thread(target=self.serve_forever, name="off switch", daemon=True).start()
-
-    def close(self) -> None:
-        """Listen no more."""
-        self.shutdown()
-        self.server_close()
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Who has gone is no event."""
-
-
-class _Handler(http.server.BaseHTTPRequestHandler):
-    timeout = 10.0
-    server: OffSwitch
-
-    def do_POST(self) -> None:
-        host, origin, cookie = (self.headers.get(name, "") for name in ("Host", "Origin", "Cookie"))
-        asked = urllib.parse.urlsplit(self.path)
-        if asked.path != DARK or not self.server.admits(host, origin, cookie):
-            self.send_error(http.HTTPStatus.FORBIDDEN)
-            return
-        answer = "; ".join(self.server.off(urllib.parse.unquote(asked.query))).encode()
-        self.send_response(http.HTTPStatus.OK)
-        self.send_header("Content-Type", "text/plain; charset=utf-8")
-        self.send_header("Content-Length", str(len(answer)))
-        self.send_header("Access-Control-Allow-Origin", origin)
-        self.send_header("Access-Control-Allow-Credentials", "true")
-        self.end_headers()
-        self.wfile.write(answer)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Requests are not logged."""
-
-
 _PORT = 8642
 _MOST_PX = 2000
 _GOODBYE_S = 3
@@ -211,14 +155,19 @@ def open_desk(
 
 
 def _serve(desk: Desk, port: int, *, browser: bool) -> int:
-    listening = _listening(port, desk.place.port)
-    number = int(listening.getsockname()[1])
-    switch = OffSwitch(desk.lighting.off, lambda *told: guard.admits(*told))
-    app = _application(desk, switch.port)
+    listening, hearing_off = _listening(port, desk.place.port), socket.create_server((LOOPBACK, 0))
+    number, off_port = (int(one.getsockname()[1]) for one in (listening, hearing_off))
+    app = _application(desk, off_port)
     title = f"rig desk {desk.source.name}"
     ui.run_with(app, title=title, dark=None, language="en-US", show_welcome_message=False, tailwind=False)
-    guard = Guard(app, desk.place.key, number, switch.port)
-    switch.start()
+    guard = Guard(app, desk.place.key, number, off_port)
+    of_off = CORSMiddleware(_light_off(desk), guard.origins, allow_credentials=True)
+    off_guard = Guard(of_off, desk.place.key, number, off_port, hears_off=True)
+    # it logs as the page's server does
+    switch = uvicorn.Server(uvicorn.Config(off_guard, log_config=None, access_log=False, lifespan="off"))
+    threading.Thread(
+        target=switch.run, kwargs={"sockets": [hearing_off]}, name="off switch", daemon=True
+    ).start()
     desk.safety.start()
     desk.following.start()
     desk.alarming.start()
@@ -248,11 +197,12 @@ def _serve(desk: Desk, port: int, *, browser: bool) -> int:
         with contextlib.suppress(KeyboardInterrupt), told_of_hang_up(hung_up):
             server.run(sockets=[listening])
     finally:
-        switch.close()
+        switch.should_exit = True
     return 0
 
 
-def _application(desk: Desk, off_port: int) -> FastAPI:
+def _light_off(desk: Desk) -> FastAPI:
+    """An application that hears LIGHT OFF."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
 
     @app.post(DARK)
@@ -271,6 +221,12 @@ def _application(desk: Desk, off_port: int) -> FastAPI:
         # a thread of its own: those of a pool may all be waiting
         threading.Thread(target=off, name="light off", daemon=True).start()
         return PlainTextResponse(await said)
+
+    return app
+
+
+def _application(desk: Desk, off_port: int) -> FastAPI:
+    app = _light_off(desk)
 
     @app.get("/picture")
     async def picture(width: int = 900, height: int = 600, zoom: float = 1.0) -> Response:

@@ -3,46 +3,52 @@
 import json
 import math
 import os
-import threading
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from processing.errors import RigError
 from processing.fit import FitMethod
 from rig.instrument import BALANCE_CONDITIONS
-from rig.measure import STATE_NAME, RunState, read_session, state_of
+from rig.measure import STATE_NAME, HandOver, RunState, hand_over, read_session, state_of
 from rig.presentation import quantity, with_uncertainty
 
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""
+RESULTS_NAME = "results.json"
 _SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
-_LEAST_WAIT_S, _WAIT_OF_WORK = 1.0, 15.0
-"""A large folder is looked through less often: one part in fifteen of a core at most."""
 
 
 @dataclass(frozen=True, slots=True)
 class SessionRow:
     """A session: its folder, when it began, what of, by whom, how many runs are complete, what is the matter.
 
-    `conditions` are the amplitudes it was to run between. `resumable`: it lacks runs, which can be made;
-    `died`: it was killed.
+    `conditions` are the amplitudes it was to run between. `sigma`, `b` and `c` are those of its last run,
+    with their whole uncertainty, in the units of `NUMBERS`; `balance` is go, no, or empty where it was not
+    judged. `resumable`: it lacks runs, which can be made. `text` is what is searched.
     """
 
     folder: Path
-    begun: str
-    sample: str
-    runs: str
     state: str
-    operator: str = ""
+    begun: str = ""
+    sample: str = ""
+    runs: str = ""
     conditions: str = ""
+    operator: str = ""
+    sigma: str = ""
+    b: str = ""
+    c: str = ""
+    balance: str = ""
     resumable: bool = False
-    died: bool = False
-    text: str = field(default="", compare=False)
+    text: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return self.folder.name
 
     @property
     def report(self) -> Path | None:
@@ -52,77 +58,48 @@ class SessionRow:
         return None
 
 
-class SessionPage(NamedTuple):
-    """Some of the sessions that were found, and how many those are."""
-
-    rows: Sequence[SessionRow]
-    found: int
-    all: int
-
-
 class SessionIndex:
-    """All sessions of a folder, the newest first; a file is read again only when it has changed.
-
-    `look` reads the folder once; after `start` that is done again and again beside, while somebody asks.
-    """
+    """All sessions of a folder, the newest first, as the last `look` has found them."""
 
     def __init__(self, output: Path) -> None:
         self._output = output
-        self._known: dict[str, tuple[int, SessionRow]] = {}
-        self._sorted: list[SessionRow] = []
-        self._ended, self._asked = threading.Event(), threading.Event()
-        self._thread: threading.Thread | None = None
+        self._known: dict[str, tuple[tuple[int, int], SessionRow]] = {}
 
-    def page(self, running: Path | None, words: str = "", first: int = 0, most: int = 20) -> SessionPage:
-        """The sessions with all these words in folder, sample, operator, state or date; never blocks long."""
-        self._asked.set()
-        rows = self._sorted
+    def rows(self, running: Path | None, words: str = "") -> list[SessionRow]:
+        """The sessions with all these words in folder, sample, operator, state or date; never blocks."""
         wanted = words.lower().split()
-        # without words all are found
-        found = [row for row in rows if all(word in row.text for word in wanted)]
         now = None if running is None else running.resolve()
-        return SessionPage([_running(row, now) for row in found[first : first + most]], len(found), len(rows))
-
-    def start(self) -> None:
-        """Look again and again, in a thread; the first look begins at once."""
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._follow, name="sessions", daemon=True)
-            self._thread.start()
-
-    def stop(self) -> None:
-        self._ended.set()
-        self._asked.set()
+        return [
+            replace(row, state="running", resumable=False)
+            if now is not None and row.folder.resolve() == now
+            else row
+            for _, row in self._known.values()
+            if all(word in row.text for word in wanted)
+        ]
 
     def look(self) -> None:
-        """Read what is new or has changed."""
-        files: list[tuple[int, str]] = []
+        """Read the sessions that are new, or whose files have changed; may take long."""
+        files: list[tuple[tuple[int, int], str]] = []
         with suppress(OSError), os.scandir(self._output) as entries:
             for entry in entries:
                 with suppress(OSError):
-                    files.append((os.stat(f"{entry.path}/{STATE_NAME}").st_mtime_ns, entry.path))
-        files.sort(reverse=True)
-        there = {path for _, path in files}
-        for gone in self._known.keys() - there:
-            del self._known[gone]
-        for changed_ns, path in files:
-            before = self._known.get(path)
-            if before is None or before[0] != changed_ns:
-                self._known[path] = changed_ns, session_row(Path(path))
-        self._sorted = [self._known[path][1] for _, path in files if path in self._known]
-
-    def _follow(self) -> None:
-        while not self._ended.is_set():
-            began_s = time.monotonic()
-            self.look()
-            self._asked.clear()
-            self._ended.wait(max(_LEAST_WAIT_S, _WAIT_OF_WORK * (time.monotonic() - began_s)))
-            self._asked.wait()
+                    changed_ns = os.stat(f"{entry.path}/{STATE_NAME}").st_mtime_ns
+                    files.append(((changed_ns, _changed_ns(f"{entry.path}/{RESULTS_NAME}")), entry.path))
+        found = {}
+        for changed, path in sorted(files, reverse=True):
+            known = self._known.get(path)
+            if known is None or known[0] != changed:
+                known = changed, session_row(Path(path))
+            found[path] = known
+        self._known = found
 
 
-def _running(row: SessionRow, running: Path | None) -> SessionRow:
-    if running is None or row.folder.resolve() != running:
-        return row
-    return SessionRow(row.folder, row.begun, row.sample, row.runs, "running", row.operator, row.conditions)
+def _changed_ns(path: str) -> int:
+    """When a file was written last; 0 without one."""
+    try:
+        return os.stat(path).st_mtime_ns
+    except OSError:
+        return 0
 
 
 def session_row(folder: Path) -> SessionRow:
@@ -130,53 +107,45 @@ def session_row(folder: Path) -> SessionRow:
     try:
         session = read_session(folder)
     except RigError as error:
-        return SessionRow(folder, "", "", "", str(error), text=f"{folder} {error}".lower())
+        return SessionRow(folder, str(error), text=f"{folder} {error}".lower())
     begun = min((entry.begun_utc for entry in session.entries if entry.begun_utc), default="")
     stated = session.configuration.get("session", {})
     ended = state_of(session)
     state = "no run made" if ended is None else ended.value
     sample, operator = str(stated.get("sample", "")), str(stated.get("operator", ""))
-    runs = f"{len(session.complete)} of {session.runs_wanted}"
     when = begun.replace("T", " ").partition("+")[0].partition(".")[0]
     first, last = stated.get("initial_amplitude_arcsec"), stated.get("final_amplitude_arcsec")
-    conditions = "" if first is None or last is None else f"{float(first):g} to {float(last):g} arcsec"
     notes = str(stated.get("notes", ""))
-    text = " ".join((folder.name, when, sample, operator, state, notes)).lower()
-    lacks = ended not in (None, RunState.COMPLETE)
-    died = ended is RunState.INTERRUPTED
-    return SessionRow(folder, when, sample, runs, state, operator, conditions, lacks, died, text)
-
-
-class LastRun(NamedTuple):
-    """What the list shows of a session's last run; empty where it has no results.
-
-    `balance` is go, no or empty where it was not judged; sigma, b and c have their whole uncertainty, in the
-    units of `NUMBERS`.
-    """
-
-    sigma: str = ""
-    b: str = ""
-    c: str = ""
-    balance: str = ""
+    return SessionRow(
+        folder,
+        state,
+        begun=when,
+        sample=sample,
+        runs=f"{len(session.complete)} of {session.runs_wanted}",
+        conditions="" if first is None or last is None else f"{float(first):g} to {float(last):g} arcsec",
+        operator=operator,
+        resumable=ended not in (None, RunState.COMPLETE),
+        text=" ".join((folder.name, when, sample, operator, state, notes)).lower(),
+        **last_run(folder),
+    )
 
 
 NUMBERS = {"sigma": "surface_energy_table2_j_per_m2", "b": "b", "c": "c"}
 """Quantities of the list by the name of their column."""
 
 
-def last_run(folder: Path) -> LastRun:
-    """Read it from the results of a session."""
+def last_run(folder: Path) -> dict[str, str]:
+    """What the list shows of the last run, from the results of a session; nothing without them."""
     try:
-        run = json.loads((folder / "results.json").read_bytes())["runs"][-1]
+        run = json.loads((folder / RESULTS_NAME).read_bytes())["runs"][-1]
         rows = {row["quantity"]: row for row in run["table"] if row["fit"] == FitMethod.EXACT}
         of_balance = [one for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
         # what is ok and has a remedy is not known
         judged = [one["ok"] for one in of_balance if not (one["ok"] and one.get("remedy"))]
+        numbers = {name: _number(rows.get(key)) for name, key in NUMBERS.items()}
     except (OSError, ValueError, KeyError, IndexError, TypeError):
-        return LastRun()
-    numbers = {name: _number(rows.get(key)) for name, key in NUMBERS.items()}
-    balance = "" if not judged else "go" if all(judged) else "no"
-    return LastRun(**numbers, balance=balance)
+        return {}
+    return {**numbers, "balance": "" if not judged else "go" if all(judged) else "no"}
 
 
 def _number(row: Mapping[str, Any] | None) -> str:
@@ -201,10 +170,21 @@ def _state_at(folder: Path, _changed_ns: int) -> str:
 
 def last_state(folder: Path) -> str:
     """The word of the list for a session that has ended; empty if it left none."""
+    return _state_at(folder, _changed_ns(f"{folder}/{STATE_NAME}"))
+
+
+@lru_cache(maxsize=1)
+def _hand_over_at(folder: Path, *_changed_ns: int) -> HandOver | None:
     try:
-        return _state_at(folder, (folder / STATE_NAME).stat().st_mtime_ns)
-    except OSError:
-        return ""
+        return hand_over(folder)
+    except RigError:
+        return None
+
+
+def last_hand_over(folder: Path) -> HandOver | None:
+    """What a session hands over, None where there is none; read again when its files have changed."""
+    names = (STATE_NAME, RESULTS_NAME, "report.html")
+    return _hand_over_at(folder, *(_changed_ns(f"{folder}/{name}") for name in names))
 
 
 def served_file(output: Path, name: str) -> Path | None:

@@ -205,7 +205,7 @@ def _went(session: SessionState, ended: RunState | None) -> str:
 
 def _steps_of_end(ended: RunState | None) -> list[str]:
     if ended is RunState.INTERRUPTED:
-        return ["measure the missing runs: Sessions, Resume"]
+        return ["measure the missing runs: Runs, Resume"]
     return ["see why it failed, then start again"] if ended is RunState.FAILED else []
 
 

@@ -217,7 +217,7 @@ class RunDisplay:
 
     def facts(self, now: RunNow) -> list[tuple[str, str]]:
         """The rows without what a page shows in places of their own: amplitude, end, parameters."""
-        elsewhere = {"amplitude", "controller", self._prediction(now)[0]}
+        elsewhere = {"amplitude", self._prediction(now)[0]}
         elsewhere |= {name for name, _ in estimate_rows(now, ())}
         return [row for row in self.rows(now) if row[0] not in elsewhere]
 

@@ -106,7 +106,7 @@ def drawing(turn: Mapping[str, Any] | None) -> str:
         parts.append(f"<circle cx='{x}' cy='{y}' r='11' fill='{colour}'/>")
         parts.append(f"<text x='{x + 15}' y='{y + 24}'>{name}</text>")
         if chosen and turn is not None:
-            parts += [_arrow(x, y, math.copysign(1.0, part)) for part in turn["parts"][:1]]
+            parts.append(_arrow(x, y, turn["parts"][0]))
     said = ""
     if turn is not None:
         clock = ", then ".join(
@@ -120,20 +120,12 @@ def drawing(turn: Mapping[str, Any] | None) -> str:
     )
 
 
-def _arrow(x: float, y: float, sense: float) -> str:
-    """Three quarters of a circle round (x, y), with its head; `sense` > 0: clockwise as seen."""
-    radius = 20.0
-    turned = [sense * math.radians(-90 + 270 * part / 24) for part in range(25)]
-    at = [(x + radius * math.cos(angle), y + radius * math.sin(angle)) for angle in turned]
-    line = " ".join(f"{a:.1f},{b:.1f}" for a, b in at)
-    (tip_x, tip_y), angle = at[-1], turned[-1] + sense * math.pi / 2
-    head = " ".join(
-        f"{tip_x + 9 * math.cos(angle + off):.1f},{tip_y + 9 * math.sin(angle + off):.1f}"
-        for off in (0.0, 2.4, -2.4)
-    )
+def _arrow(x: int, y: int, turns: float) -> str:
+    """Three quarters of a circle round (x, y), with its head; clockwise as seen for `turns` > 0."""
     return (
-        f"<polyline points='{line}' fill='none' stroke='var(--warn)' stroke-width='3'/>"
-        f"<polygon points='{head}' fill='var(--warn)'/>"
+        f"<g transform='translate({x} {y}) scale(1 {math.copysign(1, turns):g})' fill='none' "
+        "stroke='var(--warn)' stroke-width='3'><path d='M0 -20A20 20 0 1 1 -20 0'/>"
+        "<path d='M-20 -9L-13.9 6.6H-26.1Z' fill='var(--warn)' stroke='none'/></g>"
     )
 
 

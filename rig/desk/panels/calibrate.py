@@ -5,21 +5,18 @@ from functools import partial
 
 from nicegui import run, ui
 
-from processing.errors import ConfigurationError
-from rig.calibrate import CalibrationReport, Filing
+from rig.calibrate import CalibrationReport
 from rig.desk import tables
-from rig.desk.calibrating import FOLDER, Calibrating
+from rig.desk.calibrating import FOLDER, KINDS, Calibrating
 from rig.desk.desk import Desk
 from rig.desk.panels.between_runs import as_typed
 from rig.desk.tab import DELIBERATE, Tab, at_once, box
-from rig.settings import number
 
-_DAYS, _DARK_FRAMES = 90.0, 16
+_DAYS, _DARK_FRAMES = "90", "16"
 
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
-    kinds = desk.calibrating.kinds
     forms: dict[str, CalibrationForm] = {}
 
     def choose(chosen: str) -> None:
@@ -33,12 +30,12 @@ def build(desk: Desk, tab: Tab) -> None:
             form.refresh(busy)
 
     with ui.row().classes("items-center"):
-        buttons = {name: ui.button(name, on_click=partial(choose, name)) for name in kinds}
+        buttons = {name: ui.button(name, on_click=partial(choose, name)) for name in KINDS}
     for name, button in buttons.items():
         button.props(f'dense aria-label="{name}, calibrate it"')
-    for name in kinds:
+    for name in KINDS:
         forms[name] = CalibrationForm(desk, tab, name)
-    choose(next(iter(kinds)))
+    choose(next(iter(KINDS)))
     tab.every(0.5, refresh)
     refresh()
 
@@ -48,14 +45,14 @@ class CalibrationForm:
 
     def __init__(self, desk: Desk, tab: Tab, name: str) -> None:
         self._calibrating: Calibrating = desk.calibrating
-        self._name, self._kind = name, desk.calibrating.kinds[name]
+        self._name, self._kind = name, KINDS[name]
         self._offered: object = None
         self._drawn: CalibrationReport | None = None
         kind = self._kind
         with box(kind.title, "full-width", head="middle") as self.box:
             ui.label(kind.do)
             with ui.row().classes("items-center"):
-                amount = f"{_DARK_FRAMES}" if kind.seconds is None else f"{kind.seconds:g}"
+                amount = _DARK_FRAMES if kind.seconds is None else f"{kind.seconds:g}"
                 what = "frames" if kind.seconds is None else "length / s"
                 self._amount = _field(what, amount, f"{name} amount")
                 if kind.seconds is None:
@@ -79,8 +76,8 @@ class CalibrationForm:
             if name == "check" and desk.config.calibration.lever is not None:
                 self._fields["lever"].set_value(str(desk.config.calibration.lever))
             with ui.row().classes("full-width items-center"):
-                self._by = _field("made by", desk.config.session.operator, f"{name} by")
-                self._days = _field("valid for / days", f"{_DAYS:g}", f"{name} days")
+                self._fields["by"] = _field("made by", desk.config.session.operator, f"{name} by")
+                self._fields["valid-days"] = _field("valid for / days", _DAYS, f"{name} days")
                 tab.button("File it", self._file).props(
                     f'color="positive" size="lg" aria-label="file {name}"'
                 )
@@ -117,13 +114,10 @@ class CalibrationForm:
         await run.io_bound(self._calibrating.record, self._name, str(self._amount.value or ""), exposure)
 
     async def _file(self) -> None:
-        filing = Filing(FOLDER, _days(self._days.value), str(self._by.value or ""))
         stated = {key: str(field.value or "") for key, field in self._fields.items()}
         self._working.set_visibility(True)
         try:
-            await run.io_bound(
-                self._calibrating.file, self._name, str(self._given.value or ""), stated, filing
-            )
+            await run.io_bound(self._calibrating.file, self._name, str(self._given.value or ""), stated)
         finally:
             self._working.set_visibility(False)
             self.refresh(self._calibrating.recording())
@@ -145,14 +139,6 @@ def _choice(name: str, key: str, label: str, choices: tuple[str, ...]) -> ui.inp
     return at_once(ui.select(list(choices), label=label, value=choices[0])).props(
         f'dense outlined aria-label="{label}"'
     )
-
-
-def _days(text: str | None) -> float:
-    """Days of validity as typed; raises ConfigurationError for what is no number."""
-    try:
-        return number()((text or "").strip())
-    except ConfigurationError as error:
-        raise ConfigurationError(f"valid for / days: {error}") from None
 
 
 def _result(made: CalibrationReport) -> str:

@@ -10,7 +10,7 @@ from nicegui.events import MouseEventArguments
 
 from acquisition.camera import CameraSettings
 from rig.desk.desk import Desk
-from rig.desk.following import Following, doing
+from rig.desk.following import doing
 from rig.desk.tab import Tab
 from rig.devices import AlignmentFrame, SeenReference, annotated_picture, middle_of, picture
 
@@ -19,23 +19,16 @@ _NUMBER = count()
 
 
 class LivePicture:
-    """A picture whose address changes; a browser that is slower skips some. `zoom` is 1, 4 or 16.
-
-    `wanted` says whether there is something to ask for, `why_none` why nothing is to be seen, in its place;
-    empty where there is a picture.
-    """
+    """A picture whose address changes; a browser that is slower skips some. `zoom` is 1, 4 or 16."""
 
     def __init__(
         self,
+        desk: Desk,
         tab: Tab,
         size: tuple[int, int],
-        wanted: Callable[[], bool],
-        why_none: Callable[[], str],
         on_mouse: Callable[[MouseEventArguments], None] | None = None,
     ) -> None:
-        self._size = size
-        self._wanted = wanted
-        self._why_none = why_none
+        self._desk, self._size = desk, size
         self.zoom = 1
         width, height = size
         with ui.element("div").classes("relative-position camera").style(f"--aspect: {width / height:.4f}"):
@@ -53,10 +46,10 @@ class LivePicture:
         self.zoom = {1: 4, 4: 16, 16: 1}[self.zoom]
 
     def _refresh(self) -> None:
-        why = self._why_none()
+        why = _why_none(self._desk)
         self._words.set_text(why)
         self._words.set_visibility(bool(why))
-        if self._wanted():
+        if has_picture(self._desk):
             width, height = self._size
             self.element.set_source(
                 f"/picture?width={width}&height={height}&zoom={self.zoom}&n={next(_NUMBER)}"
@@ -66,12 +59,24 @@ class LivePicture:
             self.element.set_source("")
 
 
-def no_frame_yet(following: Following) -> str:
-    """Why a session that runs shows no frame; empty if it does."""
-    if following.last_picture is not None:
+def has_picture(desk: Desk) -> bool:
+    """Whether something has the camera whose picture can be asked for."""
+    return desk.following.running or desk.aligner is not None
+
+
+def _why_none(desk: Desk) -> str:
+    """Why there is no picture; empty if there is one."""
+    now = desk.aligner
+    if now is not None:
+        if now.problem:
+            return f"the live picture has ended: {now.problem}"
+        return "" if now.look is not None else f"waiting for the first frame. {now.note}"
+    if desk.following.last_picture is not None:
         return ""
-    phase = doing(following.news.get("state"))
-    return f"no frame yet: {phase or 'opening devices, compiling kernels'}"
+    if desk.following.running:
+        phase = doing(desk.following.news.get("state"))
+        return f"no frame yet: {phase or 'opening devices, compiling kernels'}"
+    return "No live picture yet. Press Live picture to light the laser and show the camera's view."
 
 
 def look_now(desk: Desk) -> AlignmentFrame | None:
@@ -86,16 +91,13 @@ def look_now(desk: Desk) -> AlignmentFrame | None:
     if seen is None or "full_scale_dn" not in camera:
         return None
     full_scale_dn, config = int(camera["full_scale_dn"]), desk.following.config
-    own, reference, reference_px = seen.image, None, None
+    own, reference = seen.image, None
     if config is not None and config.reference is not None and seen.reference is not None:
         row = config.reference.from_row_px
         reference = SeenReference.in_image(seen.reference, row, seen.image, full_scale_dn)
         own = seen.image[:row]
     figures = picture.figures(own, full_scale_dn)
-    lever = None if config is None else config.lever
-    if lever is not None and lever.reference_x_px is not None and lever.reference_y_px is not None:
-        reference_px = (lever.reference_x_px, lever.reference_y_px)
-    middle_px = middle_of(seen.image, reference_px)
+    middle_px = middle_of(seen.image, None if config is None else config.lever_reference_px)
     applied = CameraSettings.model_validate(camera["applied"])
     return AlignmentFrame(
         seen.image, full_scale_dn, figures, seen.spot, middle_px, applied, reference=reference

@@ -1,6 +1,5 @@
 """Measure panel: start a session, watch it from a distance, brake, stop; last result, next session."""
 
-import time
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -13,8 +12,7 @@ from rig.desk.charts import Chart, ChartCurve, Mark
 from rig.desk.desk import Desk
 from rig.desk.panels import run_words as words
 from rig.desk.panels.between_runs import NEXT_RUN, RunResult, build_form
-from rig.desk.panels.live_picture import LivePicture, no_frame_yet
-from rig.desk.panels.run_words import first_fit
+from rig.desk.panels.live_picture import LivePicture
 from rig.desk.tab import Tab, at_once, box
 from rig.instrument import Phase
 
@@ -37,7 +35,7 @@ def build(desk: Desk, tab: Tab) -> None:
         with ui.column().classes("stack"):
             numbers = RunNumbers(desk, tab)
             with ui.column().classes("box"):
-                LivePicture(tab, _SIZE, lambda: desk.following.running, lambda: no_frame_yet(desk.following))
+                LivePicture(desk, tab, _SIZE)
         with ui.column().classes("box"):
             way = charts.TrajectoryChart()
             way.chart.element.style("width: min(100%, max(240px, 32vh))")
@@ -68,7 +66,7 @@ def build(desk: Desk, tab: Tab) -> None:
 
 
 class RunNumbers:
-    """Large display of amplitude, time left and light, with Stop and Brake."""
+    """Large display of amplitude and time left, with Stop and Brake."""
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
@@ -90,7 +88,6 @@ class RunNumbers:
                 self._left = ui.label().classes("middle")
             self._done = ui.linear_progress(value=0.0, show_value=False)
             self._done.props('aria-label="part of the run done"')
-            self._laser = ui.label().classes("middle").props('aria-label="laser and interlock"')
             with ui.row():
                 stop = tab.button("Stop", self._stop)
                 stop.props('color="negative" size="lg" aria-label="Stop the session"')
@@ -115,12 +112,6 @@ class RunNumbers:
         self._unit.set_text("" if value is None else following.unit)
         self._left.set_text(words.time_left(state))
         self._done.set_value(round(float(state.get("done") or 0.0), 3))
-        is_old = time.monotonic() - following.heard_s > STALE_S
-        if is_old:
-            self._laser.set_text("unknown: the session does not answer")
-        else:
-            self._laser.set_text(str(news.get("darkness") or "") or words.light_words(following.devices))
-        self._laser.classes(remove="no", add="no" if is_old or is_dark else "")
         self._brakes.set_visibility(following.devices.controller is not None)
         return is_blind
 
@@ -210,7 +201,6 @@ class RunCharts:
             [history["swings"][kind], fit[kind], fit[f"{kind}_residual"]],
             unit,
             marks=_marks(following.events, str(following.news.get("run") or "")),
-            below=first_fit(following.news.get("state") or {}) if not fit[f"{kind}_residual"] else "",
         )
 
 

@@ -2,7 +2,7 @@
 
 import html
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,7 @@ from rig.desk.charts import Chart, ChartCurve
 from rig.desk.desk import Desk
 from rig.desk.following import doing
 from rig.desk.panels.between_runs import as_typed, setting_field
-from rig.desk.panels.live_picture import LivePicture, look_now, no_frame_yet
+from rig.desk.panels.live_picture import LivePicture, has_picture, look_now
 from rig.desk.tab import DELIBERATE, Handler, Tab, apart, at_once, box
 from rig.presentation import Verdict
 
@@ -56,7 +56,7 @@ class AlignPicture:
         self._desk = desk
         self._corner: tuple[float, float] | None = None
         with ui.column().classes("box"):
-            self._picture = LivePicture(tab, _SIZE, lambda: _seen(desk), lambda: _why_none(desk), self._mouse)
+            self._picture = LivePicture(desk, tab, _SIZE, self._mouse)
             with ui.row():
                 self._begin = tab.button("Live picture", apart(desk.begin_aligning))
                 self._begin.props(f'color="positive" {DELIBERATE}')
@@ -75,7 +75,7 @@ class AlignPicture:
         self._begin.set_visibility(now is None)
         self._end.set_visibility(now is not None)
         self._keep.set_enabled(now is not None and now.running)
-        self._zooming.set_enabled(_seen(self._desk))
+        self._zooming.set_enabled(has_picture(self._desk))
         self._kept.set_text(_kept(self._desk))
 
     def zoom(self) -> None:
@@ -121,8 +121,8 @@ class CameraControls:
             self._lamps = ui.html(sanitize=False).classes("full-width")
             self._lamps.props('role="status" aria-label="lamps"')
             self._note = ui.label().props('role="status"')
-            self._setting("exposure_us", "exposure / µs", {"-": (1 / _STEP, 0.0), "+": (_STEP, 0.0)})
-            self._setting("gain_db", "gain / dB", {"-": (1.0, -_STEP_DB), "+": (1.0, _STEP_DB)})
+            self._setting("exposure_us", "exposure / µs", lambda us, sense: us * _STEP**sense)
+            self._setting("gain_db", "gain / dB", lambda db, sense: db + sense * _STEP_DB)
             bars, line = (ChartCurve("pixels", style="bars"),), (ChartCurve("sharpness_per_px"),)
             self._histogram = Chart("histogram", "level_dn", bars, height="100px")
             self._focus = Chart("focus", "elapsed_s", line, height="110px")
@@ -157,8 +157,8 @@ class CameraControls:
             [[(float(at), round(math.log10(1 + n), 3)) for at, n in zip(middles, counts, strict=True)]]
         )
 
-    def _setting(self, name: str, label: str, steps: Mapping[str, tuple[float, float]]) -> None:
-        """A row for one setting: field, Set, for the exposure Auto, and a step down and up."""
+    def _setting(self, name: str, label: str, step: Callable[[float, int], float]) -> None:
+        """A row for one setting: field, Set, for the exposure Auto, and a step down (-1) and up (1)."""
         what = label.partition(" ")[0]
         with ui.row().classes("items-center no-wrap full-width"):
             field = setting_field(self._desk, f"camera.{name}", label, None, is_number=True)
@@ -167,9 +167,8 @@ class CameraControls:
             self._small("Set", partial(self._typed, name, field), f"Set {label}")
             if name == "exposure_us":
                 self._small("Auto", lambda: aligner_of(self._desk).wish(EXPOSE), "Auto exposure")
-            for sign, (factor, more_db) in steps.items():
-                words = f"{'smaller' if sign == '-' else 'larger'} {what}"
-                self._small(sign, partial(self._turned, factor, more_db), words)
+            for sign, words, sense in (("-", "smaller", -1), ("+", "larger", 1)):
+                self._small(sign, partial(self._turned, name, step, sense), f"{words} {what}")
 
     def _small(self, text: str, do: Handler, words: str) -> None:
         button = self._tab.button(text, do).props(f'outline dense aria-label="{words}"').classes("step")
@@ -183,16 +182,14 @@ class CameraControls:
             raise ConfigurationError(fault)
         aligner_of(self._desk).wish(CameraSettings.model_validate({name: value}))
 
-    def _turned(self, exposure: float, gain_db: float) -> None:
+    def _turned(self, name: str, step: Callable[[float, int], float], sense: int) -> None:
         def wanted(applied: CameraSettings) -> CameraSettings:
-            stated = applied.exposure_us if exposure != 1.0 else applied.gain_db
+            stated = getattr(applied, name)
             if stated is None:
                 raise ConfigurationError(
                     "this camera does not report its setting; type a value, then press Set"
                 )
-            if exposure != 1.0:
-                return CameraSettings(exposure_us=stated * exposure)
-            return CameraSettings(gain_db=stated + gain_db)
+            return CameraSettings.model_validate({name: step(stated, sense)})
 
         aligner_of(self._desk).wish(wanted)
 
@@ -223,22 +220,6 @@ def _lamps(verdicts: Sequence[Verdict]) -> str:
             why = "; ".join(filter(None, (one.reason, one.remedy)))
             told.append(f"<div class='{kind}'>{html.escape(f'{one.name}: {why}')}</div>")
     return f"<div class='lamps'>{''.join(shown)}</div>{''.join(told)}"
-
-
-def _seen(desk: Desk) -> bool:
-    return desk.following.running or desk.aligner is not None
-
-
-def _why_none(desk: Desk) -> str:
-    """Why there is no picture; empty if there is one."""
-    now = desk.aligner
-    if now is not None:
-        if now.problem:
-            return f"the live picture has ended: {now.problem}"
-        return "" if now.look is not None else f"waiting for the first frame. {now.note}"
-    if desk.following.running:
-        return no_frame_yet(desk.following)
-    return "No live picture yet. Press Live picture to light the laser and show the camera's view."
 
 
 def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from processing.estimate import Estimate
-from rig.control import DevicesNow
 from rig.instrument import Phase
 from rig.measure import FIRST_HALF_CYCLES, estimate_texts
 from rig.presentation import quantity
@@ -60,13 +59,6 @@ def first_fit(run_state: Mapping[str, Any]) -> str:
     if count >= FIRST_HALF_CYCLES:
         return f"the first fit of {count} half-cycles is being made"
     return f"the first fit is made from {FIRST_HALF_CYCLES} half-cycles on; {count} so far"
-
-
-def light_words(devices: DevicesNow) -> str:
-    """Laser and interlock of a session."""
-    if devices.controller is not None:
-        return devices.text
-    return "no laser is controlled" if devices.laser is None else f"laser {devices.laser.text}"
 
 
 def estimate_rows(run_state: Mapping[str, Any]) -> list[list[str]]:

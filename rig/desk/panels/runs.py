@@ -3,9 +3,7 @@
 import json
 import re
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -17,135 +15,104 @@ from rig.archive import find_runs
 from rig.calibrate import next_free
 from rig.desk.desk import Desk
 from rig.desk.dialogs import resume_dialog
-from rig.desk.sessions import NUMBERS, SERVED, LastRun, SessionRow, last_run
+from rig.desk.sessions import NUMBERS, SERVED, SessionRow
 from rig.desk.tab import Tab, at_once
 from rig.presentation import quantity
 
 KEYS = (("o", "runs: open the report"), ("v", "runs: show in Rerun"))
-_COLUMNS = ("begun", "name", "sample", "runs", "state", *LastRun._fields, "conditions", "operator")
-_STATED = ("begun", "sample", "runs", "state", "conditions", "operator")
+_COLUMNS = ("begun", "name", "sample", "runs", "state", *NUMBERS, "balance", "conditions", "operator")
 _LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
   <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
 _ROWS_PER_PAGE, _LAST_LINES = 15, 14
+_MOST_ROWS = 500
+"""So many are sent to the browser; older ones are found by words."""
+_WAIT_OF_WORK = 15.0
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${props.row.folder}`" />'
 
 
 def build(desk: Desk, tab: Tab) -> None:
     """Build the panel."""
-    desk.sessions.start()
+
+    def words() -> str:
+        return str(find.value or "")
+
     with ui.row().classes("items-center"):
         find = ui.input("find").props('dense outlined clearable type="search" data-key="find"')
         find.classes("find")
         which = at_once(ui.toggle(["sessions", "archive"], value="sessions"))
         which.props('dense no-caps aria-label="which list"')
         actions = Actions(desk, tab)
-    archived = ArchivedRuns(desk, tab, lambda: str(find.value or ""), lambda: which.value == "archive")
-    archived.frame.set_visibility(False)
-    listed = SessionList(desk, lambda: str(find.value or ""), actions.mark)
+    listed = SessionList(desk, words, actions.mark)
+    archived = ArchivedRuns(desk, words)
     output = CommandOutput(desk)
 
-    async def choose() -> None:
-        is_archive = which.value == "archive"
-        for one in (listed.frame, *actions.elements):
-            one.set_visibility(not is_archive)
-        archived.frame.set_visibility(is_archive)
-        await archived.refresh()
-
     async def refresh() -> None:
+        is_archive = which.value == "archive"
         which.set_visibility(desk.archive.is_file())
+        archived.table.set_visibility(is_archive)
+        for one in (listed.table, *actions.elements):
+            one.set_visibility(not is_archive)
         await listed.refresh()
         actions.refresh()
         output.refresh()
+        await archived.refresh()
 
-    which.on_value_change(choose)
-    find.on_value_change(listed.search_again)
+    which.on_value_change(refresh)
+    find.on_value_change(refresh)
     tab.key("o", tab.act(actions.report))
     tab.key("v", tab.act(actions.view))
     tab.every(1.0, refresh)
 
 
-class PagedTable(ABC):
-    """A table that is shown page by page; `rows` is what its buttons call them. Built where it is made."""
-
-    def __init__(self, label: str, rows: str = "", **how: Any) -> None:
-        self._first = 0
-        with ui.column().classes("full-width box") as self.frame:
-            self._table = ui.table(columns=[], rows=[], pagination=0, **how).classes("full-width")
-            self._table.props(f'dense flat hide-pagination aria-label="{label}"')
-            with ui.row().classes("items-center"):
-                self._newer = ui.button(f"Newer{rows}", on_click=partial(self._turn, -1))
-                self._place = ui.label().props('role="status"')
-                self._older = ui.button(f"Older{rows}", on_click=partial(self._turn, 1))
-        for button in (self._newer, self._older):
-            button.props("outline dense")
-
-    @abstractmethod
-    async def refresh(self) -> None:
-        """Show what is found now."""
-
-    async def _turn(self, pages: int) -> None:
-        self._first = max(0, self._first + pages * _ROWS_PER_PAGE)
-        await self.refresh()
-
-    def _show_place(self, shown: int, found: int, every: int, where: str, nothing: str) -> None:
-        last = self._first + shown
-        of = f"{found:,}" if found == every else f"{found:,} found, of {every:,}"
-        self._place.set_text(f"{self._first + 1} to {last} of {of}{where}" if shown else nothing)
-        self._newer.set_enabled(self._first > 0)
-        self._older.set_enabled(last < found)
+def _table(label: str, **how: Any) -> ui.table:
+    """A table that the browser shows page by page, the newest first."""
+    table = ui.table(columns=[], rows=[], pagination=_ROWS_PER_PAGE, **how).classes("full-width box")
+    return table.props(f'dense flat aria-label="{label}" :rows-per-page-options="[{_ROWS_PER_PAGE}]"')
 
 
-class SessionList(PagedTable):
-    """The sessions that are found, page by page; the one that is marked stays so on other pages."""
+class SessionList:
+    """The sessions that are found, of which one is marked. Built where it is made."""
 
     def __init__(
         self, desk: Desk, words: Callable[[], str], on_mark: Callable[[SessionRow | None], None]
     ) -> None:
         self._desk, self._words, self._on_mark = desk, words, on_mark
         self._rows: dict[str, SessionRow] = {}
-        self._last_runs: dict[SessionRow, LastRun] = {}
         self._marked = ""
-        super().__init__("sessions", row_key="folder", selection="multiple")
-        self._table.columns = _columns({name: _head(name) for name in _COLUMNS})
-        self._table.props("hide-selected-banner")
-        self._table.add_slot("header-selection", "<span class='unseen'>marked</span>")
-        self._table.add_slot("body-selection", _MARK)
-        self._table.add_slot("body-cell-balance", _LAMP)
-        self._table.on_select(self._mark)
-
-    async def search_again(self) -> None:
-        """Search again from page 1."""
-        self._first = 0
-        await self.refresh()
+        self._due_s = 0.0
+        self.table = _table("sessions", row_key="folder", selection="multiple")
+        self.table.columns = _columns({name: _head(name) for name in _COLUMNS})
+        self.table.props('hide-selected-banner no-data-label="no session is found"')
+        self.table.add_slot("header-selection", "<span class='unseen'>marked</span>")
+        self.table.add_slot("body-selection", _MARK)
+        self.table.add_slot("body-cell-balance", _LAMP)
+        self.table.on_select(self._mark)
 
     async def refresh(self) -> None:
         """Show what is found now."""
-        desk = self._desk
-        page = desk.sessions.page(desk.following.folder, self._words(), self._first, _ROWS_PER_PAGE)
-        self._rows = {str(row.folder): row for row in page.rows}
+        began_s = time.monotonic()
+        if began_s >= self._due_s:
+            await run.io_bound(self._desk.sessions.look)
+            # a large folder is looked through less often
+            self._due_s = time.monotonic() + _WAIT_OF_WORK * (time.monotonic() - began_s)
+        found = self._desk.sessions.rows(self._desk.following.folder, self._words())[:_MOST_ROWS]
+        self._rows = {str(row.folder): row for row in found}
         if self._marked in self._rows:
             self._on_mark(self._rows[self._marked])
-        if new := [row for row in page.rows if row not in self._last_runs and row.state != "running"]:
-            found = await run.io_bound(lambda: [last_run(row.folder) for row in new])
-            self._last_runs.update(zip(new, found or [], strict=False))
-        listed = [self._cells(row) for row in page.rows]
-        if listed != self._table.rows:
-            self._table.rows = listed
-            self._table.selected = [row for row in listed if row["folder"] == self._marked]
-            self._table.update()
-        nothing = f"no session in {desk.config.session.output} is found"
-        self._show_place(len(page.rows), page.found, page.all, "", nothing)
-
-    def _cells(self, row: SessionRow) -> dict[str, str]:
-        stated = {name: str(getattr(row, name)) for name in _STATED}
-        found = self._last_runs.get(row, LastRun())._asdict()
-        return {"folder": str(row.folder), "name": row.folder.name, **stated, **found}
+        listed = [
+            {"folder": folder, **{name: getattr(row, name) for name in _COLUMNS}}
+            for folder, row in self._rows.items()
+        ]
+        if listed != self.table.rows:
+            self.table.rows = listed
+            self.table.selected = [row for row in listed if row["folder"] == self._marked]
+            self.table.update()
 
     def _mark(self) -> None:
         # another one takes the place of the one before
-        names = [str(row["folder"]) for row in self._table.selected]
+        names = [str(row["folder"]) for row in self.table.selected]
         self._marked = next((name for name in names if name != self._marked), names[0] if names else "")
-        self._table.selected = [row for row in self._table.rows if row["folder"] == self._marked]
+        self.table.selected = [row for row in self.table.rows if row["folder"] == self._marked]
         self._on_mark(self._rows.get(self._marked))
 
 
@@ -272,41 +239,36 @@ _REREAD_S = 30.0
 """Interval of reading the archive for added runs."""
 
 
-class ArchivedRuns(PagedTable):
-    """The runs of the archive; `words` says what is searched, `wanted` whether it is to be seen."""
+class ArchivedRuns:
+    """The runs of the archive that are found; `words` says what is searched. Built where it is made."""
 
-    def __init__(self, desk: Desk, tab: Tab, words: Callable[[], str], wanted: Callable[[], bool]) -> None:
-        self._desk, self._words, self._wanted = desk, words, wanted
-        self._asked: tuple[str, int] | None = None
+    def __init__(self, desk: Desk, words: Callable[[], str]) -> None:
+        self._archive, self._words = desk.archive, words
+        self._asked: str | None = None
         self._asked_s = 0.0
-        super().__init__("runs of the archive", " runs")
-        self._table.props("hide-no-data")
-        tab.every(1.0, self.refresh)
+        self.table = _table("runs of the archive")
 
     async def refresh(self) -> None:
         """Show what is found now; the archive is read again only for other words, or after a while."""
-        archive, words = self._desk.archive, self._words()
-        if not (archive.is_file() and self._wanted()):
+        words, now_s = self._words(), time.monotonic()
+        if not self.table.visible or (words == self._asked and now_s - self._asked_s < _REREAD_S):
             return
-        if self._asked is None or words != self._asked[0]:
-            self._first = 0
-        now, now_s = (words, self._first), time.monotonic()
-        if now == self._asked and now_s - self._asked_s < _REREAD_S:
-            return
-        self._asked, self._asked_s = now, now_s
-        if not self._table.rows:
-            self._place.set_text(f"{archive} is read …")
+        self._asked, self._asked_s = words, now_s
+        self._say(f"{self._archive} is read …")
         try:
-            found = await run.io_bound(find_runs, archive, words, self._first, _ROWS_PER_PAGE)
+            found = await run.io_bound(find_runs, self._archive, words, _MOST_ROWS)
         except RigError as error:
-            self._table.rows = []
-            self._place.set_text(str(error))
+            self.table.rows = []
+            self._say(str(error))
             return
-        if found is None or self._asked != now:
+        if found is None or self._asked != words:
             # typed on meanwhile
             return
-        listed, count, every = found
-        self._table.columns = _columns({name: name for name in listed.head})
-        self._table.rows = [dict(zip(listed.head, row, strict=True)) for row in listed.shown]
-        self._table.update()
-        self._show_place(len(listed.shown), count, every, f" in {archive}", f"no run in {archive} is found")
+        self.table.columns = _columns({name: name for name in found.head})
+        self.table.rows = [dict(zip(found.head, row, strict=True)) for row in found.shown]
+        self._say(f"no run in {self._archive} is found")
+
+    def _say(self, nothing: str) -> None:
+        """In the place of rows while there are none."""
+        self.table.props["no-data-label"] = nothing
+        self.table.update()

@@ -37,9 +37,9 @@
     if (performance.now() - answeredAt > ANSWER_MS) answer = '';
     at('off-said').textContent = answer;
   }
-  window.rigSafety = (now, alarm) => {
+  window.rigSafety = (now, crying) => {
     told = now; heard = performance.now();
-    cry = alarm;
+    cry = crying.map(one => one.name).join(' ');
     hear();
     draw();
   };

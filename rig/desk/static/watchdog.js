@@ -65,7 +65,7 @@ window.rigJudge = ({since, answers, session}, {staleS, deadS}) => {
   window.rigAlarms = (crying, now) => {
     heard = performance.now(); heardAt = new Date(); session = now;
     const named = new Set(crying.map(one => one.name));
-    for (const one of crying) if (!told.has(one.name)) notify(one.key, one.title, one.text);
+    for (const one of crying) if (!told.has(one.name)) notify(one.title, one.title, one.text);
     told = named;
     look();
   };

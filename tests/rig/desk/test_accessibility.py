@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from rig.archive import add_folders
-from rig.desk.theme import THEMES
 from rig.devices import OrderSocket, SessionNews
 from tests.rig.desk.desk_page import DeskProcess, Page
+from tests.rig.desk.test_theme import themes
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
@@ -57,7 +57,7 @@ def judge(shown: Shown, axe: str) -> Iterator[Callable[[str], None]]:
         if not page.ask("typeof axe === 'object'"):
             page.ask(axe + "; true")
             page.ask(STILL)
-        for theme, colours in THEMES.items():
+        for theme, colours in themes().items():
             page.prefer(theme)
             for place, ink in {"#light-off": "off-ink", "#lamp-recording": "bar-ink"}.items():
                 red, green, blue = (int(colours[ink][k : k + 2], 16) for k in (1, 3, 5))
@@ -145,7 +145,7 @@ def test_no_form_error_list_picture_or_hand_over_has_a_violation(
     page.mark(folder.name)
     judge("a session that is marked")
     page.click("archive")
-    page.wait_text("1 to 3 of 3")
+    page.wait_text("1-3 of 3")
     judge("the archive")
     # not the panel of this name
     page.ask(

@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from acquisition.record.events import EventKind
+from acquisition.record.events import EventKind, level_of
 from rig.control import STALE_S
 from rig.desk.alarm_list import AlarmKey, AlarmState
 from rig.desk.desk import Desk
@@ -74,20 +74,21 @@ def wait_for(desk: Desk, key: AlarmKey, state: AlarmState | None = AlarmState.AC
         time.sleep(0.02)
 
 
-def test_what_was_seen_is_not_told_again_when_its_session_ends(config: Path) -> None:
+def test_a_new_session_leaves_what_was_before_unheard(config: Path) -> None:
     desk = Desk(config)
     following = desk.following
+    gap = {"kind": EventKind.GAP, "level": level_of(EventKind.GAP), "text": "2 frames are missing"}
     following.folder = config.parent / "runs" / "session"
-    following.events.append({"number": 1, "kind": EventKind.GAP, "text": "2 frames are missing"})
+    following.unheard.append(gap)
     desk.alarming.start()
     try:
         assert wait_for(desk, AlarmKey.DISTURBED) == "gap: 2 frames are missing"
-        desk.alarming.alarms.acknowledge(AlarmKey.DISTURBED)
         following.folder = None
-        following.events.append({"number": 2, "kind": EventKind.PUSH, "text": "by a person"})
-        wait_for(desk, AlarmKey.DISTURBED)
-        (row,) = desk.alarming.alarms.rows()
-        assert (row.cause, row.times) == ("push: by a person", 1)
+        following.ended.append((AlarmKey.SESSION_DIED, "session: killed"))
+        wait_for(desk, AlarmKey.SESSION_DIED)
+        following.folder = config.parent / "runs" / "session"
+        until(lambda: not any(row.cries for row in desk.alarming.alarms.rows()))
+        assert all(row.earlier for row in desk.alarming.alarms.rows())
     finally:
         desk.close()
 

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from acquisition.record.events import EventKind
+from acquisition.record.events import EventKind, level_of
 from rig.control import ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey
 from rig.desk.alarming import Seen, conditions, happened
@@ -90,29 +90,24 @@ def test_conditions(seen: Seen, keys: set[AlarmKey]) -> None:
     assert set(conditions(seen)) == keys
 
 
-@pytest.mark.parametrize("back", [EventKind.CAMERA_SPEAKS, EventKind.CAMERA_BACK])
-def test_a_camera_that_is_gone_is_named_with_its_own_words_until_it_is_back(back: EventKind) -> None:
-    gone = {"kind": EventKind.CAMERA_LOST, "text": "usb3vision: unplugged"}
-    assert conditions(replace(told(), camera_event=gone)) == {AlarmKey.CAMERA: "usb3vision: unplugged"}
-    assert conditions(replace(told(), camera_event={"kind": back, "text": ""})) == {}
+def events(*kinds: EventKind) -> list[dict[str, str]]:
+    return [{"kind": str(kind), "level": level_of(kind), "text": "so it was"} for kind in kinds]
 
 
 def test_events_that_are_warnings_are_alarms_with_their_own_words() -> None:
-    kinds = (EventKind.GAP, EventKind.PUSH, EventKind.RECORD, EventKind.SPOT_LOST, EventKind.REST)
-    assert happened([{"kind": str(kind), "text": "so it was"} for kind in kinds], []) == [
+    kinds = (EventKind.GAP, EventKind.CAMERA_LOST, EventKind.RECORD, EventKind.SPOT_LOST, EventKind.REST)
+    assert happened(events(*kinds), []) == [
         (AlarmKey.DISTURBED, "gap: so it was"),
-        (AlarmKey.DISTURBED, "push: so it was"),
+        (AlarmKey.DISTURBED, "camera lost: so it was"),
         (AlarmKey.DISK_FULL, "so it was"),
     ]
 
 
 def test_a_run_that_somebody_has_darkened_has_neither_failed_nor_found_anything() -> None:
     ends = [(AlarmKey.SESSION_FAILED, "a: the laser is dark"), (AlarmKey.SESSION_DIED, "a: killed")]
-    events = [
-        {"kind": kind, "text": "x"} for kind in (EventKind.LIGHT_STEP, EventKind.FAILED, EventKind.RECORD)
-    ]
-    assert happened(events, ends, PRESSED) == [(AlarmKey.DISK_FULL, "x"), ends[1]]
-    assert [key for key, _ in happened(events, ends, TRIP)] == [
+    found = events(EventKind.LIGHT_STEP, EventKind.FAILED, EventKind.RECORD)
+    assert happened(found, ends, PRESSED) == [(AlarmKey.DISK_FULL, "so it was"), ends[1]]
+    assert [key for key, _ in happened(found, ends, TRIP)] == [
         AlarmKey.SESSION_FAILED,
         AlarmKey.DISK_FULL,
         AlarmKey.SESSION_FAILED,

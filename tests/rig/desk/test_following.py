@@ -69,7 +69,7 @@ def test_a_session_that_does_not_answer_is_not_given_up(following: Following, tm
     until(lambda: not following.running)
 
 
-def test_the_camera_of_a_new_run_has_nothing_to_do_with_the_last_one(tmp_path: Path) -> None:
+def test_a_session_is_known_at_once_and_its_events_as_they_are_recorded(tmp_path: Path) -> None:
     folder = tmp_path / "session"
     folder.mkdir()
     told = SessionNews()
@@ -86,10 +86,10 @@ def test_the_camera_of_a_new_run_has_nothing_to_do_with_the_last_one(tmp_path: P
         # known at once: the desk's first page is built then, and shows the panel of a session
         assert follower.folder == folder
         assert follower.news
-        until(lambda: follower.camera_event is not None)
-        assert [event["kind"] for event in follower.events] == ["camera lost"]
+        until(lambda: bool(follower.events))
+        assert [(event["kind"], event["run"]) for event in follower.events] == [("camera lost", "run 1")]
         told.begin_run("run 2", 255, None)
-        until(lambda: follower.news["run"] == "run 2" and follower.camera_event is None)
+        until(lambda: follower.news["run"] == "run 2")
     follower.stop()
 
 

@@ -4,15 +4,14 @@ import json
 import shutil
 from pathlib import Path
 
-from rig.desk.sessions import LastRun, last_run
+from rig.desk.sessions import last_run
 
 SERIES = Path(__file__).resolve().parents[1] / "data" / "samples" / "series"
 
 
 def test_the_last_run_has_its_numbers_with_their_whole_uncertainty() -> None:
     found = last_run(SERIES)
-    assert (found.sigma, found.b, found.c) == ("256 ± 27", "0.0298 ± 0.0027", "(9.3 ± 1.0) × 10⁻⁸")
-    assert found.balance == "go"
+    assert found == {"sigma": "256 ± 27", "b": "0.0298 ± 0.0027", "c": "(9.3 ± 1.0) × 10⁻⁸", "balance": "go"}
 
 
 def test_balance_is_judged_by_its_conditions_and_what_is_not_determined_is_no_number(tmp_path: Path) -> None:
@@ -25,8 +24,8 @@ def test_balance_is_judged_by_its_conditions_and_what_is_not_determined_is_no_nu
         run["table"][0]["verdict"] = "not determined"
         (folder / "results.json").write_text(json.dumps(results), "utf-8")
         found = last_run(folder)
-        assert (found.balance, found.b) == (lamp, "not determined")
+        assert (found["balance"], found["b"]) == (lamp, "not determined")
 
 
 def test_a_session_without_results_has_nothing_to_show(tmp_path: Path) -> None:
-    assert last_run(tmp_path) == LastRun()
+    assert last_run(tmp_path) == {}

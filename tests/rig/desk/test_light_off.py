@@ -141,8 +141,8 @@ def test_light_off_darkens_a_frozen_session_from_another_tab_with_a_dialog_open(
     page.wait_text("laser on")
     os.kill(pid, signal.SIGSTOP)
     try:
-        # no last value on the panel either
-        page.wait_text("unknown: the session does not answer")
+        page.wait_text("Session does not answer")
+        page.wait("/no frame for \\d+ s: values are old/.test(document.body.innerText)")
         with browser.another() as other:
             second = Page(other)
             second.browser.call(

@@ -202,7 +202,6 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         page.wait_text("RELEASE BY HAND NOW")
         page.click("Brake")
         page.wait_text("the brake is on")
-        page.wait_text("laser on, brake")
         page.click("Brake")
         page.wait_text("the brake: does not answer; see its cable")
         page.click("close")

@@ -50,7 +50,7 @@ def test_what_was_confirmed_last(safety: Safety, now: SafetyNow, fact: str) -> N
     shown = lamps(safety, "")
     assert shown["laser"]["age_s"] is None
     assert re.fullmatch(fact.format(r"\d\d:\d\d:\d\d"), str(shown["laser"]["last"]))
-    assert shown["interlock"]["last"] == f"closed at {clock(safety)}"
+    assert shown["interlock"]["last"] == f"closed, confirmed {clock(safety)} by board"
     assert 0 <= float(str(shown["laser"]["last_age_s"])) < 5
 
 

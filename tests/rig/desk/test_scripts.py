@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from rig.desk import theme
+from rig.desk import page
 
-WATCHDOG = Path(theme.__file__).with_name("static") / "watchdog.js"
+WATCHDOG = Path(page.__file__).with_name("static") / "watchdog.js"
 CASES = (
     ((0.3, None, None), ("live", 0)),
     ((0.3, None, 1.0), ("live", 0)),

@@ -28,7 +28,7 @@ def test_a_session_that_was_killed_is_to_be_resumed(tmp_path: Path) -> None:
     file.close()
     found = hand_over(tmp_path)
     assert found.ended is RunState.INTERRUPTED
-    assert found.next_steps[0] == "measure the missing runs: Sessions, Resume"
+    assert found.next_steps[0] == "measure the missing runs: Runs, Resume"
     assert (found.headline, found.report) == ("", None)
 
 
