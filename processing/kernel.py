@@ -29,7 +29,7 @@ class _Declared:
     def compiled(self) -> Any:
         """Kernel of this function; every module then holds kernels in place of stand-ins.
 
-        All are replaced, because numba looks up the kernels that a kernel calls in its module.
+        All are replaced, because numba finds in its module the kernels that one calls, and takes no other.
         """
         with _LOCK:
             if self._compiled is None:

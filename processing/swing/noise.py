@@ -35,7 +35,7 @@ _MEDIAN_SPREAD = 1.02
 _SIGNIFICANT = 6.0
 """Significance in standard deviations; high, because a run tests after each of thousands of half-cycles."""
 _RISE = 4.0
-"""Power of 1/f noise at 1.25 times the pendulum's frequency, where turning points see it, over 5 times."""
+"""Power of 1/f noise at 1.25 times the pendulum's frequency (about that of turning points) over 5 times."""
 _CENTRE_RISE = 9.0
 """The same ratio for half the frequency, to which the centre is about sensitive."""
 
