@@ -99,7 +99,7 @@ class FrameLine:
         return 2 * S_PER_NS * usual_ns + _SILENCE_MARGIN_S if usual_ns else without_s
 
     def restart(self) -> None:
-        """Take account of a camera that was opened again: the next frame is its first, and its clock is new."""
+        """Take account of a camera that was opened again: the next frame is its first, its clock is new."""
         self._checks.restart()
         self._clock_check.restart()
         self._before_gap = self._timing.last or self._before_gap
@@ -193,7 +193,7 @@ class FrameLine:
 
     @property
     def _reader_keeps_up(self) -> bool:
-        """Whether the newest frames were waited for; after hanging, even twice, a reader takes many at once."""
+        """Whether the newest frames were waited for; a reader that hung, even twice, takes many at once."""
         came_ns = [one.frame.host_time_ns for one in self._waiting[-1 - _AGREEING_FRAMES :]]
         return all(later - sooner > 0.5 * self._timing.interval_ns for sooner, later in pairwise(came_ns))
 

@@ -245,7 +245,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             self._end_run()
             link, self._link, self._features, self._channel = self._link, None, None, None
             if link is not None:
-                self._when_unread(link.release)
+                self._when_idle(link.release)
 
     # ---- beyond the protocol
 

@@ -56,7 +56,7 @@ class V4l2Camera(DeviceCamera[LinuxSource]):
         with self._lock:
             source, self._features = self._features, None
             if source is not None:
-                self._when_unread(source.close)
+                self._when_idle(source.close)
 
     def feature_values(self) -> dict[str, FeatureValue]:
         """All controls of the device that can be read now."""

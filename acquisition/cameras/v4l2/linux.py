@@ -18,9 +18,9 @@ from acquisition.camera import (
     FeatureValue,
     Frame,
     PixelFormat,
-    without_wires,
+    refuse_wiring,
 )
-from acquisition.cameras.drivers import V4l2Settings, kept_frames
+from acquisition.cameras.drivers import V4l2Settings, buffer_count
 from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import (
@@ -105,11 +105,11 @@ class LinuxSource:
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings, in an order in which a later one does not change an earlier one."""
-        without_wires(settings.model_copy(update={"colour_plane": None}), self._name)
+        refuse_wiring(settings.model_copy(update={"colour_plane": None}), self._name)
         self._plane = settings.colour_plane or self._plane
         settings = in_sensor_px(settings.model_copy(update={"colour_plane": self._plane}))
         try:
-            self._leave_images_alone()
+            self._switch_off_processing()
             self._set_layout(settings)
             self._set_exposure(settings)
             self._set_gain(settings)
@@ -142,7 +142,7 @@ class LinuxSource:
         rate_hz = kernel.get_rate_hz(self._device)
         known_hz = rate_hz if math.isfinite(rate_hz) else None
         frame_bytes = image_bytes(self._layout)
-        return kept_frames(self._settings.buffers, known_hz, frame_bytes, _FEWEST_BUFFERS, _MOST_BUFFERS)
+        return buffer_count(self._settings.buffers, known_hz, frame_bytes, _FEWEST_BUFFERS, _MOST_BUFFERS)
 
     def next(self, timeout_s: float, numbers: BlockNumbers) -> Frame | None:
         """The next frame, copied, with the number that `numbers` gives it; None where there is no whole one.
@@ -202,7 +202,7 @@ class LinuxSource:
         self._maps = []
         kernel.request_buffers(self._device, 0)
 
-    def _leave_images_alone(self) -> None:
+    def _switch_off_processing(self) -> None:
         """Switch off what the camera does by itself to its images, whether or not a number is asked for."""
         there = {control.number: control for control in kernel.controls(self._device)}
         for number, value in kernel.AUTOMATIC.items():
