@@ -72,7 +72,7 @@ def folder_being_written(path: Path) -> Iterator[Path]:
 
 
 def take_away_leftovers(folder: Path, name: str = "") -> list[Path]:
-    """Remove files (of one name, or all) that killed processes left a day ago; returns the files' own paths."""
+    """Remove files (all, or of one name) that killed processes left a day ago; returns their own paths."""
     targets: list[Path] = []
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(folder)):

@@ -148,7 +148,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             assert library is not None
             pixel_format = features.pixel_format()
             _, _, width_px, height_px = features.region()
-            features.run_on()
+            features.select_continuous()
             stream = camera.create_stream(None, None)
             payload = camera.get_payload()
             count = buffer_count(self._settings.buffers, features.stated_rate(), payload, 64, 4096)

@@ -213,7 +213,7 @@ class AravisFeatures(GenicamFeatures):
         """A feature's value as text."""
         return str(self.camera.get_device().get_feature(name).get_value_as_string())
 
-    def run_on(self) -> None:
+    def select_continuous(self) -> None:
         """Select continuous acquisition, without a trigger unless one was requested."""
         if not self.is_triggered:
             self.camera.clear_triggers()

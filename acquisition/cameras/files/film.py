@@ -242,7 +242,7 @@ class FilmSource(FrameSource):
         self._damaged = {}
 
     def _decoded(self) -> Iterator[tuple[int, "VideoFrame"]]:
-        """Frames with their indices, in the order of their times; `_damaged` is filled before a damaged one."""
+        """Frames with their indices, in the order of their times; fills `_damaged` before a damaged one."""
         stream = self._container.streams.video[0]
         context = stream.codec_context
         # with more threads an error is reported some packets after the damaged one
