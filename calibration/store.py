@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from processing.errors import ConfigurationError, RecordError, require_schema
+from processing.errors import ConfigurationError, RecordError, place_in_words, require_schema
 
 Kind = Literal["lever", "axes", "sensor", "clock", "shutter", "air", "pointing", "check"]
 SCHEMA = 1
@@ -112,7 +112,7 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
 
 def _in_words(fault: ErrorDetails) -> str:
     """The key at fault, its value, and what should stand there."""
-    place, kind = ".".join(str(part) for part in fault["loc"]), fault["type"]
+    place, kind = place_in_words(fault["loc"]), fault["type"]
     if kind == "missing":
         return f"{place} is missing"
     if kind == "extra_forbidden":

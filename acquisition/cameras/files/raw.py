@@ -17,7 +17,7 @@ from acquisition.cameras.files.frame_source import (
     numbers_by_steps,
 )
 from acquisition.cameras.pixel_formats import BY_NAME
-from processing.errors import DeviceError
+from processing.errors import DeviceError, place_in_words
 from processing.units import NS_PER_S
 
 _RAW_SUFFIXES: Final = (".raw", ".bin", ".gray", ".y8", ".y16")
@@ -190,7 +190,7 @@ def _read_sidecar(path: Path) -> tuple[Path, RawSidecar]:
 def _in_words(error: ValidationError) -> str:
     """The first fault in words; unknown keys come before missing ones, because a misspelt key causes both."""
     fault = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
-    place = ".".join(str(part) for part in fault["loc"])
+    place = place_in_words(fault["loc"])
     message = fault["msg"].removeprefix("Value error, ").replace("Input should", "should")
     if fault["type"] == "extra_forbidden":
         return f"{place}: unknown key; known here: {', '.join(RawSidecar.model_fields)}"
