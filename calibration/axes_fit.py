@@ -279,9 +279,7 @@ def fit_axes(
 
 
 def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
-    """Angular frequencies (rad/s) of the slow mode, along the direction of the largest motion, and of the
-    fast mode, across it.
-    """
+    """Angular frequencies (rad/s) of the slow mode, along the largest motion, and of the fast one."""
     span_s = float(t[-1] - t[0])
     centred = np.column_stack([x - x.mean(), y - y.mean()])
     _, vectors = np.linalg.eigh(centred.T @ centred)

@@ -80,8 +80,8 @@ class LadderSolution:
     The first `fixed` of `values` are origin (x, y), scale (x, y), then skew and hysteresis if they are
     fitted. The others are the deviations of the steps' true settings from the stated ones in units of
     `u_reference`. `covariance` (fixed, fixed) is that of the first ones, enlarged along the motion by
-    `birge`, across it by `birge_across`. `along_dof` are the degrees of freedom of `birge`, infinite where it
-    is 1.
+    `birge`, across it by `birge_across`. `along_dof` are the degrees of freedom of `birge`, infinite if it is
+    1.
     """
 
     values: Floats
@@ -198,9 +198,7 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew
 def leave_one_out(
     steps: LadderSteps, kind: str, way: Floats | None, with_skew: bool, scale: float, u_scale: float
 ) -> Floats:
-    """Changes (n,) of the scale when each step is left out, over their own standard uncertainties; NaN if
-    the other steps cannot be fitted.
-    """
+    """Changes (n,) of the scale without each step, over their own standard uncertainties; NaN: no fit."""
     change = np.full(len(steps.reference), np.nan)
     for i in range(len(change)):
         rest = LadderSteps(*(np.delete(getattr(steps, name), i) for name in LadderSteps.__slots__))
@@ -226,8 +224,7 @@ _WRONG_STEP_STD = (6.0, 60.0)
 _MIN_NOTED_P = 0.5
 """Probability of a cubic part, or of a wrong step, above which a note reports it."""
 _FLAT_PRIOR_STD = 1e6
-"""Prior standard deviation of a parameter of which nothing is known, in units in which the ladder is about 1.
-"""
+"""Prior standard deviation of an unknown parameter, in units in which the ladder is about 1."""
 
 
 class LadderTrace(NamedTuple):
@@ -307,9 +304,9 @@ def ladder_notes(evidence: ScaleEvidence) -> list[str]:
             "bends the reference or the light's path"
         )
     notes.extend(
-        f"step {number} is probably wrong (probability {p_steps:.2g}) and hardly counts: measure it again"
-        for number, p_steps in enumerate(evidence.wrong, 1)
-        if p_steps > _MIN_NOTED_P
+        f"step {number} is probably wrong (probability {p_wrong:.2g}) and hardly counts: measure it again"
+        for number, p_wrong in enumerate(evidence.wrong, 1)
+        if p_wrong > _MIN_NOTED_P
     )
     return notes
 

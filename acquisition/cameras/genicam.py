@@ -119,9 +119,7 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def read(self, feature: str) -> FeatureValue | None:
-        """Value of a feature, possibly as text; None if the camera has none of this name or it is not
-        readable now.
-        """
+        """Value of a feature, possibly as text; None if the camera has none or it is unreadable now."""
 
     @abstractmethod
     def write(self, feature: str, value: FeatureValue) -> None:
@@ -208,9 +206,7 @@ class GenicamFeatures(ABC):
         return ", ".join(offered) or "(this camera has none)"
 
     def choose_usable_format(self) -> Format:
-        """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported one; returns the
-        format.
-        """
+        """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported; returns it."""
         mosaic = format_of(self.format_name(), "red")
         if mosaic is None:
             self.set_format(None)

@@ -134,9 +134,7 @@ class PylonFeatures(GenicamFeatures):
         return found
 
     def tick_ns(self) -> float:
-        """Length of a tick in ns: USB cameras count nanoseconds, GigE cameras report their tick frequency,
-        which may change (PTP).
-        """
+        """Length of a tick in ns: USB cameras count ns, GigE cameras report a frequency (PTP changes it)."""
         per_s = self.read(_TICKS_PER_S)
         return NS_PER_S / float(per_s) if per_s else 1.0
 

@@ -29,8 +29,7 @@ def records_of(folder: Path, pattern: str = "*.mcap") -> list[Path]:
 
 
 def records_in(path: Path) -> list[Path]:
-    """The record at `path`, or the records of a session's folder by run number; a recovered copy replaces its
-    record.
+    """The record at `path`, or the records of a session's folder by run number; a recovered copy replaces it.
 
     Raises ConfigurationError for a folder without records.
     """

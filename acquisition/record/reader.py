@@ -325,9 +325,7 @@ class RecordReader:
         return self.table(SPOT.topic)
 
     def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
-        """Deflections in rows returned by `spots` or `spot_blocks`; without any, those of the whole
-        record.
-        """
+        """Deflections in rows returned by `spots` or `spot_blocks`; by default of the whole record."""
         return deflections_of(self.spots() if spots is None else spots, self.deflection_unit)
 
     def spot_blocks(

@@ -34,8 +34,7 @@ coefficients of phi, in rad, as a polynomial in (t - start)/length."""
 LONGEST_STEP_RAD = 0.35
 """Longest step as a phase of the oscillation; the error within a step is about 1e-10 of the amplitude."""
 SHORTEST_STEP_RAD = 1e-4
-"""Length of the steps at phi = 0 as a phase; the error due to |phi|^p is then below 2e-12 of the amplitude,
-even for p = 0.4."""
+"""Phase step at phi = 0; the error due to |phi|^p is then below 2e-12 of the amplitude even for p = 0.4."""
 
 TIME, ANGLE, RATE, DIRECTION = 0, 1, 2, 3
 """Entries of a state; the direction is the sign of the velocity, 0 if friction holds the pendulum."""

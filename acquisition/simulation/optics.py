@@ -183,8 +183,7 @@ class RollingReadout:
     def seen(self, moving_px: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Position of the spot when its own rows are exposed, (n, 2), and motion per row, (n, 2), in px.
 
-        `moving_px` (n, nodes, 2) is its position at `times_s`. For a spot outside the region the nearest row
-        counts.
+        `moving_px` (n, nodes, 2) is its position at `times_s`. For a spot outside it the nearest counts.
         """
         path = np.einsum("kj,njc->nkc", self._to_polynomial, moving_px)
         part = np.full(len(path), 0.5)

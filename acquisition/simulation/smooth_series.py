@@ -154,8 +154,7 @@ class BandNoise:
     ----------
     density
         Amplitude spectral density, one-sided, as a function of frequencies in Hz, in the unit of the series
-        over sqrt(Hz). Its resolution is `rate_hz`/`TAPS`; below twice that it is unreliable, and the mean
-        is zero.
+        over sqrt(Hz). Its resolution is `rate_hz`/`TAPS`; below twice that it is unreliable; its mean is 0.
     rate_hz
         Knots per second, at least `KNOTS_PER_PERIOD` times `band_hz`.
     band_hz

@@ -260,9 +260,7 @@ class FrameSource(ABC):
     names: Sequence[str] = ()
     """Name of each frame's file; empty if the frames have no files of their own."""
     numbers: Sequence[int] | None = None
-    """Number of each frame by its file's name, from 0; a gap is a missing file. None if names have no
-    numbers.
-    """
+    """Number of each frame by its file's name, from 0; a gap is a missing file. None without numbers."""
     times: FrameTimes | None = None
     """Times that the source itself states, in ns from the first frame, and the frames' numbers."""
     tick_s: float = 0.0

@@ -31,9 +31,7 @@ class Leader:
 
 @dataclass(frozen=True, slots=True)
 class Trailer:
-    """Packet after a frame; `status` is 0 for a complete frame, `valid_bytes` the number of the frame's
-    bytes.
-    """
+    """Packet after a frame; `status` is 0 for a complete frame, `valid_bytes` the frame's size."""
 
     block: int
     status: int
