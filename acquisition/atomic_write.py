@@ -1,7 +1,7 @@
-"""Files that are on the disk whole or not at all, also after a power failure: the one way to write a file.
+"""The one way to write a file: it is on the disk whole or not at all, also after a power failure.
 
-A file is written under a temporary name beside its own, forced to the disk, and only then takes its name.
-What a kill leaves is known by such a name and taken away when it is a day old (`take_away_leftovers`).
+A file is written under a temporary name in its folder, flushed to the disk, and only then gets its own name.
+Files that a kill leaves have such a name, and are removed when they are a day old (`take_away_leftovers`).
 """
 
 import contextlib
@@ -16,8 +16,8 @@ from pathlib import Path
 
 _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 _LEFTOVER = re.compile(r"\.(.+)\.[0-9a-f]{8}", re.DOTALL)
-_LEFT_S = 24 * 3600.0
-"""Nothing takes so long to write: what is older was left by a process that was killed."""
+_LEFTOVER_AGE_S = 24 * 3600.0
+"""Age of a temporary file from which on its writer must have been killed; no file takes so long to write."""
 
 
 def write_new(path: Path, data: bytes) -> None:
@@ -25,85 +25,85 @@ def write_new(path: Path, data: bytes) -> None:
 
     Raises FileExistsError, or OSError where it cannot be written.
     """
-    with being_written(path) as beside:
-        _write(beside, data)
+    with being_written(path) as temporary:
+        _write(temporary, data)
 
 
 def replace(path: Path, data: bytes, *, mode: int = 0o666) -> None:
     """Write a file in place of an older one; a symbolic link of this name is replaced, never followed."""
-    with _beside(path) as beside:
-        _write(beside, data, mode)
-        _force(beside)
-        beside.replace(path)
+    with _temporary_name(path) as temporary:
+        _write(temporary, data, mode)
+        _flush(temporary)
+        temporary.replace(path)
     sync_folder(path.parent)
 
 
 @contextlib.contextmanager
 def being_written(path: Path) -> Iterator[Path]:
-    """A name to write a file under that takes its own when the block ends, forced to the disk.
+    """A temporary name for a file, which is flushed and gets its own name when the block ends.
 
-    Nothing is left of it where the block raises. Raises FileExistsError, and OSError where it cannot be
+    The file is removed where the block raises. Raises FileExistsError, and OSError where it cannot be
     written.
     """
     _refuse_existing(path)
-    with _beside(path) as beside:
-        yield beside
-        _force(beside)
-        _take_free_name(beside, path)
+    with _temporary_name(path) as temporary:
+        yield temporary
+        _flush(temporary)
+        _take_free_name(temporary, path)
         sync_folder(path.parent)
 
 
 @contextlib.contextmanager
 def folder_being_written(path: Path) -> Iterator[Path]:
-    """The same for a folder of plain files, which must not exist: it takes its name with all that is in it.
+    """A temporary name for a folder of plain files, which gets its own name when the block ends.
 
     Raises FileExistsError, and OSError where it cannot be written.
     """
     _refuse_existing(path)
-    with _beside(path) as beside:
-        beside.mkdir()
-        yield beside
-        for place, _, files in os.walk(beside):
+    with _temporary_name(path) as temporary:
+        temporary.mkdir()
+        yield temporary
+        for place, _, files in os.walk(temporary):
             for file in files:
-                _force(Path(place) / file)
+                _flush(Path(place) / file)
             sync_folder(Path(place))
-        beside.rename(path)
+        temporary.rename(path)
         sync_folder(path.parent)
 
 
 def take_away_leftovers(folder: Path, name: str = "") -> list[Path]:
-    """Remove what killed processes left a day ago of files in a folder, or of one name; says of which."""
-    gone: list[Path] = []
+    """Remove files (all, or of one name) that killed processes left a day ago; returns their own paths."""
+    targets: list[Path] = []
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(folder)):
             found = _LEFTOVER.fullmatch(entry.name)
             if found is None or (name and found[1] != name):
                 continue
-            if time.time() - entry.stat(follow_symlinks=False).st_mtime > _LEFT_S:
-                _take_away(Path(entry.path))
-                gone.append(folder / found[1])
-    return gone
+            if time.time() - entry.stat(follow_symlinks=False).st_mtime > _LEFTOVER_AGE_S:
+                _remove(Path(entry.path))
+                targets.append(folder / found[1])
+    return targets
 
 
 def sync_folder(folder: Path) -> None:
     """Flush the folder, so that a new file's name survives a power failure; Windows has no such call."""
     if os.name == "posix":
-        number = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(folder, os.O_RDONLY)
         try:
-            os.fsync(number)
+            os.fsync(descriptor)
         finally:
-            os.close(number)
+            os.close(descriptor)
 
 
 @contextlib.contextmanager
-def _beside(path: Path) -> Iterator[Path]:
-    """A name beside a path; what has it at the end is taken away."""
+def _temporary_name(path: Path) -> Iterator[Path]:
+    """A temporary name in the folder of a path; a file or folder that still has it at the end is removed."""
     take_away_leftovers(path.parent, path.name)
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        yield beside
+        yield temporary
     finally:
-        _take_away(beside)
+        _remove(temporary)
 
 
 def _refuse_existing(path: Path) -> None:
@@ -111,35 +111,35 @@ def _refuse_existing(path: Path) -> None:
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
-def _take_away(path: Path) -> None:
+def _remove(path: Path) -> None:
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
         path.unlink(missing_ok=True)
 
 
-def _take_free_name(beside: Path, path: Path) -> None:
+def _take_free_name(temporary: Path, path: Path) -> None:
     """Give a file its name, which must be free."""
     try:
-        os.link(beside, path)
+        os.link(temporary, path)
     except FileExistsError:
         raise
     except OSError:
         # a file system without hard links (exFAT)
         _refuse_existing(path)
-        beside.rename(path)
+        temporary.rename(path)
 
 
 def _write(path: Path, data: bytes, mode: int = 0o666) -> None:
-    """A new file with these bytes."""
+    """Create a file with these bytes."""
     with open(os.open(path, _FLAGS, mode), "wb") as file:
         file.write(data)
 
 
-def _force(path: Path) -> None:
-    """Flush a file to the disk that was written and closed."""
-    number = os.open(path, os.O_RDWR)
+def _flush(path: Path) -> None:
+    """Flush a file that was written and closed to the disk."""
+    descriptor = os.open(path, os.O_RDWR)
     try:
-        os.fsync(number)
+        os.fsync(descriptor)
     finally:
-        os.close(number)
+        os.close(descriptor)

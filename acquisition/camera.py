@@ -1,4 +1,4 @@
-"""Interface of every camera driver."""
+"""The interface of every camera driver: frames, settings, counts, and the errors of a camera."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -13,8 +13,8 @@ from pydantic import BaseModel, Field, field_validator
 from processing.errors import DeviceError
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
-_OWN_BYTES: Final = 1024
-"""What a frame takes beside its pixels, about."""
+_OVERHEAD_BYTES: Final = 1024
+"""Approximate memory of a frame without its pixels."""
 
 
 class Frame(NamedTuple):
@@ -46,8 +46,8 @@ class Frame(NamedTuple):
 
     @property
     def memory_bytes(self) -> int:
-        """About what it takes while it waits."""
-        return self.image.nbytes + _OWN_BYTES
+        """Approximate memory that the frame takes while it waits in a queue."""
+        return self.image.nbytes + _OVERHEAD_BYTES
 
 
 PixelFormat = Literal["mono8", "mono10", "mono12", "mono14", "mono16"]
@@ -65,10 +65,10 @@ Edge = Literal["rising", "falling"]
 """The change of a trigger's voltage that starts an exposure."""
 
 
-_WITHOUT: Final = {"ptp": False, "binning": 1} | dict.fromkeys(
+_NEUTRAL_VALUES: Final = {"ptp": False, "binning": 1} | dict.fromkeys(
     ("trigger", "trigger_edge", "exposure_output", "colour_plane")
 )
-"""What settings may say that a driver does not know, with the value that asks for nothing."""
+"""Settings that some drivers do not support, with the value (besides None) that requests nothing."""
 
 
 class FrameTimeout(DeviceError):
@@ -132,19 +132,19 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
         return features
 
 
-def without_wires(settings: CameraSettings, name: str) -> None:
-    """Raise DeviceError for a trigger, exposure output, network clock, binning or colour plane asked of a
-    driver that has none.
+def refuse_wiring(settings: CameraSettings, name: str) -> None:
+    """Raise DeviceError for a requested trigger, exposure output, network clock, binning or colour plane; for
+    drivers that support none of them.
     """
-    for key, has_none in _WITHOUT.items():
+    for key, neutral in _NEUTRAL_VALUES.items():
         value = getattr(settings, key)
-        if value not in (None, has_none):
+        if value not in (None, neutral):
             raise DeviceError(f"{name}: this driver knows no {key}; leave camera.{key} = {value!r} out")
 
 
-def without_features(settings: CameraSettings, name: str) -> None:
-    """Raise DeviceError for features and wires asked of a camera that has none."""
-    without_wires(settings, name)
+def refuse_features(settings: CameraSettings, name: str) -> None:
+    """Raise DeviceError for features, and for what `refuse_wiring` refuses; for cameras without features."""
+    refuse_wiring(settings, name)
     if settings.features:
         raise DeviceError(
             f"{name}: has no features that can be set by name; leave [camera.features] out "
@@ -162,7 +162,7 @@ class ShutterKind(StrEnum):
 
     @classmethod
     def of(cls, word: str) -> Self:
-        """From the camera's own word for it, as its driver gives and a record keeps it."""
+        """The kind of shutter from the camera's own word for it, which is also in the record."""
         if word.lower().startswith(cls.ROLLING):
             return cls("rolling")
         return cls("unknown" if not word else "global" if word == "Global" else "other")
@@ -209,8 +209,8 @@ class CameraStatus:
     """Numbers of frames since `start`: delivered, and lost, by the place of the loss.
 
     `error_status` are those that the camera or its driver marked as faulty, `incomplete` those of which a
-    part is missing. `wrong_id` are those that came again or too late, with a number that was before: none
-    is missing because of them.
+    part is missing. `wrong_id` are those that came again or too late, with an earlier number: no frame is
+    missing because of them.
     """
 
     delivered: int = 0
@@ -232,8 +232,8 @@ class CameraStatus:
         """Sum of the counts of two parts of a run, before and after a reconnection."""
         return CameraStatus(*map(add, _counts(self), _counts(other)))
 
-    def to_begin_with(self, *, lost: bool) -> "CameraStatus":
-        """Counts at the next `start`: these and one reconnection after a loss of the camera, else none."""
+    def initial_counts(self, *, lost: bool) -> "CameraStatus":
+        """Initial counts of the next `start`: after a loss these and one reconnection, otherwise 0."""
         return replace(self, reconnects=self.reconnects + 1) if lost else CameraStatus()
 
 
@@ -285,8 +285,8 @@ class Camera(Protocol):
     def read(self, timeout_s: float) -> Frame | None:
         """Next frame in order. Blocks for at most timeout_s.
 
-        All have the size and type of the first; a session ends at one that has not, at a number that does not
-        rise, and at an image that has changed since it was delivered.
+        All frames have the size and type of the first. A session ends at a frame of another size or type, at
+        a number that does not rise, and at an image that has changed since it was delivered.
 
         Returns None if the source has ended (a folder, a simulated run) or was stopped. Raises FrameTimeout
         if no frame arrived in time, CameraLost if the connection is lost.

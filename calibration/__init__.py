@@ -1,7 +1,7 @@
 """Calibrations: pixels to radians, camera clock to seconds, DN to electrons, each with its uncertainties.
 
-scipy is imported inside functions: the settings import this package, and importing scipy.optimize or
-scipy.stats would slow down the start of every command.
+scipy is imported inside functions, because the settings import this package, and an import of scipy.optimize
+or scipy.stats would slow down the start of every command.
 """
 
 from calibration.axes_fit import Axes, Sign, deflections, displacements, fit_axes

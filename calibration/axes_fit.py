@@ -19,7 +19,7 @@ from processing.errors import DataError
 class Axes(BaseModel, frozen=True, extra="forbid"):
     """Directions of the pendulum's slow and fast mode on the sensor.
 
-    Tilts are shown with Y (slow mode) up and X (fast mode) to the right; the sensor's y points down.
+    Tilts are plotted with Y (slow mode) up and X (fast mode) to the right; the sensor's y points down.
     `slow_angle_rad` is the angle of the slow mode's direction from the sensor's upward vertical, positive
     towards the sensor's +x. The fast mode's direction is at that angle plus a right angle plus
     `non_orthogonality_rad`; if `mirrored` (the camera sees the pendulum in a mirror), it has the opposite
@@ -33,9 +33,7 @@ class Axes(BaseModel, frozen=True, extra="forbid"):
     mirrored: bool = False
 
     def directions(self) -> Floats:
-        """Matrix (2, 2) whose columns are the unit vectors (x, y) of the fast and the slow mode on the
-        sensor.
-        """
+        """Matrix (2, 2) whose columns are the unit vectors (x, y) of fast and slow mode on the sensor."""
         slow = self.slow_angle_rad
         fast = slow + 0.5 * math.pi + self.non_orthogonality_rad
         sign = -1.0 if self.mirrored else 1.0
@@ -54,7 +52,7 @@ def displacements(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Displacements of the spot along the fast and the slow mode in px, with their standard uncertainties.
 
-    Parameters are those of `deflections`, for which this needs no lever.
+    The parameters are those of `deflections`, without the lever.
     """
     inverse = np.linalg.inv(axes.directions())
     dx_px = np.asarray(x_px, dtype=float) - reference_px[0]
@@ -97,9 +95,9 @@ def deflections(
     """
     fast_px, slow_px, u_fast_px, u_slow_px = displacements(axes, x_px, y_px, u_x_px, u_y_px, reference_px)
     return (
-        lever.square().tilt_rad(fast_px),
+        lever.without_skew().tilt_rad(fast_px),
         lever.tilt_rad(slow_px),
-        u_fast_px * lever.square().rad_per_px(fast_px),
+        u_fast_px * lever.without_skew().rad_per_px(fast_px),
         u_slow_px * lever.rad_per_px(slow_px),
     )
 
@@ -107,16 +105,17 @@ def deflections(
 Sign = Literal["+", "-"]
 """Side on which a mode's swing begins: the positive or the negative direction of its axis."""
 _WINDOW_PERIODS = 6.0
-_FEWEST_PERIODS = 2.0
-"""Slow periods: below two the slow mode cannot be told from a drift of the rest position."""
-_LARGEST_CHI2_PER_DOF = 100.0
-"""Of the windows' directions: they scatter ten times as much as the spots' noise leaves. Enlarging the
-uncertainties would hide that there are no two fixed directions."""
+_MIN_PERIODS = 2.0
+"""Smallest number of slow periods; with fewer the slow mode looks like a drift of the rest position."""
+_MAX_CHI2_PER_DOF = 100.0
+"""Largest chi-square per degree of freedom of the windows' directions, which then scatter ten times as much
+as the spots' noise explains. Larger uncertainties would hide that there are no two fixed directions.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class PartDirections:
-    """Directions of a mode in the windows minus its mean one, `off_rad`, at the windows' middles `at_s`."""
+    """Deviations `off_rad` of a mode's directions from their mean, in windows with the middles `at_s`."""
 
     at_s: tuple[float, ...]
     off_rad: tuple[float, ...]
@@ -133,7 +132,7 @@ class AxesFit:
     directions were fitted, `chi2_per_dof` describes the scatter of their directions. `signs_known` is False
     if the slow direction was assumed to point upward, `handedness_known` if `mirrored` was taken from the
     configuration: a free swing determines neither. `notes` are remarks for the user. `slow_parts` and
-    `fast_parts` are what the mean direction leaves over in the windows.
+    `fast_parts` are the deviations of the windows' directions from the mean ones.
     """
 
     axes: Axes
@@ -153,7 +152,7 @@ class AxesFit:
 
 
 class _Combined(NamedTuple):
-    """A mode's direction over all windows: the angle from the upward vertical towards +x."""
+    """Mean direction of a mode over all windows, as the angle from the upward vertical towards +x."""
 
     angle_rad: float
     u_angle_rad: float
@@ -207,8 +206,8 @@ def fit_axes(
     slow_omega, fast_omega = _frequencies(t, x, y)
     slow_period_s = 2.0 * math.pi / slow_omega
     periods = float(t[-1] - t[0]) / slow_period_s
-    if periods < _FEWEST_PERIODS:
-        raise DataError(f"axes: {periods:.1f} slow periods; at least {_FEWEST_PERIODS:g} are needed")
+    if periods < _MIN_PERIODS:
+        raise DataError(f"axes: {periods:.1f} slow periods; at least {_MIN_PERIODS:g} are needed")
     count = max(1, round(periods / _WINDOW_PERIODS))
     edges = np.linspace(t[0], t[-1] + 1e-9, count + 1)
     spots, begin_s = np.column_stack([x, y]), float(t[0])
@@ -219,7 +218,7 @@ def fit_axes(
     ]
     first_window = windows[0]
     slow = _with_side(first_window.slow, slow_began) if slow_began else _upward(first_window.slow)
-    along = _combined(windows, slow, [w.slow for w in windows], [w.u_slow_rad for w in windows])
+    along = _combine(windows, slow, [w.slow for w in windows], [w.u_slow_rad for w in windows])
     usable = [w for w in windows if w.u_fast_rad < 0.2]
     if not usable:
         raise DataError(
@@ -234,9 +233,9 @@ def fit_axes(
         mirrored = bool(cross < 0)
     else:
         fast = _to_the_right(usable[0].fast, slow, mirrored)
-    across = _combined(usable, fast, [w.fast for w in usable], [w.u_fast_rad for w in usable])
-    handed_rad = across.angle_rad + (math.pi if mirrored else 0.0)
-    non_orthogonality = _wrapped(handed_rad - along.angle_rad - 0.5 * math.pi)
+    across = _combine(usable, fast, [w.fast for w in usable], [w.u_fast_rad for w in usable])
+    right_handed_rad = across.angle_rad + (math.pi if mirrored else 0.0)
+    non_orthogonality = _wrapped(right_handed_rad - along.angle_rad - 0.5 * math.pi)
     notes = []
     if slow_began is None:
         notes.append(
@@ -253,8 +252,8 @@ def fit_axes(
             f"axes: the angle between the modes is {math.degrees(0.5 * math.pi + non_orthogonality):.0f} "
             "degrees; these are not the two modes of a pendulum"
         )
-    _refuse_what_does_not_stay("slow", along)
-    _refuse_what_does_not_stay("fast", across)
+    _refuse_changing_direction("slow", along)
+    _refuse_changing_direction("fast", across)
     return AxesFit(
         axes=Axes(
             slow_angle_rad=along.angle_rad,
@@ -280,9 +279,7 @@ def fit_axes(
 
 
 def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
-    """Angular frequencies (rad/s) of the slow mode, along the direction of the largest motion, and of the
-    fast mode, across it.
-    """
+    """Angular frequencies (rad/s) of the slow mode, along the largest motion, and of the fast one."""
     span_s = float(t[-1] - t[0])
     centred = np.column_stack([x - x.mean(), y - y.mean()])
     _, vectors = np.linalg.eigh(centred.T @ centred)
@@ -297,43 +294,45 @@ def _frequencies(t: Floats, x: Floats, y: Floats) -> tuple[float, float]:
     return 2.0 * math.pi / slow.period_s, 2.0 * math.pi / fast.period_s
 
 
-def _combined(
+def _combine(
     windows: list[WindowDirections], reference: Floats, vectors: list[Floats], u: list[float]
 ) -> _Combined:
-    """Weighted mean of the windows' directions; `reference` has the direction's sign."""
+    """Weighted mean of the windows' directions; `reference` (x, y) gives the sign of the direction."""
     base = math.atan2(reference[0], -reference[1])
     # the sign of a window's vector is arbitrary: differences of angle are taken modulo pi
-    turned = np.array([_modulo_pi(math.atan2(v[0], -v[1]) - base) for v in vectors])
+    differences_rad = np.array([_modulo_pi(math.atan2(v[0], -v[1]) - base) for v in vectors])
     weight = 1.0 / np.maximum(np.array(u), 1e-12) ** 2
-    mean = float(weight @ turned / weight.sum())
+    mean = float(weight @ differences_rad / weight.sum())
     u_mean = float(1.0 / np.sqrt(weight.sum()))
-    total = float(weight @ (turned - mean) ** 2)
-    dof = len(turned) - 1
+    total = float(weight @ (differences_rad - mean) ** 2)
+    dof = len(differences_rad) - 1
     u_mean *= birge_ratio(total, dof)
     rate, u_rate = 0.0, math.inf
     if dof > 1:
         t = np.array([w.middle_s for w in windows])
         t = t - float(weight @ t / weight.sum())
         spread = float(weight @ t**2)
-        rate = float(weight @ (t * (turned - mean))) / spread
+        rate = float(weight @ (t * (differences_rad - mean))) / spread
         u_rate = 1.0 / math.sqrt(spread)
     parts = PartDirections(
-        tuple(w.middle_s for w in windows), tuple((turned - mean).tolist()), tuple(float(one) for one in u)
+        tuple(w.middle_s for w in windows),
+        tuple((differences_rad - mean).tolist()),
+        tuple(float(one) for one in u),
     )
     return _Combined(_wrapped(base + mean), u_mean, rate, u_rate, total, parts)
 
 
-def _refuse_what_does_not_stay(mode: str, found: _Combined) -> None:
-    """Raise DataError if a mode's directions in the windows differ much more than the spots' noise says."""
+def _refuse_changing_direction(mode: str, found: _Combined) -> None:
+    """Raise DataError if a mode's directions in the windows differ by much more than the spots' noise."""
     off_rad, chi2 = found.parts.off_rad, found.chi2
     rate, u_rate = found.rotation_rad_per_s, found.u_rotation_rad_per_s
     dof = len(off_rad) - 1
-    if dof == 0 or chi2 / dof < _LARGEST_CHI2_PER_DOF:
+    if dof == 0 or chi2 / dof < _MAX_CHI2_PER_DOF:
         return
-    turned = [_modulo_pi(off - off_rad[0]) for off in off_rad]
+    differences_rad = [_modulo_pi(off - off_rad[0]) for off in off_rad]
     head = (
         f"axes: the {mode} direction is not the same in the {len(off_rad)} parts of the record: it differs "
-        f"by {1e3 * float(np.ptp(turned)):.3g} mrad, {math.sqrt(chi2 / dof):.3g} times the noise"
+        f"by {1e3 * float(np.ptp(differences_rad)):.3g} mrad, {math.sqrt(chi2 / dof):.3g} times the noise"
     )
     if (rate / u_rate) ** 2 > 0.9 * chi2:
         raise DataError(

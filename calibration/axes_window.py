@@ -12,7 +12,7 @@ from processing.errors import DataError
 _ENVELOPE = 3
 """Number of polynomial terms in time (a parabola) of each mode's cosine and sine amplitude."""
 
-_OVERTONE_PARTS = (0.15, 0.08, 0.05)
+_MAX_OVERTONES = (0.15, 0.08, 0.05)
 """Largest fifth, seventh and ninth harmonic, as fractions of the third."""
 
 
@@ -72,8 +72,7 @@ def window_directions(
     covariance = _noise(spots - design @ coefficients, design)
     slow_columns, fast_columns = list(range(2 * _ENVELOPE)), list(range(2 * _ENVELOPE, 4 * _ENVELOPE))
     inverse = np.linalg.inv(design.T @ design)
-    # overtones of the slow mode move the spot along the slow direction only; across it only the fast mode
-    # does
+    # overtones of the slow mode move the spot along the slow direction only, and only the fast mode across it
     across, along = (spots @ frame).T
     swing = _swing(design, coefficients @ frame[:, 1])
     along_rows, along_covariance, overtones = _with_overtones(
@@ -102,7 +101,7 @@ def _noise(residual: Floats, design: Floats) -> Floats:
 
 
 def _frame(rows: Floats) -> Floats:
-    """Columns: unit vectors across and along the direction of the largest motion."""
+    """Matrix (2, 2) whose columns are unit vectors across and along the direction of the largest motion."""
     _, vectors = np.linalg.eigh(rows.T @ rows)
     along = vectors[:, 1]
     return np.column_stack([[-along[1], along[0]], along])
@@ -125,10 +124,10 @@ def _with_overtones(
 
     Friction and elasticity of the contact add odd harmonics to the slow mode. A harmonic near the fast
     mode's frequency would be attributed to the fast mode. The third harmonic is fitted freely, unless the
-    fast mode is too near to it (`overtone_3` False: then no harmonic is fitted). It limits the higher ones:
-    for moments proportional to powers of the tilt from 0 to 1, the fifth harmonic is 0.11 to 0.2 of the
-    third, the others less. They are fitted with a normal prior of mean 0 and standard deviation
-    `_OVERTONE_PARTS` times the third.
+    fast mode is too near to it (`overtone_3` False), in which case no harmonic is fitted. The third limits
+    the higher ones: for moments proportional to powers of the tilt from 0 to 1, the fifth harmonic is 0.11
+    to 0.2 of the third, the others less. They are fitted with a normal prior of mean 0 and standard deviation
+    `_MAX_OVERTONES` times the third.
     """
     orders = [3, 5, 7, 9] if overtone_3 else []
     columns = [part for k in orders for part in ((swing**k).real, (swing**k).imag)]
@@ -136,13 +135,13 @@ def _with_overtones(
     values, *_ = np.linalg.lstsq(whole[:, : design.shape[1] + 2 * bool(orders)], along, rcond=None)
     residual = along - whole[:, : len(values)] @ values
     variance = float(residual @ residual) / (len(along) - len(values))
-    held = np.zeros(whole.shape[1])
+    prior_precision = np.zeros(whole.shape[1])
     if orders:
         third = float(np.hypot(values[-2], values[-1]))
-        for number, part in enumerate(_OVERTONE_PARTS):
+        for number, part in enumerate(_MAX_OVERTONES):
             at = design.shape[1] + 2 + 2 * number
-            held[at : at + 2] = variance / max(part * third, 1e-12) ** 2
-    covariance = np.linalg.inv(whole.T @ whole + np.diag(held))
+            prior_precision[at : at + 2] = variance / max(part * third, 1e-12) ** 2
+    covariance = np.linalg.inv(whole.T @ whole + np.diag(prior_precision))
     values = covariance @ (whole.T @ along)
     residual = along - whole @ values
     variance = float(residual @ residual) / (len(along) - len(values))
@@ -191,7 +190,7 @@ def _direction(
     rows = coefficients[columns]
     weight = np.linalg.inv(inverse[np.ix_(columns, columns)])
     scatter = rows.T @ weight @ rows
-    # noise that differs between directions rotates the major axis: its expected part is subtracted
+    # noise that differs between directions rotates the major axis, so its expected scatter is subtracted
     _, vectors = np.linalg.eigh(scatter - (len(columns) - 1) * covariance)
     along = vectors[:, 1]
     across = np.array([-along[1], along[0]])
@@ -208,16 +207,16 @@ def _direction(
 class Oscillation:
     """Least-squares fit of one sinusoid, whose amplitude changes linearly in time, about a straight line.
 
-    `amplitude` (at the middle of the samples), `noise` (standard deviation of the residuals) and `rest` (n,),
-    the residuals, have the unit of the samples. `explained` is the fraction of the variance about a line that
-    the sinusoid explains.
+    `amplitude` (at the middle of the samples), `noise` (standard deviation of the residuals) and `residuals`
+    (n,), the residuals, have the unit of the samples. `explained` is the fraction of the variance about a
+    line that the sinusoid explains.
     """
 
     period_s: float
     amplitude: float
     noise: float
     explained: float
-    rest: Floats
+    residuals: Floats
 
 
 def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> Oscillation:
@@ -242,19 +241,19 @@ def strongest_oscillation(times_s: Floats, values: Floats, longest_s: float) -> 
     top = int(np.argmax(np.where(frequency >= 1.0 / longest_s, power, -1.0)))
     half_line = 0.5 / span_s
     found = minimize_scalar(
-        lambda f: float(np.sum(_left(times_s, values, f)[0] ** 2)),
+        lambda f: float(np.sum(_sinusoid_fit(times_s, values, f)[0] ** 2)),
         bounds=(max(frequency[top] - half_line, 0.1 / span_s), frequency[top] + half_line),
         method="bounded",
         options={"xatol": 1e-7 / span_s},
     )
-    rest, amplitude = _left(times_s, values, float(found.x))
+    residuals, amplitude = _sinusoid_fit(times_s, values, float(found.x))
     flat = float(np.var(even))
-    noise = math.sqrt(float(rest @ rest) / max(count - 7, 1))
-    return Oscillation(1.0 / float(found.x), amplitude, noise, 1.0 - noise**2 / max(flat, 1e-300), rest)
+    noise = math.sqrt(float(residuals @ residuals) / max(count - 7, 1))
+    return Oscillation(1.0 / float(found.x), amplitude, noise, 1.0 - noise**2 / max(flat, 1e-300), residuals)
 
 
-def _left(times_s: Floats, values: Floats, frequency_hz: float) -> tuple[Floats, float]:
-    """Residuals of the linear fit at this frequency, and the amplitude."""
+def _sinusoid_fit(times_s: Floats, values: Floats, frequency_hz: float) -> tuple[Floats, float]:
+    """Residuals of the linear fit of a sinusoid at this frequency, and its amplitude."""
     phase = 2.0 * math.pi * frequency_hz * (times_s - times_s[0])
     u = (times_s - times_s[0]) / (times_s[-1] - times_s[0]) - 0.5
     cosine, sine = np.cos(phase), np.sin(phase)
@@ -263,9 +262,9 @@ def _left(times_s: Floats, values: Floats, frequency_hz: float) -> tuple[Floats,
     return values - design @ solution, float(np.hypot(solution[0], solution[1]))
 
 
-_VISIBLE_PX = 0.05
-"""Smallest amplitude of a swing that is rejected; the limits below must be exceeded too."""
-_TIMES_NOISE = 3.0
+_MIN_SWING_PX = 0.05
+"""Smallest amplitude of a swing that is rejected, if it exceeds the limit below, too."""
+_MIN_OVER_NOISE = 3.0
 """Smallest amplitude relative to the standard deviation of the residuals."""
 
 
@@ -293,7 +292,7 @@ def require_rest(times_s: Floats, x_px: Floats, y_px: Floats, what: str) -> None
         line = np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
         flat = values - line
         fit = strongest_oscillation(times_s, flat, float(times_s[-1] - times_s[0]))
-        loud = fit.amplitude > max(_VISIBLE_PX, _TIMES_NOISE * fit.noise)
+        loud = fit.amplitude > max(_MIN_SWING_PX, _MIN_OVER_NOISE * fit.noise)
         if loud and fit.explained > 0.5 and fit.period_s > 0.2:
             raise DataError(
                 f"{what}: the pendulum swings by {fit.amplitude:.3g} px in {name} with a period of "

@@ -1,4 +1,4 @@
-"""A ladder: steps of known tilts, or of known shifts, with the places of the spot."""
+"""A ladder (steps of known tilts, or of known shifts, with the spot's positions) and its scale."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,9 @@ from processing.least_squares import solve
 from processing.units import ARCSEC_RAD
 
 FEWEST_STEPS = 5
-"""Along the motion at most origin, scale, skew and hysteresis are fitted: one degree of freedom remains."""
+"""Smallest number of steps; at most origin, scale, skew and hysteresis are fitted along the motion, so that
+one degree of freedom remains.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +36,7 @@ class LadderSteps:
 
 
 def check_steps(steps: LadderSteps, kind: str) -> None:
-    """Raise DataError for a ladder that cannot be fitted."""
+    """Raise DataError for a ladder of this kind ("tilt" or "shift") that cannot be fitted."""
     count = len(steps.reference)
     if count < FEWEST_STEPS:
         raise DataError(f"the ladder has {count} of the {FEWEST_STEPS} steps that are needed at least")
@@ -56,8 +58,8 @@ def check_steps(steps: LadderSteps, kind: str) -> None:
         )
 
 
-def ways_of(reference: Floats) -> Floats:
-    """+1 for a setting approached from below, -1 from above; a repeated setting counts as the one before."""
+def approach_directions(reference: Floats) -> Floats:
+    """Directions of approach (n,): +1 from below, -1 from above; that of the setting before if repeated."""
     way = np.sign(np.diff(reference))
     for i in range(1, len(way)):
         way[i] = way[i] or way[i - 1]
@@ -66,8 +68,8 @@ def ways_of(reference: Floats) -> Floats:
     return np.concatenate([[first], way])
 
 
-def both_ways(way: Floats) -> Floats | None:
-    """The ways, if there are both, so that a hysteresis can be told."""
+def approach_if_both(way: Floats) -> Floats | None:
+    """The directions of approach if both occur, so that a hysteresis can be fitted; else None."""
     return way if np.any(way > 0) and np.any(way < 0) else None
 
 
@@ -75,10 +77,11 @@ def both_ways(way: Floats) -> Floats | None:
 class LadderSolution:
     """Solution of the least-squares problem.
 
-    `values` are origin (x, y), scale (x, y), then skew and hysteresis if they are fitted, `fixed` in number,
-    followed by the deviation of each step's true setting from the stated one in units of `u_reference`.
-    `covariance` (fixed, fixed) is that of the first ones, enlarged along the motion by `birge`, across it by
-    `birge_across`. `along_dof` are the degrees of freedom of `birge`, infinite where it is 1.
+    The first `fixed` of `values` are origin (x, y), scale (x, y), then skew and hysteresis if they are
+    fitted. The others are the deviations of the steps' true settings from the stated ones in units of
+    `u_reference`. `covariance` (fixed, fixed) is that of the first ones, enlarged along the motion by
+    `birge`, across it by `birge_across`. `along_dof` are the degrees of freedom of `birge`, infinite if it is
+    1.
     """
 
     values: Floats
@@ -100,10 +103,10 @@ class LadderSolution:
         return scale, float(np.sqrt(k @ self.covariance[2:4, 2:4] @ k)) / max(scale, 1e-300)
 
 
-def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: bool) -> LadderSolution:
-    """Least squares, with the skew as a parameter if `bent` and the hysteresis if `way` is given."""
+def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew: bool) -> LadderSolution:
+    """Least squares, with the skew as a parameter if `with_skew` and the hysteresis if `way` is given."""
     count = len(steps.reference)
-    fixed = 4 + bent + (way is not None)
+    fixed = 4 + with_skew + (way is not None)
 
     def carrier(setting: Floats) -> Floats:
         return np.tan(2.0 * setting) if kind == "tilt" else setting
@@ -115,7 +118,7 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: boo
     start = np.polyfit(carrier(steps.reference), np.column_stack([steps.x_px, steps.y_px]), 1)
     unit = np.ones(fixed)
     unit[2:4] = 1.0 / span
-    if bent:
+    if with_skew:
         unit[4] = 1.0 / span
     if way is not None:
         unit[fixed - 1] = float(np.ptp(steps.reference))
@@ -125,7 +128,7 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: boo
         if way is not None:
             setting = setting + 0.5 * way * p[fixed - 1] * unit[fixed - 1]
         t = carrier(setting)
-        skew = p[4] * unit[4] if bent else 0.0
+        skew = p[4] * unit[4] if with_skew else 0.0
         return setting, t, t * (1.0 + skew * t)
 
     def residual(p: Floats) -> Floats:
@@ -141,7 +144,7 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: boo
 
     def jacobian(p: Floats) -> Floats:
         setting, t, along = parts(p)
-        skew = p[4] * unit[4] if bent else 0.0
+        skew = p[4] * unit[4] if with_skew else 0.0
         by_setting = slope(setting) * (1.0 + 2.0 * skew * t)
         out = np.zeros((3 * count, fixed + count))
         for row, k, u, at in (
@@ -151,7 +154,7 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: boo
             rows = np.arange(row, row + count)
             out[rows, at] = 1.0 / u
             out[rows, 2 + at] = along * unit[2 + at] / u
-            if bent:
+            if with_skew:
                 out[rows, 4] = k * t**2 * unit[4] / u
             if way is not None:
                 out[rows, fixed - 1] = k * by_setting * 0.5 * way * unit[fixed - 1] / u
@@ -176,12 +179,12 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: boo
     chi2_along += float(found.values[fixed:] @ found.values[fixed:])
     dof_along, dof_across = count - fixed + 2, count - 2
     birge, birge_across = birge_ratio(chi2_along, dof_along), birge_ratio(chi2_across, dof_across)
-    enlarged = np.eye(fixed) * birge
+    enlargement = np.eye(fixed) * birge
     for at in (0, 2):
-        enlarged[at : at + 2, at : at + 2] = turn.T @ np.diag([birge, birge_across]) @ turn
+        enlargement[at : at + 2, at : at + 2] = turn.T @ np.diag([birge, birge_across]) @ turn
     return LadderSolution(
         values,
-        enlarged @ full @ enlarged,
+        enlargement @ full @ enlargement,
         fixed,
         found.chi2,
         2 * count - fixed,
@@ -193,60 +196,62 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, bent: boo
 
 
 def leave_one_out(
-    steps: LadderSteps, kind: str, way: Floats | None, bent: bool, scale: float, u_scale: float
+    steps: LadderSteps, kind: str, way: Floats | None, with_skew: bool, scale: float, u_scale: float
 ) -> Floats:
-    """Change of the scale without each step in units of that change's own standard uncertainty."""
+    """Changes (n,) of the scale without each step, over their own standard uncertainties; NaN: no fit."""
     change = np.full(len(steps.reference), np.nan)
     for i in range(len(change)):
         rest = LadderSteps(*(np.delete(getattr(steps, name), i) for name in LadderSteps.__slots__))
-        left_way = None if way is None else both_ways(np.delete(way, i))
+        rest_way = None if way is None else approach_if_both(np.delete(way, i))
         if len(np.unique(rest.reference)) < 3:
             continue
-        without, u_without = solve_ladder(rest, kind, left_way, bent=bent).scale()
+        without, u_without = solve_ladder(rest, kind, rest_way, with_skew=with_skew).scale()
         spread = math.sqrt(max(u_without**2 - u_scale**2, (0.05 * u_scale) ** 2))
         change[i] = (without - scale) / spread
     return change
 
 
-STEEPEST = 0.3
-"""Standard deviation of the skew before the ladder is measured: a sensor tilted by 17 degrees."""
-_BENDS = (0.0, 3e-4, 1e-3, 1e-2)
-"""Standard deviation of the cubic part at the ladder's end, relative to the displacement there."""
-_BENT = 0.2
+SKEW_PRIOR_STD = 0.3
+"""Prior standard deviation of the skew, which is that of a sensor tilted by 17 degrees."""
+_CUBIC_STD = (0.0, 3e-4, 1e-3, 1e-2)
+"""Prior standard deviations of the cubic part at the ladder's end, relative to the displacement there."""
+_P_CUBIC = 0.2
 """Prior probability of any cubic part, shared by the sizes above."""
-_WRONG = 0.01
+_P_WRONG = 0.01
 """Prior probability that a step is wrong."""
-_WRONG_BY = (6.0, 60.0)
-"""Standard deviations of a wrong step, in its stated uncertainties."""
-_SAID = 0.5
-"""Probability of a cubic part, or of a wrong step, above which a note says it."""
-_WIDE = 1e6
-"""Standard deviation of what nothing is known of, in units in which the ladder is about 1."""
+_WRONG_STEP_STD = (6.0, 60.0)
+"""Standard deviations of a wrong step, in units of its stated uncertainty."""
+_MIN_NOTED_P = 0.5
+"""Probability of a cubic part, or of a wrong step, above which a note reports it."""
+_FLAT_PRIOR_STD = 1e6
+"""Prior standard deviation of an unknown parameter, in units in which the ladder is about 1."""
 
 
 class LadderTrace(NamedTuple):
-    """A ladder along its motion, arrays (n,): carrier t, place in px, its standard uncertainty, way or None.
+    """A ladder along the motion of the spot, arrays (n,).
 
-    `u_px` holds the reference's, `by_way` is what half the hysteresis, in its unit, adds to t.
+    `t` is the tangent of twice the tilt, or the shift in m; `place_px` the position of the spot. `u_px`
+    includes the reference's uncertainty. `by_hysteresis` is the derivative of t with respect to the
+    hysteresis, None if all settings were approached from one side.
     """
 
     t: Floats
     place_px: Floats
     u_px: Floats
-    by_way: Floats | None
+    by_hysteresis: Floats | None
 
 
 class ScaleEvidence(NamedTuple):
-    """Scale in px per unit of t, its standard uncertainty, and the probabilities of what bends the ladder.
+    """Scale in px per unit of t, its standard uncertainty, and the probabilities of deviations from a line.
 
-    `cubic` is the mean relative departure at the ladder's end and `u_cubic` its uncertainty where there is
-    a cubic part, which has the probability `bent`. `wrong` (n,) is each step's probability to be wrong.
-    `birge` enlarges the stated uncertainties, with `dof` degrees of freedom (infinite where it is 1).
+    `p_cubic` is the probability of a cubic part; `cubic` is then its mean relative size at the ladder's end,
+    and `u_cubic` the uncertainty of that. `wrong` (n,) is each step's probability to be wrong. `birge`
+    enlarges the stated uncertainties, with `dof` degrees of freedom (infinite where it is 1).
     """
 
     scale: float
     u_scale: float
-    bent: float
+    p_cubic: float
     cubic: float
     u_cubic: float
     wrong: Floats
@@ -255,7 +260,7 @@ class ScaleEvidence(NamedTuple):
 
 
 class _Model(NamedTuple):
-    """A model's evidence (logarithm), parameters, their covariance, chi-square of the steps."""
+    """Fit of one model: logarithm of its evidence, parameters, their covariance, chi-square of the steps."""
 
     log_evidence: float
     values: Floats
@@ -264,22 +269,22 @@ class _Model(NamedTuple):
 
 
 def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: float) -> ScaleEvidence:
-    """The scale at zero from all models.
+    """The scale at t = 0, averaged over all models by their probabilities.
 
     Parameters
     ----------
     steps
         The ladder along its motion.
     kind
-        Of a ladder of tilts the skew is that of a tilted sensor, about which something is known; a stage of
-        shifts may be bent by anything.
+        The skew of a ladder of tilts comes from a tilted sensor, and has a prior; a stage of shifts may be
+        bent by any cause, and its skew has none.
     scale
-        An estimate of it, px per unit of t, good to a percent.
+        An estimate of the scale in px per unit of t, accurate to a percent.
     """
     first = _posterior(steps, kind, scale, 1.0)
-    # nothing is known of a stage's skew, and it takes a step as the scale does
-    count, used = len(steps.t), (2 if kind == "tilt" else 3) + (steps.by_way is not None)
-    # only what no model explains is noise beyond the stated
+    # the skew of a stage has no prior, so it uses up a degree of freedom, as the scale does
+    count, used = len(steps.t), (2 if kind == "tilt" else 3) + (steps.by_hysteresis is not None)
+    # only scatter that no model explains is noise in excess of the stated uncertainties
     birge = birge_ratio(first.chi2, max(count - used - first.spent, 1))
     if birge == 1.0:
         return first.found
@@ -289,19 +294,19 @@ def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: fl
     return _posterior(steps, kind, scale, birge).found._replace(birge=birge, dof=float(dof))
 
 
-def notes_of(evidence: ScaleEvidence) -> list[str]:
-    """What is likely to bend the ladder, for the user."""
+def ladder_notes(evidence: ScaleEvidence) -> list[str]:
+    """Notes for the user on a probable cubic part, and on steps that are probably wrong."""
     notes = []
-    if evidence.bent > _SAID:
+    if evidence.p_cubic > _MIN_NOTED_P:
         notes.append(
             f"not linear: a cubic part of {evidence.cubic:.2g} ± {evidence.u_cubic:.2g} of the way at the "
-            f"ladder's end, probability {evidence.bent:.2g}; the scale is that at zero: look for what bends "
-            "the reference or the light's path"
+            f"ladder's end, probability {evidence.p_cubic:.2g}; the scale is that at zero: look for what "
+            "bends the reference or the light's path"
         )
     notes.extend(
-        f"step {number} is probably wrong (probability {chance:.2g}) and hardly counts: measure it again"
-        for number, chance in enumerate(evidence.wrong, 1)
-        if chance > _SAID
+        f"step {number} is probably wrong (probability {p_wrong:.2g}) and hardly counts: measure it again"
+        for number, p_wrong in enumerate(evidence.wrong, 1)
+        if p_wrong > _MIN_NOTED_P
     )
     return notes
 
@@ -309,8 +314,9 @@ def notes_of(evidence: ScaleEvidence) -> list[str]:
 class _ScaleCandidate(NamedTuple):
     found: ScaleEvidence
     chi2: float
-    """Of the most probable model, which spends so many degrees of freedom more than the simplest."""
+    """Chi-square of the most probable model."""
     spent: int
+    """Number of degrees of freedom that this model uses in addition to those of the simplest."""
 
 
 def _posterior(
@@ -318,19 +324,19 @@ def _posterior(
 ) -> _ScaleCandidate:
     count = len(steps.t)
     enlarged = steps._replace(u_px=birge * steps.u_px)
-    models, log_weights, steps_wrong, bends = [], [], [], []
-    for bend in _BENDS:
-        prior = 1.0 - _BENT if bend == 0.0 else _BENT / (len(_BENDS) - 1)
-        # steps that scatter by more than stated cannot be told from wrong ones
+    models, log_weights, steps_wrong, cubic_stds = [], [], [], []
+    for cubic_std in _CUBIC_STD:
+        prior = 1.0 - _P_CUBIC if cubic_std == 0.0 else _P_CUBIC / (len(_CUBIC_STD) - 1)
+        # where all steps scatter by more than stated, wrong ones cannot be recognised
         for wrong in range(-1, count if birge == 1.0 else 0):
-            for by in _WRONG_BY if wrong >= 0 else (1.0,):
+            for by in _WRONG_STEP_STD if wrong >= 0 else (1.0,):
                 factor = np.ones(count)
                 factor[wrong if wrong >= 0 else 0] = by
-                models.append(_fit(enlarged, kind, scale, bend, factor))
-                chance = 1.0 - count * _WRONG if wrong < 0 else _WRONG / len(_WRONG_BY)
-                log_weights.append(models[-1].log_evidence + math.log(prior * max(chance, _WRONG)))
+                models.append(_fit(enlarged, kind, scale, cubic_std, factor))
+                p_steps = 1.0 - count * _P_WRONG if wrong < 0 else _P_WRONG / len(_WRONG_STEP_STD)
+                log_weights.append(models[-1].log_evidence + math.log(prior * max(p_steps, _P_WRONG)))
                 steps_wrong.append(wrong)
-                bends.append(bend)
+                cubic_stds.append(cubic_std)
     logs = np.array(log_weights)
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
@@ -338,20 +344,20 @@ def _posterior(
     variances = np.array([model.covariance[1, 1] for model in models])
     mean = float(weight @ scales)
     variance = float(weight @ (variances + (scales - mean) ** 2))
-    bent = np.array(bends) > 0.0
-    share = float(weight[bent].sum())
+    has_cubic = np.array(cubic_stds) > 0.0
+    share = float(weight[has_cubic].sum())
     cubics = np.array([model.values[3] / model.values[1] for model in models])
     u_cubics = np.array([model.covariance[3, 3] / model.values[1] ** 2 for model in models])
-    of_bent = weight[bent] / max(share, 1e-300)
-    cubic = float(of_bent @ cubics[bent])
-    u_cubic = math.sqrt(float(of_bent @ (u_cubics[bent] + (cubics[bent] - cubic) ** 2)))
+    weight_of_cubic = weight[has_cubic] / max(share, 1e-300)
+    cubic = float(weight_of_cubic @ cubics[has_cubic])
+    u_cubic = math.sqrt(float(weight_of_cubic @ (u_cubics[has_cubic] + (cubics[has_cubic] - cubic) ** 2)))
     at = np.array(steps_wrong)
     best = int(np.argmax(logs))
     return _ScaleCandidate(
         ScaleEvidence(
             scale=mean,
             u_scale=math.sqrt(variance),
-            bent=share,
+            p_cubic=share,
             cubic=cubic,
             u_cubic=u_cubic,
             wrong=np.array([weight[at == k].sum() for k in range(count)]),
@@ -359,31 +365,30 @@ def _posterior(
             dof=math.inf,
         ),
         models[best].chi2,
-        int(bends[best] > 0.0) + int(steps_wrong[best] >= 0),
+        int(cubic_stds[best] > 0.0) + int(steps_wrong[best] >= 0),
     )
 
 
-def _fit(steps: LadderTrace, kind: str, scale: float, bend: float, factor: Floats) -> _Model:
-    """One model in closed form: the parameters are origin, scale, skew and cubic times scale, hysteresis.
-
-    `factor` (n,) enlarges the steps' uncertainties.
+def _fit(steps: LadderTrace, kind: str, scale: float, cubic_std: float, factor: Floats) -> _Model:
+    """Fit of one model in closed form; its parameters are origin, scale, scale times skew, scale times cubic
+    part, and hysteresis. `factor` (n,) enlarges the steps' uncertainties.
     """
     t = steps.t
     end = float(np.abs(t).max())
     u = steps.u_px * factor
     columns = [np.ones_like(t), t, t**2, t * (t / end) ** 2]
-    skew = scale * STEEPEST if kind == "tilt" else _WIDE * scale / end
-    widths = [_WIDE * scale * end, _WIDE * scale, skew, bend * scale]
-    if steps.by_way is not None:
-        columns.append(scale * steps.by_way)
-        widths.append(_WIDE * end / float(np.abs(steps.by_way).max()))
+    skew = scale * SKEW_PRIOR_STD if kind == "tilt" else _FLAT_PRIOR_STD * scale / end
+    widths = [_FLAT_PRIOR_STD * scale * end, _FLAT_PRIOR_STD * scale, skew, cubic_std * scale]
+    if steps.by_hysteresis is not None:
+        columns.append(scale * steps.by_hysteresis)
+        widths.append(_FLAT_PRIOR_STD * end / float(np.abs(steps.by_hysteresis).max()))
     width = np.array(widths)
     design = np.column_stack(columns) * width / u[:, None]
-    seen = steps.place_px / u
+    position = steps.place_px / u
     precision = design.T @ design + np.eye(len(width))
-    values = np.linalg.solve(precision, design.T @ seen)
-    left = seen - design @ values
-    chi2 = float(left @ left)
+    values = np.linalg.solve(precision, design.T @ position)
+    residual = position - design @ values
+    chi2 = float(residual @ residual)
     log_evidence = (
         -0.5 * (chi2 + float(values @ values))
         - 0.5 * float(np.linalg.slogdet(precision)[1])

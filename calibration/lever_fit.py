@@ -1,4 +1,4 @@
-"""Light lever from reference data: a ladder (sequence) of known tilts, or of known shifts of the sensor."""
+"""Light lever from reference data, a ladder (sequence) of known tilts, or of known shifts of the sensor."""
 
 import math
 from dataclasses import dataclass
@@ -7,29 +7,30 @@ from typing import Literal
 import numpy as np
 
 from calibration.ladder import (
-    STEEPEST,
+    SKEW_PRIOR_STD,
     LadderSolution,
     LadderSteps,
     LadderTrace,
-    both_ways,
+    approach_directions,
+    approach_if_both,
     check_steps,
+    ladder_notes,
     leave_one_out,
-    notes_of,
     scale_evidence,
     solve_ladder,
-    ways_of,
 )
 from calibration.light_lever import Lever
 from processing.arrays import Floats
 from processing.errors import DataError
 
-_IMPROBABLE = 0.01
-"""Probability below which the skew is taken as real."""
-_STANDS_OUT = 3.5
+_MIN_PROBABILITY = 0.01
+"""Probability of a skew of this size for a linear ladder, below which the skew is taken as real."""
+_MAX_SCALE_CHANGE = 3.5
 """Change of the scale without one step, over its standard uncertainty, above which the step is reported."""
-_ASKEW = 0.1
-"""Skew that shifts the fitted friction and period of a simulated rig with little noise by about their
-standard uncertainty; a skew of 0.03 shifts them by a tenth of it."""
+_MAX_U_SKEW = 0.1
+"""Uncertainty of the skew above which a note is given: a skew of this size shifts the fitted friction and
+period of a simulated rig with little noise by about their standard uncertainty, one of 0.03 by a tenth of it.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,16 +38,17 @@ class LadderFit:
     """Result of the fit of a ladder (regression with errors in both variables).
 
     The model is ``spot = origin + scale (t + skew t^2) direction``, where t is the tangent of twice the tilt,
-    or the shift in m. `scale` is in px per unit of t, that at zero, from all models of `scale_evidence`;
+    or the shift in m. `scale` is that at t = 0 in px per unit of t, from all models of `scale_evidence`;
     `direction_rad` is the direction of positive t, from the sensor's upward vertical towards +x. `skew` is
     the value fitted for the test of linearity, and `chance_if_linear` the probability of one at least as
-    large if the true value is 0; origin, direction and hysteresis include it only if `nonlinear`, and `scale`
-    always, by its likely value. `cubic_probability` is that of a cubic part, `cubic` its likely size at
-    the ladder's end, relative to the way there. `hysteresis` is the difference between settings approached
-    from below and from above, in the reference's unit; NaN if all were approached from one side.
+    large if the true value is 0. The fit of origin, direction and hysteresis includes a skew only if
+    `nonlinear`, that of `scale` always, weighted by its probability. `cubic_probability` is the probability
+    of a cubic part, `cubic` its probable size at the ladder's end, relative to the displacement there.
+    `hysteresis` is the difference between settings approached from below and from above, in the reference's
+    unit; NaN if all were approached from one side.
     `leave_one_out` (n,) is the change of the scale without each step, over its standard uncertainty.
     `residual_px` (n, 2) are the residuals in x and y. `scale_dof` are the degrees of freedom of `u_scale`:
-    infinite where the stated uncertainties were believed, those of the steps along the motion where their
+    infinite where it follows from the stated uncertainties, those of the steps along the motion where their
     scatter enlarged it. `notes` are remarks for the user.
     """
 
@@ -106,56 +108,56 @@ def fit_ladder(
     from scipy.special import chdtrc, fdtrc
 
     check_steps(steps, kind)
-    way = both_ways(ways_of(steps.reference))
-    straight = solve_ladder(steps, kind, way, bent=False)
-    bent = solve_ladder(steps, kind, way, bent=True)
-    gain = max(straight.chi2 - bent.chi2, 0.0)
-    # residuals that scatter more than stated even with the skew are noise: the test allows for them
-    gain /= bent.birge**2
+    way = approach_if_both(approach_directions(steps.reference))
+    straight = solve_ladder(steps, kind, way, with_skew=False)
+    skewed = solve_ladder(steps, kind, way, with_skew=True)
+    gain = max(straight.chi2 - skewed.chi2, 0.0)
+    # the test allows for residuals that scatter more than stated even with the skew, as noise
+    gain /= skewed.birge**2
     # Student's t for a scatter that was estimated from these steps
-    known = math.isinf(bent.along_dof)
-    probability = float(chdtrc(1, gain) if known else fdtrc(1, bent.along_dof, gain))
-    nonlinear = probability < _IMPROBABLE
-    used = bent if nonlinear else straight
-    evidence = scale_evidence(_along(steps, kind, way, used), kind, used.scale()[0])
+    known = math.isinf(skewed.along_dof)
+    probability = float(chdtrc(1, gain) if known else fdtrc(1, skewed.along_dof, gain))
+    nonlinear = probability < _MIN_PROBABILITY
+    best = skewed if nonlinear else straight
+    evidence = scale_evidence(_along(steps, kind, way, best), kind, best.scale()[0])
     scale, u_scale = evidence.scale, evidence.u_scale
     if not scale > 5.0 * u_scale:
         raise DataError(
             f"the spot does not follow the {kind}s (scale {scale:.4g} ± {u_scale:.2g} px per unit); "
             "check the order of the steps"
         )
-    loo = leave_one_out(steps, kind, way, nonlinear, *used.scale())
-    notes = notes_of(evidence)
-    for side, birge in (("along", used.birge), ("across", used.birge_across)):
+    scale_changes = leave_one_out(steps, kind, way, nonlinear, *best.scale())
+    notes = ladder_notes(evidence)
+    for side, birge in (("along", best.birge), ("across", best.birge_across)):
         if birge > 1.0:
             notes.append(
                 f"the steps scatter {birge:.2g} times as much as stated {side} the motion; "
                 + ("uncertainties were enlarged" if side == "across" or evidence.birge > 1.0 else _EXPLAINED)
             )
     if nonlinear:
-        notes.append(f"not linear: skew {bent.values[4]:.3g} ± {bent.u(4):.2g} is part of the lever")
-    elif kind == "tilt" and bent.u(4) > _ASKEW:
+        notes.append(f"not linear: skew {skewed.values[4]:.3g} ± {skewed.u(4):.2g} is part of the lever")
+    elif kind == "tilt" and skewed.u(4) > _MAX_U_SKEW:
         notes.append(
             "the tilt of the sensor relative to the beam is known only to "
-            f"{math.degrees(math.atan(bent.u(4))):.0f} degrees (skew {bent.values[4]:.2g} ± "
-            f"{bent.u(4):.2g}, taken as 0): set the sensor perpendicular to the beam"
+            f"{math.degrees(math.atan(skewed.u(4))):.0f} degrees (skew {skewed.values[4]:.2g} ± "
+            f"{skewed.u(4):.2g}, taken as 0): set the sensor perpendicular to the beam"
         )
-    worst = int(np.nanargmax(np.abs(loo)))
-    if abs(loo[worst]) > _STANDS_OUT:
+    worst = int(np.nanargmax(np.abs(scale_changes)))
+    if abs(scale_changes[worst]) > _MAX_SCALE_CHANGE:
         notes.append(
             f"step {worst + 1} at {steps.reference[worst]:.6g} does not fit the others: without it the scale "
-            f"changes by {abs(loo[worst]):.1f} standard uncertainties"
+            f"changes by {abs(scale_changes[worst]):.1f} standard uncertainties"
         )
     hysteresis, u_hysteresis = math.nan, math.nan
     if way is not None:
-        hysteresis, u_hysteresis = float(used.values[used.fixed - 1]), used.u(used.fixed - 1)
+        hysteresis, u_hysteresis = float(best.values[best.fixed - 1]), best.u(best.fixed - 1)
         if abs(hysteresis) > 3.0 * u_hysteresis:
             notes.append(
                 f"hysteresis of {hysteresis:.3g} ± {u_hysteresis:.2g} between upward and downward steps"
             )
-    kx, ky = used.values[2], used.values[3]
+    kx, ky = best.values[2], best.values[3]
     u_across = math.sqrt(
-        (ky**2 * used.covariance[2, 2] + kx**2 * used.covariance[3, 3] - 2 * kx * ky * used.covariance[2, 3])
+        (ky**2 * best.covariance[2, 2] + kx**2 * best.covariance[3, 3] - 2 * kx * ky * best.covariance[2, 3])
         / scale**2
     )
     return LadderFit(
@@ -163,23 +165,23 @@ def fit_ladder(
         scale=scale,
         u_scale=(u_both := math.hypot(u_scale, u_reference_relative * scale)),
         scale_dof=evidence.dof * (u_both / u_scale) ** 4,
-        origin_px=(float(used.values[0]), float(used.values[1])),
-        u_origin_px=(used.u(0), used.u(1)),
+        origin_px=(float(best.values[0]), float(best.values[1])),
+        u_origin_px=(best.u(0), best.u(1)),
         direction_rad=math.atan2(kx, -ky),
         u_direction_rad=u_across / scale,
-        skew=float(bent.values[4]),
-        u_skew=bent.u(4),
+        skew=float(skewed.values[4]),
+        u_skew=skewed.u(4),
         chance_if_linear=probability,
         nonlinear=nonlinear,
-        cubic_probability=evidence.bent,
+        cubic_probability=evidence.p_cubic,
         cubic=evidence.cubic,
         u_cubic=evidence.u_cubic,
         hysteresis=hysteresis,
         u_hysteresis=u_hysteresis,
-        chi2=used.chi2,
-        dof=used.dof,
-        leave_one_out=loo,
-        residual_px=used.residual_px,
+        chi2=best.chi2,
+        dof=best.dof,
+        leave_one_out=scale_changes,
+        residual_px=best.residual_px,
         notes=tuple(notes),
     )
 
@@ -187,14 +189,14 @@ def fit_ladder(
 _EXPLAINED = "the scale allows for what explains it"
 
 
-def _along(steps: LadderSteps, kind: str, way: Floats | None, used: LadderSolution) -> LadderTrace:
-    """The ladder along its motion, the references' uncertainties added to the places'."""
+def _along(steps: LadderSteps, kind: str, way: Floats | None, best: LadderSolution) -> LadderTrace:
+    """The ladder along its motion; the references' uncertainties are added to those of the positions."""
     tilt = kind == "tilt"
     t = np.tan(2.0 * steps.reference) if tilt else steps.reference
     slope = 2.0 / np.cos(2.0 * steps.reference) ** 2 if tilt else np.ones_like(t)
-    scale = used.scale()[0]
-    x, y = used.values[2:4] / scale
-    place_px = x * (steps.x_px - used.values[0]) + y * (steps.y_px - used.values[1])
+    scale = best.scale()[0]
+    x, y = best.values[2:4] / scale
+    place_px = x * (steps.x_px - best.values[0]) + y * (steps.y_px - best.values[1])
     u_px = np.sqrt(
         (x * steps.u_x_px) ** 2 + (y * steps.u_y_px) ** 2 + (scale * slope * steps.u_reference) ** 2
     )
@@ -209,10 +211,10 @@ def lever_from_tilts(fit: LadderFit, pixel_pitch_m: float) -> Lever:
     return Lever(
         arm_m=fit.scale * pixel_pitch_m,
         u_arm_m=fit.u_scale * pixel_pitch_m,
-        arm_dof=_stated(fit.scale_dof),
+        arm_dof=_finite_or_none(fit.scale_dof),
         pixel_pitch_m=pixel_pitch_m,
         skew=fit.skew if fit.nonlinear else 0.0,
-        u_skew=min(fit.u_skew, STEEPEST),
+        u_skew=min(fit.u_skew, SKEW_PRIOR_STD),
         reference_x_px=fit.origin_px[0],
         reference_y_px=fit.origin_px[1],
     )
@@ -225,11 +227,11 @@ def lever_from_shifts(fit: LadderFit, arm_m: float, u_arm_m: float) -> Lever:
         u_arm_m=u_arm_m,
         pixel_pitch_m=1.0 / fit.scale,
         u_pixel_pitch_m=fit.u_scale / fit.scale**2,
-        pixel_pitch_dof=_stated(fit.scale_dof),
+        pixel_pitch_dof=_finite_or_none(fit.scale_dof),
     )
 
 
-def _stated(dof: float) -> float | None:
+def _finite_or_none(dof: float) -> float | None:
     return dof if math.isfinite(dof) else None
 
 
@@ -252,7 +254,7 @@ class ScaleCheck:
 
 
 def check_scale(lever: Lever, fit: LadderFit) -> ScaleCheck:
-    """Compare the scale found with known tilts with that of the lever in use."""
+    """Compare the scale of a ladder of tilts with that of the lever in use."""
     ratio = fit.scale * lever.pixel_pitch_m / lever.arm_m
     u_ratio = fit.u_scale / fit.scale * ratio
     u_both = math.hypot(u_ratio, lever.u_scale_relative)

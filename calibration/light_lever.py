@@ -23,7 +23,7 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     ``t = tan(2 phi)``. The skew is 0 if the sensor is perpendicular to the beam, otherwise about the tangent
     of the sensor's tilt. The arm of a calibrated lever is the effective one: it includes all effects that
     are a constant factor. Standard uncertainties `u_` have the unit of their value; 0 means not stated. Those
-    of a calibrated arm or pitch have degrees of freedom if they follow from the scatter of the steps.
+    of a calibrated arm or pitch have degrees of freedom if they were derived from the scatter of the steps.
     """
 
     arm_m: float = Field(gt=0, lt=100, description="mirror to sensor, along the beam")
@@ -50,28 +50,26 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
     )
 
     def at_binning(self, binning: int) -> Self:
-        """The same lever seen with another binning: the pitch is that of the pixels of the image."""
-        times = binning / self.binning
-        if times == 1.0:
+        """The same lever for another binning, with pitch and reference in pixels of that image."""
+        factor = binning / self.binning
+        if factor == 1.0:
             return self
         x_px, y_px = (
-            None if at is None else (at + 0.5) / times - 0.5
+            None if at is None else (at + 0.5) / factor - 0.5
             for at in (self.reference_x_px, self.reference_y_px)
         )
         return self.model_copy(
             update={
                 "binning": binning,
-                "pixel_pitch_m": self.pixel_pitch_m * times,
-                "u_pixel_pitch_m": self.u_pixel_pitch_m * times,
+                "pixel_pitch_m": self.pixel_pitch_m * factor,
+                "u_pixel_pitch_m": self.u_pixel_pitch_m * factor,
                 "reference_x_px": x_px,
                 "reference_y_px": y_px,
             }
         )
 
     def tilt_rad(self, displacement_px: ArrayLike) -> Floats:
-        """Tilt for a displacement of the spot from the reference, exact (arc tangent), of any shape; NaN
-        stays NaN.
-        """
+        """Exact tilt (arc tangent) for displacements of the spot from its reference; any shape, NaN stays."""
         return 0.5 * np.arctan(self._tangent(displacement_px)[0])
 
     def displacement_px(self, tilt_rad: ArrayLike) -> Floats:
@@ -84,15 +82,15 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
         tangent, root = self._tangent(displacement_px)
         return 0.5 * (self.pixel_pitch_m / self.arm_m) / root / (1.0 + tangent**2)
 
-    def square(self) -> Self:
+    def without_skew(self) -> Self:
         """The same lever without skew, for the fast axis, which is across the tilt of the sensor."""
         return self.model_copy(update={"skew": 0.0}) if self.skew else self
 
     def _tangent(self, displacement_px: ArrayLike) -> tuple[Floats, Floats]:
-        """t = tan(2 phi), and the derivative of the displacement by t divided by that at the reference."""
+        """t = tan(2 phi), and the derivative of the displacement by t over its value at the reference."""
         part = np.asarray(displacement_px, dtype=float) * (self.pixel_pitch_m / self.arm_m)
         root = np.sqrt(1.0 + 4.0 * self.skew * part)
-        # this form of the quadratic's root loses no digits, and is exactly `part` without skew
+        # this form of the root of the quadratic loses no digits, and is exactly `part` without skew
         return 2.0 * part / (1.0 + root), root
 
     @property
@@ -102,11 +100,11 @@ class Lever(BaseModel, frozen=True, extra="forbid"):
 
 
 def deflection_unit(lever: Lever | None) -> DeflectionUnit:
-    """The unit of deflections: rad, or px without a lever. No other place decides it."""
+    """The unit of deflections: rad, or px without a lever; only this function decides it."""
     return DeflectionUnit.PX if lever is None else DeflectionUnit.RAD
 
 
-_RANGE_RAD = 7e-4
+_EVALUATION_TILT_RAD = 7e-4
 """Tilt at which scale and skew are evaluated, about 150 arcsec."""
 
 
@@ -114,7 +112,8 @@ class LeverGeometry(BaseModel, frozen=True, extra="forbid"):
     """Measured lengths and angles of the light lever. `u_` are standard uncertainties.
 
     "Along" means in the plane in which the slow mode moves the beam, "across" perpendicular to it.
-    Angles of incidence are from the mirror's normal, tilts of the sensor from perpendicular to the beam.
+    Angles of incidence are measured from the mirror's normal, the sensor's tilts from the plane perpendicular
+    to the beam.
     The ball of `ball_radius_m` rolls on its flat. `beam_height_m` is the height above the ball's centre at
     which the beam hits the mirror, `beam_reach_m` the horizontal distance of the mirror in front of it.
     """
@@ -143,8 +142,8 @@ class LeverGeometry(BaseModel, frozen=True, extra="forbid"):
 class GeometryLine:
     """One input of the uncertainty budget.
 
-    `effect` is the relative change of the scale against the same lever with this input 0 (0 for arm and
-    pitch, for which that has no meaning). `contribution` is the relative standard uncertainty of the scale
+    `effect` is the relative change of the scale compared with the same lever with 0 for this input (it is 0
+    for arm and pitch, which cannot be 0). `contribution` is the relative standard uncertainty of the scale
     due to this input's uncertainty `u`.
     """
 
@@ -170,8 +169,8 @@ class GeometryLever:
 
 def trace_m(geometry: LeverGeometry, tilt_rad: float) -> tuple[float, float]:
     """Displacement (across, along) of the spot on the sensor, in m, from its position at zero tilt."""
-    at_rest = _hit(geometry, 0.0)
-    moved = _hit(geometry, tilt_rad)
+    at_rest = _spot_on_sensor_m(geometry, 0.0)
+    moved = _spot_on_sensor_m(geometry, tilt_rad)
     return float(moved[0] - at_rest[0]), float(moved[1] - at_rest[1])
 
 
@@ -199,7 +198,7 @@ def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
         elif u > 0:
             low = _effective(geometry.model_copy(update={name: value - u}))
             high = _effective(geometry.model_copy(update={name: value + u}))
-            # near an extremum the first derivative vanishes: half the second difference is included
+            # half the second difference is included, because near an extremum the first derivative vanishes
             slope = 0.5 * abs(high[0] - low[0])
             bend = 0.5 * abs(high[0] + low[0] - 2.0 * arm)
             contribution = math.hypot(slope, bend) / arm
@@ -220,9 +219,9 @@ def lever_from_geometry(geometry: LeverGeometry) -> GeometryLever:
 
 def _effective(geometry: LeverGeometry) -> tuple[float, float, float]:
     """Effective arm in m, skew, and displacement across over displacement along."""
-    tangent = math.tan(2.0 * _RANGE_RAD)
-    across_up, up = trace_m(geometry, _RANGE_RAD)
-    across_down, down = trace_m(geometry, -_RANGE_RAD)
+    tangent = math.tan(2.0 * _EVALUATION_TILT_RAD)
+    across_up, up = trace_m(geometry, _EVALUATION_TILT_RAD)
+    across_down, down = trace_m(geometry, -_EVALUATION_TILT_RAD)
     arm = (up - down) / (2.0 * tangent)
     if not arm > 0:
         raise DataError(
@@ -232,7 +231,7 @@ def _effective(geometry: LeverGeometry) -> tuple[float, float, float]:
     return arm, skew, (across_up - across_down) / (up - down)
 
 
-def _hit(geometry: LeverGeometry, tilt_rad: float) -> Floats:
+def _spot_on_sensor_m(geometry: LeverGeometry, tilt_rad: float) -> Floats:
     """Intersection (across, along) of the reflected beam with the sensor, in m from the sensor's centre.
 
     At rest the reflected beam runs along +z; the slow mode moves it along y, which points up. A tilt rotates
@@ -264,8 +263,8 @@ def _hit(geometry: LeverGeometry, tilt_rad: float) -> Floats:
             "lever geometry: the beam is parallel to the sensor; check sensor_tilt_along_rad and "
             "sensor_tilt_across_rad"
         )
-    landed = on_mirror + outgoing * float((centre - on_mirror) @ facing) / steep - centre
-    return np.array([landed @ right, landed @ up])
+    spot = on_mirror + outgoing * float((centre - on_mirror) @ facing) / steep - centre
+    return np.array([spot @ right, spot @ up])
 
 
 def _turned(vector: Floats, axis: Floats, angle: float) -> Floats:

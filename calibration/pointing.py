@@ -8,8 +8,8 @@ from processing.arrays import Floats
 from processing.errors import DataError
 from processing.slope_uncertainty import part_means, u_wandering_slope
 
-_FEWEST_SAMPLES = 100
-_LINE_RATIO = 12.0
+_MIN_SAMPLES = 100
+_MIN_LINE_RATIO = 12.0
 """Smallest power of a spectral line over that of the noise near it."""
 
 
@@ -43,10 +43,9 @@ class Stability:
     """Stability of one coordinate of a record at rest, in the unit of the record.
 
     `noise` is the standard deviation of one sample without slow changes: the Allan deviation at the interval
-    of the samples. `drift_per_s` is the slope of a straight line; its uncertainty is that of a beam which
-    wanders as what is left of it shows (`processing.slope_uncertainty`). `iso11670` is 2 standard deviations
-    of the
-    whole record, the pointing stability of one axis (ISO 11670:2003: half of the 4 sigma width).
+    of the samples. `drift_per_s` is the slope of a straight line; its uncertainty allows for a wandering
+    beam, as the residuals show it (`processing.slope_uncertainty`). `iso11670` is 2 standard deviations of
+    the whole record, the pointing stability of one axis (ISO 11670:2003: half of the 4 sigma width).
     `claimed_ratio` is the root mean square of the stated uncertainties over `noise`. `lines` are the
     strongest spectral lines, at most ten. `density` (m,) is the one-sided power spectral density, in the
     squared unit per Hz, at `frequency_hz` (m,).
@@ -104,9 +103,9 @@ def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
     """
     good = np.isfinite(values) & np.isfinite(u_values)
     times_s, values, u_values = times_s[good], values[good], u_values[good]
-    if len(values) < _FEWEST_SAMPLES:
+    if len(values) < _MIN_SAMPLES:
         raise DataError(
-            f"stability: {len(values)} spots of {_FEWEST_SAMPLES} that are needed; record for longer"
+            f"stability: {len(values)} spots of {_MIN_SAMPLES} that are needed; record for longer"
         )
     interval_s = float(np.median(np.diff(times_s)))
     drift, u_drift = _drift(times_s, values)
@@ -147,9 +146,9 @@ def _lines(frequency: Floats, density: Floats) -> tuple[SpectralLine, ...]:
     """Peaks well above the noise, which is the running median of the spectrum; the strongest first."""
     width = max(15, len(density) // 50) | 1
     padded = np.pad(density, width // 2, mode="reflect")
-    # the power of noise is exponentially distributed: its median is ln 2 times its mean
+    # the power of noise is exponentially distributed, so its median is ln 2 times its mean
     floor = np.median(np.lib.stride_tricks.sliding_window_view(padded, width), axis=1) / np.log(2.0)
-    threshold = max(_LINE_RATIO, np.log(len(density)) + 7.0)
+    threshold = max(_MIN_LINE_RATIO, np.log(len(density)) + 7.0)
     peaks = [
         i
         for i in range(1, len(density) - 1)

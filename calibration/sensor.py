@@ -19,16 +19,16 @@ from processing.noise_models import robust_scatter
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 _QUANTISATION_DN2 = 1.0 / 12.0  # variance of rounding to whole numbers
-_RESOLVED_DN = 0.24
-"""EMVA 1288: temporal noise in the dark below this cannot be measured because of rounding to integers."""
-_BRIGHTER_U, _BRIGHTER_DN = 5.0, 0.02
-"""A level is lit if its mean lies above the dark frames' by more than these."""
-_GROWS_U = 5.0
-"""A slope is known from so many standard uncertainties on: a gain to 20 %."""
-_FEWEST_LEVELS = 4
-"""A straight line, and two degrees of freedom that show whether the sensor is linear."""
-_FIT_TO = 0.7
-"""EMVA 1288 fits the gain up to 70 % of saturation."""
+_MIN_RESOLVED_DN = 0.24
+"""Smallest temporal noise in the dark that can be measured in spite of rounding to integers (EMVA 1288)."""
+_MIN_SIGNAL_U, _MIN_SIGNAL_DN = 5.0, 0.02
+"""A level is lit if its mean exceeds that of the dark frames by so many standard uncertainties, and DN."""
+_MIN_SLOPE_U = 5.0
+"""Smallest slope, in its standard uncertainties, that gives a gain (to 20 %)."""
+_MIN_LEVELS = 4
+"""Smallest number of levels; beside a straight line, two degrees of freedom show whether it is one."""
+_MAX_FIT_PART = 0.7
+"""Fraction of saturation up to which the gain is fitted (EMVA 1288)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,13 +110,13 @@ def photon_transfer(
         )
     dark_stack = np.stack([np.asarray(image, dtype=np.float64) for image in darks])
     dark_map = dark_stack.mean(axis=0)
-    # hot pixels have a temporal noise of their own and are left out of all averages
+    # hot pixels have more temporal noise than others, and are left out of all averages
     hot = _hot_pixels(dark_map)
     cold = np.ones(dark_map.size, dtype=bool)
     cold[hot] = False
     in_the_dark = dark_stack.reshape(len(darks), -1)[:, cold]
     dark_variance, u_dark_variance = _temporal_variance(in_the_dark)
-    resolved = dark_variance - _QUANTISATION_DN2 > _RESOLVED_DN**2
+    resolved = dark_variance - _QUANTISATION_DN2 > _MIN_RESOLVED_DN**2
     dark_level = _unrounded_mean(in_the_dark) if resolved else float(in_the_dark.mean())
     u_dark_variance = float(np.hypot(u_dark_variance, _rounding(dark_variance)))
     points: list[TransferPoint] = []
@@ -137,7 +137,7 @@ def photon_transfer(
         shift = float(difference.mean())
         noise = float(difference.std())
         by_chance_dn = np.sqrt((0.25 * noise**2 + dark_variance / len(darks)) / len(a))
-        if noise == 0.0 or signal <= max(_BRIGHTER_U * by_chance_dn, _BRIGHTER_DN):
+        if noise == 0.0 or signal <= max(_MIN_SIGNAL_U * by_chance_dn, _MIN_SIGNAL_DN):
             why = "its two frames are equal" if noise == 0.0 else "not brighter than the dark frames"
             rejected.append(f"{name}: {why} (signal {signal:.3g} DN)")
             continue
@@ -160,15 +160,18 @@ def photon_transfer(
             for point in points
             if point.signal_dn > knee
         ]
-        kept = [i for i, point in enumerate(points) if point.signal_dn <= knee]
-        points, usable = [points[i] for i in kept], [usable[i] for i in kept]
-    top_dn = min(_FIT_TO * full_scale_dn, _FIT_TO * knee + dark_level if knee is not None else np.inf)
+        below_knee = [i for i, point in enumerate(points) if point.signal_dn <= knee]
+        points, usable = [points[i] for i in below_knee], [usable[i] for i in below_knee]
+    top_dn = min(
+        _MAX_FIT_PART * full_scale_dn,
+        _MAX_FIT_PART * knee + dark_level if knee is not None else np.inf,
+    )
     fitted = [point for point in points if point.signal_dn + dark_level <= top_dn]
-    if len(fitted) < _FEWEST_LEVELS:
+    if len(fitted) < _MIN_LEVELS:
         detail = f"; not usable: {'; '.join(rejected)}" if rejected else ""
         raise DataError(
-            f"sensor: {len(fitted)} usable levels up to {100 * _FIT_TO:.0f} % of full scale, at least "
-            f"{_FEWEST_LEVELS} are needed{detail}"
+            f"sensor: {len(fitted)} usable levels up to {100 * _MAX_FIT_PART:.0f} % of full scale, at least "
+            f"{_MIN_LEVELS} are needed{detail}"
         )
     slope, u_slope, intercept, u_intercept, chi2_per_dof = _line(
         fitted, dark_variance if resolved else None, u_dark_variance
@@ -213,8 +216,8 @@ def _hot_pixels(dark_map: Floats) -> Ints:
 def _unrounded_mean(values: Floats) -> float:
     """Mean of normally distributed values of which only the nearest integers are known, none below 0.
 
-    The integers' own mean is off by up to 0.1 DN for a noise of 0.24 DN and by 0.05 DN for 0.3 DN. Mean and
-    scatter with the largest likelihood of the counts are not.
+    It is the estimate of maximum likelihood. The mean of the integers themselves is wrong by up to 0.1 DN for
+    a noise of 0.24 DN, and by 0.05 DN for 0.3 DN.
     """
     from scipy.optimize import minimize
     from scipy.special import ndtr
@@ -222,13 +225,13 @@ def _unrounded_mean(values: Floats) -> float:
     codes, counts = np.unique(values, return_counts=True)
     below = np.where(codes > 0, codes - 0.5, -np.inf)
 
-    def misfit(p: Floats) -> float:
+    def loss(p: Floats) -> float:
         sigma = np.exp(p[1])
         part = ndtr((codes + 0.5 - p[0]) / sigma) - ndtr((below - p[0]) / sigma)
         return -float(counts @ np.log(np.maximum(part, 1e-300))) / values.size
 
     start = [values.mean(), np.log(values.std())]
-    return float(minimize(misfit, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-12}).x[0])
+    return float(minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-12}).x[0])
 
 
 def _temporal_variance(stack: Floats) -> tuple[float, float]:
@@ -245,13 +248,14 @@ def _temporal_variance(stack: Floats) -> tuple[float, float]:
 def _rounding(variance: float) -> float:
     """Standard uncertainty of a variance after rounding, because rounding does not add exactly 1/12 DN^2.
 
-    The largest deviation divided by sqrt(2), taken at the smallest variance that, with this deviation, could
-    have been found: where rounding has made noise look large, its deviation looks small.
+    It is the largest deviation divided by sqrt(2), for the smallest true variance that, with this deviation,
+    could have given the measured one: a noise that rounding enlarged suggests too small a deviation.
     """
     from scipy.optimize import brentq
 
     found = variance - _QUANTISATION_DN2
-    # the sum rises with the variance, of which it is an upper limit
+    # inner + deviation is the largest variance that can be found for a true variance `inner`, and rises with
+    # it
     least = 0.0
     if found > _largest_deviation(0.0):
         least = brentq(lambda inner: inner + _largest_deviation(inner) - found, 0.0, found)
@@ -259,17 +263,15 @@ def _rounding(variance: float) -> float:
 
 
 def _largest_deviation(variance: float) -> float:
-    """Of a variance after rounding from variance + 1/12 DN^2, over all levels of normal values.
+    """Largest deviation of the variance of rounded normal values from variance + 1/12 DN^2, over all means.
 
-    By the first term of the series in the characteristic function (B. Widrow, Quantization Noise, 2008).
+    From the first term of the series in the characteristic function (B. Widrow, Quantization Noise, 2008).
     """
     return float((4.0 * variance + 1.0 / np.pi**2) * np.exp(-2.0 * np.pi**2 * variance))
 
 
 def _knee(points: Sequence[TransferPoint]) -> float | None:
-    """Signal of the largest noise, if the noise is significantly smaller at larger signals; otherwise
-    None.
-    """
+    """Signal of the largest noise, if larger signals have significantly less noise; otherwise None."""
     if not points:
         return None
     best = max(points, key=lambda point: point.variance_dn2)
@@ -294,7 +296,7 @@ def _line(
     if dark_variance is not None:
         x, y, u = np.append(x, 0.0), np.append(y, dark_variance), np.append(u, u_dark_variance)
     u = np.maximum(u, 1e-12)
-    # uncertainties taken from the measured variances would give more weight to those that are low by chance
+    # from the model, because uncertainties from measured variances favour those that are low by chance
     common = np.median(u[: len(points)] / y[: len(points)])
     for last in (False, False, False, True):
         design = np.column_stack([np.ones_like(x), x]) / u[:, None]
@@ -306,7 +308,7 @@ def _line(
     chi2_per_dof = float(np.sum((design @ values - y / u) ** 2)) / dof
     covariance = np.linalg.inv(design.T @ design) * birge_ratio(chi2_per_dof * dof, dof) ** 2
     u_slope = float(np.sqrt(covariance[1, 1]))
-    if not values[1] > _GROWS_U * u_slope:
+    if not values[1] > _MIN_SLOPE_U * u_slope:
         raise DataError(
             f"sensor: the noise does not grow with the signal (slope {values[1]:.3g} ± {u_slope:.2g} DN); "
             "the two frames of each pair must be of the same constant light, and the levels reach to half of "

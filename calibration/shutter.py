@@ -1,4 +1,4 @@
-"""Rolling shutter: the rows of an image are exposed one after the other, each at its own time.
+"""Rolling shutter, which exposes the rows of an image one after the other, and fits of its row time.
 
 A spot that is centred on row y was exposed ``y * row_time_s`` after the first row. If it swings across the
 rows, its times are modulated by its own position, and a swing ``A cos(w t)`` gets a second harmonic
@@ -15,21 +15,21 @@ from processing.errors import DataError
 from processing.units import NS_PER_S
 
 _PERIODS = 3.0
-"""Length of a stretch that is fitted on its own, in periods: friction changes the amplitude little in it."""
-_FEWEST_STRETCHES = 6
-_FEWEST_FRAMES = 24
-_LEAST_PATH_PX = 20.0
-_SMALL_PART = 0.2
-"""Stretches with less than this part of the largest amplitude say nothing: the shift goes with its square."""
+"""Length in periods of a stretch that is fitted by itself, short enough for a nearly constant amplitude."""
+_MIN_STRETCHES = 6
+_MIN_FRAMES = 24
+_MIN_PATH_PX = 20.0
+_MIN_AMPLITUDE_FRACTION = 0.2
+"""Smallest amplitude of a stretch that is used, over the largest; the effect goes with its square."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shutter:
-    """When the rows of an image are exposed: `row_time_s` from one row to the next, 0 for all at once.
+    """Times of exposure of the rows of an image: `row_time_s` from one row to the next, 0 for all at once.
 
-    It belongs to the rows of the image as delivered: another binning or pixel format may change it. With
-    `first_row` "top" the row with y = 0 is the first, with "bottom" the last row of the image is; of a
-    region of interest, that of the region. The time of a frame is that of its first row.
+    It holds for the rows of the image as delivered; another binning or pixel format may change it. The row
+    that is exposed first is the one with y = 0 if `first_row` is "top", the last row of the image if it is
+    "bottom"; with a region of interest, the region's. The time of a frame is that of its first row.
     """
 
     row_time_s: float = field(
@@ -39,7 +39,7 @@ class Shutter:
     first_row: Literal["top", "bottom"] = "top"
 
     def times_ns(self, frame_times_ns: Ints, y_px: Floats, rows: int) -> Ints:
-        """Times (n,) of spots at `y_px` in frames of `rows` rows with these times.
+        """Times (n,) of spots at `y_px` in frames with these times and `rows` rows.
 
         A frame without a spot (NaN) gets the time of its middle row. Times keep their order as long as the
         rows take less than the interval of the frames.
@@ -56,12 +56,12 @@ GLOBAL = Shutter()
 
 @dataclass(frozen=True, slots=True)
 class ShutterFit:
-    """Row time found in a run. It is negative if the bottom row is the first.
+    """Row time from a swing; it is negative if the bottom row is exposed first.
 
-    `harmonic_px` is the amplitude of the second harmonic that it makes at the largest amplitude,
+    `harmonic_px` is the amplitude of the second harmonic that it causes at the largest amplitude,
     `amplitude_px`. `chi2_per_dof` compares the stretches with each other; the uncertainty includes their
-    scatter. `even_per_px` is the other part of the second harmonic, relative to the squared amplitude: it
-    comes from the geometry and says nothing about times. The row time of each stretch alone, its standard
+    scatter. `even_per_px` is the other part of the second harmonic, over the squared amplitude, which
+    comes from the geometry and is independent of times. The row time of each stretch alone, its standard
     uncertainty and the middle of the stretch are `of_stretches_s`, `u_of_stretches_s` and `stretches_at_s`.
     """
 
@@ -78,11 +78,11 @@ class ShutterFit:
 
 
 def path_across_rows_px(y_px: Floats) -> float:
-    """How many rows the spot crosses; DataError where they are too few for a row time."""
+    """Number of rows that the spot crosses; DataError where they are too few for a row time."""
     path_px = float(np.ptp(y_px)) if len(y_px) else 0.0
-    if path_px < _LEAST_PATH_PX:
+    if path_px < _MIN_PATH_PX:
         raise DataError(
-            f"row time: the spot moves over {path_px:.3g} rows, at least {_LEAST_PATH_PX:g} are needed: "
+            f"row time: the spot moves over {path_px:.3g} rows, at least {_MIN_PATH_PX:g} are needed: "
             "let it swing further, with the slow axis along the columns"
         )
     return path_px
@@ -116,15 +116,15 @@ def fit_row_time(times_s: Floats, y_px: Floats) -> ShutterFit:
     found = []
     for begin_s in times_s[0] + length_s * np.arange(stretches):
         inside = slice(*np.searchsorted(times_s, [begin_s, begin_s + length_s]))
-        if inside.stop - inside.start >= _FEWEST_FRAMES:
+        if inside.stop - inside.start >= _MIN_FRAMES:
             found.append((*_harmonics(times_s[inside], y_px[inside], period_s), begin_s + 0.5 * length_s))
     table = np.array(found).reshape(-1, 5)
     if len(table):
-        table = table[table[:, 3] > _SMALL_PART * table[:, 3].max()]
-    if len(table) < _FEWEST_STRETCHES:
+        table = table[table[:, 3] > _MIN_AMPLITUDE_FRACTION * table[:, 3].max()]
+    if len(table) < _MIN_STRETCHES:
         raise DataError(
             f"row time: {len(table)} stretches of {_PERIODS:g} periods ({period_s:.3g} s) have a swing, "
-            f"{_FEWEST_STRETCHES} are needed; record for longer"
+            f"{_MIN_STRETCHES} are needed; record for longer"
         )
     odd, u_odd, even, amplitude_px, at_s = table.T
     weight = u_odd**-2.0
@@ -177,37 +177,37 @@ def _harmonics(times_s: Floats, y_px: Floats, period_s: float) -> tuple[float, f
         design = np.column_stack(columns)
         values, *_ = np.linalg.lstsq(design, y_px, rcond=None)
         first = complex(values[2], values[3])
-        # d(phase)/dt from the part that grows with time in quadrature: brings the frequency to this stretch
+        # d(phase)/dt follows from the part in quadrature that grows with time, and corrects the frequency
         rate += (complex(values[8], values[9]) / first).imag / period_s
     residual = y_px - design @ values
     variance = float(residual @ residual) / max(len(y_px) - design.shape[1], 1)
     covariance = variance * np.linalg.inv(design.T @ design)
     ratio = complex(values[4], values[5]) / first**2
     u_ratio = float(np.sqrt(0.5 * (covariance[4, 4] + covariance[5, 5]))) / abs(first) ** 2
-    # 2 odd / rate is the row time: reduce to the mean period
+    # 2 odd / rate is the row time, and the caller divides by the rate of the mean period
     scale = 2.0 * np.pi / period_s / rate
     return ratio.imag * scale, u_ratio, ratio.real, abs(first)
 
 
 _U_RESPONSE = 0.01
-"""How much the sensor's response and the light may differ from one end of the spot's path to the other."""
-_STEPS = 24
-"""Into how many parts the row time at which the rows take a whole exposure is divided for a first look."""
-_PARTS = 12
-"""Into how many parts the path is divided to show what the fit leaves over."""
-_LEAST_RAMP = 0.03
-"""Smallest part of the light that has to be missing at one end; less could be dust."""
+"""Relative standard uncertainty of response and light between the ends of the spot's path."""
+_SEARCH_STEPS = 24
+"""Steps of the first search, up to the row time at which all rows together take a whole exposure."""
+_PATH_PARTS = 12
+"""Number of parts of the path for which mean residuals are reported."""
+_MIN_RAMP = 0.03
+"""Smallest part of the light that must be missing at one end; a smaller one could be dust."""
 
 
 @dataclass(frozen=True, slots=True)
 class PulsedShutterFit:
-    """Row time found with pulses. It is negative if the bottom row is the first.
+    """Row time from pulses of light; it is negative if the bottom row is exposed first.
 
     `u_row_time_s` includes a response of the sensor that varies by one per cent along the path. `ramp` is the
     part of the light that the last row on the path misses compared with the first one, `scatter` the relative
-    standard deviation of the brightness about the fit, `path_px` how many rows the spot crosses. Of parts of
-    the path `rows_px` are the middles, `off` how much brighter than the fit the spot was there, relative, and
-    `u_off` its standard uncertainty from the scatter.
+    standard deviation of the brightness about the fit, `path_px` the number of rows that the spot crosses. In
+    equal parts of the path with the middles `rows_px`, `off` is the mean relative residual of the brightness,
+    and `u_off` its standard uncertainty from the scatter.
     """
 
     row_time_s: float
@@ -253,22 +253,24 @@ def fit_row_time_of_pulses(
     since = (times_s - times_s.mean()) / max(float(np.ptp(times_s)), 1e-9)
     drift = np.column_stack([np.ones_like(since), since, since**2])
 
-    def seen(row_time_s: float) -> Floats:
+    def lit_fraction(row_time_s: float) -> Floats:
         opens_s = row_time_s * (y_px if row_time_s >= 0 else y_px - (rows - 1))
         ends_s = np.minimum(delay_s + pulse_s, opens_s + exposure_s)
         part: Floats = np.maximum(ends_s - np.maximum(delay_s, opens_s), 0.0) / pulse_s
         return part
 
     def fitted(row_time_s: float) -> Floats:
-        design = drift * seen(row_time_s)[:, None]
+        design = drift * lit_fraction(row_time_s)[:, None]
         values, *_ = np.linalg.lstsq(design, light, rcond=None)
         return np.asarray(design @ values, dtype=np.float64)
 
     def misfit(row_time_s: float) -> float:
         return float(np.mean((light - fitted(row_time_s)) ** 2))
 
-    step_s = max(exposure_s, delay_s + pulse_s) / rows / _STEPS
-    nearest_s = step_s * min(np.arange(-2 * _STEPS, 2 * _STEPS + 1), key=lambda step: misfit(step_s * step))
+    step_s = max(exposure_s, delay_s + pulse_s) / rows / _SEARCH_STEPS
+    nearest_s = step_s * min(
+        np.arange(-2 * _SEARCH_STEPS, 2 * _SEARCH_STEPS + 1), key=lambda step: misfit(step_s * step)
+    )
     best = minimize_scalar(
         misfit,
         bounds=(nearest_s - step_s, nearest_s + step_s),
@@ -276,9 +278,9 @@ def fit_row_time_of_pulses(
         options={"xatol": 1e-6 * step_s},
     )
     row_time_s, least = float(best.x), float(best.fun)
-    part = seen(row_time_s)
+    part = lit_fraction(row_time_s)
     ramp = 1.0 - float(part.min() / part.max())
-    if ramp < _LEAST_RAMP:
+    if ramp < _MIN_RAMP:
         raise DataError(
             f"row time: the spot is equally bright in all rows (to {100 * ramp:.2g} %): the shutter is "
             "global, or the pulse lies where all rows are exposed; set laser.pulse_us to the exposure, "
@@ -304,8 +306,8 @@ def _along_path(
     y_px: Floats, off: Floats, whole: float
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
     """Means of `off` over `whole` in equal parts of the path, with their standard uncertainties."""
-    edges = np.linspace(y_px.min(), y_px.max(), _PARTS + 1)
-    part = np.clip(np.searchsorted(edges, y_px, side="right") - 1, 0, _PARTS - 1)
+    edges = np.linspace(y_px.min(), y_px.max(), _PATH_PARTS + 1)
+    part = np.clip(np.searchsorted(edges, y_px, side="right") - 1, 0, _PATH_PARTS - 1)
     rows = []
     for number, middle_px in enumerate(0.5 * (edges[:-1] + edges[1:])):
         inside = off[part == number] / whole

@@ -1,4 +1,4 @@
-"""Calibration files: TOML with provenance; a new file never overwrites an older one."""
+"""Calibration files in TOML, with provenance; a new file never overwrites an older one."""
 
 import datetime
 import json
@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from processing.errors import ConfigurationError, RecordError, require_schema
+from processing.errors import ConfigurationError, RecordError, place_in_words, require_schema
 
 Kind = Literal["lever", "axes", "sensor", "clock", "shutter", "air", "pointing", "check"]
 SCHEMA = 1
@@ -56,9 +56,8 @@ def write_calibration(
 ) -> Path:
     """Write a calibration to KIND-001.toml, KIND-002.toml ... (the next number) and return the path.
 
-    `write_new` writes a file whole or not at all, and raises FileExistsError where there is one.
-
-    Raises RecordError if it cannot be written.
+    `write_new` writes a file whole or not at all, and raises FileExistsError where the file exists. Raises
+    RecordError if the calibration cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -89,7 +88,10 @@ def read_calibration(path: Path, kind: Kind | None = None) -> CalibrationFile:
 
 
 def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> CalibrationFile:
-    """The same for the content of a file, as a record stores it; `name` is used in messages."""
+    """Parse the content of a calibration file, as a record stores it; `name` is used in messages.
+
+    Raises ConfigurationError as `read_calibration` does.
+    """
     try:
         tree = tomllib.loads(data.decode("utf-8"))
         require_schema(name, tree.get("schema_version", SCHEMA), SCHEMA, ConfigurationError)
@@ -111,8 +113,8 @@ def parse_calibration(data: bytes, name: str, kind: Kind | None = None) -> Calib
 
 
 def _in_words(fault: ErrorDetails) -> str:
-    """The key at fault, its value, and what should stand there."""
-    place, kind = ".".join(str(part) for part in fault["loc"]), fault["type"]
+    """The faulty key, its value, and the value that is expected, in words."""
+    place, kind = place_in_words(fault["loc"]), fault["type"]
     if kind == "missing":
         return f"{place} is missing"
     if kind == "extra_forbidden":
@@ -133,7 +135,7 @@ _WANTED = {
     "string": "text, in quotes",
     "tuple": "a list",
 }
-"""What is wanted, by the beginning of pydantic's kind of fault."""
+"""Descriptions of expected values, by the beginning of pydantic's kind of fault."""
 
 
 def toml_text(calibration: CalibrationFile) -> str:

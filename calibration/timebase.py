@@ -18,7 +18,7 @@ from processing.units import S_PER_NS, nanoseconds, seconds
 
 FRAME_JITTER_LIMIT_S = 15e-6
 """Jitter of the frame times that does not affect the times of turning points; 100 us doubles their error."""
-_FEWEST_FRAMES = 50
+_MIN_FRAMES = 50
 _HUBER = 1.345
 """Residuals larger than this many standard deviations get less weight (95 % efficiency for normal ones)."""
 _ROUNDING_S = S_PER_NS / 12**0.5
@@ -61,9 +61,7 @@ class ClockRelation:
 
     @property
     def drift_ppm(self) -> float:
-        """Relative rate of the camera's clock against the host's minus 1, in ppm; positive if it runs
-        fast.
-        """
+        """Rate of the camera's clock over the host's, minus 1, in ppm; positive if the camera's runs fast."""
         return (1.0 / self.rate - 1.0) * 1e6
 
     @property
@@ -78,14 +76,14 @@ class ClockRelation:
 
 
 def unwrap_counter(ticks: Ints, bits: int) -> Ints:
-    """Readings (n,) of a `bits` wide counter without its overflows: each one adds 2**bits.
+    """Readings (n,) of a `bits` wide counter without its overflows, each of which adds 2**bits.
 
     Successive readings must be less than half the counter's range apart. Raises DataError if the counter
     runs backwards.
     """
     if len(ticks) == 0:
         return ticks.astype(np.int64)
-    # unsigned numbers roll over by themselves, at 64 bits
+    # unsigned differences are correct also where a counter of 64 bits overflows
     unsigned = ticks.astype(np.uint64)
     steps = (unsigned[1:] - unsigned[:-1]) & np.uint64((1 << bits) - 1)
     backwards = steps > np.uint64(1 << (bits - 1))
@@ -124,8 +122,8 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
             f"clock: {len(device_ns)} camera timestamps, {len(host_ns)} host timestamps and {len(sequence)} "
             "frame numbers must be of one length"
         )
-    if len(device_ns) < _FEWEST_FRAMES:
-        raise DataError(f"clock: {len(device_ns)} frames, {_FEWEST_FRAMES} are needed; record for longer")
+    if len(device_ns) < _MIN_FRAMES:
+        raise DataError(f"clock: {len(device_ns)} frames, {_MIN_FRAMES} are needed; record for longer")
     for name, stamps in (("camera", device_ns), ("host", host_ns)):
         backwards = np.nonzero(np.diff(stamps) <= 0)[0]
         if len(backwards):
@@ -134,7 +132,7 @@ def relate_clocks(device_ns: Ints, host_ns: Ints, sequence: Ints) -> ClockRelati
                 f"({stamps[backwards[0]]} ns, then {stamps[backwards[0] + 1]} ns); record again, or state "
                 "the width of the camera's counter if it overflows (--counter-bits)"
             )
-    # the clocks differ by some ppm: fitting their difference avoids rounding errors
+    # the clocks differ by some ppm, so a fit of their difference avoids rounding errors
     since_s = seconds(device_ns - device_ns[0])
     ahead_s = seconds((host_ns - host_ns[0]) - (device_ns - device_ns[0]))
     breaks = _jumps(since_s, ahead_s)
@@ -178,9 +176,9 @@ def _jumps(since_s: Floats, ahead_s: Floats) -> list[int]:
     candidates = np.nonzero(np.abs(step) > limit)[0]
     while len(candidates):
         top = candidates[np.argmax(np.abs(step[candidates]))]
-        # the medians show the step over a whole window: its frame is that of the largest single difference
-        around = slice(max(int(top), 0), int(top) + 2 * window - 1)
-        frame = around.start + int(np.argmax(np.abs(np.diff(flat)[around]))) + 1
+        # the medians show the step over a whole window, in which its frame has the largest single difference
+        window_of_step = slice(max(int(top), 0), int(top) + 2 * window - 1)
+        frame = window_of_step.start + int(np.argmax(np.abs(np.diff(flat)[window_of_step]))) + 1
         found.append(frame)
         candidates = candidates[np.abs(candidates - top) > 2 * window]
     return sorted(found)
@@ -209,7 +207,7 @@ def _huber(design: Floats, values: Floats) -> tuple[Floats, Floats, float]:
     covariance = scale * np.linalg.inv(design.T @ design)
     means = part_means(design)
     if len(means) >= design.shape[1] + FEWEST_PARTS:
-        # what wanders moves all coefficients; the slope's is told, the others' grows with it
+        # wandering affects all coefficients: that of the slope is estimated, and enlarges all alike
         u_slope = u_wandering_slope(means, part_means(sigma / inside * psi))
         covariance = covariance * max(1.0, u_slope**2 / covariance[0, 0])
     return solution.astype(np.float64), covariance.astype(np.float64), sigma
@@ -222,8 +220,8 @@ def _frame_period(since_s: Floats, sequence: Ints) -> tuple[float, float]:
     return float(values[0]), sigma
 
 
-_IMPROBABLE = 0.01
-"""Probability of the chi-square below which the scatter is not attributed to chance."""
+_MIN_PROBABILITY = 0.01
+"""Probability of a chi-square below which its size is not attributed to chance."""
 
 
 def birge_ratio(chi_square: float, dof: int) -> float:
@@ -234,4 +232,4 @@ def birge_ratio(chi_square: float, dof: int) -> float:
     """
     from scipy.special import chdtrc
 
-    return math.sqrt(chi_square / dof) if dof > 0 and chdtrc(dof, chi_square) < _IMPROBABLE else 1.0
+    return math.sqrt(chi_square / dof) if dof > 0 and chdtrc(dof, chi_square) < _MIN_PROBABILITY else 1.0

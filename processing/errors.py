@@ -48,6 +48,28 @@ def require_schema(what: str, stated: object, read: int, kind: type[RigError]) -
         raise kind(f"{what}: is of schema {stated!r}; this version reads schema {read}")
 
 
+KeyPlace = tuple[int | str, ...]
+"""Keys, and positions in lists from 0, from the top of a file to a value in it."""
+
+
+def dotted(place: KeyPlace) -> str:
+    """The path of a key as `--set` takes it."""
+    return ".".join(part if isinstance(part, str) and part.isprintable() else repr(part) for part in place)
+
+
+def place_in_words(place: KeyPlace) -> str:
+    """The path of a key as a person reads it: entries of a list count from 1, ``level 1: frames``."""
+    text = ""
+    for depth, part in enumerate(place):
+        if isinstance(part, int):
+            text += f" {part + 1}"
+        elif depth:
+            text += f"{': ' if isinstance(place[depth - 1], int) else '.'}{dotted((part,))}"
+        else:
+            text = dotted((part,))
+    return text
+
+
 def in_one_line(error: Exception) -> str:
     """Text of an error in one line, after the name of its class unless it is a `RigError`."""
     text = re.sub(r"\s+", " ", f"{error}").strip()

@@ -149,19 +149,19 @@ def _load(place: str) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
-KEPT_S = 0.1
-"""Python stands still for less: by a search for garbage, or a busy processor."""
-_MOST_BYTES = 256 * 1024 * 1024
+BUFFERED_S = 0.1
+"""Pauses of Python are shorter than this, in garbage collection or on a busy processor."""
+_MAX_BYTES = 256 * 1024 * 1024
 
 
-def kept_frames(asked: int | None, rate_hz: float | None, frame_bytes: int, least: int, most: int) -> int:
-    """Number of buffers: what was `asked` for, else as many as hold `KEPT_S` at the stated rate.
+def buffer_count(stated: int | None, rate_hz: float | None, frame_bytes: int, least: int, most: int) -> int:
+    """Number of buffers: as `stated` in the configuration, else as many as `rate_hz` fills in `BUFFERED_S`.
 
-    `least` are kept at any rate, also where the camera states none (None), at most `most`, and all together
-    are no larger than 256 MiB.
+    There are at least `least` at any rate, also where the camera states none (None), and at most `most`; all
+    together take at most 256 MiB.
     """
-    wanted = asked or max(least, math.ceil(KEPT_S * (rate_hz or 0.0)) + 1)
-    return max(2, min(wanted, most, _MOST_BYTES // max(frame_bytes, 1)))
+    wanted = stated or max(least, math.ceil(BUFFERED_S * (rate_hz or 0.0)) + 1)
+    return max(2, min(wanted, most, _MAX_BYTES // max(frame_bytes, 1)))
 
 
 class Usb3VisionSettings(BaseModel, frozen=True, extra="forbid"):
@@ -179,8 +179,8 @@ class Usb3VisionSettings(BaseModel, frozen=True, extra="forbid"):
     )
 
     def frames_ahead(self, rate_hz: float | None, frame_bytes: int) -> int:
-        """Frames of this size for which reads are queued; `rate_hz` is what the camera states."""
-        return kept_frames(self.transfers, rate_hz, frame_bytes, 4, 1024)
+        """Number of frames of this size for which reads are queued; `rate_hz` is the camera's stated rate."""
+        return buffer_count(self.transfers, rate_hz, frame_bytes, 4, 1024)
 
 
 class V4l2Settings(BaseModel, frozen=True, extra="forbid"):

@@ -32,7 +32,7 @@ _STICKY: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning"
 """Settings that keep their last requested value if left out."""
 _FRAME_TRIGGERS: Final = ("FrameStart", "ExposureStart", "AcquisitionStart")
 _EDGES: Final[dict[Edge, str]] = {"rising": "RisingEdge", "falling": "FallingEdge"}
-_EXPOSURE: Final = "ExposureActive"
+_EXPOSURE_SIGNAL: Final = "ExposureActive"
 _PTP: Final = ("PtpEnable", "GevIEEE1588")
 _PTP_LATCHES: Final = ("PtpDataSetLatch", "GevIEEE1588DataSetLatch")
 _BINNING: Final = ("BinningHorizontal", "BinningVertical")
@@ -58,7 +58,7 @@ _RESULTING_RATES: Final = (
 
 
 class GenicamFeatures(ABC):
-    """Features of an open camera that the rig uses; each driver says how its library reads and sets them.
+    """Features of an open camera that the rig uses; each driver reads and sets them with its own library.
 
     Methods raise DeviceError for values that the camera does not support; errors of the driver's library are
     passed on.
@@ -70,12 +70,12 @@ class GenicamFeatures(ABC):
 
     @property
     def plane(self) -> ColourPlane | None:
-        """The colour that is read, of a sensor with a Bayer mosaic."""
+        """The colour whose pixels are used, of a sensor with a Bayer mosaic; None: all pixels."""
         return self._requested.colour_plane
 
     @property
     def rate_switch(self) -> str:
-        """Switch without which a frame rate has no effect."""
+        """Name of the feature that must be on for a frame rate to have an effect."""
         return "AcquisitionFrameRateEnable"
 
     @property
@@ -88,15 +88,15 @@ class GenicamFeatures(ABC):
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None, in the order that cameras require; return all as read back.
 
-        Wiring, binning and colour that they leave out stay as they were asked for before.
+        Wiring, binning and colour plane that the settings leave out stay as they were requested before.
         """
         self.renew()
-        self._leave_images_alone()
-        kept = {name: getattr(self._requested, name) for name in _STICKY if getattr(settings, name) is None}
-        asked = settings.model_copy(update=kept)
-        self._set_binning(asked.binning or 1)
-        self._wire(asked)
-        self._requested, settings = asked, in_sensor_px(asked)
+        self._switch_off_processing()
+        sticky = {name: getattr(self._requested, name) for name in _STICKY if getattr(settings, name) is None}
+        requested = settings.model_copy(update=sticky)
+        self._set_binning(requested.binning or 1)
+        self._wire(requested)
+        self._requested, settings = requested, in_sensor_px(requested)
         self.set_format(settings.pixel_format)
         self.set_region(settings)
         self._set_times(settings)
@@ -107,7 +107,7 @@ class GenicamFeatures(ABC):
         self.renew()
         return self._read_back(settings)
 
-    # ---- what a driver says
+    # ---- implemented by each driver
 
     @abstractmethod
     def writable(self, feature: str) -> bool:
@@ -115,20 +115,18 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def choices(self, feature: str) -> tuple[str, ...]:
-        """Values that an enumeration takes now; none for other features."""
+        """Values to which an enumeration can be set now; empty for other features."""
 
     @abstractmethod
     def read(self, feature: str) -> FeatureValue | None:
-        """Value of a feature, possibly as text; None if the camera has none of this name or it is not
-        readable now.
-        """
+        """Value of a feature, possibly as text; None if the camera has none or it is unreadable now."""
 
     @abstractmethod
     def write(self, feature: str, value: FeatureValue) -> None:
         """Set a feature; any value runs a command."""
 
     def renew(self) -> None:  # noqa: B027 most libraries keep nothing
-        """From here on read everything from the camera again."""
+        """Discard values that the library keeps, so that they are read from the camera again."""
 
     @abstractmethod
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
@@ -136,19 +134,19 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def number(self, key: NumericFeature) -> float | None:
-        """A quantity's present value; None where the camera has none, or none in use."""
+        """Present value of a quantity; None where the camera does not have it, or does not use it."""
 
     @abstractmethod
     def set_number(self, key: NumericFeature, wanted: float) -> None:
-        """Set a quantity; DeviceError if the camera has none, or not this value."""
+        """Set a quantity; DeviceError if the camera does not have it, or cannot be set to this value."""
 
     @abstractmethod
     def region(self) -> tuple[int | None, int | None, int, int]:
         """(x, y, width, height) of the frames, in pixels of the sensor."""
 
     @abstractmethod
-    def set_region(self, asked: CameraSettings) -> None:
-        """Set offset and size as far as given; leave the rest."""
+    def set_region(self, requested: CameraSettings) -> None:
+        """Set those of offset and size that are not None, in pixels of the sensor."""
 
     @abstractmethod
     def format_name(self) -> str:
@@ -156,14 +154,14 @@ class GenicamFeatures(ABC):
 
     @abstractmethod
     def offered_formats(self) -> Iterable[str]:
-        """The names of the pixel formats that it offers now, and that the driver can read."""
+        """Names of the pixel formats that the camera offers now and the driver can read."""
 
     @abstractmethod
     def set_format_name(self, name: str) -> None:
-        """Set this format."""
+        """Set the pixel format of this name."""
 
     def set_feature(self, name: str, value: FeatureValue) -> None:
-        """Set a feature that the user names."""
+        """Set a feature by the name in the user's settings."""
         self.write(name, value)
 
     def value_for_user(self, name: str) -> FeatureValue:
@@ -181,7 +179,7 @@ class GenicamFeatures(ABC):
         return min(filter(None, (self.number("frame_rate_hz"), self.possible_rate())), default=None)
 
     def free_rate(self, possible_hz: float | None) -> float | None:
-        """Rate in Hz without trigger, or None."""
+        """Frame rate in Hz without a trigger, at most `possible_hz`; None: unknown."""
         return min(filter(None, (self.number("frame_rate_hz"), possible_hz)), default=None)
 
     # ---- pixel formats
@@ -203,14 +201,12 @@ class GenicamFeatures(ABC):
         )
 
     def usable_depths(self) -> str:
-        """The depths that the camera offers, for a message."""
-        there = names_by_depth(set(self.offered_formats()), self.plane)
-        return ", ".join(there) or "(this camera has none)"
+        """Supported bit depths that the camera offers, as text for a message."""
+        offered = names_by_depth(set(self.offered_formats()), self.plane)
+        return ", ".join(offered) or "(this camera has none)"
 
     def choose_usable_format(self) -> Format:
-        """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported one; returns the
-        format.
-        """
+        """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported; returns it."""
         mosaic = format_of(self.format_name(), "red")
         if mosaic is None:
             self.set_format(None)
@@ -220,13 +216,13 @@ class GenicamFeatures(ABC):
         """Set the format `wanted`; None: keep a supported one, else set the first supported one."""
         if wanted is None and self.present_format() is not None:
             return
-        there = preferred_names(self.name, self.offered_formats(), self.plane)
-        wanted = wanted or next(iter(there))
-        if wanted not in there:
+        offered = preferred_names(self.name, self.offered_formats(), self.plane)
+        wanted = wanted or next(iter(offered))
+        if wanted not in offered:
             raise DeviceError(
-                f"{self.name}: pixel format {wanted} is not supported; there are {', '.join(there)}"
+                f"{self.name}: pixel format {wanted} is not supported; there are {', '.join(offered)}"
             )
-        self.set_format_name(there[wanted])
+        self.set_format_name(offered[wanted])
 
     # ---- wiring
 
@@ -253,14 +249,14 @@ class GenicamFeatures(ABC):
             raise DeviceError(f"{self.name}: has no {feature} that can be set; leave camera.{key} out")
         offered = self.choices(feature)
         if wanted not in offered:
-            there = ", ".join(offered)
+            listed = ", ".join(offered)
             raise DeviceError(
-                f"{self.name}: camera.{key}: its {feature} cannot be {wanted}; it can be {there}"
+                f"{self.name}: camera.{key}: its {feature} cannot be {wanted}; it can be {listed}"
             )
         self.write(feature, wanted)
 
     def _choose_if_possible(self, feature: str, wanted: str) -> None:
-        """Set an enumeration where the camera has it, it can be set and takes this value."""
+        """Set an enumeration, if the camera has it, it can be set, and it offers this value."""
         if wanted in self.choices(feature) and self.writable(feature):
             self.write(feature, wanted)
 
@@ -278,7 +274,7 @@ class GenicamFeatures(ABC):
         if settings.exposure_output is not None:
             self._choose("LineSelector", settings.exposure_output, "exposure_output")
             self._choose_if_possible("LineMode", "Output")
-            self._choose("LineSource", _EXPOSURE, "exposure_output")
+            self._choose("LineSource", _EXPOSURE_SIGNAL, "exposure_output")
         if settings.ptp is not None:
             switch = next(filter(self.writable, _PTP), "")
             if switch:
@@ -287,14 +283,14 @@ class GenicamFeatures(ABC):
                 raise DeviceError(f"{self.name}: has no {_PTP[0]}; leave camera.ptp out")
 
     def _read_wiring(self, settings: CameraSettings) -> dict[str, str | bool]:
-        """Wiring read back from the camera, by the names of those `settings` that are not None."""
+        """Wiring read back from the camera, for those `settings` of it that are not None."""
         found: dict[str, str | bool] = {}
         if settings.trigger is not None and self.read("TriggerMode") == "On":
             found["trigger"] = str(self.read("TriggerSource"))
             for edge, name in _EDGES.items():
                 if self.read("TriggerActivation") == name:
                     found["trigger_edge"] = edge
-        if settings.exposure_output is not None and self.read("LineSource") == _EXPOSURE:
+        if settings.exposure_output is not None and self.read("LineSource") == _EXPOSURE_SIGNAL:
             found["exposure_output"] = str(self.read("LineSelector"))
         if settings.ptp is not None:
             found["ptp"] = any(_is_on(self.read(name)) for name in _PTP)
@@ -302,9 +298,9 @@ class GenicamFeatures(ABC):
 
     # ---- inside
 
-    def _leave_images_alone(self) -> None:
-        """Switch off automatic changes of images by the camera, which another program may have left on; let
-        exposure_us set the exposure.
+    def _switch_off_processing(self) -> None:
+        """Switch off the camera's automatic changes of images, which another program may have left on, and
+        let exposure_us set the exposure.
         """
         for name in _AUTOMATIC:
             self._choose_if_possible(name, "Off")
@@ -314,15 +310,15 @@ class GenicamFeatures(ABC):
         self._choose_if_possible("ExposureMode", "Timed")
 
     def _set_binning(self, binning: int) -> None:
-        """Set the binning in both directions, without decimation; 1 undoes what another program set."""
+        """Set the binning in both directions, without decimation; 1 undoes another program's binning."""
         wanted = dict.fromkeys(_BINNING, binning) | dict.fromkeys(_DECIMATION, 1)
         for name, value in wanted.items():
-            now = self.read(name)
-            if now is None and value == 1:
+            present = self.read(name)
+            if present is None and value == 1:
                 continue
-            if now is None:
+            if present is None:
                 raise DeviceError(f"{self.name}: has no {name}; leave camera.binning out")
-            if float(now) != value:
+            if float(present) != value:
                 if self.writable(name):
                     self.write(name, value)
                 got = self.read(name)
@@ -333,7 +329,7 @@ class GenicamFeatures(ABC):
                     )
 
     def _set_times(self, settings: CameraSettings) -> None:
-        """Set exposure and frame rate in the order in which they fit: each limits the other.
+        """Set exposure and frame rate, which limit each other, in the order in which both are possible.
 
         With a trigger, no frame rate is set.
         """
@@ -354,9 +350,9 @@ class GenicamFeatures(ABC):
                 self.set_number(key, value)
 
     def _read_back(self, settings: CameraSettings) -> CameraSettings:
-        """The camera's present settings, in pixels of the colour plane; None for what it does not have."""
+        """The camera's present settings, in pixels of the colour plane; None for those that it lacks."""
         possible_hz = self.possible_rate()
-        # a triggered camera is expected to be triggered at the rate that was asked for
+        # a triggered camera is expected to be triggered at the requested rate
         triggered_hz = min(filter(None, (settings.frame_rate_hz, possible_hz)), default=None)
         x, y, width_px, height_px = self.region()
         applied = CameraSettings(
@@ -385,7 +381,7 @@ class GenicamFeatures(ABC):
 
 
 def _is_on(value: FeatureValue | None) -> bool:
-    """Whether a switch is on, whichever way its library says so."""
+    """Whether a switch is on, from the value as the library returns it: true, "true", 1 or "On"."""
     return str(value).lower() in ("true", "1", "on")
 
 

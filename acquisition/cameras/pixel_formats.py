@@ -4,10 +4,9 @@ Packed pixels are stored without gaps: ``p`` formats least significant bits firs
 (Pixel Format Naming Convention), the older ``Packed`` formats with the low bits of two pixels shared
 in the middle byte (GigE Vision).
 
-One colour of a sensor with a Bayer mosaic: one pixel of each square of four, as it was read.
-
-The pixels of a plane are those of a grey sensor of twice the pitch. Planes are not mixed: where the laser's
-colour is not theirs, pixels hold little light and all of their noise, and interpolated ones are correlated.
+A colour plane of a sensor with a Bayer mosaic is one pixel of each square of four, as it was read; it equals
+a grey sensor of twice the pitch. Planes are not combined, because pixels of other colours than the laser's
+hold little light and all of their noise, and interpolated pixels are correlated.
 """
 
 from collections.abc import Callable, Iterable
@@ -127,7 +126,7 @@ class Format:
         return pixels.reshape(height_px, width_px)
 
 
-# In order of preference for a requested bit depth: fewer bytes on the bus first
+# in order of preference for a requested bit depth, fewer bytes on the bus first
 FORMATS: Final = (
     Format("Mono8", 0x01080001, "mono8", 8, 255),
     Format("Mono10p", 0x010A0046, "mono10", 10, 1023, unpack_10p),
@@ -143,9 +142,9 @@ BY_NAME: Final = {item.name: item for item in FORMATS}
 
 
 PITCH: Final = 2
-"""Distance of neighbouring pixels of a plane, in those of the sensor."""
+"""Distance of neighbouring pixels of a plane, in pixels of the sensor."""
 _REGION: Final = ("width_px", "height_px", "offset_x_px", "offset_y_px")
-_BELOW: Final = {"RG": "GB", "GR": "BG", "GB": "RG", "BG": "GR"}
+_SECOND_ROW: Final = {"RG": "GB", "GR": "BG", "GB": "RG", "BG": "GR"}
 """Colours of the second row of a mosaic, by those of the first."""
 _DEPTHS: Final[tuple[tuple[str, PixelFormat, int, int, dict[str, int]], ...]] = (
     ("8", "mono8", 8, 255, {"GR": 0x01080008, "RG": 0x01080009, "GB": 0x0108000A, "BG": 0x0108000B}),
@@ -166,12 +165,12 @@ _BY_NAME: Final = {item.name: item for item in FORMATS}
 
 
 def format_of(name: str, plane: ColourPlane | None) -> Format | None:
-    """The pixel format of this name, if it is one of grey pixels, or with a `plane` one of a mosaic."""
+    """The supported pixel format of this name: of grey pixels, or, with a `plane`, of a mosaic; else None."""
     return (_BAYER_BY_NAME if plane else _BY_NAME).get(name)
 
 
 def names_by_depth(offered: set[str], plane: ColourPlane | None) -> dict[PixelFormat, list[str]]:
-    """Those of the offered formats that can be read, by their depth, the preferred ones first."""
+    """Names of the offered formats that can be read, by their depth, the preferred ones first."""
     found: dict[PixelFormat, list[str]] = {}
     for item in BAYER_FORMATS if plane else FORMATS:
         if item.name in offered:
@@ -180,7 +179,7 @@ def names_by_depth(offered: set[str], plane: ColourPlane | None) -> dict[PixelFo
 
 
 def preferred_names(camera: str, offered: Iterable[str], plane: ColourPlane | None) -> dict[PixelFormat, str]:
-    """The best of the offered formats of each depth; DeviceError that names the `camera` if there is none."""
+    """Name of the preferred offered format of each depth; DeviceError, which names the `camera`, if none."""
     there = set(offered)
     found = {depth: names[0] for depth, names in names_by_depth(there, plane).items()}
     if not found:
@@ -203,14 +202,14 @@ def plane_of(image: Image, colours: str, plane: ColourPlane | None) -> Image:
 
 
 def place_in_mosaic(colours: str, plane: ColourPlane) -> tuple[int, int]:
-    """Row and column of the first pixel of a colour, by the first row's colours; of green, in the red row."""
-    rows = (colours, _BELOW[colours])
+    """Row and column of the first pixel of a colour, by the first row's colours; for green in the red row."""
+    rows = (colours, _SECOND_ROW[colours])
     row = next(i for i, letters in enumerate(rows) if ("B" if plane == "blue" else "R") in letters)
     return row, rows[row].index(plane[0].upper())
 
 
 def in_sensor_px(settings: CameraSettings) -> CameraSettings:
-    """Settings with the region in pixels of the sensor, as the camera takes them."""
+    """Settings with the region converted from pixels of the plane to those of the sensor, for the camera."""
     if settings.colour_plane is None:
         return settings
     stated = {name: getattr(settings, name) for name in _REGION}
@@ -219,7 +218,7 @@ def in_sensor_px(settings: CameraSettings) -> CameraSettings:
 
 
 def in_plane_px(applied: CameraSettings, plane: ColourPlane | None) -> CameraSettings:
-    """Settings as read back, with the region in pixels of the plane."""
+    """Settings as read back, with the region converted from pixels of the sensor to those of the plane."""
     if plane is None:
         return applied
     stated = {name: getattr(applied, name) for name in _REGION}

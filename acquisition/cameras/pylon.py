@@ -16,7 +16,7 @@ from acquisition.camera import (
     Frame,
     PluggedCamera,
 )
-from acquisition.cameras.drivers import PylonSettings, kept_frames
+from acquisition.cameras.drivers import PylonSettings, buffer_count
 from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures, NumericFeature
 from acquisition.cameras.pixel_formats import Format, plane_of
 from acquisition.cameras.reading import CameraRun
@@ -39,7 +39,7 @@ class PylonFeatures(GenicamFeatures):
         self._camera = camera
         self._nodes = camera.GetNodeMap()
 
-    # ---- as GenicamFeatures
+    # ---- the methods of GenicamFeatures
 
     def writable(self, feature: str) -> bool:
         node = self.node(feature)
@@ -119,7 +119,7 @@ class PylonFeatures(GenicamFeatures):
         """The first of these features that the camera has, as pylon's node; None if it has none of them."""
         for name in names:
             node = self._nodes.GetNode(name)
-            # newer versions return something that stands for a missing feature
+            # newer versions return an invalid node for a missing feature
             if node is not None and node.IsValid():
                 return node
         return None
@@ -128,23 +128,21 @@ class PylonFeatures(GenicamFeatures):
         found: dict[str, FeatureValue] = {}
         for node in self._nodes.GetNodes():
             if node.IsReadable() and hasattr(node, "ToString") and not hasattr(node, "Features"):
-                # some features say that they can be read, and fail
+                # some features are reported as readable, and fail
                 with suppress(error):
                     found[node.GetNode().GetName()] = str(node.ToString())
         return found
 
     def tick_ns(self) -> float:
-        """Length of a tick in ns: USB cameras count nanoseconds, GigE cameras report their tick frequency,
-        which may change (PTP).
-        """
+        """Length of a tick in ns: USB cameras count ns, GigE cameras report a frequency (PTP changes it)."""
         per_s = self.read(_TICKS_PER_S)
         return NS_PER_S / float(per_s) if per_s else 1.0
 
 
 _NO_BLOCK: Final = 2**64 - 1
 """Block number that means "not known"."""
-_GIGE_BLOCKS: Final = 65535
-"""After this block number a GigE camera begins at 1."""
+_LAST_GIGE_BLOCK: Final = 65535
+"""Last block number of a GigE camera, which is followed by 1."""
 
 
 class PylonCamera(GenicamCamera[PylonFeatures]):
@@ -174,12 +172,12 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         self.close()
         pylon = self._pylon = load_pylon()
         factory = pylon.TlFactory.GetInstance()
-        there = list(factory.EnumerateDevices())
+        devices = list(factory.EnumerateDevices())
         wanted = self._settings.serial
-        chosen = [device for device in there if wanted in (None, device.GetSerialNumber())]
-        listed = "; ".join(f"{device.GetModelName()} serial {device.GetSerialNumber()}" for device in there)
+        chosen = [device for device in devices if wanted in (None, device.GetSerialNumber())]
+        listed = "; ".join(f"{device.GetModelName()} serial {device.GetSerialNumber()}" for device in devices)
         if not chosen:
-            what = "no camera is plugged in" if not there else f"no camera has the serial number {wanted!r}"
+            what = "no camera is plugged in" if not devices else f"no camera has the serial number {wanted!r}"
             raise DeviceError(f"pylon: {what}; there are: {listed or 'none'}")
         if len(chosen) > 1:
             raise DeviceError(f"pylon: several cameras: {listed}; set camera.serial to one of them")
@@ -210,11 +208,11 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         with self._lock, self._translate_errors():
             features, camera = self._open_device(), self._camera
             self._must_be_idle()
-            self._begin((_GIGE_BLOCKS,))
+            self._begin((_LAST_GIGE_BLOCK,))
             self._format_and_plane = (features.present_format(), features.plane)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
             frame_bytes = int(features.node("PayloadSize").Value)
-            camera.MaxNumBuffer.Value = kept_frames(
+            camera.MaxNumBuffer.Value = buffer_count(
                 self._settings.buffers, features.stated_rate(), frame_bytes, 64, 4096
             )
             camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
@@ -235,7 +233,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
                 self._numbers.lost_parts += 1
                 self._numbers.faulty += 1
                 return None
-            # pylon counts skipped images only where it skips; the numbers of blocks show every loss
+            # pylon's count of skipped images lacks other losses; the numbers of blocks show every loss
             block = int(result.GetBlockID())
             number = self._numbers.number(None if block == _NO_BLOCK else block, "dropped_by_bus")
             if number is None:
@@ -255,7 +253,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         with self._lock:
             camera, self._camera, self._features = self._camera, None, None
             if camera is not None:
-                self._when_unread(camera.Close)
+                self._when_idle(camera.Close)
 
 
 def load_pylon() -> Any:

@@ -1,4 +1,4 @@
-"""Base of the drivers of devices: life cycle, and frames read in the thread which asks for them."""
+"""Base class of the drivers of real cameras: life cycle, and frames that the calling thread reads itself."""
 
 import threading
 import time
@@ -16,14 +16,14 @@ _STOP_S: Final = 0.4
 
 
 class CameraRun:
-    """Reads a camera when asked, and ends once: by `stop` from any thread, or by an error.
+    """One run of a camera, whose frames `read` takes; it is ended once, by `stop` or by an error.
 
     Parameters
     ----------
     step
         Waits for the camera for at most this many seconds; returns the frame that was completed, if any.
     end
-        Gives back what the run has claimed; called when no `step` is under way, and none will be.
+        Releases the run's resources; called when no `step` is under way or will follow.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class CameraRun:
                         raise TimeoutError
                 return None
             except RigError as error:
-                # another one, which keeps nothing of the camera as a traceback does
+                # a new error, because the traceback of this one keeps the camera's objects alive
                 self._error = type(error)(str(error))
                 self._stopping.set()
                 raise
@@ -73,11 +73,11 @@ class CameraRun:
                     self._end()
 
     def request_stop(self) -> None:
-        """Have a `read` that waits return, without waiting for it."""
+        """Make a waiting `read` return, without waiting for it."""
         self._stopping.set()
 
     def stop(self, timeout_s: float) -> bool:
-        """End the run, at the latest when a `read` that waits has noticed; False if that takes longer."""
+        """End the run as soon as a waiting `read` has returned; False if that takes longer."""
         self._stopping.set()
         if not self._in_use.acquire(timeout=timeout_s):
             return False
@@ -93,7 +93,7 @@ class CameraRun:
         return self._stopping.is_set()
 
     def when_ended(self, action: Callable[[], None]) -> None:
-        """Run `action` when the camera is no longer read: then, or now if that is so already."""
+        """Run `action` at the end of the run, or now if the run has ended already."""
         with self._ending:
             if not self._ended:
                 self._at_end.append(action)
@@ -120,9 +120,9 @@ _Opened = TypeVar("_Opened", bound=AppliesSettings)
 
 
 class DeviceCamera(Generic[_Opened]):
-    """Base of the drivers' cameras: settings, frames until a stop, counts kept over a reconnection.
+    """Base of the drivers' cameras: settings, frames until a stop, counts that continue after a reconnection.
 
-    `_features` is the open device, `_run` its frames since `start`; a driver sets both, and `_name`.
+    `_features` is the open device, `_run` the run since `start`; a driver sets both, and `_name`.
     """
 
     _HINT: ClassVar[str] = ""
@@ -140,7 +140,7 @@ class DeviceCamera(Generic[_Opened]):
         self._was_lost = False
 
     def _library_error(self) -> type[Exception]:
-        """The library's exception."""
+        """Class of the library's exceptions."""
         return DeviceError
 
     def _is_gone(self) -> bool:
@@ -174,14 +174,14 @@ class DeviceCamera(Generic[_Opened]):
         return self._past_counts if run is None else self._past_counts + self._numbers.status(run.delivered)
 
     def _begin(self, counters: tuple[int, ...] = (), *, has_clock: bool = False) -> BlockNumbers:
-        """Count anew, or on after a loss of the camera; see `BlockNumbers`."""
-        self._past_counts, self._was_lost = self.status.to_begin_with(lost=self._was_lost), False
+        """Begin to count frames from 0, or continue after a loss of the camera; see `BlockNumbers`."""
+        self._past_counts, self._was_lost = self.status.initial_counts(lost=self._was_lost), False
         self._run = None
         self._numbers = BlockNumbers(self._name, counters, has_clock=has_clock)
         return self._numbers
 
-    def _when_unread(self, action: Callable[[], None]) -> None:
-        """Do what must not happen during a read: now, or at the end of the read that is under way."""
+    def _when_idle(self, action: Callable[[], None]) -> None:
+        """Run an action that must not happen during a read: now, or at the end of the run."""
         if self._run is None:
             action()
         else:
@@ -198,7 +198,7 @@ class DeviceCamera(Generic[_Opened]):
 
     @contextmanager
     def _translate_errors(self) -> Iterator[None]:
-        """Convert the library's errors into DeviceError, those of an unplugged camera into CameraLost."""
+        """Convert the library's errors into DeviceError, or CameraLost if the camera is unplugged."""
         try:
             yield
         except DeviceError as error:

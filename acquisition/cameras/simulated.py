@@ -1,4 +1,4 @@
-"""The simulated rig as a `Camera`: in simulated time, with frames on demand, or in real time."""
+"""The simulated rig as a `Camera`, in real time, or in simulated time with frames on demand."""
 
 import logging
 import math
@@ -15,7 +15,7 @@ from acquisition.camera import (
     Frame,
     FrameTimeout,
     Image,
-    without_features,
+    refuse_features,
 )
 from acquisition.simulation.inputs import FaultSettings, RigInputs
 from acquisition.simulation.scene import PlannedFrames, Scene, SensorSettings, block_frames
@@ -26,7 +26,7 @@ from processing.units import nanoseconds, seconds
 _log = logging.getLogger(__name__)
 _NAME = "simulated camera"
 _AHEAD_BYTES = 16 * 1024 * 1024
-"""Images drawn at once; such memory comes in large pages, which is fast."""
+"""Memory of the images that are computed at once; the system gives so much in large pages, which is fast."""
 
 
 class SimulatedCamera:
@@ -92,7 +92,7 @@ class SimulatedCamera:
         self._must_be_open()
         if self._reader is not None and self._reader.running:
             raise DeviceError(f"{_NAME}: cannot be configured while frames are running; stop it first")
-        without_features(settings.model_copy(update={"binning": None}), _NAME)
+        refuse_features(settings.model_copy(update={"binning": None}), _NAME)
         binning = settings.binning or self._sensor_settings.binning
         sensor = self._settings.sensor
         width_px, height_px = sensor.width_px // binning, sensor.height_px // binning
@@ -213,7 +213,7 @@ class _SimulatedFrames:
         self._plan: PlannedFrames = scene.plan(block)
         self._ahead = 1 if settings.real_time else max(1, _AHEAD_BYTES // scene.image_bytes)
         self._drawn: dict[int, Image] = {}
-        # the first drawing compiles: before the run's clock starts, and where no reader waits for a frame
+        # the first image compiles kernels, so it is drawn before the run's clock starts and a reader waits
         self._draw(0, 0)
         self._stopped = threading.Event()
         self._next = 0
@@ -237,7 +237,7 @@ class _SimulatedFrames:
 
     @property
     def stalled(self) -> bool:
-        """Whether no frames come although the cable is plugged in; opening the camera again does not help."""
+        """Whether no frames come although the camera is plugged in, which opening it again does not cure."""
         return self._stall_at <= self._next < self._stall_end
 
     @property
@@ -289,7 +289,7 @@ class _SimulatedFrames:
         return None
 
     def replug(self) -> None:
-        """Allow that the camera is opened again; DeviceError if the cable is still unplugged."""
+        """Allow the camera to be opened again; DeviceError if it is still unplugged."""
         back_s = self._faults.camera_replugged_at_s
         if back_s is None:
             raise DeviceError(f"{_NAME}: is unplugged; plug it in")
@@ -314,7 +314,7 @@ class _SimulatedFrames:
         _log.warning("%s: unplugged at frame %d", _NAME, self._next)
 
     def _due(self, now_ns: int) -> int:
-        """Number of frames that the simulated camera has exposed by now."""
+        """Number of frames that the simulated camera has exposed by the host's time `now_ns`."""
         return math.floor(seconds(now_ns - self._begin_ns) * self._rate_hz) + 1
 
     def _wait_for(self, frame: int, deadline_ns: int) -> bool:
@@ -327,7 +327,7 @@ class _SimulatedFrames:
                 return False
 
     def _skip_overrun(self, frame: int) -> int:
-        """Lose the oldest frames if the reader is later than the buffer holds; returns the next one."""
+        """Lose the oldest frames if the reader is later than the buffer holds; returns the next frame."""
         late = self._due(time.monotonic_ns()) - frame - self._settings.buffer_frames
         if late > 0:
             self._next += late
@@ -345,7 +345,7 @@ class _SimulatedFrames:
         return frame - self._plan.first
 
     def _draw(self, frame: int, row: int) -> None:
-        """Draw the image of a row of the plan; in simulated time the next ones too."""
+        """Draw the image of a row of the plan; in simulated time also the following ones."""
         plan = self._plan
         rows = slice(row, row + self._ahead)
         images = self._scene.draw_frames(

@@ -1,1 +1,1 @@
-"""What becomes of frames between a camera and the code that takes them: checked, numbered, timed, queued."""
+"""Check, numbering, timing and queueing of frames, between a camera and the code that uses them."""

@@ -1,4 +1,4 @@
-"""Checks of what a driver (perhaps a user's own) delivers and does, before it is used."""
+"""Checks of a camera driver, perhaps a user's own: its frames, its settings, its clock, its hanging calls."""
 
 import logging
 import threading
@@ -20,29 +20,29 @@ _log = logging.getLogger(__name__)
 _TYPES: Final = (np.dtype(np.uint8), np.dtype(np.uint16))
 _PIXELS_PER_AXIS: Final = 64
 """Approximate number of pixels that are compared along each axis."""
-_MOST_BUFFERS: Final = 8
+_MAX_BUFFERS: Final = 8
 """Images kept for comparison; a driver's ring of buffers rarely has more."""
-_LIMIT: Final = 1 << 63
+_INT_END: Final = 1 << 63
 """End of the signed integers of 64 bits."""
 _END_PATIENCE_S: Final = 10.0
 READ_GRACE_S: Final = 10.0
-"""A `read` that exceeds its timeout by this much has hung, and is given up."""
+"""A `read` that exceeds its timeout by this much hangs, and is abandoned."""
 _NOT_READING: Final = -1
 """State of a thread that is not in `read`."""
 _MAX_FUTURE_NS: Final = 1_000_000_000
-"""A host time further in the future than this is of another clock, such as UTC."""
+"""A host time further in the future than this comes from another clock, such as UTC."""
 NO_TIME_NS: Final = 1 << 62
-"""Times beyond this (146 years) are invalid; sums overflow."""
+"""Times beyond this (146 years) are invalid, because their sums overflow."""
 MAX_DRIFT_PPM: Final = 1000.0
 """Largest drift of a clock. A quartz is right within 100 ppm; beyond this, the driver misreads its unit."""
 _STRETCH_NS: Final = 2_000_000_000
-"""Length of a stretch: 2 ms more delay in the next makes `MAX_DRIFT_PPM`."""
+"""Length of a stretch of frames: 2 ms more delay in the next one are a drift of `MAX_DRIFT_PPM`."""
 _MIN_FRAMES: Final = 60
 """Fewest frames of a stretch."""
 _AGREEING_STRETCHES: Final = 3
 """Consecutive stretches whose drifts must agree."""
 _MAX_SPREAD: Final = 0.2
-"""Largest relative spread of the drifts for a wrong unit; the delays of a busy computer vary more."""
+"""Largest relative spread of drifts that a wrong unit causes; the delays of a busy computer vary more."""
 
 
 class _LastImage(NamedTuple):
@@ -54,17 +54,17 @@ class _LastImage(NamedTuple):
 
 
 class FrameChecks:
-    """Checks frames of one camera: shape and type as the first, an own image array, rising numbers.
+    """Checks frames of one camera: shape and type as the first, an image array of their own, rising numbers.
 
-    Numbers come out as plain integers: those of numpy overflow, or compute in floating point. Only frames
-    `in_real_time` are compared with the host's clock.
+    Numbers are returned as plain integers, because those of numpy overflow, or compute in floating point.
+    Only frames `in_real_time` are compared with the host's clock.
     """
 
     def __init__(self, *, in_real_time: bool = False) -> None:
         self._in_real_time = in_real_time
         self._form: tuple[tuple[int, ...], np.dtype[Any]] | None = None
         self._sequence: int | None = None
-        self._newest: deque[_LastImage] = deque(maxlen=_MOST_BUFFERS)
+        self._newest: deque[_LastImage] = deque(maxlen=_MAX_BUFFERS)
 
     def restart(self) -> None:
         """Accept numbers from 0 again, after a restart; shape and type of images must stay."""
@@ -76,18 +76,18 @@ class FrameChecks:
         if not isinstance(frame, Frame):
             raise _refusal(f"read() returned {type(frame).__name__}", "return a Frame, or None at the end")
         image, *numbers = frame
-        if self._in_real_time and isinstance(frame.device_time_ns, int) and frame.device_time_ns >= _LIMIT:
-            # "no value" of an unsigned counter: one wrong time is no reason to end a run
-            numbers[1] = _LIMIT - 1
+        if self._in_real_time and isinstance(frame.device_time_ns, int) and frame.device_time_ns >= _INT_END:
+            # an unsigned counter's "no value"; one wrong time is no reason to end a run
+            numbers[1] = _INT_END - 1
             frame = frame._replace(device_time_ns=numbers[1])
-        if set(map(type, numbers)) != {int} or not -_LIMIT <= min(numbers) <= max(numbers) < _LIMIT:
+        if set(map(type, numbers)) != {int} or not -_INT_END <= min(numbers) <= max(numbers) < _INT_END:
             numbers = [_whole(name, one) for name, one in zip(Frame._fields[1:], numbers, strict=True)]
             frame = Frame(image, *numbers)
         number, _, host_time_ns = numbers
-        since_ns = host_time_ns - time.monotonic_ns()
-        if self._in_real_time and since_ns > _MAX_FUTURE_NS:
+        ahead_ns = host_time_ns - time.monotonic_ns()
+        if self._in_real_time and ahead_ns > _MAX_FUTURE_NS:
             raise _refusal(
-                f"host_time_ns of frame {number} is {host_time_ns}, {seconds(since_ns):+.4g} s from now",
+                f"host_time_ns of frame {number} is {host_time_ns}, {seconds(ahead_ns):+.4g} s from now",
                 "it is what time.monotonic_ns() says when the frame arrives",
             )
         if self._sequence is not None and number <= self._sequence:
@@ -154,13 +154,13 @@ def driver_errors(camera: str, what: str) -> Iterator[None]:
     except RigError:
         raise
     except Exception as error:
-        # the author of a driver wants to see where it failed
+        # the traceback tells the author of a driver where it failed
         _log.error("%s: %s failed", camera, what, exc_info=error)
         raise DeviceError(f"{camera}: {what} failed: {in_one_line(error)}") from error
 
 
 def end_within(ending: Callable[[], object], name: str, patience_s: float = _END_PATIENCE_S) -> str:
-    """Call `ending` (stop or close) and wait `patience_s` at most; returns the problem, or "".
+    """Call `ending` (stop or close) and wait for at most `patience_s`; returns the problem, or "".
 
     Measured data must not be lost because a driver hangs.
     """
@@ -181,15 +181,15 @@ def end_within(ending: Callable[[], object], name: str, patience_s: float = _END
 
 
 class CameraCounts:
-    """The frame counts of a camera; the last known ones if it can no longer report them.
+    """The frame counts of a camera, or the last known ones if it can no longer report them.
 
-    `take_remark` reports this, once; missing frames still show in the frame numbers.
+    `take_remark` reports such a failure once; missing frames still show in the frame numbers.
     """
 
     def __init__(self, ask: Callable[[], object]) -> None:
         self._ask = ask
         self._last = self._before = CameraStatus()
-        self._remark, self._has_said = "", False
+        self._remark, self._failure_reported = "", False
 
     @property
     def latest(self) -> CameraStatus:
@@ -199,8 +199,8 @@ class CameraCounts:
             if not isinstance(found, CameraStatus):
                 raise TypeError(f"status is {type(found).__name__}, no CameraStatus")
         except Exception as error:
-            if not self._has_said:
-                self._has_said = True
+            if not self._failure_reported:
+                self._failure_reported = True
                 self._remark = (
                     f"cannot be read any more: {in_one_line(error)}; frames that are missing are seen by "
                     "their numbers"
@@ -210,45 +210,47 @@ class CameraCounts:
         return self._before + found
 
     def go_on(self, before: CameraStatus) -> None:
-        """The camera was lost, when it had told the counts `before`, and started again: a driver that has
-        noticed the loss counts on, any other begins again.
+        """Take account of a restart after the camera was lost; `before` are its counts at the loss.
+
+        A driver that has noticed the loss continues its counts; any other begins again at 0.
         """
         if self.latest.reconnects == before.reconnects:
             self._before = before
 
     def take_remark(self) -> str:
-        """Warning since the last call; usually empty."""
+        """The warning since the last call; usually empty."""
         remark, self._remark = self._remark, ""
         return remark
 
 
 class ReadMonitor:
-    """Detects a `read` that does not return; the reading thread reports to it, the waiting one asks it.
+    """Detects a `read` that does not return.
 
-    It adds up the waits: a clock would also run while the program is suspended.
+    The reading thread calls `enter` and `leave`, the waiting thread `check`. Waits are added up, because a
+    clock would also run while the program is suspended.
     """
 
     def __init__(self, asked_s: float, hangs_s: float = READ_GRACE_S) -> None:
-        self._asked_s, self._longest_s = asked_s, asked_s + hangs_s
+        self._asked_s, self._limit_s = asked_s, asked_s + hangs_s
         self._reads = 0
-        self._now = self._then = _NOT_READING
+        self._current_read = self._last_read = _NOT_READING
         self._waited_s = 0.0
 
     def enter(self) -> None:
         """Note that a `read` begins."""
         self._reads += 1
-        self._now = self._reads
+        self._current_read = self._reads
 
     def leave(self) -> None:
-        """Note that the thread is in a call with its own limit."""
-        self._now = _NOT_READING
+        """Note that the thread is in another call, which has its own limit."""
+        self._current_read = _NOT_READING
 
     def check(self, waited_s: float) -> str:
-        """Add a wait (0: a frame came); message if the `read` hangs."""
-        same = self._now == self._then and self._now != _NOT_READING
+        """Add a wait (0: a frame came); returns a message if the `read` hangs, else ""."""
+        same = self._current_read == self._last_read and self._current_read != _NOT_READING
         self._waited_s = self._waited_s + waited_s if same and waited_s else 0.0
-        self._then = self._now
-        if self._waited_s < self._longest_s:
+        self._last_read = self._current_read
+        if self._waited_s < self._limit_s:
             return ""
         return (
             f"camera: read() has not returned for {self._waited_s:.0f} s; it was asked to wait for "
@@ -257,15 +259,15 @@ class ReadMonitor:
 
 
 class ClockCheck:
-    """Compares the clocks over the first seconds of frames, whatever the driver.
+    """Compares the camera's clock with the computer's over the first seconds of frames.
 
     A wrong unit shows as the same drift in every stretch of frames. Each stretch is represented by its
     frame of smallest delay, since a busy computer takes others late. A drift above `MAX_DRIFT_PPM` is refused
-    if three in a row agree.
+    if three consecutive stretches agree on it.
     """
 
     def __init__(self) -> None:
-        self._found: list[float] = []
+        self._drifts_ppm: list[float] = []
         self._done = False
         self.restart()
 
@@ -296,10 +298,10 @@ class ClockCheck:
         if abs(drift_ppm) <= MAX_DRIFT_PPM:
             self._done = True
             return
-        self._found = [*self._found, drift_ppm][-_AGREEING_STRETCHES:]
-        mean = sum(self._found) / len(self._found)
-        same = all(abs(drift - mean) < _MAX_SPREAD * abs(mean) for drift in self._found)
-        if len(self._found) == _AGREEING_STRETCHES and same:
+        self._drifts_ppm = [*self._drifts_ppm, drift_ppm][-_AGREEING_STRETCHES:]
+        mean = sum(self._drifts_ppm) / len(self._drifts_ppm)
+        same = all(abs(drift - mean) < _MAX_SPREAD * abs(mean) for drift in self._drifts_ppm)
+        if len(self._drifts_ppm) == _AGREEING_STRETCHES and same:
             raise DeviceError(
                 f"{clock_rate_text(mean)}, at most {MAX_DRIFT_PPM:g} ppm are possible: its times cannot be "
                 "used; the driver misreads its unit, or the computer's clock was set: see rig doctor"
@@ -312,7 +314,7 @@ def clock_rate_text(drift_ppm: float) -> str:
 
 
 def _whole(name: str, value: object) -> int:
-    if isinstance(value, int | np.integer) and not isinstance(value, bool) and -_LIMIT <= value < _LIMIT:
+    if isinstance(value, int | np.integer) and not isinstance(value, bool) and -_INT_END <= value < _INT_END:
         return int(value)
     raise _refusal(
         f"{name} of a frame is {value!r} ({type(value).__name__})", "whole numbers of 64 bits are needed"

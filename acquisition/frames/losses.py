@@ -1,4 +1,4 @@
-"""Lost frames, and the times at which frames are expected."""
+"""Numbers of lost frames, and the times at which frames are expected."""
 
 import logging
 import math
@@ -14,21 +14,21 @@ from acquisition.camera import CameraLost, CameraStatus, Frame
 
 logger = logging.getLogger(__name__)
 
-# A larger jump of a number means that the counter was reset, not that frames were lost.
 _LARGEST_GAP: Final = 1 << 31
-# The largest loss across the end of a counter.
-_LARGEST_LOSS: Final = 1000
-# So many old but rising numbers in a row are no late frames: the camera has begun to count again.
+"""A larger jump of a number means that the counter was reset, not that frames were lost."""
+_MAX_LOSS_AT_WRAP: Final = 1000
+"""Largest number of frames that can be lost where a counter begins again."""
 _RESTARTED_AFTER: Final = 3
+"""This many old but rising numbers in a row are no late frames: the camera has begun to count again."""
 LossCause = Literal["dropped_by_camera", "dropped_by_bus", "dropped_by_host"]
 
 
 class BlockNumbers:
-    """Numbers the whole frames of the camera `name` from 0, and counts the others.
+    """Numbers the complete frames of the camera `name` from 0, and counts the others.
 
-    `counters` are the numbers of blocks after which a camera may begin again. With a clock a block that came
-    too late is known by its time. `lost_parts` counts the frames since the last whole one of which a part
-    arrived, `faulty` those of them that the camera called so.
+    `counters` are the numbers of blocks after which a camera may begin again. Where the camera has a clock, a
+    block that came too late is recognised by its time. Since the last complete frame, `lost_parts` counts the
+    frames that arrived in part, and `faulty` those of them that the camera marked as faulty.
     """
 
     def __init__(self, name: str, counters: Sequence[int], *, has_clock: bool = False) -> None:
@@ -46,35 +46,35 @@ class BlockNumbers:
         return self._lost + since
 
     def number(self, block: int | None, lost: LossCause, time: int = 0) -> int | None:
-        """Number of a whole frame; None for a block that came again or too late.
+        """Number of a complete frame; None for a block that came again or too late.
 
-        `block` is None where the driver does not know it. `lost` is the place of loss of frames missing
+        `block` is None where the driver does not know it. `lost` is the place of the loss of frames missing
         before it, `time` the camera's clock in any unit. Raises CameraLost where the camera has reset itself.
         """
-        # Number of frames since the last one delivered. Before the first one there is no block number to
-        # compare with; damaged frames count nevertheless.
+        # The step counts frames from the last one delivered. The first frame has no block number before it to
+        # compare with, but damaged frames before it count.
         after_parts = 1 + self.lost_parts
         step = after_parts
         if block is not None and self._last_block is not None:
             step = block - self._last_block
             if step <= 0 and (time <= self._last_time if self._has_clock else not step):
-                # sent again, or overtaken by another one, which was when it counted as lost
+                # sent again, or overtaken by a later block and counted as lost then
                 logger.warning("%s: block %d came again or too late", self._name, block)
                 self._lost += CameraStatus(wrong_id=1)
                 self._refuse_restart(block)
                 return None
         self._stale.clear()
         if step < 0:
-            step = next((step + n for n in self._counters if 0 < step + n <= _LARGEST_LOSS), step)
+            step = next((step + n for n in self._counters if 0 < step + n <= _MAX_LOSS_AT_WRAP), step)
         if not 0 < step <= _LARGEST_GAP:
             logger.warning("%s: block number went from %s to %s", self._name, self._last_block, block)
             step = after_parts
         missing = step - 1
-        in_part = min(self.lost_parts, missing)
-        faulty = min(self.faulty, in_part)
+        partial = min(self.lost_parts, missing)
+        faulty = min(self.faulty, partial)
         if missing:
-            self._lost += CameraStatus(incomplete=in_part - faulty, error_status=faulty)
-            self._lost += CameraStatus(**{lost: missing - in_part})
+            self._lost += CameraStatus(incomplete=partial - faulty, error_status=faulty)
+            self._lost += CameraStatus(**{lost: missing - partial})
         self.lost_parts = self.faulty = 0
         self._last_block, self._last_time = block, time
         self._last_number += step
@@ -129,7 +129,9 @@ class FrameLosses:
     def from_status(
         cls, status: CameraStatus, *, unqueued: int = 0, while_unplugged: int = 0, wrong_time: int = 0
     ) -> Self:
-        """From a driver's counts, frames refused by our queue, missed in a gap, or with wrong times."""
+        """Losses from a driver's counts, and from frames that the program's queue refused, that were missed
+        while the camera was unplugged, or that had wrong times.
+        """
         return cls(
             status.dropped_by_camera,
             status.dropped_by_bus,
@@ -143,7 +145,7 @@ class FrameLosses:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """All numbers, in their order."""
+        """All numbers, in the order of the fields."""
         return _counts(self)
 
     @property
@@ -158,7 +160,7 @@ class FrameLosses:
 
     @property
     def discarded_text(self) -> str:
-        """`discarded` in words, by reason."""
+        """The discarded frames by reason, in words."""
         return str(
             FrameLosses(0, 0, 0, self.incomplete, 0, self.wrong_time, self.error_status, self.wrong_id)
         )
@@ -183,24 +185,24 @@ _counts: Callable[[FrameLosses], tuple[int, ...]] = attrgetter(*(field.name for 
 _FRAMES_TO_LEARN = 8
 """Frames after which the frame time is known."""
 SMOOTHING = 0.1
-"""Part of a deviation by which the frame time follows each frame."""
+"""Fraction of each frame's deviation by which the learned interval is corrected."""
 _DELAY_SMOOTHING = 0.02
 """As SMOOTHING, for the delay and its scatter."""
 _MIN_DEVIATION_NS = 2_000_000.0
-"""Smallest disagreement of times that counts: smaller ones are by reading or exposure."""
+"""Smallest disagreement of times that counts: smaller ones come from reading or exposure."""
 MAX_READING_DELAY_NS = 60_000_000.0
-"""Largest disagreement with the computer's clock by late reading."""
+"""Largest disagreement with the computer's clock that late reading explains."""
 MAX_IRREGULARITY = 0.2
-"""Largest mean deviation of a regular camera's intervals, as part of one."""
+"""Largest mean deviation of a regular camera's intervals, as a fraction of the interval."""
 _LEAST_SCATTER_NS = 20_000.0
 """Lower limit of the scatter of the delay."""
 _IRREGULAR_PENALTY: Final = 0.6
-"""Loss of a frame's score (1) by an irregular interval before it: a single outlier spoils two intervals and
-is left out, a frame between two gaps is kept."""
+"""Amount by which an irregular interval before a frame lowers its score of 1, so that a single outlier, which
+spoils two intervals, is left out, and a frame between two gaps is kept."""
 _FULL_IRREGULARITY: Final = 0.5
 """Relative deviation of a fully irregular interval."""
 _NEWEST_INTERVALS: Final = 9
-"""Newest intervals, whose median is the camera's present interval."""
+"""Number of newest intervals, whose median is taken as the camera's present interval."""
 
 
 class FrameTiming:
@@ -234,13 +236,14 @@ class FrameTiming:
 
     @property
     def allowed_by_arrival_ns(self) -> float:
-        """`allowed_ns` by the arrival."""
+        """Allowed deviation of a time from the one expected by the frame's arrival, in ns."""
         return max(3 * _MIN_DEVIATION_NS, 6 * self.scatter_ns)
 
-    def early_ns(self, moved: Frame) -> float:
-        """Its time minus (arrival minus usual delay), in ns: the step of the clock, less the delay of a late
-        reading."""
-        return moved.device_time_ns - (moved.host_time_ns - self.delay_ns)
+    def early_ns(self, frame: Frame) -> float:
+        """Camera's time minus (arrival minus usual delay), in ns: the step of the camera's clock, less the
+        additional delay of a late reading.
+        """
+        return frame.device_time_ns - (frame.host_time_ns - self.delay_ns)
 
     def off_by_rate_ns(self, frame: Frame, last: Frame) -> float:
         """Deviation of a time from the camera's rate since `last`, ns."""
@@ -262,10 +265,10 @@ class FrameTiming:
                 self.learned += 1
         delay_ns = float(frame.host_time_ns - frame.device_time_ns)
         if math.isnan(self.delay_ns) or self.learned < _FRAMES_TO_LEARN:
-            # the first ones may be late
+            # the first frames may have been read late, so the smallest delay counts
             self.delay_ns = min(delay_ns, delay_ns if math.isnan(self.delay_ns) else self.delay_ns)
         elif self.waited_for:
-            # one that was not has lain in the driver, as long as nobody read
+            # a frame that was not waited for has lain in the driver, and its delay says nothing
             later_ns = delay_ns - self.delay_ns
             most_ns = 2 * self.scatter_ns
             self.delay_ns += _DELAY_SMOOTHING * min(max(later_ns, -most_ns), most_ns)
@@ -291,7 +294,7 @@ class FrameTiming:
 
 
 class RisingTimes(NamedTuple):
-    """Indices of the frames with consistent times, and of the first after the step."""
+    """Indices of the frames with consistent times, and of the first frame after the step (None: no step)."""
 
     kept: list[int]
     first_after_step: int | None = None
@@ -302,30 +305,30 @@ def rising_times(
 ) -> RisingTimes:
     """Select the most frames whose times rise from the last sure one, at the camera's intervals.
 
-    Times and numbers are counted from the last sure frame. The camera may keep another interval by now, which
-    the newest frames show; frames without numbers may be missing anywhere. With a step, times after one
-    frame are later by it; that frame is where intervals become most regular.
+    Times and numbers are counted from the last sure frame. The camera may have changed its interval, which
+    the newest frames show; frames without numbers may be missing anywhere. With a step, all times from some
+    frame on are later by `step_ns`; that frame is chosen so that the intervals are most regular.
     """
     time = np.concatenate(([0.0], np.asarray(times_ns, dtype=np.float64)))
     number = np.concatenate(([0], np.asarray(numbers, dtype=np.int64)))
     newest = (np.diff(time) / np.maximum(np.diff(number), 1))[-_NEWEST_INTERVALS:]
     newest = newest[newest > 0]
     usual = [one for one in (interval_ns, float(np.median(newest)) if len(newest) else 0.0) if one > 0]
-    # best sequence to each frame, before and after the step: its score, and the frame before
+    # best sequence that ends at each frame, before (row 0) and after (row 1) the step: score, predecessor
     score = np.full((2, len(time)), -np.inf)
     score[0, 0] = 0.0
-    came = np.zeros((2, len(time)), np.int64)
+    predecessor = np.zeros((2, len(time)), np.int64)
     steps_at = np.zeros(len(time), np.bool_)
     for i in range(1, len(time)):
         passed_ns, between = time[i] - time[:i], np.maximum(number[i] - number[:i], 1)
         onwards = score[:, :i] + _score(passed_ns, between, usual)
-        came[:, i] = np.argmax(onwards, axis=1)
+        predecessor[:, i] = np.argmax(onwards, axis=1)
         score[:, i] = np.max(onwards, axis=1)
         if step_ns:
             stepping = score[0, :i] + _score(passed_ns - step_ns, between, usual)
             at = int(np.argmax(stepping))
             if stepping[at] > score[1, i]:
-                score[1, i], came[1, i], steps_at[i] = stepping[at], at, True
+                score[1, i], predecessor[1, i], steps_at[i] = stepping[at], at, True
     after = 1 if step_ns else 0
     i = int(np.argmax(score[after]))
     if score[after, i] == -np.inf:
@@ -334,7 +337,7 @@ def rising_times(
     first_after: int | None = None
     while i:
         kept.append(i - 1)
-        before = int(came[after, i])
+        before = int(predecessor[after, i])
         if after and steps_at[i]:
             first_after, after = i - 1, 0
         i = before
@@ -344,7 +347,7 @@ def rising_times(
 def _score(
     passed_ns: NDArray[np.float64], numbers: NDArray[np.int64], usual: list[float]
 ) -> NDArray[np.float64]:
-    """Score of frames: 1 (regular interval) to 0.4; -inf: time does not rise."""
+    """Scores of frames by the intervals before them: 1 (regular) to 0.4; -inf where time does not rise."""
     each_ns = passed_ns / numbers
     off = np.ones(len(each_ns))
     for one in usual:

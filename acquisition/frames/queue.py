@@ -1,4 +1,4 @@
-"""Bounded queue between two threads: of frames behind the camera, of entries before the disk."""
+"""Bounded queue between two threads, for frames behind the camera and for entries before the disk."""
 
 import math
 import threading
@@ -10,36 +10,36 @@ Policy = Literal["wait", "every", "latest"]
 
 
 class HasSize(Protocol):
-    """What may wait in a queue."""
+    """An item that may wait in a queue."""
 
     @property
     def memory_bytes(self) -> int:
-        """About what it takes while it waits; never 0."""
+        """Approximate memory that the item takes while it waits; never 0."""
 
 
 Item = TypeVar("Item", bound=HasSize)
 
 MAX_QUEUE_BYTES = 256 * 1024 * 1024
-"""Most that may wait for a late processor: 1.7 s of 500 frames/s of 640 x 480; or for a slow disk: half a
+"""Largest memory of a queue: for late processing, 1.7 s of 500 frames/s of 640 x 480; for a slow disk, half a
 minute of 800 frames/s with windows of 100 x 100 pixels.
 """
 _WARN_FRACTION = 0.125
-"""Filled part that causes a warning."""
+"""Filled fraction of a queue that causes a warning."""
 
 
 class BoundedQueue(Generic[Item]):
-    """Passes items on in blocks, in order, and counts those dropped.
+    """A queue that hands out its items in blocks, in order, and counts those dropped.
 
-    Policies for a full queue: ``wait`` blocks the one who puts (simulated time, files, entries of a record:
-    nothing is lost); ``every`` rejects the newest item (measurement: losses form one contiguous gap);
+    Policies for a full queue: ``wait`` blocks the thread that puts (simulated time, files, entries of a
+    record: nothing is lost); ``every`` rejects the newest item (measurement: losses form one contiguous gap);
     ``latest`` drops the oldest one (alignment: the display shows the present).
 
     Parameters
     ----------
     most
-        Number of items with which it is full.
+        Number of items at which the queue is full.
     most_bytes
-        Memory with which it is full, too, unless less than `fewest` items take it.
+        Memory at which the queue is full, too, if at least `fewest` items wait in it.
     """
 
     def __init__(self, most: float, policy: Policy, most_bytes: float = math.inf, *, fewest: int = 1) -> None:
@@ -76,7 +76,7 @@ class BoundedQueue(Generic[Item]):
             return not full
 
     def take(self, at_most: int, timeout_s: float) -> list[Item]:
-        """Up to `at_most` items, as soon as there is one; empty after the timeout or when drained."""
+        """Up to `at_most` items, as soon as there is one; an empty list after the timeout or when drained."""
         with self._changed:
             deadline_s = time.monotonic() + timeout_s
             while not self._items and not self._closed:
@@ -90,20 +90,20 @@ class BoundedQueue(Generic[Item]):
             return block
 
     def close(self) -> None:
-        """No more items: a waiting `put` returns False, `take` hands out what is left."""
+        """Accept no more items: a waiting `put` returns False, `take` hands out the remaining items."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     @property
     def drained(self) -> bool:
-        """Closed and empty."""
+        """Whether the queue is closed and empty."""
         with self._changed:
             return self._closed and not self._items
 
     def remark(self) -> str:
-        """Message when many frames begin to wait, and one when they no longer do; else, and for frames that
-        are made on demand, an empty text.
+        """A message once when many frames begin to wait, and once when they no longer do; otherwise, and with
+        the policy ``wait``, an empty text.
         """
         waiting, size = len(self._items), self.waiting_bytes
         if size > max(_WARN_FRACTION * self.most_bytes, self._longest_bytes) and self._policy != "wait":
@@ -129,5 +129,5 @@ _Any = TypeVar("_Any")
 
 
 def taken_from(waiting: deque[_Any]) -> list[_Any]:
-    """All that waits, oldest first, and is taken out; another thread may add to it meanwhile."""
+    """Take all waiting items, oldest first; another thread may add items meanwhile."""
     return [waiting.popleft() for _ in range(len(waiting))]

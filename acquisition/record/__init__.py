@@ -9,17 +9,17 @@ PIXELS_SUFFIX = ".pixels.mcap"
 
 
 def recovered_beside(record: Path) -> Path:
-    """Where the recovered copy of a record lies, if there is one: commands on folders read it instead."""
+    """Path of the recovered copy of a record; commands on folders read that copy where it exists."""
     return record.with_name(f"{record.stem}-recovered{record.suffix}")
 
 
 def pixels_beside(record: Path) -> Path:
-    """Where the pixels of a record lie; it is whole without them."""
+    """Path of the file of pixels of a record; the record is complete without that file."""
     return record.with_name(f"{record.stem}{PIXELS_SUFFIX}")
 
 
 def is_pixels(path: Path) -> bool:
-    """Whether a file has the pixels of a record, and is none itself."""
+    """Whether a file is the file of pixels of a record, and not a record."""
     return path.name.endswith(PIXELS_SUFFIX)
 
 
@@ -29,7 +29,7 @@ def records_of(folder: Path, pattern: str = "*.mcap") -> list[Path]:
 
 
 def records_in(path: Path) -> list[Path]:
-    """The record itself, or those of a session's folder in their order; instead of one its recovered copy.
+    """The record at `path`, or the records of a session's folder by run number; a recovered copy replaces it.
 
     Raises ConfigurationError for a folder without records.
     """

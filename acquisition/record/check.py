@@ -20,7 +20,7 @@ from acquisition.record.topics import SPOT, WINDOW
 from processing.errors import RecordError
 
 FindingLevel = Literal["error", "warning", "note"]
-_MOST_SHOWN = 10
+_MAX_SHOWN_GAPS = 10
 
 
 class Finding(NamedTuple):
@@ -40,6 +40,7 @@ class _FrameTally:
 
     `not_rising` is how often a number was not larger than the one before, `backwards` how often a time was
     smaller, `gaps` how often a number was larger by more than one, `missing` how many frames are missing.
+    `first_gaps` are the first and last missing number of each of the first ten gaps.
     """
 
     count: int = 0
@@ -60,7 +61,7 @@ class _FrameTally:
         if len(back) and not self.backwards:
             self.first_backwards_ns = int(times_ns[back[0]])
         gaps = np.flatnonzero(numbers - earlier > 1)
-        for at in gaps[: _MOST_SHOWN - len(self.first_gaps)]:
+        for at in gaps[: _MAX_SHOWN_GAPS - len(self.first_gaps)]:
             self.first_gaps.append((int(earlier[at]) + 1, int(numbers[at]) - 1))
         self.count += len(numbers)
         self.backwards += len(back)
@@ -95,7 +96,7 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
 
 
 def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
-    """Structure, chunks and attached files of one file; its frames are added to `frames`."""
+    """Findings on structure, chunks and attachments of one file; its frames are added to `frames`."""
     contents, name = file.contents, file.path.name
     findings = _errors(*(f"{name}: index: {text}" for text in contents.damage))
     if not contents.whole:
@@ -134,20 +135,20 @@ def _check_chunks(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Fin
             )
             continue
         for number, topic in channels.items():
-            of_channel = heads[heads["channel"] == number]
-            if topic in frames and len(of_channel):
-                frames[topic].add(of_channel)
+            channel_heads = heads[heads["channel"] == number]
+            if topic in frames and len(channel_heads):
+                frames[topic].add(channel_heads)
     return findings
 
 
-_MISSING = ("lost_chunks", "lost_bytes_at_the_end", "lost_parts")
+_LOSS_KEYS = ("lost_chunks", "lost_bytes_at_the_end", "lost_parts")
 
 
 def _check_recovery(recovery: Mapping[str, str]) -> Finding:
-    """Report what the damaged record lacked from which this one was recovered."""
+    """Report what was missing in the damaged record that this one was recovered from."""
     missing = [
         f"{name.replace('_', ' ')}: {recovery[name]}"
-        for name in _MISSING
+        for name in _LOSS_KEYS
         if recovery.get(name, "0") not in ("0", "")
     ]
     text = f"recovered from {recovery.get('source', '?')}; {'; '.join(missing) or 'nothing was lost'}"
@@ -157,10 +158,10 @@ def _check_recovery(recovery: Mapping[str, str]) -> Finding:
 def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
     findings = _errors(
         *(
-            f"{topic}: the time decreases {found.backwards} times, first at "
-            f"{utc_text(found.first_backwards_ns)}"
-            for topic, found in frames.items()
-            if found.backwards
+            f"{topic}: the time decreases {tally.backwards} times, first at "
+            f"{utc_text(tally.first_backwards_ns)}"
+            for topic, tally in frames.items()
+            if tally.backwards
         )
     )
     spots, windows = frames[SPOT.topic], frames[WINDOW.topic]
@@ -168,7 +169,7 @@ def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
         findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {spots.not_rising} places")
     if spots.gaps:
         shown = ", ".join(f"{first}-{last}" for first, last in spots.first_gaps)
-        more = f" and {spots.gaps - len(spots.first_gaps)} more gaps" if spots.gaps > _MOST_SHOWN else ""
+        more = f" and {spots.gaps - len(spots.first_gaps)} more gaps" if spots.gaps > _MAX_SHOWN_GAPS else ""
         text = f"{SPOT.topic}: {spots.missing} frames are missing: {shown}{more}"
         findings.append(Finding("warning", text))
     if 0 < windows.count < spots.count:
@@ -193,14 +194,16 @@ def _check_hashes(reader: RecordReader, results: Path) -> list[Finding]:
     if sha256 != sha256_of(reader.path):
         return _errors(f"SHA-256 is not the one in {results.name}: the record is not the one that was fitted")
     pixels = pixels_beside(reader.path)
-    of_pixels = inputs.get(pixels.name, "")
-    if of_pixels and pixels.is_file() and of_pixels != sha256_of(pixels):
+    pixels_sha256 = inputs.get(pixels.name, "")
+    if pixels_sha256 and pixels.is_file() and pixels_sha256 != sha256_of(pixels):
         return _errors(f"{pixels.name}: its SHA-256 is not the one in {results.name}")
-    held = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
-    others = sorted(name for name, value in inputs.items() if name != pixels.name and held.get(name) != value)
-    if others:
+    attachment_sha256 = {name: hashlib.sha256(data).hexdigest() for name, data in reader.attachments.items()}
+    changed = sorted(
+        name for name, value in inputs.items() if name != pixels.name and attachment_sha256.get(name) != value
+    )
+    if changed:
         return _errors(
-            *(f"{results.name} states another SHA-256 of {name} than the record's" for name in others)
+            *(f"{results.name} states another SHA-256 of {name} than the record's" for name in changed)
         )
     more = f", also of {', '.join(sorted(inputs))}" if inputs else ""
     return [Finding("note", f"SHA-256 is the one in {results.name}{more}")]

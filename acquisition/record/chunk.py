@@ -18,14 +18,14 @@ HEAD: Final = struct.Struct("<BQ")
 """Opcode, and length of the content."""
 CHUNK_HEAD: Final = struct.Struct("<BQQQQII")
 """Opcode, length, first and last log time, uncompressed size, its CRC-32, length of the compression's
-name; then follow that name, the compressed size and the data.
+name. After this head stand that name, the compressed size and the data.
 """
 _COMPRESSIONS = {0: b"", 4: b"zstd"}
 """Names of the compressions of a chunk by their lengths."""
 _CHANNEL = struct.Struct("<BQH")
 """Opcode and length of a message, and its channel."""
 _MESSAGE = struct.Struct("<BQHIQQ")
-"""Opcode, length, channel, sequence, log time, publish time; the same as an array's row:"""
+"""Opcode, length, channel, sequence, log time, publish time; `_MESSAGE_DTYPE` is this layout for numpy."""
 _MESSAGE_DTYPE = np.dtype(
     {
         "names": ["opcode", "length", "channel", "sequence", "log_time_ns", "publish_time_ns"],
@@ -48,18 +48,19 @@ class Message(NamedTuple):
 
 
 def chunk_content(data: bytes, length: int) -> tuple[int, int, bytes, int] | None:
-    """Uncompressed size, CRC-32, compression and offset of a chunk's content; None without a chunk of
-    `length` bytes.
+    """Uncompressed size, CRC-32, compression and offset of the content of a chunk that begins with `data`.
+
+    None if `data` are not the head of a chunk of `length` bytes.
     """
     if len(data) < CHUNK_HEAD.size:
         return None
-    opcode, stated, start_ns, end_ns, size, crc, of_name = CHUNK_HEAD.unpack_from(data)
-    start = CHUNK_HEAD.size + of_name + 8
-    if opcode != Opcode.CHUNK or start_ns > end_ns or of_name not in _COMPRESSIONS or len(data) < start:
+    opcode, stated, start_ns, end_ns, size, crc, name_length = CHUNK_HEAD.unpack_from(data)
+    start = CHUNK_HEAD.size + name_length + 8
+    if opcode != Opcode.CHUNK or start_ns > end_ns or name_length not in _COMPRESSIONS or len(data) < start:
         return None
     name = data[CHUNK_HEAD.size : start - 8]
     end = start + int.from_bytes(data[start - 8 : start], "little")
-    agree = name == _COMPRESSIONS[of_name] and end == HEAD.size + stated == length
+    agree = name == _COMPRESSIONS[name_length] and end == HEAD.size + stated == length
     return (size, crc, name, start) if agree else None
 
 
@@ -74,7 +75,7 @@ def decompress_chunk(record: bytes, length: int) -> bytes:
     data = record[start:]
     if compression:
         try:
-            # one changed bit of either size would take gigabytes
+            # one changed bit in either size could make the decompression ask for gigabytes of memory
             if zstandard.get_frame_parameters(data).content_size != size:
                 raise ChunkDamage("its head has changed: it and its data state different sizes")
             data = zstandard.ZstdDecompressor().decompress(data)
@@ -97,7 +98,7 @@ def messages_in(data: bytes, channels: frozenset[int] | None = None) -> list[Mes
 
 
 def packed_messages(data: bytes, channels: frozenset[int]) -> NDArray[np.void]:
-    """Contents of the messages of these channels, which are of equal length, as the items of an array."""
+    """Contents (n,) of the messages of these channels, which must all have the same length."""
     places, sizes = _places(data, channels)
     return _items(data, np.array(places, dtype=np.int64) + _MESSAGE.size, sizes[0] if sizes else 0)
 
@@ -111,22 +112,22 @@ def message_heads(data: bytes) -> NDArray[np.void]:
 def _items(data: bytes, places: NDArray[np.int64], size: int) -> NDArray[np.void]:
     """Copies of `size` bytes each, from the given positions in `data`."""
     # a view of the overlapping items that begin at each byte
-    every: NDArray[np.void] = np.ndarray(
+    overlapping: NDArray[np.void] = np.ndarray(
         (max(len(data) - size + 1, 0),), dtype=f"V{size}", buffer=data, strides=(1,)
     )
-    return every[places]
+    return overlapping[places]
 
 
 def _places(data: bytes, channels: frozenset[int] | None = None) -> tuple[list[int], list[int]]:
     """Positions of the messages of the given channels in a chunk, and the sizes of their contents."""
     places, sizes = [], []
     place, end = 0, len(data)
-    unpack, of_message = _CHANNEL.unpack_from, Opcode.MESSAGE.value
+    unpack, message_opcode = _CHANNEL.unpack_from, Opcode.MESSAGE.value
     while place < end:
         opcode, length, channel = unpack(data, place)
         following = place + HEAD.size + length
-        # the first chunk also describes the topics
-        if opcode == of_message and (channels is None or channel in channels):
+        # the first chunk also holds schemas and channels, which are no messages
+        if opcode == message_opcode and (channels is None or channel in channels):
             places.append(place)
             sizes.append(following - place - _MESSAGE.size)
         place = following
@@ -143,7 +144,7 @@ class Damage(NamedTuple):
 
 
 class ChunkPlace(NamedTuple):
-    """Position of a chunk in the file, its range of log times, and the channels in it, as far as known."""
+    """Offset and length of a chunk in bytes, its log times (UTC), and its channels (none: not known)."""
 
     offset: int
     length: int
@@ -172,11 +173,11 @@ class ChunkPlaces:
         return self.since(0)
 
     def since(self, first: int) -> Iterator[ChunkPlace]:
-        """The chunks from this one on, counted from 0."""
+        """The chunks from number `first` on, counted from 0."""
         channels = list(self._number_of_set)
         rows = zip(*[iter(self._numbers[4 * first :])] * 4, self._set_numbers[first:], strict=True)
-        for offset, length, start_ns, end_ns, known in rows:
-            yield ChunkPlace(offset, length, start_ns, end_ns, channels[known])
+        for offset, length, start_ns, end_ns, set_number in rows:
+            yield ChunkPlace(offset, length, start_ns, end_ns, channels[set_number])
 
 
 @dataclass

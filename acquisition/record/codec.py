@@ -37,7 +37,7 @@ from processing.units import ARCSEC_RAD
 
 _ZSTD_LEVEL = 1
 _LARGE_BYTES = 64 * 1024
-"""From here on a message is compressed by itself, faster than the file compresses a chunk of small ones."""
+"""Size from which on an image is compressed by itself, which is faster than in a chunk of small messages."""
 _NO_MODEL = IntegerGaussian(0, 0, 0, 0, 0, 0)
 
 
@@ -69,12 +69,12 @@ def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
     field = dict(zip(kind.names, kind.decode(data), strict=True))
     shape, size = (field["height_px"], field["width_px"]), field["bytes_per_pixel"]
     modelled = bool(field["model_inverse_x"])
-    expected = (
+    expected_bytes = (
         field["bit_planes"] * ((shape[0] * shape[1] + 7) // 8) if modelled else shape[0] * shape[1] * size
     )
     pixels = field["pixels"]
-    held = zstandard.get_frame_parameters(pixels).content_size if field["compressed"] else len(pixels)
-    if held != expected:
+    pixels_bytes = zstandard.get_frame_parameters(pixels).content_size if field["compressed"] else len(pixels)
+    if pixels_bytes != expected_bytes:
         raise ValueError(f"{kind.full_name}: its pixels are not {shape[1]} x {shape[0]}")
     pixels = zstandard.decompress(pixels) if field["compressed"] else pixels
     image: Image
@@ -130,19 +130,19 @@ def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:
 
 def encode_swing(kind: MessageType, swing: HalfCycle) -> bytes:
     """Message of type `SWING` or `SWING_UNCALIBRATED`."""
-    shown = [2.0 * swing.half_period_s]
+    display_values = [2.0 * swing.half_period_s]
     if kind is SWING:
-        shown.insert(0, swing.amplitude / ARCSEC_RAD)
-    return kind.encode(*[getattr(swing, name) for name in HalfCycle.__dataclass_fields__], *shown)
+        display_values.insert(0, swing.amplitude / ARCSEC_RAD)
+    return kind.encode(*[getattr(swing, name) for name in HalfCycle.__dataclass_fields__], *display_values)
 
 
 def swings_of(table: NDArray[Any]) -> list[HalfCycle]:
-    """Swings from a record's table, whose first fields are those of `HalfCycle` in order."""
+    """Half-cycles from a record's table, whose first fields are those of `HalfCycle` in order."""
     return [HalfCycle(*row[: len(HalfCycle.__dataclass_fields__)]) for row in table.tolist()]
 
 
 def encode_balance(kind: MessageType, balance: Balance) -> bytes:
-    """Message of type `BALANCE` or `BALANCE_UNCALIBRATED`, as the balance's unit is."""
+    """Message of type `BALANCE` or `BALANCE_UNCALIBRATED`, depending on the balance's unit."""
     return kind.encode(*[getattr(balance, name) for name in names_with_units(balance.unit)])
 
 
@@ -171,7 +171,7 @@ def foxglove_schema(topic: str) -> tuple[str, bytes]:
 
 
 def encode_preview(utc_ns: int, image: Image, full_scale_dn: int) -> bytes:
-    """Encoded foxglove.CompressedImage of an image (ny, nx), for the eye: 8 bits, small, JPEG."""
+    """Preview of an image (ny, nx), as an encoded foxglove.CompressedImage: JPEG, 8 bits, reduced in size."""
     step = preview_step((image.shape[0], image.shape[1]))
     small = image[::step, ::step]
     if image.itemsize > 1:
@@ -183,12 +183,12 @@ def encode_preview(utc_ns: int, image: Image, full_scale_dn: int) -> bytes:
 
 
 def decode_preview(data: bytes) -> bytes:
-    """The JPEG of a small picture; see `encode_preview`."""
+    """The JPEG of a preview; see `encode_preview`."""
     return bytes(CompressedImage.FromString(data).data)
 
 
 def preview_step(shape: tuple[int, int]) -> int:
-    """By which whole number an image (ny, nx) is reduced for its small picture."""
+    """Whole number by which an image (ny, nx) is reduced for its preview."""
     return -(-max(shape) // _PREVIEW_PX)
 
 

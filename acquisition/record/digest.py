@@ -48,7 +48,7 @@ def sha256_of(path: Path) -> str:
     digest = hashlib.sha256()
     try:
         if not stat.S_ISREG(path.stat().st_mode):
-            # a pipe would wait for a writer
+            # opening a pipe would wait for a writer
             raise RecordError(f"{path}: is not a file; a folder, pipe or device has no hash")
         with path.open("rb", buffering=0) as file:
             while block := file.read(_BLOCK_BYTES):
@@ -81,7 +81,7 @@ class RecordedCamera:
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, Mapping[str, str]]) -> Self:
-        """Read it from the metadata of any record."""
+        """The camera from the metadata of any record."""
         camera = metadata.get(_SECTION, {})
         return cls(
             camera.get("driver") == _SIMULATED,

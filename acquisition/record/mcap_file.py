@@ -1,4 +1,4 @@
-"""One MCAP file while it is written: the library's writer above a disk that may be full, slow or gone."""
+"""An MCAP file that is being written, on a disk that may fill up, be slow or be removed."""
 
 import contextlib
 import errno
@@ -33,7 +33,7 @@ class Reserve:
     """Disk space that is released when the disk is full, so that a record can still be finished.
 
     It is a nameless temporary file beside the record: a kill frees it, nothing is left behind. It is filled
-    with random bytes, which no file system compresses away. Raises OSError where the room does not exist.
+    with random bytes, which no file system compresses away. Raises OSError where there is no space for it.
     """
 
     def __init__(self, folder: Path, size: int) -> None:
@@ -66,7 +66,7 @@ class Reserve:
 
 
 class _Disk:
-    """The stream under the library's writer; what could not be written completely is cut off again.
+    """The stream under the library's writer; data that could not be written completely are cut off again.
 
     If the disk is full, the reserve is released, the bytes are written, and `full` holds the error: the owner
     must then finish the file. `size` is the length of the file so far, `chunks` the number of its chunks.
@@ -137,19 +137,19 @@ class _Disk:
             _sync_file(self._file.fileno())
 
     def begin_force(self) -> None:
-        """Call `force` in a thread, so that no caller waits; nothing while one still runs."""
+        """Call `force` in a thread, so that no caller waits; does nothing while such a thread still runs."""
         if self._force_thread is None or not self._force_thread.is_alive():
             self._force_thread = threading.Thread(target=self._run_force, name="record sync", daemon=True)
             self._force_thread.start()
 
     def wait_for_force(self) -> None:
-        """Wait for the thread. Raises its error, once."""
+        """Wait for the thread of `begin_force`. Raises its error, once."""
         if self._force_thread is not None:
             self._force_thread.join()
         self.raise_failure()
 
     def raise_failure(self) -> None:
-        """Raise, once, the error of the thread."""
+        """Raise, once, the error of the thread of `begin_force`."""
         failure = self._failure
         if failure is not None:
             self._failure = None
@@ -182,7 +182,7 @@ class _Disk:
             return False
 
     def _copy_to_its_name(self) -> None:
-        """Save the content of a file that was removed: it lives only as long as it is open."""
+        """Save the content of a removed file, which the system keeps only as long as the file is open."""
         path = self._path
         if os.path.lexists(path):
             path = path.with_name(f"{path.stem}-{secrets.token_hex(4)}{path.suffix}")
@@ -205,8 +205,8 @@ class _Disk:
 class McapFile:
     """Creates one MCAP file and appends to it; it can be read up to its last whole chunk at any time.
 
-    The `topics` (by name: the schema's name and descriptor) have the channels 1, 2, ... in their order. Every
-    chunk has a checksum, and the data section too.
+    `topics` gives the name and the descriptor of each topic's schema; the channels are 1, 2, ... in its
+    order. Every chunk has a checksum, and the data section too.
 
     `waiting` is the number of messages in the open chunk, which are lost where the file is `broken`.
 
@@ -277,12 +277,12 @@ class McapFile:
         self.waiting = self.waiting + 1 if self._disk.size == size else 0
 
     def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Append texts by key, which have no checksum."""
+        """Append metadata, texts by key; MCAP gives them no checksum."""
         with self._writing() as writer:
             writer.add_metadata(name, dict(texts))
 
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
-        """Append a file within the file, with a checksum. The end of a finished file holds it once more."""
+        """Append an attached file, with a checksum; `finish` writes a second copy at the end."""
         self._attachments.append((time_ns, name, media_type, data))
         with self._writing() as writer:
             writer.add_attachment(time_ns, time_ns, name, media_type, data)

@@ -1,8 +1,8 @@
-"""One MCAP file while it is read: its table of contents, and its chunks, proved by their checksums.
+"""An MCAP file that is being read: its table of contents, and its chunks, verified by their checksums.
 
-A complete file has a summary, whose checksum is verified. Without a valid one, as after a power failure or
-while it is still written, the data section is walked through from record to record; only the heads of chunks
-are read, so that a file of any size takes about a second.
+A complete file has a summary, whose checksum is verified. Without a valid summary, as after a power failure
+or while the file is still written, the data section is walked through from record to record; only the heads
+of chunks are read, so that a file of any size takes about a second.
 """
 
 import errno
@@ -79,7 +79,7 @@ class ReadFile:
         self.file.close()
 
     def update(self) -> bool:
-        """Note what has been written since; whether anything has."""
+        """List what has been written since the last call; True if anything has."""
         size = self.file.seek(0, os.SEEK_END)
         if self.contents.whole or size == self.contents.size:
             return False
@@ -90,9 +90,9 @@ class ReadFile:
             return True
         contents.size, contents.whole = size, summarised.whole
         contents.damage += summarised.damage
-        was = contents.readable_bytes
+        end_before = contents.readable_bytes
         _walk(self.file, contents)
-        return contents.readable_bytes > was
+        return contents.readable_bytes > end_before
 
     def chunks_with(self, channel: int, from_ns: int = 0) -> Iterator[bytes]:
         """The decompressed messages of each intact chunk that may have some of this channel.
@@ -132,9 +132,9 @@ class ReadFile:
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """The metadata from their copy, which has a checksum.
+        """The metadata, read from the attached copy, which has a checksum.
 
-        Raises RecordError where the file is not one of ours.
+        Raises RecordError where the file is not a record of this program.
         """
         path, contents = self.path, self.contents
         copy = self.attached(METADATA_COPY)
@@ -151,11 +151,11 @@ class ReadFile:
                 "only records of rig run can be read"
             )
         metadata: dict[str, dict[str, str]] = json.loads(copy)
-        own = metadata.get("record", {})
+        identity = metadata.get("record", {})
         try:
-            version = int(own["schema_version"])
+            version = int(identity["schema_version"])
         except (KeyError, ValueError):
-            raise RecordError(f"{path}: its own description is damaged: {own}") from None
+            raise RecordError(f"{path}: its own description is damaged: {identity}") from None
         require_schema(str(path), version, SCHEMA_VERSION, RecordError)
         return metadata
 
@@ -196,7 +196,7 @@ def open_mcap(path: Path) -> IO[bytes]:
         file = path.open("rb")
         head = _read_at(file, 0, len(MAGIC) + 1)
     except FileNotFoundError:
-        raise RecordError(f"{path}: no such record{_instead_of(path)}") from None
+        raise RecordError(f"{path}: no such record{_records_beside(path)}") from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ValueError as error:
@@ -208,8 +208,8 @@ def open_mcap(path: Path) -> IO[bytes]:
     return file
 
 
-def _instead_of(path: Path) -> str:
-    """What the folder of a missing record has."""
+def _records_beside(path: Path) -> str:
+    """The records beside a missing one, as the end of a message."""
     there = [other.name for other in records_of(path.parent)][:5]
     return f"; {path.parent} has {', '.join(there) or 'no record; give the path of one'}"
 
@@ -223,12 +223,12 @@ def _is_magic(head: bytes) -> bool:
 
 
 def _read_at(file: IO[bytes], place: int, count: int) -> bytes:
-    """Bytes of a file; none where its disk cannot give some of them, as exFAT's after a power cut."""
+    """Bytes from a position on; none where the disk cannot read all of them, as exFAT after a power cut."""
     file.seek(place)
     try:
         return file.read(count)
     except OSError as error:
-        # a disk that was pulled out is no damage
+        # a disk that was pulled out does not mean that the record is damaged
         if error.errno not in _FAULTS:
             raise
         return b""
@@ -278,7 +278,7 @@ def _read_summary(file: IO[bytes], contents: Contents) -> bool:
     if crc != zlib.crc32(data[: _FOOTER.size - _CRC_BYTES], zlib.crc32(summary)):
         contents.damage.append("the summary's checksum does not match: bytes have changed")
         return False
-    # of a sound summary every record can be read
+    # the checksum has shown that every record of the summary can be read
     for record in StreamReader(io.BytesIO(summary + data), skip_magic=True).records:
         match record:
             case Channel():
@@ -293,7 +293,7 @@ def _read_summary(file: IO[bytes], contents: Contents) -> bool:
                 contents.add_chunk(ChunkPlace(*place, *times, frozenset(record.message_index_offsets)))
     contents.data_end = start - _DATA_END.size
     *_, contents.data_crc = _DATA_END.unpack(_read_at(file, contents.data_end, _DATA_END.size))
-    _list_or_note(file, contents, len(MAGIC))
+    _list_or_note_damage(file, contents, len(MAGIC))
     contents.readable_bytes = contents.size
     contents.indexed = True
     return True
@@ -302,7 +302,7 @@ def _read_summary(file: IO[bytes], contents: Contents) -> bool:
 def _walk(file: IO[bytes], contents: Contents) -> None:
     """List the data section record by record, without decompression, up to its last complete record.
 
-    Behind bytes that are no record it goes on at the next chunk or attached file whose lengths agree.
+    After bytes that are no record, the walk continues at the next intact chunk or attachment.
     """
     place = before = contents.readable_bytes
     while place + HEAD.size <= contents.size:
@@ -310,8 +310,8 @@ def _walk(file: IO[bytes], contents: Contents) -> None:
         opcode, length = HEAD.unpack_from(data) if len(data) >= HEAD.size else (0, contents.size)
         end = place + HEAD.size + length
         if end > contents.size or not _list_record(file, contents, place, data):
-            # the length of the record before may be what has changed
-            found = _next_whole(file, before + 1, contents.size)
+            # the changed bytes may be the length of the record before, so the search begins inside it
+            found = _next_intact_record(file, before + 1, contents.size)
             if found is None:
                 break
             contents.damage.append(f"between bytes {before} and {found}: there is no record")
@@ -324,7 +324,7 @@ def _walk(file: IO[bytes], contents: Contents) -> None:
 
 
 def _list_record(file: IO[bytes], contents: Contents, place: int, data: bytes) -> bool:
-    """List the record of the data section whose first bytes these are; False where there is none."""
+    """List the record that begins with `data` at `place` in the data section; False where it is no record."""
     opcode, length = HEAD.unpack_from(data)
     if opcode == Opcode.CHUNK:
         if chunk_content(data, HEAD.size + length) is None:
@@ -334,23 +334,23 @@ def _list_record(file: IO[bytes], contents: Contents, place: int, data: bytes) -
     elif opcode == Opcode.MESSAGE_INDEX:
         if len(data) < _INDEX_HEAD.size:
             return False
-        _, _, channel, of_entries = _INDEX_HEAD.unpack_from(data)
-        if of_entries % _INDEX_ENTRY_BYTES or HEAD.size + length != _INDEX_HEAD.size + of_entries:
+        _, _, channel, entries_bytes = _INDEX_HEAD.unpack_from(data)
+        if entries_bytes % _INDEX_ENTRY_BYTES or HEAD.size + length != _INDEX_HEAD.size + entries_bytes:
             return False
-        contents.counts[channel] += of_entries // _INDEX_ENTRY_BYTES
+        contents.counts[channel] += entries_bytes // _INDEX_ENTRY_BYTES
     elif opcode == Opcode.DATA_END and HEAD.size + length == _DATA_END.size:
         contents.data_end = place
         *_, contents.data_crc = _DATA_END.unpack_from(data)
     elif opcode in (Opcode.HEADER, Opcode.ATTACHMENT):
-        _list_or_note(file, contents, place)
+        _list_or_note_damage(file, contents, place)
     else:
-        # nothing proves metadata: they are read from an attached file
+        # metadata have no checksum, so they are read from their attached copy instead
         return opcode in (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.FOOTER)
     return True
 
 
-def _list_or_note(file: IO[bytes], contents: Contents, place: int) -> None:
-    """List header or attached file; if it is damaged, note that and keep the rest readable."""
+def _list_or_note_damage(file: IO[bytes], contents: Contents, place: int) -> None:
+    """List a header or an attachment; damage is noted in `contents.damage`, and the rest stays readable."""
     try:
         record = _parsed(*_content_at(file, place))
     except ValueError as error:
@@ -364,8 +364,8 @@ def _list_or_note(file: IO[bytes], contents: Contents, place: int) -> None:
         contents.damage.append(f"the record at byte {place} cannot be read (it is another one)")
 
 
-def _next_whole(file: IO[bytes], place: int, size: int) -> int | None:
-    """Position of the next chunk whose lengths agree, or attached file whose checksum does."""
+def _next_intact_record(file: IO[bytes], place: int, size: int) -> int | None:
+    """Position of the next chunk whose lengths agree, or of the next attachment whose checksum matches."""
     while len(block := _read_at(file, place, _BLOCK_BYTES)) > CHUNK_HEAD.size + 16:
         values = np.frombuffer(block, dtype=np.uint8, count=len(block) - CHUNK_HEAD.size - 16)
         for at in np.flatnonzero((values == Opcode.CHUNK) | (values == Opcode.ATTACHMENT)).tolist():

@@ -1,4 +1,4 @@
-"""Reads a record, complete, truncated or being written, chunk by chunk; memory does not grow with it."""
+"""Reader of a record, complete, truncated or being written; it reads by chunks, in constant memory."""
 
 import datetime
 import time
@@ -70,10 +70,10 @@ _LOOK_S = 0.1
 class RecordReader:
     """Reads the messages of one record as values; a context manager.
 
-    `path` is the file of numbers; that of pixels beside it is opened, too, where it is there. A chunk whose
+    `path` is the file of numbers; the file of pixels beside it is opened, too, if it exists. A chunk whose
     checksum is wrong is left out, listed in `damages` and logged; everything else is read. A file without an
-    ending, as after a crash or a power failure, is `truncated`; its complete chunks are read. Of a record
-    that is still being written, `update` or `follow` read what has been flushed since.
+    ending, as after a crash or a power failure, is `truncated`; its complete chunks are read. While a record
+    is still being written, `update` and `follow` list what has been flushed since.
 
     Raises
     ------
@@ -88,12 +88,12 @@ class RecordReader:
         self.path = path
         self._numbers = ReadFile(path)
         self._pixels: ReadFile | None = None
-        self._taken, self._pictures_taken, self._picture_due_ns = 0, 0, 0
+        self._chunks_read, self._picture_chunks_read, self._picture_due_ns = 0, 0, 0
         try:
             self.metadata = self._numbers.metadata
-            self._own = self.metadata["record"]
-            self.deflection_unit = DeflectionUnit(self._own["deflection_unit"])
-            self.epoch_offset_ns = int(self._own["epoch_offset_ns"])
+            self._identity = self.metadata["record"]
+            self.deflection_unit = DeflectionUnit(self._identity["deflection_unit"])
+            self.epoch_offset_ns = int(self._identity["epoch_offset_ns"])
             topics = number_topics(self.deflection_unit)
             self._kinds = {kind.topic: kind for kind in (topics | PIXEL_TOPICS).values() if kind is not None}
             self._numbers.contents.channels = dict(enumerate(topics, start=1))
@@ -113,13 +113,13 @@ class RecordReader:
         try:
             pixels = ReadFile(path)
             try:
-                if pixels.metadata["record"]["record_id"] != self._own["record_id"]:
+                if pixels.metadata["record"]["record_id"] != self._identity["record_id"]:
                     raise RecordError(f"{path}: has not the pixels of this record")
             except BaseException:
                 pixels.close()
                 raise
         except RecordError as error:
-            # of a record that is cut or being written they may have been about to begin
+            # while a record is written, or where it was cut, its file of pixels may only have begun
             if self.contents.whole:
                 self.contents.damage.append(str(error))
             return
@@ -149,7 +149,7 @@ class RecordReader:
 
     @property
     def damages(self) -> list[Damage]:
-        """What was found damaged so far."""
+        """Damaged parts that were found so far."""
         return [damage for file in self.files for damage in file.damages]
 
     @property
@@ -174,9 +174,7 @@ class RecordReader:
         )
 
     def doubts(self) -> list[str]:
-        """What has to be said with everything that was read so far: cut short, damaged, changed; one line
-        each.
-        """
+        """Warnings, one line each, that belong to all data read so far: cut short, damaged or changed."""
         lines = [self.cut_notice] if self.truncated else []
         lines += [f"damaged, not used: {damage.description}" for damage in self.damages]
         damage = [text for file in self.files for text in file.contents.damage]
@@ -184,27 +182,25 @@ class RecordReader:
 
     @property
     def attachments(self) -> dict[str, bytes]:
-        """Attached files by name; one of which no copy is intact is left out, every damaged copy listed in
-        `damages`.
-        """
+        """Attached files by name, without those that have no intact copy; `damages` lists damaged copies."""
         file = self._numbers
         found = {name: file.attached(name) for name in file.contents.attachment_places}
         return {name: data for name, data in found.items() if name != METADATA_COPY and data is not None}
 
     def update(self) -> bool:
-        """Note what has been flushed since; whether anything has."""
+        """List what has been flushed since the last call; True if anything has."""
         self._open_pixels()
         new = [file.update() for file in self.files]
         return any(new)
 
     def follow(self, every_s: float = _LOOK_S) -> Iterator[None]:
-        """Of a record that is being written: one item for each time that something was flushed to it.
+        """Yield once at the beginning, and once after each flush of a record that is being written.
 
-        It ends when the record is closed, or when its writer is gone; between looks it sleeps.
+        The iteration ends when the record is closed or its writer is gone; it looks every `every_s`.
         """
         yield None
         while not self._numbers.contents.whole:
-            # asked before, so that the last words of a writer that ends meanwhile are read
+            # checked before `update`, so that the last flush of a writer that ends meanwhile is read
             alone = not is_being_written(self.path)
             if self.update():
                 yield None
@@ -214,26 +210,26 @@ class RecordReader:
                 time.sleep(every_s)
 
     def unread(self) -> Iterator[Piece]:
-        """Messages by topic, one chunk of numbers after another, of those that were not given before.
+        """Messages by topic of each chunk of numbers that this method has not yielded before.
 
-        Chunks are what was written between two flushes, so that a record that is followed and a whole one
-        are given in the same pieces. A damaged chunk is left out, and listed in `damages`.
+        A chunk holds what was written between two flushes, so a growing record and a complete one yield
+        the same pieces. A damaged chunk yields an empty piece, and is listed in `damages`.
         """
-        for place in self._numbers.contents.chunks.since(self._taken):
-            self._taken += 1
+        for place in self._numbers.contents.chunks.since(self._chunks_read):
+            self._chunks_read += 1
             yield self._by_topic(self._numbers, place)
 
     def unread_pictures(self, interval_ns: int, until_ns: int) -> Iterator[tuple[int, int, bytes]]:
-        """Number, time and JPEG of small pictures of frames that were not given before, in order of time.
+        """Frame number, time and JPEG of previews that this method has not yielded before, in order of time.
 
-        They are `interval_ns` apart at least; chunks that begin after `until_ns` are left for later.
+        They are at least `interval_ns` apart; chunks that begin after `until_ns` are left for a later call.
         """
         if self._pixels is None:
             return
-        for place in self._pixels.contents.chunks.since(self._pictures_taken):
+        for place in self._pixels.contents.chunks.since(self._picture_chunks_read):
             if place.start_ns - self.epoch_offset_ns > until_ns:
                 return
-            self._pictures_taken += 1
+            self._picture_chunks_read += 1
             if place.end_ns - self.epoch_offset_ns < self._picture_due_ns:
                 continue
             for message in self._by_topic(self._pixels, place).get(PREVIEW_TOPIC, ()):
@@ -253,14 +249,14 @@ class RecordReader:
 
     @property
     def picture_shape(self) -> tuple[tuple[int, int], int]:
-        """(ny, nx) of the small pictures, and the whole number by which they are smaller than a frame."""
+        """(ny, nx) of the previews, and the whole number by which they are smaller than a frame."""
         frame = self.metadata.get("frame", {})
         ny, nx = (int(frame.get(name, "1")) for name in ("height_px", "width_px"))
         step = preview_step((ny, nx))
         return (-(-ny // step), -(-nx // step)), step
 
     def rows(self, topic: str, messages: Sequence[Message]) -> NDArray[Any]:
-        """Messages of a topic of numbers as `table` gives them."""
+        """Given messages of a topic of numbers, as a structured array (n,) like that of `table`."""
         kind = self._kinds[topic]
         data = b"".join(message.data for message in messages)
         return kind.decode_table(np.frombuffer(data, f"V{kind.wire_dtype.itemsize}"))
@@ -276,7 +272,7 @@ class RecordReader:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Numbers of messages by topic as stated in the files, including damaged ones; none of 0."""
+        """Numbers of messages by topic as the files state them, damaged ones included; none is 0."""
         return {
             topic: count
             for file in self.files
@@ -330,9 +326,7 @@ class RecordReader:
         return self.table(SPOT.topic)
 
     def deflections(self, spots: NDArray[Any] | None = None) -> Deflections:
-        """Deflections in rows returned by `spots` or `spot_blocks`; without any, those of the whole
-        record.
-        """
+        """Deflections in rows returned by `spots` or `spot_blocks`; by default of the whole record."""
         return deflections_of(self.spots() if spots is None else spots, self.deflection_unit)
 
     def spot_blocks(
@@ -365,7 +359,7 @@ class RecordReader:
         return [Event(*EVENT.decode(one.data)[:3]) for one in of_topic]
 
     def notes(self) -> list[RecordedNote]:
-        """What operators have noted during the run."""
+        """Notes of operators during the run."""
         return self.values(RecordedNote)
 
     def losses(self) -> FrameLosses | None:
@@ -379,9 +373,9 @@ class RecordReader:
             yield decode_window(WINDOW, message.data)
 
     def images(self, start_ns: int | None = None, every: int = 1) -> Iterator[Frame]:
-        """Whole frames, in order of time, one at a time, or every so many; `start_ns` as in `spot_blocks`.
+        """Every `every`-th whole frame, in order of time, one at a time; `start_ns` as in `spot_blocks`.
 
-        Their device time and host time are both the time of the frame: a record has no other time for them.
+        Device time and host time of each are both the frame's time, because a record has no other for it.
         """
         for message in islice(self.messages(IMAGE.topic, start_ns), 0, None, every):
             sequence, time_ns, image, _ = decode_window(IMAGE, message.data)
@@ -396,7 +390,7 @@ class RecordReader:
         self, kind: MessageType, start_ns: int | None = None, fields: Collection[str] | None = None
     ) -> Iterator[NDArray[Any]]:
         """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
-        held: list[NDArray[np.void]] = []
+        parts: list[NDArray[np.void]] = []
         count = 0
         for data, channel in self._chunks(kind.topic, start_ns):
             part = packed_messages(data, channel)
@@ -404,10 +398,10 @@ class RecordReader:
                 continue
             if part.dtype.itemsize != kind.wire_dtype.itemsize:
                 raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
-            held.append(part)
+            parts.append(part)
             count += len(part)
             if count >= _ROWS_AT_ONCE:
-                yield kind.decode_table(np.concatenate(held), fields)
-                held, count = [], 0
-        if held:
-            yield kind.decode_table(np.concatenate(held), fields)
+                yield kind.decode_table(np.concatenate(parts), fields)
+                parts, count = [], 0
+        if parts:
+            yield kind.decode_table(np.concatenate(parts), fields)

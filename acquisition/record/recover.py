@@ -18,7 +18,7 @@ from acquisition.record.writer import schemas, write_metadata
 from processing.errors import RecordError
 
 RECOVERY = "recovery"
-"""Name of the metadata of a record that `rig record recover` made; of a second recovery "recovery 2"."""
+"""Name of the metadata about a recovery by `rig record recover`; those of a second one are "recovery 2"."""
 _RESERVE_BYTES = 1024 * 1024
 
 
@@ -60,8 +60,8 @@ def recover(source: Path, path: Path) -> Recovery:
             counts: Counter[str] = Counter()
             copies: list[McapFile] = []
             topics = (number_topics(reader.deflection_unit), PIXEL_TOPICS)
-            for file, name, of_file in zip(reader.files, names, topics, strict=False):
-                copy = McapFile(name, schemas(of_file), _RESERVE_BYTES)
+            for file, name, file_topics in zip(reader.files, names, topics, strict=False):
+                copy = McapFile(name, schemas(file_topics), _RESERVE_BYTES)
                 # Windows removes only closed files
                 stack.callback(copy.abandon)
                 counts += _copy_messages(file, copy)
@@ -83,7 +83,7 @@ def recover(source: Path, path: Path) -> Recovery:
 
 
 def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
-    """Copy all intact messages; their numbers by topic."""
+    """Copy all intact messages; returns how many, by topic."""
     counts: Counter[str] = Counter()
     topics = file.contents.channels
     for place in file.contents.chunks:

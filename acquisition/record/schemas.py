@@ -72,9 +72,9 @@ _MEANINGS = {
     "pixels": "see 'Pixels of a window' in the attachment record.md",
     "kind": "kind of the event",
     "text": "for the user",
-    "author": "who has noted it; empty if nobody said",
+    "author": "who wrote the note; empty if not stated",
 }
-"""What the fields of the messages mean, as it stands in every file beside their names."""
+"""Meanings of the messages' fields; every file states them beside the fields' names."""
 
 
 def descriptor_of(
@@ -82,8 +82,8 @@ def descriptor_of(
 ) -> bytes:
     """Serialised FileDescriptorSet, as it is stored in MCAP files.
 
-    `description` says what a message is. `meanings` become enumerations inside the message: a field keeps its
-    64 bits, since several flags may be set at once.
+    `description` is the comment on the message. `meanings` become enumerations inside the message, to be read
+    by people: a field keeps its 64 bits, since several flags may be set at once.
     """
     package, _, name = full_name.rpartition(".")
     files = descriptor_pb2.FileDescriptorSet()
@@ -110,7 +110,7 @@ def descriptor_of(
 
 
 def _comment(file: descriptor_pb2.FileDescriptorProto, text: str, *inside: int) -> None:
-    """Comment on the message, or on what is inside it by protobuf's numbers."""
+    """Add a comment on the message, or on the part of it whose path of protobuf's numbers is `inside`."""
     if text:
         first_message = (4, 0)
         file.source_code_info.location.add(
@@ -119,7 +119,7 @@ def _comment(file: descriptor_pb2.FileDescriptorProto, text: str, *inside: int) 
 
 
 def comment_of(name: str) -> str:
-    """What a field means; empty where its name says nothing."""
+    """Meaning of a field; empty where neither `_MEANINGS` nor the name states one."""
     if name in _MEANINGS:
         return _MEANINGS[name]
     if name.startswith("u_"):

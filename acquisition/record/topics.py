@@ -27,7 +27,7 @@ SENSOR_FRAME = "sensor"
 
 
 class TurningSide(IntEnum):
-    """To which side of the rest position a turning point lies."""
+    """Side of the rest position on which a turning point lies."""
 
     POSITIVE = 1
     NEGATIVE = -1
@@ -344,10 +344,10 @@ class TimedMessage(Protocol):
 
     @property
     def time_ns(self) -> int:
-        """On the frames' clock."""
+        """Time of the value in ns on the frames' clock."""
 
 
-_MEASURED: Final[dict[str, type[TimedMessage]]] = {
+_MEASURED_VALUES: Final[dict[str, type[TimedMessage]]] = {
     "/environment": Environment,
     "/reference": RecordedReference,
     "/witness": RecordedWitness,
@@ -357,36 +357,37 @@ _MEASURED: Final[dict[str, type[TimedMessage]]] = {
     "/camera_clock_step": RecordedClockStep,
     "/camera_temperature": CameraTemperature,
 }
-_OF_SESSION: Final[dict[str, type[TimedMessage]]] = {
+_SESSION_VALUES: Final[dict[str, type[TimedMessage]]] = {
     "/phase": RecordedPhase,
     "/light": RecordedLight,
     "/health": RecordedHealth,
     "/estimate": RecordedEstimate,
     "/fitted": RecordedFittedPoint,
 }
-"""By which a session says how it stands while it measures."""
+"""Values by which a session states its progress while it measures."""
 KIND_OF: Final[dict[type[TimedMessage], MessageType]] = {
     value_class: message_type_of(value_class, f"{PACKAGE}.{value_class.__name__}", topic)
-    for topic, value_class in (_MEASURED | _OF_SESSION).items()
+    for topic, value_class in (_MEASURED_VALUES | _SESSION_VALUES).items()
 }
-"""Kinds of the messages that hold one value each, by its class."""
+"""Types of the messages that hold one value each, by the class of the value."""
 ENVIRONMENT, REFERENCE, WITNESS, CLOCK = (
     KIND_OF[one] for one in (Environment, RecordedReference, RecordedWitness, ClockAnchor)
 )
-OF_UNIT: Final = {
+TYPES_BY_UNIT: Final = {
     DeflectionUnit.RAD: (SPOT, SWING, BALANCE),
     DeflectionUnit.PX: (SPOT_UNCALIBRATED, SWING_UNCALIBRATED, BALANCE_UNCALIBRATED),
 }
-"""Kinds of the messages whose fields have the unit of the deflections, the first ones in every record."""
+"""Types of the messages whose fields have the unit of the deflections; they are the first in every record."""
 Topics: TypeAlias = dict[str, MessageType | None]
-"""Topics of a file in the order of their channels, from 1, with their kinds; None: a type of Foxglove's."""
+"""Message types of a file by topic, in the order of the channels 1, 2, ...; None: a type of Foxglove's."""
 
 
 def number_topics(unit: DeflectionUnit) -> Topics:
     """Topics in the file of numbers."""
-    topics: Topics = {kind.topic: kind for kind in (*OF_UNIT[unit], EVENT)}
+    topics: Topics = {kind.topic: kind for kind in (*TYPES_BY_UNIT[unit], EVENT)}
     measured, session = (
-        {topic: KIND_OF[value_class] for topic, value_class in of.items()} for of in (_MEASURED, _OF_SESSION)
+        {topic: KIND_OF[value_class] for topic, value_class in classes.items()}
+        for classes in (_MEASURED_VALUES, _SESSION_VALUES)
     )
     return topics | measured | {LOG_TOPIC: None, CAMERA_TOPIC: None} | session
 

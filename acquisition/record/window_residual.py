@@ -19,9 +19,9 @@ _LAST = 9216
 """Last entry of the table: 6 standard deviations, where less than one part in 4096 is left."""
 _DECAY = 1150671902385460292
 """exp(-1/512) times 2^60, rounded down."""
-_LARGEST = 2**16
-"""Bound of all numbers in px and DN, so that the pixels of the model fit into 32 bits."""
-_TILTED = 0.05
+_VALUE_LIMIT = 2**16
+"""Upper limit of all numbers in px and DN, so that the pixels of the model fit into 32 bits."""
+_MAX_CORRELATION = 0.05
 """Correlation of x and y in the beam above which the upright model leaves more than noise."""
 _LOWEST_BITS = np.uint64(0x0101010101010101)
 _GATHER = np.uint64(0x8040201008040201)
@@ -44,10 +44,13 @@ class IntegerGaussian(NamedTuple):
 
 
 def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> IntegerGaussian | None:
-    """The model of a spot in a window (ny, nx) whose first pixel is (x0, y0); None where it is of no use."""
+    """Model of a spot in a window (ny, nx) with the first pixel (x0, y0).
+
+    None where the spot was lost, is too tilted, or needs larger integers than these.
+    """
     x_px, y_px = spot.x_px - x0_px, spot.y_px - y0_px
     numbers = (x_px, y_px, *spot[4:9])
-    if not all(abs(number) < _LARGEST for number in numbers):
+    if not all(abs(number) < _VALUE_LIMIT for number in numbers):
         return None
     cos, sin = math.cos(spot.rotation_rad), math.sin(spot.rotation_rad)
     # pixels integrate over the light, which widens the spot by the variance of their width
@@ -56,7 +59,7 @@ def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> In
     variance_y = square_x * sin**2 + square_y * cos**2 + 1 / 12
     root = math.sqrt(variance_x * variance_y)
     amplitude_dn = spot.amplitude_dn * abs(spot.sigma_x_px * spot.sigma_y_px) / root
-    if abs((square_x - square_y) * sin * cos) > _TILTED * root:
+    if abs((square_x - square_y) * sin * cos) > _MAX_CORRELATION * root:
         return None
     model = IntegerGaussian(
         round(256 * x_px),
@@ -66,7 +69,7 @@ def spot_model(spot: Spot, x0_px: int, y0_px: int, shape: tuple[int, int]) -> In
         round(8 * amplitude_dn),
         max(0, round(8 * spot.background_dn)),
     )
-    if min(model[2:]) < 0 or model.inverse_x == 0 or model.amplitude + model.background >= 8 * _LARGEST:
+    if min(model[2:]) < 0 or model.inverse_x == 0 or model.amplitude + model.background >= 8 * _VALUE_LIMIT:
         return None
     reach_x = max(abs(model.x), abs(256 * shape[1] - model.x))
     reach_y = max(abs(model.y), abs(256 * shape[0] - model.y))
@@ -86,7 +89,7 @@ def to_planes(image: Image, model: IntegerGaussian) -> tuple[int, bytes]:
 def from_planes(
     data: bytes, count: int, model: IntegerGaussian, shape: tuple[int, int], bytes_per_pixel: int
 ) -> Image:
-    """Image of this shape (ny, nx) from its bit planes. Raises ValueError where sizes differ."""
+    """Image of this shape (ny, nx) from `count` bit planes. Raises ValueError where sizes differ."""
     kind = np.dtype(f"u{bytes_per_pixel}")
     size = shape[0] * shape[1]
     planes = np.frombuffer(data, dtype=np.uint8).reshape(count, (size + 7) // 8)
@@ -96,8 +99,8 @@ def from_planes(
     rest = (folded >> kind.type(1)) ^ -(folded & kind.type(1))
     down = model.amplitude * _profile(shape[0], model.y, model.inverse_y) >> 12
     across = _profile(shape[1], model.x, model.inverse_x)
-    drawn = (np.multiply.outer(down, across) + ((model.background << 12) + (1 << 14))) >> 15
-    image: Image = drawn.astype(kind) + rest.reshape(shape)
+    modelled = (np.multiply.outer(down, across) + ((model.background << 12) + (1 << 14))) >> 15
+    image: Image = modelled.astype(kind) + rest.reshape(shape)
     return image
 
 

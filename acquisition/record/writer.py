@@ -34,12 +34,12 @@ from acquisition.record.topics import (
     KIND_OF,
     LOG_TOPIC,
     METADATA_COPY,
-    OF_UNIT,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SCHEMA_VERSION,
     SENSOR_FRAME,
     SWING,
+    TYPES_BY_UNIT,
     WINDOW,
     RecordedNote,
     RecordedReference,
@@ -55,7 +55,7 @@ from processing.swing import HalfCycle
 
 _RESERVE_BYTES = 4 * 1024 * 1024
 _FLUSH_INTERVAL_S = 0.25
-"""What is lost is at most this and what the disk takes to force it down."""
+"""A crash loses at most this and the time that the disk takes for one flush."""
 _LOG_LEVELS = {Severity.INFORMATION: 2, Severity.WARNING: 3, Severity.ALARM: 4, Severity.TRIP: 5}
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md": "text/markdown"}
 
@@ -63,8 +63,8 @@ _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".md":
 class RecordWriter:
     """Writes a record; only one thread may use it.
 
-    `path` has all numbers. The first pixel makes the file of pixels beside it (`pixels_beside`), which also
-    has small pictures; deleting it makes the record smaller, and nothing else.
+    `path` holds all numbers. The first pixels create the file of pixels beside it (`pixels_beside`), which
+    also holds the previews; deleting that file makes the record smaller, and nothing else.
 
     The files are created under their final names and never replace others; until it is closed, each is a
     truncated file, which can be read. Data that were flushed survive a crash and a power failure. Every
@@ -80,7 +80,7 @@ class RecordWriter:
         Offset in ns that is added to the frames' clock to obtain UTC, in which log times are stored.
     metadata, attachments
         By name; metadata are texts by key. The name "record" is used by the writer itself.
-        ``metadata["camera"]["full_scale_dn"]`` is the white of the small pictures.
+        ``metadata["camera"]["full_scale_dn"]`` is the white of the previews.
     deflection_unit
         Unit of deflections and amplitudes; in px the names of the fields end in ``_px``.
     reserve_bytes
@@ -120,9 +120,9 @@ class RecordWriter:
         self._clock = clock
         self._flushed_s = clock()
         self._unit = DeflectionUnit(deflection_unit)
-        self._spot, self._swing, self._balance = OF_UNIT[self._unit]
+        self._spot, self._swing, self._balance = TYPES_BY_UNIT[self._unit]
         self._full_scale_dn = int((metadata or {}).get("camera", {}).get("full_scale_dn", "255"))
-        self._own = {
+        self._identity = {
             "schema_version": str(SCHEMA_VERSION),
             "epoch_offset_ns": str(epoch_offset_ns),
             "deflection_unit": str(self._unit),
@@ -134,8 +134,8 @@ class RecordWriter:
             )
         self._numbers = McapFile(path, schemas(number_topics(self._unit)), reserve_bytes)
         self._pixels: McapFile | None = None
-        with self._ending_after_errors():
-            write_metadata(self._numbers, {**(metadata or {}), "record": self._own}, time.time_ns())
+        with self._closing_after_errors():
+            write_metadata(self._numbers, {**(metadata or {}), "record": self._identity}, time.time_ns())
         for name, data in (attachments or {}).items():
             self.attach(name, data)
         self.flush()
@@ -168,13 +168,13 @@ class RecordWriter:
         self._check_unit(deflections.unit)
         rows = spot_rows(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
         data, size = rows.tobytes(), rows.dtype.itemsize
-        self._ready()
-        with self._ending_after_errors():
+        self._require_open()
+        with self._closing_after_errors():
             for place, (sequence, time_ns) in enumerate(
                 zip(sequences, deflections.times_ns.tolist(), strict=True)
             ):
                 message = data[place * size : (place + 1) * size]
-                self._numbers.add(self._spot.topic, sequence, self._logged(time_ns), message)
+                self._numbers.add(self._spot.topic, sequence, self._log_time_ns(time_ns), message)
         for sequence, time_ns, spot in zip(
             sequences, deflections.times_ns.tolist(), references, strict=bool(references)
         ):
@@ -187,7 +187,7 @@ class RecordWriter:
         """Write the raw pixels (ny, nx) around the spot; (x0, y0) is the first pixel's position on the
         sensor.
 
-        With the fitted `spot` about half the bytes are written. It need not be correct.
+        With the fitted `spot` about half the bytes are written; a wrong spot costs bytes and loses no pixel.
         """
         data = encode_window(sequence, time_ns, image, x0_px, y0_px, spot)
         self._add(WINDOW.topic, time_ns, data, sequence)
@@ -198,19 +198,19 @@ class RecordWriter:
         self._add(IMAGE.topic, frame.time_ns, data, frame.sequence)
 
     def write_preview(self, frame: Frame) -> None:
-        """Write a small picture of a whole frame, for the eye."""
+        """Write a preview of a whole frame, which is for viewers and not for measurement."""
         data = encode_preview(self._offset_ns + frame.time_ns, frame.image, self._full_scale_dn)
         self._add(PREVIEW_TOPIC, frame.time_ns, data, frame.sequence)
 
-    def _with_pixels(self) -> McapFile:
-        """The file of pixels, made for the first of them."""
+    def _pixels_file(self) -> McapFile:
+        """The file of pixels, which is created when the first pixels are written."""
         if self._pixels is None:
             try:
                 self._pixels = McapFile(pixels_beside(self.path), schemas(PIXEL_TOPICS), self._reserve_bytes)
             except RecordError as error:
-                raise self._end_after(str(error)) from error
-            with self._ending_after_errors():
-                write_metadata(self._pixels, {"record": self._own}, time.time_ns())
+                raise self._close_after_error(str(error)) from error
+            with self._closing_after_errors():
+                write_metadata(self._pixels, {"record": self._identity}, time.time_ns())
         return self._pixels
 
     def write_swing(self, swing: HalfCycle) -> None:
@@ -259,9 +259,9 @@ class RecordWriter:
         self._add(CAMERA_TOPIC, time_ns, message.SerializeToString())
 
     def write(self, value: TimedMessage) -> None:
-        """Write a value as a message of its own, one of `KIND_OF`.
+        """Write a value, of one of the classes in `KIND_OF`, as a message of its own.
 
-        What an operator has noted is also a line of the log, which viewers display.
+        A note of an operator is also written as a line of the log, which viewers display.
         """
         kind = KIND_OF[type(value)]
         data = kind.encode(*[getattr(value, name) for name in kind.names])
@@ -270,16 +270,16 @@ class RecordWriter:
             self.write_log(value.time_ns, _LOG_LEVELS[value.event.level], "note", value.event.text)
 
     def attach(self, name: str, data: bytes) -> None:
-        """Add a file to the record, beside those that it began with."""
-        self._ready()
+        """Attach a further file to the record."""
+        self._require_open()
         media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-        with self._ending_after_errors():
+        with self._closing_after_errors():
             self._numbers.add_attachment(name, media_type, data, time.time_ns())
 
     def flush(self, wait: bool = True) -> None:
         """End the open chunks and force everything to the disk; `wait` until that is done."""
         if not self._closed:
-            with self._ending_after_errors():
+            with self._closing_after_errors():
                 for file in self._files:
                     file.flush(wait)
                 self._flushed_s = self._clock()
@@ -295,10 +295,10 @@ class RecordWriter:
             return
         self.flush()
         self._closed = True
-        # the pixels first: a closed file of numbers means that the whole record is
-        failures = [failure for file in reversed(self._files) if (failure := _finished(file))]
+        # the pixels first, because a closed file of numbers means that the whole record is closed
+        failures = [failure for file in reversed(self._files) if (failure := _finish_error(file))]
         if failures:
-            raise self._not_closed(failures[0]) from failures[0]
+            raise self._close_error(failures[0]) from failures[0]
 
     @property
     def _files(self) -> list[McapFile]:
@@ -311,45 +311,45 @@ class RecordWriter:
                 "must be written into another record"
             )
 
-    def _ready(self) -> None:
+    def _require_open(self) -> None:
         if self._closed:
             raise RecordError(f"{self.path}: is closed; nothing more can be written")
 
     def _add(self, topic: str, time_ns: int, data: bytes, sequence: int | None = None) -> None:
-        self._ready()
+        self._require_open()
         if sequence is None:
             sequence = self._sequence
             self._sequence += 1
-        file = self._with_pixels() if topic in PIXEL_TOPICS else self._numbers
-        with self._ending_after_errors():
-            file.add(topic, sequence, self._logged(time_ns), data)
+        file = self._pixels_file() if topic in PIXEL_TOPICS else self._numbers
+        with self._closing_after_errors():
+            file.add(topic, sequence, self._log_time_ns(time_ns), data)
         self.flush_if_due()
 
-    def _logged(self, time_ns: int) -> int:
+    def _log_time_ns(self, time_ns: int) -> int:
         """The time of a message in its file, UTC."""
         logged_ns = self._offset_ns + time_ns
         self._end_ns = max(self._end_ns, logged_ns)
         return logged_ns
 
     @contextmanager
-    def _ending_after_errors(self) -> Iterator[None]:
-        """If what is done with the files fails, close them as far as possible and raise RecordError."""
+    def _closing_after_errors(self) -> Iterator[None]:
+        """If the block fails or a disk is full, close the files as far as possible and raise RecordError."""
         try:
             yield
             failure = next((file.full for file in self._files if file.full is not None), None)
         except OSError as error:
             failure = error
         if failure is not None:
-            raise self._end_after(failure.strerror or str(failure)) from failure
+            raise self._close_after_error(failure.strerror or str(failure)) from failure
 
-    def _end_after(self, why: str) -> RecordError:
+    def _close_after_error(self, why: str) -> RecordError:
         """Close the files with the data that can still be written; return the error to be raised."""
         self._closed = True
         what = f"{self.path}: cannot be written: {why}"
         lost = sum(file.waiting for file in self._files if file.broken)
         failures: list[OSError] = []
         try:
-            # what has no end looks as if nobody knew why
+            # without an end event, readers could not tell why the run ended
             for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
                 event = Event(self._end_ns - self._offset_ns, kind, what)
                 reason = EVENT.encode(*event, event.level)
@@ -357,13 +357,13 @@ class RecordWriter:
                 self._sequence += 1
         except OSError as error:
             failures.append(error)
-        failures += [failure for file in reversed(self._files) if (failure := _finished(file))]
+        failures += [failure for file in reversed(self._files) if (failure := _finish_error(file))]
         if failures:
-            return self._not_closed(failures[0])
+            return self._close_error(failures[0])
         rest = f"; the last {lost} messages could not be written" if lost else ""
         return RecordError(f"{what}; the record is closed and readable{rest}")
 
-    def _not_closed(self, error: OSError) -> RecordError:
+    def _close_error(self, error: OSError) -> RecordError:
         return RecordError(
             f"{self.path}: could not be closed properly: {error.strerror or error}; "
             "rig record recover makes a complete file of it"
@@ -379,17 +379,17 @@ def schemas(topics: Topics) -> dict[str, tuple[str, bytes]]:
 
 
 def write_metadata(file: McapFile, metadata: Mapping[str, Mapping[str, str]], time_ns: int) -> None:
-    """Metadata, texts by key by section; also as an attachment, twice, because that has a checksum."""
+    """Write the metadata (texts by key, by section), and two copies as attachments, which have checksums."""
     for name, texts in metadata.items():
         file.add_metadata(name, texts)
     copy = json.dumps({name: dict(texts) for name, texts in metadata.items()}, ensure_ascii=False)
     for _ in range(2):
-        # one changed bit of a file that was cut must not make it unreadable
+        # two, so that one changed bit of a truncated file does not make it unreadable
         file.add_attachment(METADATA_COPY, "application/json", copy.encode(), time_ns)
 
 
-def _finished(file: McapFile) -> OSError | None:
-    """Finish a file; the error, if it cannot be."""
+def _finish_error(file: McapFile) -> OSError | None:
+    """Finish a file; returns the error if that fails."""
     try:
         file.finish()
     except OSError as error:

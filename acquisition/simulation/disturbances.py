@@ -1,6 +1,6 @@
-"""Disturbances by the laboratory and faults: jitter, drift, fading laser, bursts of vibration, lost frames.
+"""Simulated disturbances and faults: jitter, drift, fading laser, bursts of vibration, lost frames.
 
-All of them depend only on the seed, the run and the number of the frame, not on the order of the calls.
+They depend only on the seed, the run and the number of the frame, not on the order of the calls.
 """
 
 import math
@@ -16,12 +16,12 @@ from acquisition.simulation.settings import ARCSEC_RAD, SimulationSettings
 from acquisition.simulation.smooth_series import KNOTS_PER_PERIOD, BandNoise, SmoothSeries
 
 JITTER, WALK, CLOCK, POWER, _DROP = 4, 5, 6, 7, 8
-"""Purposes of the random numbers of a frame."""
+"""Purposes of the random numbers of a frame; each purpose has numbers of its own."""
 _AIR, _PHASE, _OWN_AIR = (17, 18), 19, (20, 21)
 
 
 class FrameNoise:
-    """Random numbers of consecutive frames of one run; `first` is the number of the first frame."""
+    """Random numbers of one run, for consecutive frames of which `first` is the number of the first one."""
 
     def __init__(self, seed: int, run: int) -> None:
         self._seed = seed
@@ -38,7 +38,7 @@ class FrameNoise:
         """Whether the camera loses each frame, (count,), with the probability `fraction`."""
         if fraction == 0.0:
             return np.zeros(count, dtype=np.bool_)
-        # normal numbers below the quantile of `fraction`, so that one generator suffices for all purposes
+        # normal numbers are compared with their quantile, so that one generator suffices for all purposes
         return self.normals(_DROP, first, count)[:, 0] < NormalDist().inv_cdf(fraction)
 
 
@@ -57,7 +57,7 @@ class Pointing:
         self._own_air_px = air_px(settings, run, _OWN_AIR) if self._air_px and self._common < 1 else ()
         self._gain = settings.reference.gain
         self._offset = self._air = self._camera = np.zeros((0, 2))
-        # a generator's first numbers, so that a further frequency leaves the others as they are
+        # phases are drawn in the order of the frequencies, so that a further one leaves the others unchanged
         phases = np.random.Generator(np.random.PCG64([settings.seed, run, _PHASE]))
         self._phases = phases.uniform(0, 2 * np.pi, (len(self._truth.microphonics), 2))
 
@@ -71,7 +71,8 @@ class Pointing:
             offset += truth.pointing_jitter_px * self._noise.normals(JITTER, first, count, 2)
         if truth.pointing_walk_px_per_sqrt_s > 0:
             step_px = truth.pointing_walk_px_per_sqrt_s * math.sqrt(self._period_s)
-            # the sum continues from the last position, so that it does not depend on the length of the blocks
+            # the sum continues from the last position, so that it does not depend on the lengths of the
+            # blocks
             steps = np.vstack([self._walk_px, step_px * self._noise.normals(WALK, first, count, 2)])
             path = np.cumsum(steps, axis=0)[1:]
             self._walk_px = path[-1]
@@ -89,7 +90,7 @@ class Pointing:
         return offset
 
     def _camera_px(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Motion of all spots with the camera, (n, 2), px."""
+        """Motion of all spots that the camera's own motion causes, (n, 2), px."""
         truth = self._truth
         creep = np.array([truth.camera_creep_x_px_per_min, truth.camera_creep_y_px_per_min])
         moved = times_s[:, None] * (creep / 60.0)
@@ -101,22 +102,22 @@ class Pointing:
     def reference_px(self, first: int, count: int) -> NDArray[np.float64]:
         """Offset of the reference spot times the gain, (count, 2), px, for frames of the last `offset_px`.
 
-        Its beam passes other air, correlated with the pendulum's by `air_common`; the camera moves both
-        spots equally.
+        Its beam passes through other air, whose effect is correlated with the pendulum's by `air_common`;
+        the camera moves both spots equally.
         """
-        seen = self._offset + (self._gain - 1) * self._camera
+        offset = self._offset + (self._gain - 1) * self._camera
         if not self._own_air_px:
-            return seen
+            return offset
         times_s = np.arange(first, first + count, dtype=np.float64) * self._period_s
         own = np.column_stack([series.at(times_s) for series in self._own_air_px])
         part = math.sqrt(1 - self._common**2)
-        return np.asarray(seen + (self._common - 1) * self._air + part * own)
+        return np.asarray(offset + (self._common - 1) * self._air + part * own)
 
 
 def air_px(
     settings: SimulationSettings, run: int, keys: tuple[int, int] = _AIR
 ) -> tuple[SmoothSeries, SmoothSeries]:
-    """Motion of the spot by air in the beam, x and y in px over time, for any frame rate."""
+    """Motion of the spot due to air in the beam, in x and in y, in px, as functions of time."""
     truth = settings.disturbances
     rms_px = truth.air_arcsec * ARCSEC_RAD * 2 * settings.optics.arm_m / settings.sensor.pixel_pitch_m
     span = math.log(truth.air_to_hz / truth.air_from_hz)
@@ -163,7 +164,7 @@ def vibration_rad(faults: FaultSettings, times_s: NDArray[np.float64]) -> NDArra
 def add_draught(faults: FaultSettings, fast: Motion, slow: Motion) -> None:
     """Add the impulse of a draught to both modes.
 
-    It changes the velocity by the amount that would swing the resting pendulum to `draught_arcsec`.
+    The impulse is the one that would make the resting pendulum swing to `draught_arcsec`.
     """
     if faults.draught_at_s is not None:
         for motion in (fast, slow):

@@ -29,21 +29,19 @@ from processing.kernel import kernel
 STAGES = 6
 START, LENGTH, POLYNOMIAL = 0, 1, 2
 COLUMNS = POLYNOMIAL + STAGES + 2
-"""A row, one step of the motion: start time in s, length in s, then from `POLYNOMIAL` on the coefficients of
-phi, in rad, as a polynomial in (t - start)/length."""
+"""Columns of a row, which is one step of the motion: start in s, length in s, then from `POLYNOMIAL` on the
+coefficients of phi, in rad, as a polynomial in (t - start)/length."""
 LONGEST_STEP_RAD = 0.35
-"""Longest step, as phase of the oscillation; the error within a step is about 1e-10 of the amplitude."""
+"""Longest step as a phase of the oscillation; the error within a step is about 1e-10 of the amplitude."""
 SHORTEST_STEP_RAD = 1e-4
-"""Steps at phi = 0, where the error due to |phi|^p is below 2e-12 of the amplitude even for p = 0.4."""
+"""Phase step at phi = 0; the error due to |phi|^p is then below 2e-12 of the amplitude even for p = 0.4."""
 
 TIME, ANGLE, RATE, DIRECTION = 0, 1, 2, 3
-"""Entries of a state. Direction is the sign of the velocity, 0 if friction holds the pendulum."""
+"""Entries of a state; the direction is the sign of the velocity, 0 if friction holds the pendulum."""
 
 
 class Collocation(NamedTuple):
-    """Gauss nodes on (0, 1), and the matrices that convert accelerations at the nodes to velocities and
-    angles.
-    """
+    """Gauss nodes on (0, 1), and matrices from accelerations at the nodes to rates, angles and polynomial."""
 
     nodes: NDArray[np.float64]
     weights: NDArray[np.float64]
@@ -116,7 +114,7 @@ def _stages(
     rule: Collocation,
     f: NDArray[np.float64],
 ) -> tuple[float, float]:
-    """Accelerations at the nodes into `f`; angle and rate at the step's end."""
+    """Write the accelerations at the nodes into `f`; returns angle and rate at the step's end."""
     h = length_s
     ground = np.empty(STAGES)
     for j in range(STAGES):
@@ -162,7 +160,7 @@ def _length_to(
     rule: Collocation,
     f: NDArray[np.float64],
 ) -> float:
-    """Length of the step that ends where the angle (wanted 1) or the rate (2) is zero, below longest_s."""
+    """Length in s, below `longest_s`, of the step at whose end the angle (`wanted` 1) or rate (2) is zero."""
     low = 0.0
     high = longest_s
     start = angle if wanted == ANGLE else rate
@@ -198,7 +196,7 @@ def direction_from_rest(angle: float, ground_rad: float, mode: ModeConstants) ->
 
 @kernel
 def direction_at(time_s: float, angle: float, pieces: Pieces, mode: ModeConstants) -> float:
-    """Direction (+1, -1) in which it starts at a time; 0: friction holds it."""
+    """Direction (+1, -1) in which the pendulum starts from rest at a time; 0 if friction holds it."""
     return direction_from_rest(angle, value_after(stretch_at(pieces, time_s)[0], 0.0), mode)
 
 
@@ -206,9 +204,10 @@ def direction_at(time_s: float, angle: float, pieces: Pieces, mode: ModeConstant
 def _breaks_away(
     angle: float, longest_s: float, stretch: Stretch, mode: ModeConstants
 ) -> tuple[float, float]:
-    """Time in s that friction still holds a pendulum on shaking ground, and direction of its start (or 0).
+    """Time in s for which friction still holds a pendulum on shaking ground, and direction of its start (or
+    0).
 
-    It is tested 8 times between two knots, of which there are four in the shortest period of the band.
+    The forces are tested 8 times between two knots, of which the shortest period of the band has four.
     """
     for part in range(1, 9):
         low = longest_s * (part - 1) / 8
@@ -237,9 +236,9 @@ def advance(
 ) -> tuple[int, int]:
     """Step until `stop_s` or until an array is full.
 
-    `state` is (time, angle, rate, direction) and is changed in place. `rows` (m, COLUMNS) takes the
-    steps, `turns` (k, 2) time and angle of the turning points; returned are the numbers of both.
-    A step never passes `stop_s`, nor a knot of `pieces`, which must cover the time until then.
+    `state` is (time, angle, rate, direction) and is changed in place. The steps are written to `rows`
+    (m, COLUMNS), time and angle of the turning points to `turns` (k, 2); returns the numbers of both.
+    A step never passes `stop_s`, nor a knot of `pieces`, which must extend to `stop_s`.
     """
     w0 = mode.w0_rad_per_s
     longest_s = LONGEST_STEP_RAD / w0

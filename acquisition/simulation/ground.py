@@ -1,4 +1,4 @@
-"""The ground under the simulated pendulum, and how it drives both modes.
+"""The ground under the simulated pendulum, and the angle by which it drives each mode.
 
 The mass centre lies a height d over the point of contact. In a base that is accelerated by a(t) along
 the swing and tilted by th(t), its inertia turns the pendulum about the point of contact, and gravity's
@@ -6,11 +6,11 @@ restoring moment is measured from the tilted base:
 
     I phi'' + m g R (phi - th) = M_fr + M_el - m d a
 
-Divided by m g R, the ground stands beside the rest position as an angle th - d a/(g R), whatever the moment
-of inertia. Both modes roll on the same ball under the same weight, hence with the same stiffness m g R: the
-fast mode's equation differs in I alone, I_U = I_V/`period_ratio`^2, and each mode follows its own component
-of a and th by that same angle. phi is an angle in space, and so is what the light lever shows: a tilt
-of laser and sensor with the base is left out.
+Divided by m g R, the ground adds the angle th - d a/(g R) to the rest position, whatever the moment of
+inertia. Both modes roll on the same ball under the same weight, hence with the same stiffness m g R: the
+fast mode's equation differs in I alone, I_U = I_V/`period_ratio`^2, and each mode is driven by this angle,
+with its own component of a and th. phi is an angle in space, and the light lever shows the same: a tilt
+of laser and sensor with the base is neglected.
 """
 
 import math
@@ -36,15 +36,15 @@ from processing.errors import ConfigurationError
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.units import conversion
 
-_FEWEST = 64
-_LARGEST_M_PER_S2 = 10.0
-_SMALLEST_M_PER_S2 = 1e-11
+_MIN_SAMPLES = 64
+_MAX_M_PER_S2 = 10.0
+_MIN_M_PER_S2 = 1e-11
 _KEY = "simulation.ground.file"
-_STEP_LASTS_S = 1.0
+_STEP_DURATION_S = 1.0
 
 
 class GroundRecord(NamedTuple):
-    """Accelerations at even times: (n, 1) or (n, 2) in m/s^2, each column's mean taken off."""
+    """Accelerations at even times: (n, 1) or (n, 2) in m/s^2, without the mean of each column."""
 
     rate_hz: float
     accelerations_m_per_s2: NDArray[np.float64]
@@ -68,8 +68,8 @@ def read_ground_file(path: Path) -> GroundRecord:
     columns = 1 + len(scales)
     rows = [(number, line) for number, line in enumerate(lines, 1) if number > 1 and line.strip()]
     values = np.array([_numbers(path, number, line, columns) for number, line in rows]).reshape(-1, columns)
-    if len(values) < _FEWEST:
-        raise _fault(path, f"has {len(values)} samples; at least {_FEWEST} are needed")
+    if len(values) < _MIN_SAMPLES:
+        raise _fault(path, f"has {len(values)} samples; at least {_MIN_SAMPLES} are needed")
     step_s = float(np.median(np.diff(values[:, 0])))
     uneven = np.flatnonzero(~(np.abs(np.diff(values[:, 0]) - step_s) <= 0.01 * step_s))
     if step_s <= 0 or len(uneven):
@@ -83,7 +83,7 @@ def read_ground_file(path: Path) -> GroundRecord:
     accelerations = accelerations - accelerations.mean(axis=0)
     for column, name in enumerate(lines[0].split(",")[1:]):
         largest = float(np.abs(accelerations[:, column]).max())
-        if not _SMALLEST_M_PER_S2 <= largest <= _LARGEST_M_PER_S2:
+        if not _MIN_M_PER_S2 <= largest <= _MAX_M_PER_S2:
             raise _fault(
                 path,
                 f"column {name.strip()} reaches {largest:.3g} m/s^2, which no laboratory's ground does; "
@@ -101,9 +101,9 @@ def _scales(path: Path, header: str) -> NDArray[np.float64]:
     scales = []
     for name in names[1:]:
         # a name ends in its unit: acceleration_um_per_s2
-        above, _, below = name.rpartition("_per_")
+        top, _, bottom = name.rpartition("_per_")
         try:
-            scales.append(conversion(f"{above.rpartition('_')[2]}/{below.replace('s2', 's^2')}", "m/s^2"))
+            scales.append(conversion(f"{top.rpartition('_')[2]}/{bottom.replace('s2', 's^2')}", "m/s^2"))
         except ConfigurationError:
             fault = f"column {name} has no unit of acceleration; {wanted}acceleration if any"
             raise _fault(path, fault) from None
@@ -127,12 +127,12 @@ def _fault(path: Path, message: str) -> ConfigurationError:
 
 
 _ACCELERATION, _TILT, _PERSON, _SEISMOMETER = (12, 13), (14, 15), 16, 17
-"""Purposes of random numbers."""
+"""Purposes of the random numbers; each purpose has numbers of its own."""
 SLOW, FAST = 0, 1
 
 
 class GroundMotion(NamedTuple):
-    """Along the slow and the fast swing: acceleration in m/s^2, tilt in rad, and the angle that drives it."""
+    """Motion of the ground along the slow and the fast swing: acceleration, tilt, and driving angle."""
 
     acceleration_m_per_s2: tuple[SmoothSeries, SmoothSeries]
     tilt_rad: tuple[SmoothSeries, SmoothSeries]
@@ -140,9 +140,9 @@ class GroundMotion(NamedTuple):
 
 
 def ground_of(settings: SimulationSettings, run: int) -> GroundMotion | None:
-    """The ground of one run; None where nothing moves.
+    """The ground of one run; None where it does not move.
 
-    Raises ConfigurationError for a file that cannot be used, or ends before the run may.
+    Raises ConfigurationError for a file that cannot be used, or is shorter than `max_duration_s`.
     """
     truth = settings.ground
     if truth.model == "none" and not truth.base_tilts and not settings.person.passes:
@@ -172,8 +172,8 @@ def ground_of(settings: SimulationSettings, run: int) -> GroundMotion | None:
         if truth.tilt_rad_per_sqrt_hz > 0:
             noise = BandNoise(np.ones_like, rate_hz, truth.bandwidth_hz, (seed, run, _TILT[mode]))
             tilting.append((truth.tilt_rad_per_sqrt_hz, noise))
-        if settling := _settling(truth, mode):
-            tilting.append((1.0, sampled(settling, rate_hz)))
+        if tilt_rad := _base_tilt(truth, mode):
+            tilting.append((1.0, sampled(tilt_rad, rate_hz)))
         driving = [*tilting, *((-lever * factor, term) for factor, term in shaking)]
         series.append([SmoothSeries(rate_hz, terms, end_s) for terms in (shaking, tilting, driving)])
     acceleration, tilt, drive = zip(*series, strict=True)
@@ -195,7 +195,7 @@ def _noise(truth: GroundTruth, rate_hz: float, key: tuple[int, int, int]) -> Ter
 
 
 def _knots_of_file(truth: GroundTruth) -> GroundRecord:
-    """The file's accelerations at as many knots per second as its own band, or the wanted one, needs."""
+    """The file's accelerations, resampled by a whole number to as few knots as `bandwidth_hz` needs."""
     assert truth.file is not None
     record = read_ground_file(truth.file)
     wanted_hz = KNOTS_PER_PERIOD * truth.bandwidth_hz
@@ -203,7 +203,7 @@ def _knots_of_file(truth: GroundTruth) -> GroundRecord:
     fewer = max(1, math.floor(record.rate_hz / wanted_hz + 1e-6))
     values = record.accelerations_m_per_s2
     if more > 1 or fewer > 1:
-        # the slowest import of all, needed here alone
+        # imported here because it is the slowest import of all, and only this function needs it
         from scipy.signal import resample_poly
 
         values = resample_poly(values, more, fewer, axis=0, padtype="line")
@@ -219,7 +219,7 @@ def _recorded(record: GroundRecord, column: int, offset_s: float) -> Term:
     def term(block: int) -> NDArray[np.float64]:
         first = offset + block * BLOCK_KNOTS - 2
         place = np.arange(first, first + BLOCK_KNOTS + DEGREE)
-        # mirrored beyond its ends, as the coefficients are; no run goes there
+        # beyond its ends the series is mirrored, as the coefficients are; no run reaches them
         period = 2 * (len(through) - 1)
         place = np.abs((place + period // 2) % period - period // 2)
         return np.asarray(through[place])
@@ -237,8 +237,8 @@ def _check_length(settings: SimulationSettings, end_s: float) -> None:
         )
 
 
-def _settling(truth: GroundTruth, mode: int) -> Callable[[NDArray[np.float64]], NDArray[np.float64]] | None:
-    """Slow tilt of the base and its step, in rad; None for neither."""
+def _base_tilt(truth: GroundTruth, mode: int) -> Callable[[NDArray[np.float64]], NDArray[np.float64]] | None:
+    """Steady tilt of the base plus its step, in rad, as a function of time; None if there is neither."""
     slow = mode == SLOW
     rate = truth.tilt_slow_arcsec_per_min if slow else truth.tilt_fast_arcsec_per_min
     step = truth.tilt_step_slow_arcsec if slow else truth.tilt_step_fast_arcsec
@@ -247,14 +247,14 @@ def _settling(truth: GroundTruth, mode: int) -> Callable[[NDArray[np.float64]], 
         return None
 
     def tilt_rad(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        part = np.clip((times_s - at_s) / _STEP_LASTS_S, 0, 1)
+        part = np.clip((times_s - at_s) / _STEP_DURATION_S, 0, 1)
         return np.asarray(ARCSEC_RAD * (rate * times_s / 60 + step * np.sin(0.5 * np.pi * part) ** 2))
 
     return tilt_rad
 
 
 class _Person:
-    """Acceleration of the ground, one component, while someone walks by."""
+    """One component of the ground's acceleration while a person walks by, in m/s^2, as a function of time."""
 
     def __init__(self, truth: PersonTruth, mode: int, seed: int, run: int) -> None:
         self._truth = truth
@@ -272,7 +272,7 @@ class _Person:
         return truth.acceleration_m_per_s2 * total
 
     def _passes(self, first_s: float, last_s: float) -> list[tuple[float, float, float]]:
-        """Begin, direction and phase of every pass that begins between two times."""
+        """Begin (s), direction and phase (rad) of every pass that begins between two times."""
         generator = np.random.Generator(np.random.PCG64([*self._key, 0]))
         found = [(at_s, *generator.uniform(0, 2 * np.pi, 2)) for at_s in self._truth.passes_at_s]
         for hour in range(max(0, math.floor(first_s / 3600)), math.floor(max(last_s, 0) / 3600) + 1):
@@ -284,14 +284,14 @@ class _Person:
 
 
 class SeismometerSamples(NamedTuple):
-    """Times (n,) in s of the simulation, and counts (n, 2) along the slow and the fast swing."""
+    """Simulated times (n,) in s, and counts (n, 2) along the slow and the fast swing."""
 
     time_s: NDArray[np.float64]
     counts: NDArray[np.float64]
 
 
 class SimulatedSeismometer:
-    """Samples at an even rate, of the ground a delay before, as counts, with white noise of its own.
+    """An auxiliary seismometer: samples the ground at an even rate, with a delay and white noise of its own.
 
     Raises ConfigurationError where no ground is simulated.
     """
@@ -308,7 +308,7 @@ class SimulatedSeismometer:
         self._next = 0
 
     def until(self, time_s: float, run: int) -> SeismometerSamples:
-        """The samples since the last call, up to a time of a run; another run begins anew."""
+        """The samples since the last call, up to a time of a run; they begin anew with another run."""
         truth = self._settings.witness
         if run != self._run:
             self._begin(run)
@@ -316,9 +316,9 @@ class SimulatedSeismometer:
         times = np.arange(self._next, last + 1) / truth.rate_hz
         self._next = max(self._next, last + 1)
         assert self._ground is not None
-        felt = np.maximum(times - truth.delay_s, 0.0)
+        past_s = np.maximum(times - truth.delay_s, 0.0)
         size = truth.noise_m_per_s2_per_sqrt_hz * np.sqrt(0.5 * truth.rate_hz)
-        values = np.column_stack(self._ground(felt)) + size * self._noise.standard_normal((len(times), 2))
+        values = np.column_stack(self._ground(past_s)) + size * self._noise.standard_normal((len(times), 2))
         return SeismometerSamples(times, truth.counts_per_m_per_s2 * values)
 
     def _begin(self, run: int) -> None:

@@ -1,4 +1,4 @@
-"""What is done to the simulated rig: faults at stated times ([faults]), and a controller's outputs."""
+"""Inputs of the simulated rig: faults at stated times ([faults]), and a controller's outputs."""
 
 import threading
 from typing import NamedTuple
@@ -39,7 +39,7 @@ class FaultSettings(BaseModel, frozen=True, extra="forbid"):
 
 
 class RigState(NamedTuple):
-    """State of a controller's outputs; `pulse_us` 0: the laser is not pulsed."""
+    """State of a controller's outputs; with `pulse_us` 0 the laser is not pulsed."""
 
     laser_w: float = 0.0
     pulse_delay_us: float = 0.0
@@ -67,27 +67,27 @@ class RigInputs:
         self._change(laser_w=power_w)
 
     def pulse(self, delay_us: float, width_us: float) -> None:
-        """Light only for a time after the beginning of each exposure; width 0: all the time."""
+        """Pulse of light at a delay after the beginning of each exposure; width 0: light all the time."""
         self._change(pulse_delay_us=delay_us, pulse_us=width_us)
 
     def magnet(self, on: bool) -> None:
-        """On: holds the pendulum at the amplitude of the release; off: releases it."""
+        """Switch the magnet, which holds the pendulum at the amplitude of the release; off releases it."""
         self._change(magnet=on)
 
     def starter(self, on: bool) -> None:
-        """On: pushes the pendulum with a constant moment, which shifts its rest position."""
+        """Switch the starter, which pushes with a constant moment, and so shifts the rest position."""
         self._change(starter=on)
 
     def clamp(self, on: bool) -> None:
-        """On: holds the pendulum at its rest position."""
+        """Switch the clamp, which holds the pendulum at its rest position."""
         self._change(clamp=on)
 
     def brake(self, on: bool) -> None:
-        """On: damps both modes."""
+        """Switch the brake, which damps both modes."""
         self._change(brake=on)
 
     def begin(self) -> RigState:
-        """State at the beginning of a run, including changes that were not yet taken."""
+        """The present state, for the beginning of a run; earlier changes are not returned by `take`."""
         with self._lock:
             self._changes.clear()
             return self._state

@@ -27,7 +27,7 @@ _TURNS = 64
 
 
 def contact_radius_m(contact: ContactTruth) -> float:
-    """Radius of the contact: as stated, or after Hertz for a ball under its share of the weight."""
+    """Radius of the contact: as stated, or by Hertz's theory for a ball under its share of the weight."""
     if contact.contact_radius_m is not None:
         return contact.contact_radius_m
     compliance = (1 - contact.ball_poisson_ratio**2) / contact.ball_youngs_modulus_pa + (
@@ -72,7 +72,7 @@ def fast_mode(contact: ContactTruth, fast: FastModeTruth) -> ModeConstants:
 
 
 class Motion:
-    """Motion of one mode. Times must not decrease from call to call: the earlier motion is not kept.
+    """Motion of one mode. Times must not decrease from call to call, because earlier motion is discarded.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Motion:
     angle_rad, rate_rad_per_s
         Angle and its derivative at `start_s`; before, the pendulum is held at `held_rad`.
     ground
-        What the ground adds to the rest position, in rad; None: it stands still.
+        Angle that the ground adds to the rest position, in rad; None: the ground does not move.
 
     Raises
     ------
@@ -108,7 +108,7 @@ class Motion:
             )
         self._mode = mode
         self._ground = ground
-        self._still = no_pieces()
+        self._no_motion = no_pieces()
         self._rule = equation_of_motion.collocation()
         self._rows = np.zeros((_ROWS, COLUMNS))
         self._turns = np.zeros((_TURNS, 2))
@@ -132,7 +132,7 @@ class Motion:
 
     def hold(self, time_s: float, angle_rad: float) -> None:
         """Hold the pendulum at this angle from `time_s` until `let_go`."""
-        self._stand_at(time_s)
+        self._move_to(time_s)
         self._held = True
         self._state[ANGLE] = angle_rad
         self._state[RATE] = 0.0
@@ -140,13 +140,13 @@ class Motion:
 
     def let_go(self, time_s: float) -> None:
         """Release the pendulum at `time_s`, at rest at the angle at which it is held."""
-        self._stand_at(time_s)
+        self._move_to(time_s)
         self._held = False
         self._set_direction()
 
     def load(self, time_s: float, push_rad: float, drag_s: float) -> None:
         """Apply a constant moment (as shift of the rest position) and a linear drag from `time_s` on."""
-        self._stand_at(time_s)
+        self._move_to(time_s)
         self._mode = self._mode._replace(push_rad=push_rad, drag_s=drag_s)
         self._set_direction()
 
@@ -174,7 +174,7 @@ class Motion:
             self._set_direction()
         stop_s = min(until_s, self._kicks[0][0]) if self._kicks else until_s
         if math.isinf(stop_s):
-            # a pendulum that friction holds is one long step, which needs an end
+            # while friction holds the pendulum, a single step would never end
             stop_s = self._state[TIME] + 100 * 2 * math.pi / self._mode.w0_rad_per_s
         pieces = self._pieces()
         if len(pieces.coefficients):
@@ -201,9 +201,9 @@ class Motion:
         return bool(self._state[DIRECTION] == 0.0) and not self._kicks and self._ground is None
 
     def _pieces(self) -> Pieces:
-        """What the ground does from now on, if it reaches the pendulum."""
+        """Driving angle of the ground from now on; zero while the pendulum is held."""
         if self._ground is None or self._held:
-            return self._still
+            return self._no_motion
         time_s = float(self._state[TIME])
         if time_s > self._ground.end_s - 1e-6 / self._ground.rate_hz:
             raise ConfigurationError(
@@ -212,7 +212,7 @@ class Motion:
             )
         return self._ground.pieces(time_s)
 
-    def _stand_at(self, time_s: float) -> None:
+    def _move_to(self, time_s: float) -> None:
         """Bring the state to `time_s`, which must not be before a time already requested."""
         if self._state[TIME] > time_s:
             self._return_to(time_s)

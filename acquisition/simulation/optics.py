@@ -12,7 +12,7 @@ from processing.errors import ConfigurationError
 from processing.kernel import kernel
 
 FAINTEST_E = 1e-3
-"""Light of fewer electrons per pixel than this is neglected."""
+"""Smallest light in electrons per pixel that is not neglected."""
 
 _GAUSS_3 = math.sqrt(0.6)
 """Outer node of the three-point Gauss rule on (-1, 1); weights 5/18, 8/18, 5/18 on a unit interval."""
@@ -37,8 +37,7 @@ def spot_position_px(
     optics: OpticsTruth,
     sensor: SensorTruth,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre of the spot on the sensor in px (x to the right, y down), for tilts (n,) along the pendulum's
-    axes.
+    """Centre (x, y) of the spot on the sensor in px, for tilts (n,) along the pendulum's own axes.
 
     The tilt of each mode moves the spot along the mode's direction (see `AxesTruth`) by ``arm tan(2 tilt)``.
     """
@@ -58,15 +57,13 @@ def spot_position_px(
 
 @kernel
 def beam_reach(beam: GaussianBeam) -> float:
-    """Distance from the centre, in standard deviations, at which a pixel gets `FAINTEST_E`."""
+    """Distance from the centre, in standard deviations, at which a pixel receives `FAINTEST_E`."""
     return math.sqrt(2.0 * math.log(beam.peak_e / FAINTEST_E)) + 0.5
 
 
 @kernel
 def beam_box(beam: GaussianBeam, ny: int, nx: int) -> tuple[int, int, int, int]:
-    """Rows y0 <= y < y1 and columns x0 <= x < x1 with light of the beam, as (y0, y1, x0, x1); empty if
-    none.
-    """
+    """Rows y0 <= y < y1 and columns x0 <= x < x1 with light of the beam, as (y0, y1, x0, x1); 0s if none."""
     if not beam.peak_e > FAINTEST_E or not math.isfinite(beam.x_px + beam.y_px):
         return 0, 0, 0, 0
     reach = beam_reach(beam)
@@ -174,7 +171,7 @@ class RollingReadout:
             )
         self._from_top = truth.first_row == "top"
         self._first, self._last = (top, top + rows - 1) if self._from_top else (top + rows - 1, top)
-        # part of the readout at which the motion is calculated; a polynomial goes through these points
+        # fractions of the readout at which the motion is calculated; a polynomial goes through these points
         self._part = np.linspace(0.0, 1.0, _NODES)
         self._to_polynomial = np.linalg.inv(np.vander(self._part, increasing=True))
 
@@ -184,10 +181,9 @@ class RollingReadout:
         return times
 
     def seen(self, moving_px: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the rows under the spot see it, (n, 2), and how far it moves from row to row, (n, 2), in px.
+        """Position of the spot when its own rows are exposed, (n, 2), and motion per row, (n, 2), in px.
 
-        `moving_px` (n, nodes, 2) is its position at `times_s`. A spot beside the region is where the nearest
-        row would see it.
+        `moving_px` (n, nodes, 2) is its position at `times_s`. For a spot outside it the nearest counts.
         """
         path = np.einsum("kj,njc->nkc", self._to_polynomial, moving_px)
         part = np.full(len(path), 0.5)
@@ -199,7 +195,7 @@ class RollingReadout:
         return self._along(path, part), by_part / (self._last - self._first)
 
     def row_begins_s(self, y_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """From the beginning of the first row's exposure to that of the row at `y_px` of the sensor."""
+        """Time in s from the begin of the first row's exposure to that of the row at `y_px` of the sensor."""
         begins: NDArray[np.float64] = self._span_s * (y_px - self._first) / (self._last - self._first)
         return begins
 
@@ -218,12 +214,12 @@ class ShearedBeams:
 
     @property
     def ghost_dx_px(self) -> NDArray[np.float64]:
-        """Offset of the ghost in x, (n,): its rows are exposed later than those of the spot."""
+        """Offset of the ghost in x, (n,), px; its rows are exposed at another time than those of the spot."""
         return self.optics.ghost_dx_px + self.slope[:, 0] * self.ghost_dy_px
 
     @property
     def ghost_dy_px(self) -> NDArray[np.float64]:
-        """Offset of the ghost in y, (n,)."""
+        """Offset of the ghost in y, (n,), px."""
         dy: NDArray[np.float64] = self.optics.ghost_dy_px / (1.0 - self.slope[:, 1])
         return dy
 
@@ -237,7 +233,7 @@ class ShearedBeams:
         cos, sin = math.cos(optics.rotation_rad), math.sin(optics.rotation_rad)
         turn = np.array([[cos, -sin], [sin, cos]])
         covariance = turn @ np.diag([optics.sigma_x_px**2, optics.sigma_y_px**2]) @ turn.T
-        # a point at (dx, dy) from the centre shows the light of (dx - sx dy, dy - sy dy)
+        # a pixel at (dx, dy) from the centre receives the beam's light at (dx - sx dy, dy - sy dy)
         sx, sy = self.slope.T
         stretch = 1.0 / (1.0 - sy)
         to_image = np.zeros((len(sx), 2, 2))

@@ -1,5 +1,4 @@
-"""Random numbers that depend only on a key, so that the noise of a frame does not depend on the order of
-calls.
+"""Random numbers that depend only on a key, so that a frame's noise is independent of the order of calls.
 
 SplitMix64 (Steele, Lea, Flood 2014) increments a key by a fixed odd number and scrambles the bits; its 64-bit
 state is an argument and a return value of the functions. Normal numbers are drawn by the ziggurat method
@@ -45,7 +44,7 @@ def ziggurat() -> NDArray[np.float64]:
 
 @kernel
 def scramble(z: np.uint64) -> np.uint64:
-    """One-to-one mapping of 64 bits to 64 bits, which look random."""
+    """Scrambled bits: a one-to-one mapping of 64 bits to 64 bits that look random."""
     z = (z ^ (z >> _S30)) * _MIX1
     z = (z ^ (z >> _S27)) * _MIX2
     return z ^ (z >> _S31)
@@ -96,8 +95,8 @@ def _normal_beyond(
 
 @kernel
 def fill_normals(state: np.uint64, edges: NDArray[np.float64], numbers: NDArray[np.float64]) -> np.uint64:
-    """Next state, and `numbers` filled with the standard normal distribution."""
-    # written out, because handing `edges` to a function counts its references at every number
+    """Fill `numbers` with the standard normal distribution; returns the next state."""
+    # not a function of its own, because passing `edges` to one counts references at every number
     for i in range(numbers.shape[0]):
         state = state + _GOLDEN
         bits = scramble(state)

@@ -29,14 +29,14 @@ from processing.units import NS_PER_S
 
 
 class PlannedFrames(NamedTuple):
-    """Some consecutive frames before they are drawn; arrays of one length.
+    """Consecutive frames before they are drawn; arrays of one length.
 
     `first` is the number of the first frame, `true_time_s` the true time of the exposure, `device_time_ns`
     the timestamp by the camera's clock; with a rolling shutter, both of the first row. `x_px`, `y_px` is the
     true centre of the spot on the sensor (when its own rows are exposed), `power` the relative laser power.
-    `slope` (n, 2) is how far the spot moves in x and y from one row to the next, in px, 0 with a global
-    shutter. `dropped` frames are lost by the camera. `beam_px` (n, 2) is what of the place the beam's own
-    motion makes, which a reference spot sees too.
+    `slope` (n, 2) is the motion of the spot in x and y from one row to the next, in px, 0 with a global
+    shutter. `dropped` frames are lost by the camera. `beam_px` (n, 2) is the part of the spot's motion that
+    the beam itself makes, which moves a reference spot, too.
     """
 
     first: int
@@ -51,10 +51,10 @@ class PlannedFrames(NamedTuple):
 
 
 class SensorSettings(NamedTuple):
-    """Settings of the camera, by its names: region, bit depth, exposure, gain, frame rate.
+    """Settings of the simulated sensor, named as in CameraSettings.
 
-    Motion during an exposure is neglected. With `binning`, place and size of the region are in pixels of the
-    image, each the mean of that many of the sensor in each direction, read one by one.
+    Motion during an exposure is neglected. With `binning`, offset and size of the region are in pixels of the
+    image, each the mean of that many pixels of the sensor in each direction, which are read one by one.
     """
 
     offset_x_px: int
@@ -71,24 +71,24 @@ class SensorSettings(NamedTuple):
 class Scene:
     """The simulated rig from the start of a run on, frame by frame.
 
-    Plans are made in order and earlier ones are not kept, so that memory does not grow with the duration of
-    the run. The same settings, readings and run give identical frames.
+    Frames are planned in order and earlier plans are discarded, so that memory does not grow with the
+    duration of the run. The same settings, sensor settings and run give identical frames.
     """
 
     def __init__(
         self,
         settings: SimulationSettings,
         faults: FaultSettings,
-        readings: SensorSettings,
+        camera: SensorSettings,
         run: int,
         inputs: RigInputs | None = None,
     ) -> None:
         truth = settings.sensor
-        state = truth.at(readings.bit_depth, readings.gain_db).binned(readings.binning)
-        area = readings.binning**2
+        state = truth.at(camera.bit_depth, camera.gain_db).binned(camera.binning)
+        area = camera.binning**2
         self._settings = settings
         self._faults = faults
-        self._sensor_settings = readings
+        self._sensor_settings = camera
         self._run = run
         self._fast, self._slow = motions(settings, run)
         add_draught(faults, self._fast, self._slow)
@@ -98,14 +98,14 @@ class Scene:
             ground = ground_of(settings, run)
             assert ground is not None
             self._base_rad = ground.tilt_rad
-        self._pointing = Pointing(settings, self._noise, run, 1 / readings.frame_rate_hz)
+        self._pointing = Pointing(settings, self._noise, run, 1 / camera.frame_rate_hz)
         self._next = 0
         self._inputs = inputs
-        self._commanded = RigState(laser_w=settings.optics.laser_w)
+        self._outputs = RigState(laser_w=settings.optics.laser_w)
         if inputs is not None:
             self._command(inputs.begin(), 0.0)
         self._state = state
-        brightness = readings.exposure_us / truth.exposure_us
+        brightness = camera.exposure_us / truth.exposure_us
         self._peak_e = settings.optics.peak_dn * truth.gain_e_per_dn * brightness * area
         self._readout = sensor.Readout(
             gain_e_per_dn=state.gain_e_per_dn,
@@ -116,15 +116,15 @@ class Scene:
             ambient_e=truth.ambient_dn * truth.gain_e_per_dn * brightness * area,
         )
         self._dark = sensor.dark_table(state)
-        region_px = (readings.offset_x_px, readings.offset_y_px, readings.width_px, readings.height_px)
-        self._pixels = sensor.pixels(truth, settings.seed, *region_px, readings.binning)
+        region_px = (camera.offset_x_px, camera.offset_y_px, camera.width_px, camera.height_px)
+        self._pixels = sensor.pixels(truth, settings.seed, *region_px, camera.binning)
         self._edges = randomness.ziggurat()
-        self._light_e = np.zeros((readings.height_px, readings.width_px))
-        self._dtype = np.uint8 if readings.bit_depth == 8 else np.uint16
+        self._light_e = np.zeros((camera.height_px, camera.width_px))
+        self._dtype = np.uint8 if camera.bit_depth == 8 else np.uint16
         self._rolling: RollingReadout | None = None
         if truth.row_time_s:
-            top, rows = readings.offset_y_px * readings.binning, readings.height_px * readings.binning
-            self._rolling = RollingReadout(truth, top, rows, readings.frame_rate_hz)
+            top, rows = camera.offset_y_px * camera.binning, camera.height_px * camera.binning
+            self._rolling = RollingReadout(truth, top, rows, camera.frame_rate_hz)
 
     def plan(self, count: int) -> PlannedFrames:
         """Calculate the next `count` frames, without their images."""
@@ -136,19 +136,19 @@ class Scene:
         self._next += count
         period_s = 1 / self._sensor_settings.frame_rate_hz
         times_s = np.arange(first, first + count, dtype=np.float64) * period_s
-        pulsed = self._commanded.pulse_us > 0
+        pulsed = self._outputs.pulse_us > 0
         offset_px = self._pointing.offset_px(first, count)
         if self._rolling is None or pulsed:
             position_px, slope = (
-                self._spot_px(times_s + self._light_after_s) + offset_px,
+                self._spot_px(times_s + self._light_delay_s) + offset_px,
                 np.zeros((count, 2)),
             )
         else:
             moving_px = self._spot_px(self._rolling.times_s(times_s)).reshape(count, -1, 2)
             position_px, slope = self._rolling.seen(moving_px + offset_px[:, None, :])
-        power = laser_factor(self._faults, times_s) * (self._commanded.laser_w / settings.optics.laser_w)
+        power = laser_factor(self._faults, times_s) * (self._outputs.laser_w / settings.optics.laser_w)
         if pulsed:
-            power = power * self._seen_of_pulse(position_px[:, 1])
+            power = power * self._pulse_fraction(position_px[:, 1])
         if settings.optics.power_noise > 0:
             relative = 1 + settings.optics.power_noise * self._noise.normals(POWER, first, count)[:, 0]
             power = power * np.maximum(relative, 0)
@@ -165,39 +165,39 @@ class Scene:
         )
 
     def _base_px(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How far the base tilts a mirror that is fixed to it, as the pendulum's arm shows it, (n, 2)."""
+        """Motion of a reference spot by tilts of the base, over the pendulum's arm, (n, 2), px."""
         if not self._base_rad:
             return np.zeros((len(times_s), 2))
         settings = self._settings
         slow, fast = (series.at(times_s) for series in self._base_rad)
-        nothing = np.zeros_like(times_s)
+        zeros = np.zeros_like(times_s)
         tilted, level = (
             np.column_stack(
                 spot_position_px(*tilts, times_s, settings.axes, settings.optics, settings.sensor)
             )
-            for tilts in ((fast, slow), (nothing, nothing))
+            for tilts in ((fast, slow), (zeros, zeros))
         )
         return np.asarray(tilted - level)
 
     @property
-    def _light_after_s(self) -> float:
-        """From the middle of the first row's exposure to that of the light."""
-        state = self._commanded
+    def _light_delay_s(self) -> float:
+        """Time in s from the middle of the first row's exposure to the middle of the light's pulse."""
+        state = self._outputs
         if not state.pulse_us:
             return 0.0
         return 1e-6 * (state.pulse_delay_us + 0.5 * (state.pulse_us - self._sensor_settings.exposure_us))
 
-    def _seen_of_pulse(self, y_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _pulse_fraction(self, y_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """Light that the row under the spot collects from a pulse, relative to that without pulses."""
-        state, exposure_us = self._commanded, self._sensor_settings.exposure_us
+        state, exposure_us = self._outputs, self._sensor_settings.exposure_us
         opens_us = np.zeros_like(y_px) if self._rolling is None else 1e6 * self._rolling.row_begins_s(y_px)
         ends_us = np.minimum(state.pulse_delay_us + state.pulse_us, opens_us + exposure_us)
-        seen_us = ends_us - np.maximum(state.pulse_delay_us, opens_us)
-        relative: NDArray[np.float64] = np.maximum(seen_us, 0.0) / exposure_us
+        lit_us = ends_us - np.maximum(state.pulse_delay_us, opens_us)
+        relative: NDArray[np.float64] = np.maximum(lit_us, 0.0) / exposure_us
         return relative
 
     def _spot_px(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Centre of the spot (n, 2) at these times, which must not decrease, without the beam's motion."""
+        """Centre of the spot (n, 2), px, without the beam's motion, at times that must not decrease."""
         settings = self._settings
         x_rad, y_rad = axes_motion(settings, self._fast, self._slow, times_s)
         shake_rad = vibration_rad(self._faults, times_s)
@@ -229,17 +229,17 @@ class Scene:
         slope: NDArray[np.float64] | None = None,
         beam_px: NDArray[np.float64] | None = None,
     ) -> Image:
-        """Images (n, ny, nx) of consecutive frames; the same as of each by `draw`, with one call for all.
+        """Images (n, ny, nx) of consecutive frames, identical to those of `draw`.
 
-        `slope` and `beam_px` (n, 2) are those of `PlannedFrames`; None: 0.
+        `slope` and `beam_px` (n, 2) are as in `PlannedFrames`; None: 0.
         """
-        readings = self._sensor_settings
+        camera = self._sensor_settings
         optics = self._settings.optics
         peak_e = self._peak_e * power
-        binning = readings.binning
-        # the middle of the first pixel of the image lies between those of the sensor that it combines
-        x = (x_px - 0.5 * (binning - 1)) / binning - readings.offset_x_px
-        y = (y_px - 0.5 * (binning - 1)) / binning - readings.offset_y_px
+        binning = camera.binning
+        # the centre of the image's first pixel is the mean of the centres of the pixels that it combines
+        x = (x_px - 0.5 * (binning - 1)) / binning - camera.offset_x_px
+        y = (y_px - 0.5 * (binning - 1)) / binning - camera.offset_y_px
         main = np.column_stack((x, y, peak_e))
         sheared = ShearedBeams(optics, np.zeros((len(x), 2)) if slope is None else slope)
         ghost = np.column_stack(
@@ -253,9 +253,9 @@ class Scene:
         if reference.relative > 0:
             moved = np.zeros((len(x), 2)) if beam_px is None else beam_px / reference.gain
             place = np.array([reference.x_px, reference.y_px]) + moved - 0.5 * (binning - 1)
-            place = place / binning - (readings.offset_x_px, readings.offset_y_px)
+            place = place / binning - (camera.offset_x_px, camera.offset_y_px)
             ghost = np.column_stack((place, peak_e * reference.relative))
-        images = np.empty((len(x_px), readings.height_px, readings.width_px), dtype=self._dtype)
+        images = np.empty((len(x_px), camera.height_px, camera.width_px), dtype=self._dtype)
         sensor.expose_frames(
             images,
             self._light_e,
@@ -274,15 +274,15 @@ class Scene:
 
     def _command(self, state: RigState, time_s: float) -> None:
         """Apply the controller's outputs from `time_s` on."""
-        before, self._commanded = self._commanded, state
+        before, self._outputs = self._outputs, state
         release = self._settings.release
         if (state.starter, state.brake) != (before.starter, before.brake):
             drag_s = release.brake_drag_s if state.brake else 0.0
             push_rad = release.starter_arcsec * ARCSEC_RAD if state.starter else 0.0
             self._slow.load(time_s, push_rad, self._settings.contact.whole_drag_s + drag_s)
-            # a push of any length gives the fast mode at most twice this shift
-            aside_rad = 0.5 * self._settings.fast.amplitude_arcsec * ARCSEC_RAD if state.starter else 0.0
-            self._fast.load(time_s, aside_rad, self._settings.fast.drag_s + drag_s)
+            # the fast mode's amplitude is at most twice this shift, however long the starter pushes
+            shift_rad = 0.5 * self._settings.fast.amplitude_arcsec * ARCSEC_RAD if state.starter else 0.0
+            self._fast.load(time_s, shift_rad, self._settings.fast.drag_s + drag_s)
         if (state.magnet, state.clamp) != (before.magnet, before.clamp):
             for motion, amplitude_arcsec in (
                 (self._slow, release.amplitude_arcsec),
@@ -299,11 +299,11 @@ class Scene:
         clock = self._settings.clock
         exact_ns = np.rint((clock.start_s + times_s * (1 + 1e-6 * clock.drift_ppm)) * NS_PER_S)
         if clock.jitter_s > 0:
-            late_s = clock.jitter_s * self._noise.normals(CLOCK, first, len(times_s))[:, 0]
-            exact_ns += np.rint(np.clip(late_s, -0.4 * period_s, 0.4 * period_s) * NS_PER_S)
+            jitter_s = clock.jitter_s * self._noise.normals(CLOCK, first, len(times_s))[:, 0]
+            exact_ns += np.rint(np.clip(jitter_s, -0.4 * period_s, 0.4 * period_s) * NS_PER_S)
         return np.maximum(exact_ns, 0).astype(np.int64)
 
 
 def block_frames(frame_rate_hz: float, commanded: bool) -> int:
-    """Frames planned at once: many for speed, but at most 20 ms where a controller may interfere."""
+    """Frames to be planned at once: many for speed, but at most 20 ms where a controller may interfere."""
     return max(1, math.floor(0.02 * frame_rate_hz)) if commanded else 64

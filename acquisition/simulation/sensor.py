@@ -1,9 +1,9 @@
 """The image sensor: conversion of light into electrons with noise, and into DN.
 
 A pixel holds ``min(Poisson(light), full well)`` electrons, read noise is added, and the sum over
-the gain plus the black level is rounded and cut to 0 ... full scale. Where no light falls, only the
-black level with read noise is left, whose DN follow one distribution for all pixels: it is drawn
-from a table. Where light falls, each pixel is drawn by itself.
+the gain plus the black level is rounded and clipped to 0 ... full scale. Pixels without light have only the
+black level with read noise, with one distribution of DN for all of them, and are drawn from a table.
+Pixels with light are drawn one by one.
 """
 
 import math
@@ -19,8 +19,8 @@ from acquisition.simulation.settings import SensorState, SensorTruth
 from processing.kernel import kernel
 
 _MAP, _HOT, FRAME = 1, 2, 3
-_MOST_COLUMNS = 2**14
-_FAINTEST_PROBABILITY = 2.0**-34
+_MAX_COLUMNS = 2**14
+_MIN_PROBABILITY = 2.0**-34
 _SPARSE = 0.94
 _CLIP_SD = 7.0
 
@@ -30,12 +30,12 @@ _LOW32 = np.uint64(0xFFFFFFFF)
 
 
 class DarkTable(NamedTuple):
-    """Distribution of a dark pixel's DN. `common_dn` has the probability `common`.
+    """Distribution of a dark pixel's DN; the most frequent value `common_dn` has the probability `common`.
 
-    Where nearly all pixels read the same, the others are placed at geometric distances, their
-    values by `rare_below` (cumulative) over `rare_dn`. Else every pixel is drawn by Walker's alias
-    method from 32 random bits: the upper ones name a column, the `shift` lower ones are held against
-    its `threshold` and decide between `first` and `second`.
+    If `sparse`, nearly all pixels have this value. The others follow each other at geometrically distributed
+    distances, with values from `rare_dn` by their cumulative probabilities `rare_below`. Otherwise every
+    pixel is drawn by Walker's alias method from 32 random bits: the upper ones are the number of a column,
+    the `shift` lower ones are compared with its `threshold` and decide between `first` and `second`.
     """
 
     sparse: bool
@@ -63,7 +63,7 @@ class Pixels(NamedTuple):
 
 
 class Readout(NamedTuple):
-    """Constants of the readout, for the kernel."""
+    """Constants of the readout, as an argument of the kernels."""
 
     gain_e_per_dn: float
     black_level_dn: float
@@ -78,7 +78,7 @@ def dark_probabilities(state: SensorState) -> NDArray[np.float64]:
     spread_dn = max(state.read_noise_e / state.gain_e_per_dn, 1e-9)
     edges = (np.arange(state.full_scale_dn) + 0.5 - state.black_level_dn) / (spread_dn * math.sqrt(2))
     near = np.clip(edges, -30, 30)
-    # differences of the smaller tail on either side, which are exact
+    # differences are taken of the smaller tail on either side, which loses no digits
     upper = np.array([0.5 * math.erfc(edge) for edge in near])
     lower = np.array([0.5 * math.erfc(-edge) for edge in near])
     p = np.where(near[:-1] > 0, upper[:-1] - upper[1:], lower[1:] - lower[:-1])
@@ -111,9 +111,9 @@ def dark_table(state: SensorState) -> DarkTable:
 def _alias(
     p: NDArray[np.float64],
 ) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint32], int]:
-    """Walker's alias table of all values whose probability can be represented with 32 random bits."""
-    values = np.flatnonzero(p > _FAINTEST_PROBABILITY)
-    values = np.sort(values[np.argsort(p[values])[::-1][:_MOST_COLUMNS]])
+    """Walker's alias table (first, second, threshold, shift) of values that 32 random bits can represent."""
+    values = np.flatnonzero(p > _MIN_PROBABILITY)
+    values = np.sort(values[np.argsort(p[values])[::-1][:_MAX_COLUMNS]])
     columns = 1 << max(8, (len(values) - 1).bit_length())
     shift = 32 - (columns.bit_length() - 1)
     share = np.zeros(columns)
@@ -136,7 +136,7 @@ def _alias(
 def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int, binning: int = 1) -> Pixels:
     """Response and hot pixels of a region; they depend on the position on the sensor, not on the region.
 
-    The region is in pixels of the image, which combine `binning` of the sensor in each direction.
+    The region is in pixels of the image, which combine `binning` pixels of the sensor in each direction.
     """
     empty = np.empty((0, 0), dtype=np.float32)
     response = empty
@@ -153,10 +153,10 @@ def pixels(truth: SensorTruth, seed: int, x0: int, y0: int, nx: int, ny: int, bi
     row, column = place // truth.width_px // binning, place % truth.width_px // binning
     inside = (row >= y0) & (row < y0 + ny) & (column >= x0) & (column < x0 + nx)
     row, column, hot_e = row[inside] - y0, column[inside] - x0, hot_e[inside]
-    if binning > 1:  # two hot pixels of the sensor may be in one of the image
-        where, of = np.unique(row * nx + column, return_inverse=True)
-        row, column = where // nx, where % nx
-        hot_e = np.bincount(of, weights=hot_e, minlength=len(where)).astype(np.float64)
+    if binning > 1:  # one pixel of the image may combine two hot pixels of the sensor
+        places, place_numbers = np.unique(row * nx + column, return_inverse=True)
+        row, column = places // nx, places % nx
+        hot_e = np.bincount(place_numbers, weights=hot_e, minlength=len(places)).astype(np.float64)
     return Pixels(np.ascontiguousarray(response), row, column, hot_e)
 
 
@@ -314,12 +314,12 @@ def _draw_lit(
 
 @kernel
 def _is_exact(mean_e: float, read_variance: float, readout: Readout) -> bool:
-    """Whether the sum of shot and read noise is too far from normal, or the full well too near."""
+    """Whether a pixel needs the exact noise, being too far from normal or too near to the full well."""
     variance = mean_e + read_variance
     return variance < 36.0 or mean_e + _CLIP_SD * math.sqrt(variance) > readout.full_well_e
 
 
-# without numpy's error model each division would be checked for zero, and nothing be a vector instruction
+# numpy's error model is needed: checks of each division for zero would prevent vector instructions
 @kernel
 def _bend(mean_e: NDArray[np.float64], number: NDArray[np.float64], readout: Readout) -> None:
     """Turn standard normal numbers into the DN of pixels with these means."""
@@ -347,7 +347,7 @@ def _read_exactly(
     number: NDArray[np.float64],
     state: np.uint64,
 ) -> tuple[np.uint64, int]:
-    """One pixel: electrons, full well, read noise, DN. `number` is room for one number."""
+    """DN of one pixel, from electrons, full well and read noise; `number` (1,) is working memory."""
     state, electrons = poisson(state, mean_e)
     state = fill_normals(state, edges, number[:1])
     electrons = min(electrons, readout.full_well_e) + readout.read_noise_e * number[0]

@@ -140,7 +140,7 @@ class ReferenceTruth(SimulationSection, frozen=True):
 
 
 class SensorState(NamedTuple):
-    """Properties of the sensor at one bit depth and gain."""
+    """Properties of the sensor at one bit depth and gain, for `SensorTruth.at`."""
 
     gain_e_per_dn: float
     read_noise_e: float
@@ -148,7 +148,7 @@ class SensorState(NamedTuple):
     black_level_dn: float
 
     def binned(self, binning: int) -> "SensorState":
-        """Properties of pixels that are the mean of `binning` squared ones, each read with its own noise."""
+        """Properties of the mean of `binning` squared pixels, each of which is read with its own noise."""
         return self._replace(
             gain_e_per_dn=self.gain_e_per_dn * binning**2, read_noise_e=self.read_noise_e * binning
         )
@@ -180,9 +180,7 @@ class SensorTruth(SimulationSection, frozen=True):
     )
 
     def at(self, bit_depth: int, gain_db: float = 0.0) -> SensorState:
-        """Properties at another bit depth and gain; without gain, full scale is the same number of
-        electrons.
-        """
+        """Properties at another bit depth and gain; at 0 dB full scale is the same number of electrons."""
         scale = (2**self.bit_depth - 1) / (2**bit_depth - 1) * 10 ** (-gain_db / 20)
         return SensorState(
             gain_e_per_dn=self.gain_e_per_dn * scale,
@@ -352,7 +350,7 @@ class PersonTruth(SimulationSection, frozen=True):
 
     @property
     def passes(self) -> bool:
-        """Whether anyone ever does."""
+        """Whether a person ever passes."""
         return bool(self.passes_at_s) or self.passes_per_hour > 0
 
 

@@ -1,14 +1,14 @@
-"""Random and other functions of time that are smooth: quintic splines over even knots, made block by block.
+"""Smooth functions of time, random or not: quintic splines over even knots, computed block by block.
 
-A stationary noise of a wanted spectrum is the spline whose B-spline coefficients are white numbers
-through a filter. The filter's gain is the wanted amplitude spectral density divided by that of the
+Stationary noise of a given spectrum is the spline whose B-spline coefficients are filtered white noise.
+The filter's gain is the wanted amplitude spectral density divided by that of the
 B-spline, sinc(f/rate)^6, and falls to 0 between the band's end and 1.25 times it. With four knots per
 period of the band's end, the images of the band about the knots' rate hold less than 1e-5 of its power
 (8e-5 in the falling part). The result has four continuous derivatives and is a polynomial between knots,
-which an integrator that stops at knots takes without error.
+so that an integrator that stops at the knots integrates it without error.
 
-Every white number depends on its place and a key alone, so that a series is the same for every reader, in
-which steps, and when; memory holds two blocks.
+Every white number depends only on its position and a key, so that a series does not depend on when, and in
+which steps, it is read. Memory holds two blocks.
 """
 
 import math
@@ -27,10 +27,10 @@ KNOTS_PER_PERIOD = 4
 """Knots per period of the highest frequency of the band."""
 BLOCK_KNOTS = 32_000
 TAPS = 2**15
-"""Length of the filter in knots: its reciprocal is how finely a spectrum is followed."""
+"""Length of the filter in knots; its reciprocal is the resolution of the spectrum."""
 _FFT = 2 * TAPS
 _COLUMNS = 64
-_FALL = 1.25
+_FALL_RATIO = 1.25
 _MARGIN = 40
 
 Term = Callable[[int], NDArray[np.float64]]
@@ -55,7 +55,7 @@ def no_pieces() -> Pieces:
 
 
 def _basis() -> NDArray[np.float64]:
-    """What each of six neighbouring coefficients adds to the polynomial between the middle two of them."""
+    """Contribution (6, 6) of six neighbouring coefficients to the polynomial between the middle two."""
     from scipy.interpolate import BSpline, PPoly
 
     spline = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
@@ -64,7 +64,7 @@ def _basis() -> NDArray[np.float64]:
 
 
 class Stretch(NamedTuple):
-    """Row `knot` of the pieces, from the place `begin` in it on, in units of `step_s`."""
+    """Row `knot` of the pieces, from the position `begin` in it on, in units of `step_s`."""
 
     pieces: Pieces
     knot: int
@@ -73,7 +73,7 @@ class Stretch(NamedTuple):
 
 @kernel
 def value_after(stretch: Stretch, since_s: float) -> float:
-    """Value at a time after the begin of a stretch."""
+    """Value of the function at a time `since_s` after the begin of a stretch."""
     rows = stretch.pieces.coefficients
     if rows.shape[0] == 0:
         return 0.0
@@ -90,7 +90,7 @@ def stretch_at(pieces: Pieces, time_s: float) -> tuple[Stretch, float]:
     if pieces.coefficients.shape[0] == 0:
         return Stretch(pieces, 0, 0.0), math.inf
     place = (time_s - pieces.start_s) / pieces.step_s
-    # rounded, a time may lie just before the knot at which the step before it ended, also before the last
+    # by rounding, a time may lie just before the knot at which the last step ended, also the last knot
     knot = min(math.floor(place + 1e-6), pieces.coefficients.shape[0] - 1)
     return Stretch(pieces, knot, place - knot), pieces.start_s + (knot + 1) * pieces.step_s - time_s
 
@@ -103,9 +103,9 @@ class SmoothSeries:
     rate_hz
         Knots per second.
     terms
-        Each with the factor it is multiplied by.
+        Pairs of a factor and the term that it multiplies.
     end_s
-        The series is not known from here on; a reader stops there.
+        Time from which on the series is not known; a reader stops there.
     """
 
     def __init__(self, rate_hz: float, terms: Sequence[tuple[float, Term]], end_s: float = math.inf) -> None:
@@ -116,7 +116,7 @@ class SmoothSeries:
         self._blocks: dict[int, Pieces] = {}
 
     def pieces(self, time_s: float) -> Pieces:
-        """The block of a time before `end_s`; 1e-6 of a step before a knot counts as that knot."""
+        """The block that contains a time before `end_s`; 1e-6 of a step before a knot counts as the knot."""
         block = math.floor(time_s * self.rate_hz + 1e-6) // BLOCK_KNOTS
         if block not in self._blocks:
             total = np.zeros(BLOCK_KNOTS + DEGREE)
@@ -130,7 +130,7 @@ class SmoothSeries:
         return self._blocks[block]
 
     def at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values at times before `end_s` that do not fall."""
+        """Values at times (n,) before `end_s`, which must not decrease."""
         out = np.empty(len(times_s))
         done = 0
         while done < len(times_s):
@@ -153,9 +153,8 @@ class BandNoise:
     Parameters
     ----------
     density
-        Amplitude spectral density, one-sided, of frequencies in Hz: the unit of the series over
-        sqrt(Hz). It is followed as finely as `rate_hz`/`TAPS`; what lies below twice that is not to be
-        relied upon, and the mean is zero.
+        Amplitude spectral density, one-sided, as a function of frequencies in Hz, in the unit of the series
+        over sqrt(Hz). Its resolution is `rate_hz`/`TAPS`; below twice that it is unreliable; its mean is 0.
     rate_hz
         Knots per second, at least `KNOTS_PER_PERIOD` times `band_hz`.
     band_hz
@@ -172,7 +171,7 @@ class BandNoise:
         key: tuple[int, int, int],
     ) -> None:
         frequencies_hz = np.arange(1, TAPS // 2 + 1) * (rate_hz / TAPS)
-        fall = np.clip((frequencies_hz / band_hz - 1) / (_FALL - 1), 0, 1)
+        fall = np.clip((frequencies_hz / band_hz - 1) / (_FALL_RATIO - 1), 0, 1)
         inside = fall < 1
         gain = np.zeros(TAPS // 2 + 1)
         gain[1:][inside] = (
@@ -181,7 +180,7 @@ class BandNoise:
             * np.cos(0.5 * np.pi * fall[inside])
             / np.sinc(frequencies_hz[inside] / rate_hz) ** (DEGREE + 1)
         )
-        # without the window a step of the spectrum rings all over it
+        # without the window, a step of the spectrum would cause ripples in all of it
         taps = np.roll(np.fft.irfft(gain), TAPS // 2) * np.sin(np.pi * np.arange(TAPS) / TAPS) ** 2
         self._response = np.conj(np.fft.rfft(taps, _FFT))
         self._key = key
@@ -203,7 +202,7 @@ def coefficients_through(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def sampled(function: Callable[[NDArray[np.float64]], NDArray[np.float64]], rate_hz: float) -> Term:
-    """A smooth function of time, by its values at the knots."""
+    """A smooth function of time as a `Term`, from its values at the knots."""
 
     def term(block: int) -> NDArray[np.float64]:
         first = block * BLOCK_KNOTS - 2

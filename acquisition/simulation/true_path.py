@@ -22,7 +22,7 @@ class TruePoints(NamedTuple):
 
 
 class TruePath(NamedTuple):
-    """Tilts of the pendulum along its own axes, as an ideal tracker would measure them, arrays (n,)."""
+    """Tilts of the pendulum along its own axes, as an ideal tracker would measure them; arrays (n,)."""
 
     times_ns: NDArray[np.int64]
     x_rad: NDArray[np.float64]
@@ -38,7 +38,7 @@ def true_turning_points(
     """Turning points of the slow mode from the release down to an amplitude.
 
     If the pendulum is released at its amplitude, the release is the first point. Points from the first below
-    `final_amplitude_arcsec` on, or after `max_duration_s`, are left out. `run` decides the ground.
+    `final_amplitude_arcsec` on, or after `max_duration_s`, are left out. The ground depends on `run`.
     """
     slow = motions(settings, run)[1]
     found = []
@@ -60,7 +60,7 @@ def true_turning_points(
 def axes_motion(
     settings: SimulationSettings, fast: Motion, slow: Motion, times_s: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Tilts (X, Y) in rad at `times_s` (n,): modes, leakage, rest position and its drift."""
+    """Tilts (X, Y) in rad at `times_s` (n,): the modes, leakage, and the rest position with its drift."""
     axes = settings.axes
     minutes = times_s / 60.0
     fast_rad, _ = fast.tilt(times_s)
@@ -93,9 +93,7 @@ def noisy(truth: TruePath, u_x_rad: float, u_y_rad: float, seed: int) -> TruePat
 
 
 class TrimWeight(NamedTuple):
-    """One weight: mass, pitch of its thread, and the direction (X, Y, down) in which a positive turn moves
-    it.
-    """
+    """One weight; `pitch_m` is that of its thread, `direction` (X, Y, down) that of a positive turn."""
 
     mass_kg: float
     pitch_m: float
@@ -117,9 +115,9 @@ class TrimmedPendulum:
     weights
         By name.
     lower_m
-        How much further than the ball's radius the mass centre lies below the ball's centre.
+        Depth of the mass centre below the ball's centre, less the ball's radius.
     seed
-        Of the random errors with which turns are set by hand.
+        Seed of the random errors with which turns are set by hand.
     """
 
     def __init__(
@@ -141,7 +139,7 @@ class TrimmedPendulum:
                 lower_m,
             ]
         )
-        # where the screw stands within the play of its nut is chance, as whoever turned it last left it
+        # the screw's position within the play of its nut is random, as its last turn left it
         self._screw = {
             name: self._random.uniform() * weight.backlash_turns for name, weight in weights.items()
         }
@@ -178,9 +176,7 @@ class TrimmedPendulum:
 
 
 def imperfect_weights(nominal: dict[str, TrimWeight], seed: int) -> dict[str, TrimWeight]:
-    """Weights with random deviations from the nominal ones: mass by up to 15 %, direction by some degrees,
-    backlash.
-    """
+    """Weights that deviate from the nominal ones at random: up to 15 % of mass, some degrees, backlash."""
     random = np.random.default_rng((seed, 77))
     found = {}
     for name, weight in nominal.items():

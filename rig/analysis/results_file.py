@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from acquisition import atomic_write
-from processing.errors import RecordError, require_schema
+from processing.errors import RecordError, place_in_words, require_schema
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults
 from rig.presentation import plain_values, written
@@ -100,12 +100,8 @@ def decoded(tree: Any, path: Path) -> SessionResults:
 
 def _one_line(fault: ErrorDetails) -> str:
     """The key at fault and what is wrong with it."""
-    key = ""
-    for part in fault["loc"]:
-        if isinstance(part, int):
-            key += f"[{part}]"
-        elif "(" not in part:  # names of validators stand in parentheses: they are none of the file's
-            key += f".{part}" if key else part
+    # names of validators, which stand in parentheses, are no keys of the file
+    key = place_in_words(tuple(part for part in fault["loc"] if isinstance(part, int) or "(" not in part))
     if fault["type"] in ("missing", "missing_argument"):
         return f"{key} is missing"
     shown = json.dumps(fault["input"], default=str)

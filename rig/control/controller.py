@@ -23,7 +23,7 @@ from rig.control.settings import ControllerSettings
 
 _MAKER = "optical-pendulum-rig"
 FIRMWARE = "1.4"
-"""The firmware whose lines are understood: `VERSION` of firmware/core.py."""
+"""Version of the firmware whose protocol this driver speaks: `VERSION` of firmware/core.py."""
 _OTHER_BOARDS = (
     "the board must be a Raspberry Pi Pico, or one like it, with this program's firmware "
     "(docs/controller.md, Flashing); with another, such as an Arduino, set controller.kind = 'none' and "
@@ -61,7 +61,7 @@ class Controller:
         self._link: Link | None = None
         self._limit_w = 0.0
         self.found: Latch | None = None
-        """What was latched on the board before this session."""
+        """Trip that was latched on the board before this session; None without one."""
 
     def open(self) -> ControllerIdentity:
         """Open the line, check that a rig controller answers, and begin a session with every output off.
@@ -75,8 +75,7 @@ class Controller:
             try:
                 identity = self._begin(link)
             except ControllerReset:
-                # A board that has just been plugged in sends BOOT, which may arrive now; after it the board
-                # is ready.
+                # a board that has just been plugged in sends BOOT, after which it is ready
                 identity = self._begin(link)
         except BaseException:
             with contextlib.suppress(PortLost):
@@ -129,7 +128,7 @@ class Controller:
                 line.close()
 
     def repeat_until(self, at_s: float) -> None:
-        """Repeat no command later (`time.monotonic`); until the next `open`, or another moment is given."""
+        """Set the time (`time.monotonic`) after which no command is repeated, until the next `open`."""
         if self._link is not None:
             self._link.repeat_until_s = at_s
 
@@ -142,13 +141,14 @@ class Controller:
         return status_of(self._ask("SYST:STAT?"))
 
     def acknowledge(self, number: int) -> None:
-        """Clear the board's latch of this number, after a person said so; `CommandRefused` for another number
-        or while its cause persists.
+        """Clear the board's latch of this number, which a person has acknowledged.
+
+        Raises `CommandRefused` for another number, or while its cause persists.
         """
         self._ask(f"SYST:TRIP:ACK {number}")
 
     def environment(self) -> AirReading:
-        """Reading of the controller's own sensor; NaN without one, and for what no air has."""
+        """Reading of the controller's own sensor; NaN without a sensor, and for impossible values."""
         return AirReading(*floats_of(self._ask("ENV?"), 3)).possible
 
     def set_laser_power_w(self, power_w: float) -> None:
@@ -161,10 +161,10 @@ class Controller:
         self._ask(f"LAS:POW {_floor_w(power_w)}")
 
     def set_laser_pulse(self, delay_us: float, width_us: float) -> None:
-        """Light only for `width_us`, `delay_us` after each exposure begins; to be set while the laser is off.
+        """Set the pulse of light in each exposure, by its delay after the exposure's beginning and its width.
 
-        Raises `CommandRefused` while it is on, and DeviceError if the board's firmware knows no pulses. A new
-        session begins without them.
+        Raises `CommandRefused` while the laser is on, and DeviceError if the board's firmware supports no
+        pulses. A new session begins without pulses.
         """
         try:
             self._ask(f"LAS:PULS {delay_us:.7g},{width_us:.7g}")
@@ -252,6 +252,6 @@ class Controller:
 
 
 def _floor_w(power_w: float) -> str:
-    """Seven digits, the single precision of the board, rounded down so that no limit is exceeded."""
+    """A power with seven digits, the board's single precision, rounded down so that no limit is exceeded."""
     text = f"{power_w:.7g}"
     return text if float(text) <= power_w else f"{power_w * (1 - 1e-6):.7g}"

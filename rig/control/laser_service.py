@@ -25,9 +25,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class LaserSnapshot:
-    """Latest known state, None while the laser does not answer; `state_time_ns` is on the host's monotonic
-    clock.
-    """
+    """Latest known state, None while the laser does not answer; `state_time_ns` is host monotonic time."""
 
     identity: LaserIdentity | None = None
     state: LaserState | None = None
@@ -40,7 +38,7 @@ class LaserService(DeviceThread):
 
     If the connection is lost, the laser is opened again; `SerialLaser.open` switches it off. While `permit`
     refuses the light, the laser is switched off. `own_interlock` is False for a laser whose interlock is the
-    controller's relay, which opens whenever the controller goes dark.
+    controller's relay, which opens whenever the controller switches the light off.
     """
 
     def __init__(
@@ -71,14 +69,15 @@ class LaserService(DeviceThread):
     def enable(self) -> "Future[None]":
         """Switch the laser on, unless the interlock is open or `permit` refuses; may take several seconds.
 
-        An `off` that comes before the laser emits outdates it.
+        A call of `off` before the laser emits makes it invalid.
         """
         offs = self._offs
         return self._submit(lambda laser: self._light(laser, offs), timeout_s=5.0)
 
     def off(self) -> "Future[None]":
-        """Switch the laser off, before all waiting commands; those to light are no longer valid. It is never
-        too late.
+        """Switch the laser off, before all waiting commands; it has no time limit.
+
+        Waiting calls of `enable` become invalid.
         """
         self._offs += 1
         return self._submit(self._darken, math.inf, urgent=True)
@@ -105,7 +104,7 @@ class LaserService(DeviceThread):
                 self._say(
                     f"{identity.vendor} {identity.model} {identity.serial} open, dark".replace("  ", " ")
                 )
-            self._keep_to_the_permit()
+            self._obey_permit()
             self._read()
         except DeviceError as error:
             self._lose(error)
@@ -123,7 +122,7 @@ class LaserService(DeviceThread):
         try:
             laser.enable(refusal)
         except BaseException:
-            # who asked is told that it is dark: what lights it later was not asked for
+            # the caller learns that the laser is dark, so later light counts as not requested
             self._asked = False
             raise
 
@@ -131,13 +130,13 @@ class LaserService(DeviceThread):
         self._asked = False
         laser.off()
 
-    def _keep_to_the_permit(self) -> None:
+    def _obey_permit(self) -> None:
         """Switch the laser off when the permit begins to refuse it."""
         refusal, before = self._permit.refusal, self._refused
         if refusal and not before:
             self._darken(self._laser)
             self._say(f"laser off: {refusal}")
-        # set only now: a command that failed is given again at the next turn
+        # set last, so that a command that failed is repeated at the next turn
         self._refused = refusal
 
     def _read(self) -> None:
@@ -181,7 +180,7 @@ class LaserService(DeviceThread):
         self._snapshot = replace(self._snapshot, state=None, last_error=str(error))
         self._laser.close()
         if was_open:
-            # its interlock may open and close meanwhile, and nobody would know
+            # its interlock may open and close meanwhile, unnoticed by this program
             self._permit.trip(TripCause.WATCHDOG, f"the laser was lost: {error}")
 
     def _finish(self) -> None:

@@ -1,4 +1,4 @@
-"""Serial ports: a list, whether the configured devices are on them, and the udev rules that open them."""
+"""Serial ports: their list, checks of the configured devices on them, and udev rules for access to them."""
 
 import re
 import time
@@ -23,7 +23,7 @@ PICO = 0x2E8A
 
 
 def udev_matches() -> dict[str, str]:
-    """For each kind of device what matches its node, in the language of udev's rules."""
+    """Conditions of udev rules that match the device nodes, by kind of device."""
     return {
         "laser drivers that the kernel's usbtmc serves": (
             f'SUBSYSTEM=="usbmisc", KERNEL=="usbtmc*", ATTRS{{idVendor}}=="{THORLABS:04x}"'
@@ -35,13 +35,13 @@ def udev_matches() -> dict[str, str]:
 
 
 def udev_board() -> str:
-    """What matches the controller's board itself."""
+    """Condition of a udev rule that matches the controller's board itself."""
     return f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{PICO:04x}"'
 
 
 _SILENT_S = 0.1
-_TRIPPED = range(101, 105)
-"""Errors of the board that tell of trips, which its latch tells better."""
+_TRIP_ERRORS = range(101, 105)
+"""Error codes of the board that report trips; its latch reports them in more detail."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def list_serial_ports() -> tuple[SerialPortInfo, ...]:
 def check_controller(
     controller: Controller, settings: ControllerSettings, laser: LaserSettings, named: str
 ) -> tuple[Verdict, ...]:
-    """Open, check and close the controller, of the configuration `named`; no output is switched on."""
+    """Open, check and close the controller; no output is switched on. `named` is the configuration's name."""
     if settings.kind == "none":
         return (Verdict("controller", True, "none is configured", made=False),)
     try:
@@ -81,7 +81,7 @@ def check_controller(
         status = controller.heartbeat()
         air = controller.environment()
         code, text = controller.next_error()
-        while code in _TRIPPED:
+        while code in _TRIP_ERRORS:
             code, text = controller.next_error()
     except DeviceError as error:
         return (Verdict.failed("controller", error, ports_here()),)
@@ -106,7 +106,7 @@ def check_controller(
                 "" if enough else "lower laser.power_w, or laser_max_w in the board's limits.json",
             )
         )
-    checks += _dark_and_allowed(status, named)
+    checks += _light_verdicts(status, named)
     if code:
         checks.append(
             Verdict("controller errors", False, f"{text} ({code})", "remove the cause, then reset the board")
@@ -125,9 +125,9 @@ def check_controller(
     return tuple(checks)
 
 
-def _dark_and_allowed(status: ControllerStatus, named: str) -> Iterator[Verdict]:
-    """What the board sees of the laser's output, which is off, and whether it would light."""
-    seen = [
+def _light_verdicts(status: ControllerStatus, named: str) -> Iterator[Verdict]:
+    """Verdicts on light that the board detects although the laser is off, and on its latch."""
+    contradictions = [
         words
         for on, words in (
             (status.readback, "the pin of its relay is high"),
@@ -135,9 +135,9 @@ def _dark_and_allowed(status: ControllerStatus, named: str) -> Iterator[Verdict]
         )
         if on
     ]
-    if seen:
+    if contradictions:
         remedy = "the laser may be lit: turn its key, then check relay and wiring"
-        yield Verdict("laser output", False, f"it is off, and {' and '.join(seen)}", remedy)
+        yield Verdict("laser output", False, f"it is off, and {' and '.join(contradictions)}", remedy)
     if (latch := status.latch) is not None:
         remedy = f"check that nobody is in the beam path, then acknowledge what rig light show {named} names"
         yield Verdict(
@@ -170,7 +170,7 @@ def check_laser(settings: LaserSettings) -> tuple[Verdict, ...]:
 
 
 def _interlock(settings: LaserSettings, closed: bool) -> Iterator[Verdict]:
-    """Whether the laser reports an open interlock while the controller's relay is open."""
+    """Verdicts on the laser's interlock while the controller's relay, through which it may go, is open."""
     name = "laser switches off automatically"
     if settings.interlock == "own":
         reason = "closed" if closed else "open: the laser stays off"

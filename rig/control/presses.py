@@ -1,4 +1,4 @@
-"""LIGHT OFF from beside the program that has the devices: the press as a file, and the words on the wire."""
+"""LIGHT OFF by another program than the one that has the devices: a press as a file, and a direct write."""
 
 import datetime
 import errno
@@ -22,7 +22,7 @@ _READ_BYTES = 4096
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """The newest press; `mark` tells it from every other one, and is empty where nobody has ever pressed."""
+    """The newest press of LIGHT OFF; `mark` identifies it, and is empty if there was no press yet."""
 
     mark: str
     why: str
@@ -35,15 +35,15 @@ class _PressFile(BaseModel, frozen=True, extra="forbid"):
 
 
 class Presses:
-    """The file of one rig. Nobody holds it: a press needs no leave of the program that has the rig."""
+    """The file of one rig's presses. It is never locked, so that no program can block a press."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def press(self, who: str) -> None:
-        """Note that somebody pressed at `who` (where); raises DeviceError where not even its time can be set.
+        """Note a press at the place `who`; raises DeviceError where not even the file's time can be set.
 
-        A full disk takes no new content, but still the time of a file that is there, or an empty one.
+        A full disk takes no new content, but still the time of an existing file, or an empty file.
         """
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -57,13 +57,13 @@ class Presses:
                 raise DeviceError(f"{self.path}: cannot be written: {error.strerror or error}") from None
 
     def touch(self) -> None:
-        """A press of which nothing but its time is noted; raises OSError where that cannot be."""
+        """Note a press by the file's time only; raises OSError where that is impossible."""
         self.path.touch()
         with suppress(OSError):
             atomic_write.sync_folder(self.path.parent)
 
     def newest(self) -> Press:
-        """Raises DeviceError for a file that cannot be read: then nobody knows whether one was pressed."""
+        """The newest press. Raises DeviceError for a file that cannot be read, as a press is then unknown."""
         try:
             number = os.open(self.path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
         except FileNotFoundError:
@@ -95,14 +95,14 @@ class Presses:
 
 
 def darken_beside(laser: LaserSettings, controller: ControllerSettings) -> list[str]:
-    """Write "off" to the ports of controller and laser, whichever program has them open; returns what failed.
+    """Write "off" to the ports of controller and laser, in whichever program; returns failures.
 
-    Waits for nothing, neither for a lock nor for a reply: the reply goes to the program that has the port,
-    which skips it. A system on which a port cannot be opened twice says so.
+    It waits neither for a lock nor for a reply, which goes to the program that has the port, and is skipped
+    there. On a system on which a port cannot be opened twice this is a failure.
     """
     orders = []
     if laser.kind == "controller" and controller.kind == "serial":
-        # two tags: of a line whose first bytes were lost, or that was sent before, the other remains
+        # sent with two tags, in case that the first line lost its first bytes, or its tag was used before
         first = 1 + secrets.randbelow(TAG_MAX - 1)
         off = b"".join(b"\n" + encode(tag, "LASer:STATe OFF") for tag in (first, first + 1))
         orders.append((controller.port, off))

@@ -89,20 +89,20 @@ def decode(line: bytes) -> Reply | BoardEvent | None:
 
 
 class Trip(StrEnum):
-    """Why the board switched its outputs off by itself, in the words of its protocol."""
+    """Reasons why the board switched its outputs off by itself, in the words of its protocol."""
 
     NONE = "NONE"
     WATCHDOG = "WATCHDOG"
     INTERLOCK = "INTERLOCK"
     OUTPUT = "OUTPUT"
-    """The laser's output did not follow what it was set to."""
+    """The laser's output did not follow its setting."""
     POWER = "POWER"
     """The board has started."""
 
 
 @dataclass(frozen=True, slots=True)
 class Latch:
-    """A trip that waits on the board for its acknowledgement; `lit` as the laser was when it came."""
+    """A trip that waits on the board for its acknowledgement; `lit`: the laser was on when it occurred."""
 
     number: int
     cause: Trip
@@ -156,14 +156,14 @@ class AirReading:
 
     @property
     def possible(self) -> "AirReading":
-        """The same without what no air has: NaN for what a broken sensor or wire says."""
+        """The reading with NaN for impossible values, which a broken sensor or wire causes."""
         return AirReading(
             **{name: value if is_possible(name, value) else math.nan for name, value in asdict(self).items()}
         )
 
 
 def floats_of(values: str, count: int) -> list[float]:
-    """So many numbers; raises DeviceError for anything else."""
+    """The `count` numbers of a reply; raises DeviceError for anything else."""
     try:
         numbers = [float(value) for value in values.split(",")]
     except ValueError:
@@ -174,7 +174,7 @@ def floats_of(values: str, count: int) -> list[float]:
 
 
 def status_of(values: str) -> ControllerStatus:
-    """The answer to a heartbeat; raises DeviceError for anything else."""
+    """The status in the reply to a heartbeat; raises DeviceError for anything else."""
     fields = values.split(",")
     if len(fields) != 14:
         raise DeviceError(f"the controller answered {values!r}; a status of 14 fields was expected")
@@ -200,7 +200,7 @@ def status_of(values: str) -> ControllerStatus:
 
 
 def _power(field: str) -> float:
-    """Raises ValueError for what no power is: NaN would compare with nothing."""
+    """A power in W; ValueError for an impossible one, and for NaN, with which every comparison is false."""
     power_w = float(field)
     if not (math.isfinite(power_w) and power_w >= 0.0):
         raise ValueError(field)
@@ -208,15 +208,15 @@ def _power(field: str) -> float:
 
 
 def _is_one(field: str) -> bool:
-    """Raises ValueError for anything but 0 and 1: an unknown state must not pass for dark or closed."""
+    """Whether a field is 1; ValueError unless 0 or 1: an unknown state must not count as dark or closed."""
     if field not in ("0", "1"):
         raise ValueError(field)
     return field == "1"
 
 
 _SESSION_NEEDED = -203
-_EVENTS_KEPT = 256
-_LINES_WAITING = 64
+_MAX_EVENTS = 256
+_MAX_LINES_WAITING = 64
 
 
 class ControllerReset(DeviceError):
@@ -241,8 +241,8 @@ class Link:
         self._retries = retries
         self._tag = 0
         self.repeat_until_s = math.inf
-        """On `time.monotonic`: nothing is repeated later, and no reply is waited for."""
-        self._events: deque[BoardEvent] = deque(maxlen=_EVENTS_KEPT)
+        """Time (`time.monotonic`) after which no command is repeated and no reply is waited for."""
+        self._events: deque[BoardEvent] = deque(maxlen=_MAX_EVENTS)
         self._last_junk = b""
         self.junk_lines = 0
         self.late_replies = 0
@@ -254,7 +254,7 @@ class Link:
         return self._line.name
 
     def begin(self) -> None:
-        """Discard what was received, end an incomplete line at the board, and choose a new tag.
+        """Discard the received bytes, end an incomplete line at the board, and choose a new tag.
 
         The first tag is random, so that a reply to an earlier program is not taken for a reply to this one.
         """
@@ -283,7 +283,7 @@ class Link:
         except ValueError as error:
             raise CommandRefused(f"{self._line.name}: {error}", 0) from None
         patience_s = self._timeout_s if timeout_s is None else timeout_s
-        self._hear_what_waits()
+        self._read_waiting_lines()
         sent = 0
         for attempt in range(self._retries + 1):
             now_s = time.monotonic()
@@ -318,7 +318,7 @@ class Link:
 
     @property
     def heard(self) -> str:
-        """What came instead of a valid line."""
+        """Description of the bytes that were received instead of a valid line, for messages."""
         junk = (self._last_junk or self._reader.unended).decode("latin-1").strip()
         return f"it sends {junk[:60]!r}, which is not a line of the controller" if junk else "it is silent"
 
@@ -328,11 +328,9 @@ class Link:
         self._events.clear()
         return events
 
-    def _hear_what_waits(self) -> None:
-        """Read what arrived since the last command, so that an old NAK is not taken for a reply to a new
-        one.
-        """
-        for _ in range(_LINES_WAITING):
+    def _read_waiting_lines(self) -> None:
+        """Read lines that arrived since the last command, so that an old NAK is not taken for a new reply."""
+        for _ in range(_MAX_LINES_WAITING):
             line = self._reader.read_line(0.0)
             if line is None:
                 return
@@ -349,7 +347,7 @@ class Link:
                     return message
                 self.late_replies += 1
             elif message is not None and message.name == "NAK":
-                # The board received an invalid line, most likely this one: repeat it immediately.
+                # the board received an invalid line, most likely this one, which is repeated immediately
                 return None
             if time.monotonic() > deadline_s:
                 # a device that sends without pause must not prevent the timeout

@@ -1,4 +1,4 @@
-"""What a rig may not forget: that its light was darkened for a cause which nobody has acknowledged yet."""
+"""Safety state of a rig, which outlives programs: trips that await their acknowledgement."""
 
 import os
 import re
@@ -23,19 +23,19 @@ except ImportError:  # pragma: no cover
     # no file locks on this system; the serial ports themselves are opened by one program at a time
     fcntl = None  # type: ignore[assignment]
 
-_LOGS_KEPT = 200
+_MAX_LOGS = 200
 _SCHEMA = 1
 
 
 class TripCause(StrEnum):
-    """Why the light was taken away until a person acknowledges it."""
+    """Causes for which the light is off until a person acknowledges the trip."""
 
     INTERLOCK = "INTERLOCK"
     OUTPUT = "OUTPUT"
     WATCHDOG = "WATCHDOG"
     POWER = "POWER"
     PERSON = "PERSON"
-    """Somebody has pressed LIGHT OFF; no board has this cause."""
+    """A person pressed LIGHT OFF; no board reports this cause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class LatchedTrip:
 
     @property
     def text(self) -> str:
-        """`trip 5 (INTERLOCK): the interlock of the laser opened`."""
+        """The trip in words, such as `trip 5 (INTERLOCK): the interlock of the laser opened`."""
         return f"trip {self.number} ({self.cause}): {self.why}"
 
 
@@ -67,9 +67,10 @@ class _LogEnd(BaseModel, frozen=True, extra="forbid"):
 
 
 class _SafetyFile(BaseModel, frozen=True, extra="forbid"):
-    """The file: the last number given, what is latched, whether a program had lit and has not confirmed dark.
+    """Content of the file: the last trip's number, the latched trip, and ends of audit logs.
 
-    `press` is the mark of the last press of LIGHT OFF that was taken over.
+    `lit` is True from the moment when a program lights until it has confirmed that the light is off. `press`
+    is the mark of the last press of LIGHT OFF that was taken over.
     """
 
     schema_number: int = _SCHEMA
@@ -81,10 +82,10 @@ class _SafetyFile(BaseModel, frozen=True, extra="forbid"):
 
 
 def rig_state_path(laser: LaserSettings, controller: ControllerSettings) -> Path | None:
-    """The file of the rig whose light comes from these devices; None where nothing real is lit.
+    """The state file of the rig with these devices; None if they have no real light.
 
-    A simulated rig lives in one process, and so does its state. A port of USB is known by the device's serial
-    number, under whatever name the system gives it.
+    The state of a simulated rig stays in its process. A USB port is identified by the device's serial number,
+    whatever name the system gives it.
     """
     if laser.kind == "none" or (laser.kind == "controller" and controller.kind != "serial"):
         return None
@@ -96,7 +97,7 @@ def rig_state_path(laser: LaserSettings, controller: ControllerSettings) -> Path
 
 
 def state_folder() -> Path:
-    """Where this user's rigs keep what must outlive a program."""
+    """Folder of this user's state files, which outlive programs."""
     stated = os.environ.get("XDG_STATE_HOME") or os.environ.get("LOCALAPPDATA")
     place = Path(stated) if stated else Path.home() / ".local" / "state"
     return place / "optical-pendulum-rig"
@@ -110,7 +111,7 @@ def _unknown(why: str) -> _SafetyFile:
 
 
 def _device_at(port: str) -> str:
-    # imported here: looking for ports is no part of reading a latch
+    # imported here, because most callers read a latch without looking for ports
     from serial.tools import list_ports
 
     for found in list_ports.comports():
@@ -122,16 +123,16 @@ def _device_at(port: str) -> str:
 class SafetyState:
     """The latch of a rig, in its file (None: in memory); a context manager that holds it for one program.
 
-    `trip` may be read, and `latch` called, from any thread. A file that cannot be read, or is not there,
-    counts as latched: nobody can tell a new rig from one whose state was deleted. `presses` is the file
-    beside it (None without one), `problem` why the state could not be written when it last should have been.
+    `trip` may be read, and `latch` called, from any thread. A file that cannot be read or is missing counts
+    as latched, because a new rig cannot be told from one whose state was deleted. `presses` is the file of
+    presses beside it (None without one), `problem` the reason why the last write of the state failed.
     """
 
     def __init__(self, path: Path | None = None, who: str = "") -> None:
         self.path = path
         self._who = who
         self._stored = _SafetyFile()
-        self._changing, self._taking = threading.Lock(), threading.Lock()
+        self._state_lock, self._press_lock = threading.Lock(), threading.Lock()
         self._held: IO[bytes] | None = None
         self.presses = None if path is None else Presses(path.with_suffix(".off"))
         self._new_press = self._mark = ""
@@ -148,14 +149,14 @@ class SafetyState:
             self._held = None
 
     def held_for(self, folder: Path) -> None:
-        """Tell other programs in which folder the holder can be asked."""
+        """Note for other programs the folder in which the holder of the rig can be reached."""
         if self._held is not None:
             self._held.write(f"\n{folder.absolute()}".encode())
             self._held.flush()
 
     @property
     def folder_of_holder(self) -> Path | None:
-        """The folder of the program that holds it, or held it last."""
+        """The folder of the program that holds the rig, or held it last."""
         if self.path is None:
             return None
         try:
@@ -165,7 +166,7 @@ class SafetyState:
         return Path(folder) if folder else None
 
     def read(self) -> None:
-        """Read the file; also without holding it, to show it. One that is not there is latched."""
+        """Read the file, also without holding the rig, to show it; a missing file counts as latched."""
         if self.path is None:
             return
         try:
@@ -177,18 +178,18 @@ class SafetyState:
         except (OSError, ValidationError):
             self._stored = _unknown(f"{self.path} cannot be read, {_UNKNOWN}")
         else:
-            of_another = f"{self.path} is of schema {stored.schema_number}, and schema {_SCHEMA} is read"
-            self._stored = stored if stored.schema_number == _SCHEMA else _unknown(of_another)
+            text = f"{self.path} is of schema {stored.schema_number}, and schema {_SCHEMA} is read"
+            self._stored = stored if stored.schema_number == _SCHEMA else _unknown(text)
         self._look_for_press()
 
     def _look_for_press(self) -> None:
-        """Note a press that was not taken over yet; an unreadable file is one that is not known."""
+        """Note a press that was not taken over yet; an unreadable file counts as such a press."""
         if self.presses is None:
             return
         try:
             press = self.presses.newest()
         except DeviceError as error:
-            # nothing to compare with: it counts as pressed for as long as it is so
+            # without a mark to compare, LIGHT OFF counts as pressed as long as the file is unreadable
             self._mark, self._new_press = f"unknown: {error}", str(error)
             return
         self._mark = press.mark
@@ -197,10 +198,10 @@ class SafetyState:
     def take_press(self, lit: bool) -> LatchedTrip | None:
         """Latch a press of LIGHT OFF that was not taken over yet; None without one.
 
-        What is latched already stays as it is. Raises DeviceError, as `latch` does, where it holds but cannot
-        be written.
+        A trip that is latched already stays as it is. Raises DeviceError, as `latch` does, where the latch
+        holds but cannot be written.
         """
-        with self._taking:
+        with self._press_lock:
             self._look_for_press()
             why, mark, stored = self._new_press, self._mark, self._stored
             if not why or (stored.latched is not None and stored.press == mark):
@@ -216,7 +217,7 @@ class SafetyState:
 
     @staticmethod
     def _is_noted(lock: Path) -> bool:
-        """Whether a program has held the rig, which writes the state before it notes itself."""
+        """Whether a program has held the rig before; it wrote the state before it noted itself in `lock`."""
         try:
             return lock.stat().st_size > 0
         except OSError:
@@ -224,7 +225,7 @@ class SafetyState:
 
     @property
     def trip(self) -> LatchedTrip | None:
-        """What is latched."""
+        """The latched trip, or the one of a press that was not taken over yet; None without either."""
         stored = self._stored
         if stored.latched is None:
             if not (why := self._new_press):
@@ -233,10 +234,10 @@ class SafetyState:
         return LatchedTrip(stored.number, stored.latched.cause, stored.latched.why, stored.latched.lit)
 
     def latch(self, cause: TripCause, why: str, lit: bool) -> LatchedTrip:
-        """Latch a cause; the number grows, also where another one is latched already.
+        """Latch a cause; the number grows, also if another trip is latched already.
 
-        It holds from now on even where the file cannot be written, of which DeviceError tells. Then it is
-        left as a press for the next program, which needs no room on the disk, and `keep` tries again.
+        The latch holds from now on even where the file cannot be written, which raises DeviceError. It is
+        then left to the next program as a press, which needs no space on the disk, and `keep` tries again.
         """
         latched = _LatchEntry(cause=cause, why=why, lit=lit)
         number = self._stored.number + 1
@@ -250,7 +251,7 @@ class SafetyState:
         return LatchedTrip(number, cause, why, lit)
 
     def acknowledge(self, number: int) -> None:
-        """Clear the trip of this number; raises DeviceError for another one, or where it cannot be kept."""
+        """Clear the trip of this number; DeviceError for another number, or if that cannot be written."""
         trip = self.trip
         if trip is None or trip.number != number:
             latched = "nothing is latched" if trip is None else f"latched is {trip.text}"
@@ -260,44 +261,44 @@ class SafetyState:
 
     @property
     def left_lit(self) -> bool:
-        """Whether a program that lit was ended, or is, without having darkened."""
+        """Whether a program has lit the laser and has not confirmed since that the light is off."""
         return self._stored.lit
 
     def lit(self, lit: bool) -> None:
-        """Note that light is on, or is off again for certain; raises DeviceError if that cannot be noted.
+        """Note that the light is on, or certainly off again; raises DeviceError if that cannot be written.
 
-        That it is on is written each time: where nothing can be, a trip would be forgotten. A program that is
-        killed, or whose last trip could not be written, leaves it noted.
+        "On" is written each time, because where nothing can be written, a trip would be forgotten. It stays
+        noted after a program that was killed, or whose last trip could not be written.
         """
         if lit or lit != self._stored.lit:
             self._put(proven=True, lit=lit)
 
     def keep(self) -> None:
-        """Write again what could not be written, or was deleted meanwhile. Raises nothing."""
+        """Write the state again if that failed before, or if the file was deleted. Raises nothing."""
         if self.path is not None and (self.problem or not self.path.exists()):
             with suppress(DeviceError):
                 self._put()
 
     def note_log(self, log: Path, lines: int, digest: str) -> None:
-        """Remember the end of an audit log, so that lines missing there are seen."""
+        """Note the end of an audit log, so that lines missing there are detected."""
         logs = {name: end for name, end in self._stored.logs.items() if name != str(log)}
-        kept = dict([*logs.items(), (str(log), _LogEnd(lines=lines, digest=digest))][-_LOGS_KEPT:])
-        self._put(logs=kept)
+        newest = dict([*logs.items(), (str(log), _LogEnd(lines=lines, digest=digest))][-_MAX_LOGS:])
+        self._put(logs=newest)
 
     def end_of_log(self, log: Path) -> tuple[int, str] | None:
-        """Number of lines and digest of the last one, as noted; None if nothing was."""
+        """Number of lines, and digest of the last one, as noted; None if none were."""
         end = self._stored.logs.get(str(log))
         return None if end is None else (end.lines, end.digest)
 
     def _put(self, *, proven: bool = False, **changed: object) -> None:
-        """Change and write it; what must be `proven` holds only once it is written."""
-        with self._changing:
+        """Change and write the state; a change that must be `proven` takes effect only once written."""
+        with self._state_lock:
             stored = self._stored.model_copy(update=changed)
             if not proven:
                 self._stored = stored
             if self.path is not None:
                 try:
-                    # somebody may have tidied up
+                    # the folder may have been removed meanwhile
                     self.path.parent.mkdir(parents=True, exist_ok=True)
                     atomic_write.replace(self.path, stored.model_dump_json(indent=1).encode())
                 except OSError as error:
@@ -331,7 +332,7 @@ class SafetyState:
             ) from None
         self.read()
         with suppress(DeviceError):
-            # from now on a file that is missing was there
+            # the file is written before the lock, so that a missing file later means a deleted one
             self._put()
         held.truncate(0)
         held.write(f"process {os.getpid()}{self._who and f' ({self._who})'}".encode())

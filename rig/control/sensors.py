@@ -1,4 +1,4 @@
-"""Sensors that write lines, to a serial port or into a file that grows: of the air, and of the ground."""
+"""Sensors of air and ground that write lines, to a serial port or into a growing file."""
 
 import contextlib
 import math
@@ -23,16 +23,16 @@ _REOPEN_S = 1.0
 _READ_S = 0.1
 _POLL_S = 0.02
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_MOST_WAITING = 200_000
-"""Samples that wait for the recorder: an hour at 50 Hz."""
+_MAX_WAITING = 200_000
+"""Largest number of samples that wait for the recorder: an hour at 50 Hz."""
 
 
 class SensorLines(DeviceThread):
     """Reads a sensor's lines in a thread from `start` to `close`.
 
-    What was unplugged or is not there is opened again. `last_ns` is the time of the last line with a reading
-    on the host's monotonic clock (-1 before the first), `unread_lines` the number of lines without one,
-    `last_line` the last line of either kind, `last_error` why the port is closed, empty while it is open.
+    A sensor that was unplugged or is missing is opened again. `last_ns` is the time of the last line with a
+    reading on the host's monotonic clock (-1 before the first), `unread_lines` the number of lines without
+    one, `last_line` the last line of either kind, `last_error` why the port is closed, else empty.
     """
 
     def __init__(self, name: str, open_line: Callable[[], SerialLine], stale_after_s: float) -> None:
@@ -48,7 +48,7 @@ class SensorLines(DeviceThread):
 
     @property
     def age_s(self) -> float:
-        """Since the last reading; infinite before the first."""
+        """Time since the last reading; infinite before the first."""
         return seconds(time.monotonic_ns() - self.last_ns) if self.last_ns >= 0 else math.inf
 
     @property
@@ -58,10 +58,10 @@ class SensorLines(DeviceThread):
 
     @abstractmethod
     def _take(self, text: str, now_ns: int) -> bool:
-        """Take the reading of a line; whether there was one."""
+        """Take the reading from a line; False if it has none."""
 
     def _request(self, line: SerialLine, now_s: float) -> None:
-        """Ask a sensor that writes only on request."""
+        """Request a line of a sensor that writes only on request."""
 
     def _poll(self) -> float:
         try:
@@ -73,7 +73,7 @@ class SensorLines(DeviceThread):
                 self.last_error = ""
             self._read(self._line, self._reader)
         except DeviceError as error:
-            # of an error that goes on people are told once
+            # a persistent error is reported once
             if str(error) != self.last_error:
                 self._say(str(error))
             self.last_error = str(error)
@@ -105,10 +105,10 @@ class SensorLines(DeviceThread):
 
 
 def parse_environment(pattern: re.Pattern[str], line: str) -> AirReading | None:
-    """Values of the pattern's named groups in a line; None without a match, if a number is not finite, or if
-    none is one of air.
+    """Reading from the pattern's named groups in a line; None without a match, or without a possible value.
 
-    ``pressure_hpa`` is converted to Pa. A quantity that is not in the line, or that no air has, is NaN.
+    None also if a number is not finite. ``pressure_hpa`` is converted to Pa. A quantity that is missing, or
+    has an impossible value, is NaN.
     """
     match = pattern.search(line)
     if match is None:
@@ -127,7 +127,7 @@ def parse_environment(pattern: re.Pattern[str], line: str) -> AirReading | None:
 
 
 class EnvironmentService(SensorLines):
-    """The sensor of the air with a port of its own."""
+    """A sensor of the air that has a port of its own."""
 
     def __init__(self, settings: EnvironmentSettings) -> None:
         self._settings = settings
@@ -140,7 +140,7 @@ class EnvironmentService(SensorLines):
 
     @property
     def latest(self) -> AirReading:
-        """Latest reading; NaN what the sensor does not send, and all once it is silent. Never blocks."""
+        """Latest reading, NaN for quantities that are not sent, and all NaN in silence. Never blocks."""
         return AirReading() if self.silent else self._latest
 
     def _request(self, line: SerialLine, now_s: float) -> None:
@@ -150,13 +150,13 @@ class EnvironmentService(SensorLines):
 
     def _take(self, text: str, now_ns: int) -> bool:
         reading = parse_environment(self._pattern, text)
-        # before its time: an old one may not pass as present
+        # stored before `last_ns`, so that an old reading never counts as a new one
         self._latest = self._latest if reading is None else reading
         return reading is not None
 
 
 class SeismometerSample(NamedTuple):
-    """A sample: when it arrived (host's monotonic clock), its own time or NaN, and its components."""
+    """A sample: its arrival on the host's monotonic clock, its own time or NaN, and its components."""
 
     host_time_ns: int
     own_time_s: float
@@ -164,17 +164,17 @@ class SeismometerSample(NamedTuple):
 
 
 def sample_of(line: str, columns: Sequence[str], host_time_ns: int) -> SeismometerSample | None:
-    """The numbers of a line, which are as many as the columns; None for any other line."""
+    """The sample in a line that has as many numbers as there are columns; None for any other line."""
     found = [float(text) for text in _NUMBER.findall(line)]
     if len(found) != len(columns) or not all(map(math.isfinite, found)):
         return None
-    of = dict(zip(columns, found, strict=True))
-    own_s = of.pop(OWN_TIME, math.nan)
-    return SeismometerSample(host_time_ns, own_s, tuple(of.values()))
+    by_name = dict(zip(columns, found, strict=True))
+    own_s = by_name.pop(OWN_TIME, math.nan)
+    return SeismometerSample(host_time_ns, own_s, tuple(by_name.values()))
 
 
 class FileTail:
-    """A `SerialLine` of what is appended to a file; one that was cut or replaced is read from its begin."""
+    """A `SerialLine` of lines appended to a file, which is read from its begin if it was cut or replaced."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -184,15 +184,15 @@ class FileTail:
 
     @property
     def name(self) -> str:
-        """The file."""
+        """Path of the file."""
         return str(self._path)
 
     def write(self, data: bytes) -> None:
-        """A file takes no orders."""
+        """Raise PortLost: nothing can be written to the file."""
         raise PortLost(f"{self._path}: nothing is written to the file of a witness")
 
     def read(self, timeout_s: float) -> bytes:
-        """What was appended, at least one byte; b"" after timeout_s."""
+        """The appended bytes, at least one; b"" after timeout_s."""
         deadline_s = time.monotonic() + timeout_s
         while True:
             try:
@@ -200,7 +200,7 @@ class FileTail:
                 data = self._file.read()
                 if not data and self._is_another():
                     self._open()
-                    # what was left of a line does not go on in another file
+                    # the rest of an incomplete line does not follow in another file
                     data = b"\n" * self._is_within_line + self._file.read()
             except OSError as error:
                 raise PortLost(f"{self._path}: {error.strerror or error}") from error
@@ -212,7 +212,7 @@ class FileTail:
             time.sleep(min(_POLL_S, left_s))
 
     def discard_input(self) -> None:
-        """Go to the end."""
+        """Go to the end of the file."""
         assert self._file is not None
         self._file.seek(0, 2)
 
@@ -222,7 +222,7 @@ class FileTail:
             self._file.close()
 
     def _is_another(self) -> bool:
-        """Whether the file of this name was cut, or is not the one that is read."""
+        """Whether the file of this name was cut, or is another than the open one."""
         assert self._file is not None
         now, opened = self._path.stat(), os.fstat(self._file.fileno())
         return not os.path.samestat(now, opened) or now.st_size < self._file.tell()
@@ -236,15 +236,15 @@ class FileTail:
 
 
 class SeismometerLines(SensorLines):
-    """A witness of the ground: every line of a serial port or of a file that grows is a sample."""
+    """An auxiliary seismometer: every line of its serial port, or of a growing file, is a sample."""
 
     def __init__(self, settings: SeismometerSettings) -> None:
         self._settings = settings
-        self._samples: deque[SeismometerSample] = deque(maxlen=_MOST_WAITING)
+        self._samples: deque[SeismometerSample] = deque(maxlen=_MAX_WAITING)
         super().__init__("rig-witness", self._opened, settings.stale_after_s)
 
     def take_samples(self) -> list[SeismometerSample]:
-        """Those since the last call, oldest first. Never blocks; only one thread may call it."""
+        """Samples since the last call, oldest first. Never blocks; only one thread may call it."""
         return [self._samples.popleft() for _ in range(len(self._samples))]
 
     def _opened(self) -> SerialLine:

@@ -13,7 +13,7 @@ from processing.errors import DeviceError
 
 _WRITE_TIMEOUT_S = 1.0
 _BUFFER_MAX = 65536
-"""Limit of the memory for a device that never ends a line."""
+"""Largest number of bytes kept of a device that never ends a line."""
 
 
 class PortLost(DeviceError):
@@ -125,9 +125,7 @@ class LineReader:
         self._buffer = bytearray()
 
     def read_line(self, deadline_s: float) -> bytes | None:
-        """Next line without its terminator; None if its end did not arrive by deadline_s
-        (`time.monotonic`).
-        """
+        """Next line without its terminator; None if it has not ended by deadline_s (`time.monotonic`)."""
         while True:
             end = self._buffer.find(self._terminator)
             if end >= 0:
@@ -144,13 +142,13 @@ class LineReader:
 
     @property
     def unended(self) -> bytes:
-        """What was received of a line that has not ended."""
+        """The bytes received of a line that has not ended."""
         return bytes(self._buffer)
 
     def finds_line_start(self, deadline_s: float) -> bool:
-        """Discard what a port that was opened in the middle of a line still brings of it.
+        """Discard the rest of a line in whose middle a port may have been opened.
 
-        True if the next byte begins a line: one has ended, or nothing came until deadline_s.
+        True if the next byte begins a line, because one has ended, or nothing came until deadline_s.
         """
         return self.read_line(deadline_s) is not None or not self._buffer
 
@@ -161,7 +159,7 @@ class LineReader:
 
 
 def _why_closed(error: Exception) -> str:
-    """The system's words without the port's name, which the library repeats; and which ports are there."""
+    """The system's reason, without the port's name, which the library repeats, and the ports that exist."""
     number = getattr(error, "errno", None)
     if number in (errno.EAGAIN, errno.EBUSY):
         return "another program has it open; end that program"
@@ -172,7 +170,7 @@ def _why_closed(error: Exception) -> str:
 
 
 def ports_here() -> str:
-    """The serial ports of this computer, as the remedy where another one was named."""
+    """The serial ports of this computer in words, as the remedy for a wrong port."""
     here: list[str] = []
     with suppress(OSError):
         here = sorted(port.device for port in list_ports.comports())

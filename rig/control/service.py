@@ -30,13 +30,13 @@ from rig.control.settings import ControllerSettings
 from rig.control.worker import DeviceThread
 
 _REOPEN_S = 0.5
-_ASK_AGAIN_S = 0.02
-_BEFORE_WATCHDOG = 0.1
-"""Of the watchdog's time: so much earlier a board that says nothing of use is given up, and told to be dark.
-Its own watchdog hears the heartbeats whose answers are lost, and would not."""
+_RETRY_S = 0.02
+_WATCHDOG_MARGIN = 0.1
+"""Fraction of the watchdog's time by which a board without useful replies is given up earlier, and commanded
+dark: heartbeats whose replies are lost still feed its own watchdog."""
 _NO_READING = AirReading()
 _NO_SENSOR = -240
-"""Error of the board's own sensor of the air."""
+"""Error code of the board's own sensor of the air."""
 
 T = TypeVar("T")
 
@@ -49,7 +49,7 @@ _WHY: dict[str, str] = {
 
 
 class ControlState(StrEnum):
-    """Whether the controller answers."""
+    """State of the connection to the controller."""
 
     OPENING = "opening"
     OPEN = "open"
@@ -139,16 +139,17 @@ class ControlService(DeviceThread):
         return self._queue(lambda: self._guarded(call), timeout_s, urgent)
 
     def laser_on(self) -> "Future[None]":
-        """Switch the laser on, unless the interlock is open or `permit` refuses; a later `laser_off` or
-        `safe` that is carried out before outdates it.
+        """Switch the laser on, unless the interlock is open or `permit` refuses.
+
+        A later `laser_off` or `safe` that is carried out before makes it invalid.
         """
         offs = self._offs
         return self.submit(lambda controller: self._light(controller, offs))
 
     def laser_off(self) -> "Future[None]":
-        """Switch the laser off, before all waiting commands; done once the board has said how it stands.
+        """Switch the laser off, before all waiting commands; done once the board has replied with its state.
 
-        It is never too late. Where it fails it is given again for as long as the board says that it is lit.
+        It has no time limit. If it fails, it is repeated as long as the board reports that the laser is lit.
         """
         self._offs += 1
         return self.submit(self._darken, math.inf, urgent=True)
@@ -158,7 +159,7 @@ class ControlService(DeviceThread):
         return self.submit(lambda c: c.set_laser_power_w(power_w))
 
     def set_laser_pulse(self, delay_us: float, width_us: float) -> "Future[None]":
-        """Light only in pulses timed by the camera's exposures; to be set while the laser is off."""
+        """Set the pulse of light in each exposure; only while the laser is off."""
         return self.submit(lambda c: c.set_laser_pulse(delay_us, width_us))
 
     def hold(self) -> "Future[None]":
@@ -182,12 +183,12 @@ class ControlService(DeviceThread):
         return self.submit(lambda c: c.brake(on))
 
     def safe(self) -> "Future[None]":
-        """Put every output into its safe state, before all waiting commands; never too late."""
+        """Put every output into its safe state, before all waiting commands; it has no time limit."""
         self._offs += 1
         return self.submit(Controller.safe, math.inf, urgent=True)
 
     def acknowledge(self) -> "Future[None]":
-        """Clear the latch that the board last told, after a person said so; no other than that is cleared."""
+        """Clear the latch that the board reported last, which a person has acknowledged; no later one."""
         status = self._snapshot.status
         latch = None if status is None else status.latch
         return self.submit(lambda controller: self._clear(controller, latch))
@@ -198,13 +199,13 @@ class ControlService(DeviceThread):
         try:
             if not self._is_open:
                 self._open()
-            self._keep_to_the_permit()
+            self._obey_permit()
             self._beat()
             self._keep_dark()
         except DeviceError as error:
             self._note_failure(error)
-            # at once: there may be time for one more before it is given up
-            return min(self._settings.heartbeat_s, _ASK_AGAIN_S) if self._is_open else _REOPEN_S
+            # soon, because there may be time for a further attempt before the board is given up
+            return min(self._settings.heartbeat_s, _RETRY_S) if self._is_open else _REOPEN_S
         return self._settings.heartbeat_s
 
     def _open(self) -> None:
@@ -233,7 +234,7 @@ class ControlService(DeviceThread):
         outdated = "it was switched off meanwhile" if self._offs != offs else ""
         if refusal := self._permit.refusal_to_light or outdated:
             raise LightRefused(f"{controller.name}: the laser stays off: {refusal}")
-        # until the board has said that it is lit, a caller is told that it is not
+        # until the board has reported that it is lit, it counts as dark
         self._lit_after_offs = -1
         controller.laser_on()
         self._beat()
@@ -248,18 +249,18 @@ class ControlService(DeviceThread):
             controller.acknowledge(latch.number)
         self._beat()
 
-    def _keep_to_the_permit(self) -> None:
+    def _obey_permit(self) -> None:
         """Switch the laser off when the permit begins to refuse it."""
         refusal, before = self._permit.refusal, self._refused
         if refusal and not before:
             self._controller.laser_off()
             self._say(f"laser off: {refusal}")
-        # set only now: a command that failed is given again at the next poll
+        # set last, so that a command that failed is repeated at the next poll
         self._refused = refusal
 
     def _keep_dark(self) -> None:
-        """Switch the laser off that is lit though it was told off since, or nobody was told that it is lit:
-        the command, or the answer, was lost.
+        """Switch off a laser that is lit although it was switched off since, or although the command that lit
+        it failed: the command, or its reply, was lost.
         """
         status = self._snapshot.status
         if status is not None and status.laser_on and self._lit_after_offs != self._offs:
@@ -283,13 +284,13 @@ class ControlService(DeviceThread):
             late_replies=late,
             retried=retried,
         )
-        happened = controller.take_events()
-        for event in happened:
+        events = controller.take_events()
+        for event in events:
             self._say(f"{event.name} {event.detail}".rstrip())
-        self._latch_trips(status, {event.detail for event in happened if event.name == "TRIP"})
+        self._latch_trips(status, {event.detail for event in events if event.name == "TRIP"})
         if status.errors_waiting:
             code, text = controller.next_error()
-            # a board without a sensor has this error each time it is asked
+            # a board without a sensor reports this error at each request
             if code != _NO_SENSOR or not self._sensor_silent:
                 self._say(f"error {code}: {text}")
             self._sensor_silent = self._sensor_silent or code == _NO_SENSOR
@@ -302,17 +303,17 @@ class ControlService(DeviceThread):
             )
 
     def _hear(self, now_s: float) -> None:
-        """The board has said how it stands."""
+        """Note that the board has reported its state."""
         self._heard_s = now_s
         self._controller.repeat_until(now_s + self._silent_for_s)
 
     @property
     def _silent_for_s(self) -> float:
-        """So long nobody may know how the board stands."""
-        return (1.0 - _BEFORE_WATCHDOG) * self._settings.watchdog_s
+        """Longest time for which the board's state may be unknown."""
+        return (1.0 - _WATCHDOG_MARGIN) * self._settings.watchdog_s
 
     def _latch_trips(self, status: ControllerStatus, told: set[str]) -> None:
-        """Each trip once, whether the board's line about it came or only its state tells."""
+        """Latch each trip once, whether the board sent an event about it or only its status shows it."""
         causes, latch = set(told), status.latch
         if latch is not None and (self._latch is None or latch.number != self._latch.number):
             causes.add(latch.cause)
@@ -335,8 +336,9 @@ class ControlService(DeviceThread):
             raise
 
     def _note_failure(self, error: DeviceError) -> None:
-        """Decide whether the connection is lost; a rejected command or one missing reply does not mean
-        that. What answers, but does not say how it stands, is as silent as what does not.
+        """Decide whether the connection is lost; a rejected command or one missing reply does not mean that.
+
+        A board that replies without reporting its state counts as silent.
         """
         silent_s = time.monotonic() - self._heard_s
         lost = (

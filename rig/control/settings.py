@@ -55,8 +55,8 @@ class ControllerSettings(BaseModel, frozen=True, extra="forbid"):
 
 
 OWN_TIME = "time_s"
-"""Name of a witness's column that holds its own clock."""
-_MOST_COLUMNS = 3
+"""Name of the column that holds the auxiliary seismometer's own clock."""
+_MAX_COLUMNS = 3
 
 
 class SeismometerSettings(BaseModel, frozen=True, extra="forbid"):
@@ -89,9 +89,9 @@ class SeismometerSettings(BaseModel, frozen=True, extra="forbid"):
             raise ValueError("port is missing; name the witness's serial port, or see `rig doctor`")
         if self.kind == "file" and self.file is None:
             raise ValueError("file is missing; name the file to which its lines are appended")
-        if len(set(self.columns)) < len(self.columns) or not 1 <= len(self.components) <= _MOST_COLUMNS:
+        if len(set(self.columns)) < len(self.columns) or not 1 <= len(self.components) <= _MAX_COLUMNS:
             raise ValueError(
-                f"columns = {list(self.columns)} are to be one to {_MOST_COLUMNS} different names, and "
+                f"columns = {list(self.columns)} are to be one to {_MAX_COLUMNS} different names, and "
                 f"{OWN_TIME} where the instrument has a clock"
             )
         return self

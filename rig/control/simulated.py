@@ -1,4 +1,4 @@
-"""A simulated controller: runs the board's firmware in this process, with a simulated line that can fail.
+"""A simulated controller, which runs the board's firmware in this process, over a line that can fail.
 
 The host's side is the same as for real hardware, including checksums, repetitions and watchdog. Only the
 board's pins are replaced by callbacks, with which a simulated rig switches its laser or releases its
@@ -29,8 +29,8 @@ def _ignore(*_: object) -> None:
 class SimulatedOutputs:
     """Callbacks of the simulated board's pins, called from its thread; each must return immediately.
 
-    `laser` is given the optical power in W, 0.0 when off, `pulse` delay and width in us of the light
-    after each exposure's beginning, width 0 for light all the time; `starter` and the others True or False.
+    `laser` is called with the optical power in W, 0.0 when off, `pulse` with delay and width in us of the
+    light after each exposure's beginning, width 0 for light all the time, the others with True or False.
     """
 
     laser: Callable[[float], None] = _ignore
@@ -55,7 +55,7 @@ def simulated_controller(
 
 
 class SimulatedBoard:
-    """The board: a thread runs the firmware's loop while a line is open or a session lasts.
+    """The simulated board, whose thread runs the firmware's loop while a line is open or a session lasts.
 
     The watchdog therefore acts as on the real board when the heartbeats stop.
     """
@@ -67,7 +67,7 @@ class SimulatedBoard:
     starter_max_ms = 5000
     brake_max_ms = 60000
     ticks_diff, ticks_add = staticmethod(operator.sub), staticmethod(operator.add)
-    """Of readings of its clock, which does not overflow."""
+    """Difference and sum of readings of the clock, which does not overflow."""
 
     def __init__(self, outputs: SimulatedOutputs, laser_max_w: float, faults: SerialFaults) -> None:
         self.laser_max_w = laser_max_w
@@ -104,7 +104,7 @@ class SimulatedBoard:
         return at_s is not None and time.monotonic() - self.begun_s >= at_s
 
     def spoil(self, data: bytes) -> bytes:
-        """A block of bytes after the faults of the line: shortened, or with random bytes in front."""
+        """A block of bytes as the line's faults leave it: shortened, or with random bytes in front."""
         faults = self.faults
         if faults.loss_probability and self._random.random() < faults.loss_probability:
             data = data[: self._random.randrange(len(data))]
@@ -157,15 +157,15 @@ class SimulatedBoard:
         return self._outputs.interlock_closed()
 
     def interlock_opened(self) -> bool:
-        """Whether it opened for less than a turn, which is not simulated."""
+        """Whether the loop opened for less than a turn, which is not simulated."""
         return False
 
     def button_pressed(self) -> bool:
-        """Its button, which nobody presses."""
+        """State of the board's button, which is never pressed."""
         return False
 
     def light_seen(self) -> bool | None:
-        """It has no photodiode."""
+        """None: there is no photodiode."""
         return None
 
     def stored_latch(self) -> tuple[int, str]:
@@ -173,7 +173,7 @@ class SimulatedBoard:
         return self._latch
 
     def store_latch(self, number: int, cause: str) -> None:
-        """Keep them over a reset."""
+        """Store number and cause of the last trip, which survive a reset."""
         self._latch = (number, cause)
 
     def environment(self) -> tuple[float, float, float]:
@@ -182,7 +182,7 @@ class SimulatedBoard:
         return air.temperature_c, air.humidity_percent, air.pressure_pa
 
     def ticks_ms(self) -> int:
-        """The board's clock."""
+        """The board's clock in ms."""
         return time.monotonic_ns() // 1_000_000
 
 

@@ -1,4 +1,4 @@
-"""States of laser and controller as values, for threads, displays and the desk; their texts are made here."""
+"""States of laser and controller as values, with their texts, for threads, displays and the desk."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from rig.control.safety_state import LatchedTrip
 from rig.control.service import ControlState
 
 STALE_S: Final = 2.0
-"""A state that is older is not known any more, whatever it was."""
+"""Age from which on a state counts as unknown."""
 
 
 class Light(StrEnum):
@@ -31,7 +31,7 @@ class Light(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LaserNow:
-    """The laser's state `age_s` ago; `set_w` is what the controller was set to, the others are measured."""
+    """The laser's state `age_s` ago; `set_w` is the power set at the controller, the others are measured."""
 
     light: Light
     set_w: float | None = None
@@ -41,12 +41,12 @@ class LaserNow:
 
     @property
     def on(self) -> bool:
-        """False also if it does not answer."""
+        """Whether the laser is known to be on; False also if it does not answer."""
         return self.light is Light.ON
 
     @property
     def text(self) -> str:
-        """`on, 0.5 mW`."""
+        """The state in words, such as `on, 0.5 mW`."""
         if not self.on:
             return self.light
         shown = "on" if self.set_w is None else f"on, {self.set_w * 1e3:g} mW"
@@ -55,7 +55,7 @@ class LaserNow:
 
 
 class Loop(StrEnum):
-    """The interlock loops that can be read: open if one is."""
+    """State of all readable interlock loops together: open if one of them is."""
 
     CLOSED = "closed"
     OPEN = "open"
@@ -66,9 +66,9 @@ class Loop(StrEnum):
 class SafetyNow:
     """The safety state of a rig; ages in s, infinite for what was never heard.
 
-    `trip` waits for an acknowledgement, `refusal` is why no light is allowed (empty while it is),
+    `trip` waits for an acknowledgement, `refusal` is the reason why no light is allowed (empty while it is),
     `to_be_asked` whether a person must ask for light before there is any, `seen` whether the camera's frames
-    show the laser's spot, None where nobody looks at frames. What is older than `STALE_S` is unknown.
+    show the laser's spot, None where no frames are examined. States older than `STALE_S` are unknown.
     """
 
     trip: LatchedTrip | None = None
@@ -83,14 +83,14 @@ class SafetyNow:
 
     @classmethod
     def told(cls, values: Mapping[str, Any]) -> "SafetyNow":
-        """From plain values, as a session tells them; there infinite ages are null."""
+        """The state from the plain values of a session's answer, in which infinite ages are null."""
         known = {key: value for key, value in values.items() if value is not None}
         return _adapter().validate_python(known)
 
 
 @cache
 def _adapter() -> TypeAdapter[SafetyNow]:
-    """Made once: that takes many times as long as what it reads."""
+    """The adapter, built once because that takes many times as long as reading with it."""
     return TypeAdapter(SafetyNow)
 
 
@@ -107,12 +107,12 @@ class DevicesNow:
 
     @property
     def interlock_closed(self) -> bool:
-        """The controller answers, and says so."""
+        """Whether the controller answers and reports a closed interlock."""
         return self.status is not None and self.status.interlock_closed
 
     @property
     def text(self) -> str:
-        """`laser on, brake, interlock closed`; empty without devices."""
+        """The states in words, such as `laser on, brake, interlock closed`; empty without devices."""
         words = []
         if self.laser is not None:
             words.append("laser on" if self.laser.on else f"laser {self.laser.text}")

@@ -1,7 +1,7 @@
 """Lines to and from a USB Test & Measurement instrument, over the Linux kernel's own driver (/dev/usbtmc*).
 
-The kernel's driver is kept with the kernel and needs no package, so it was preferred to pyvisa-py and
-python-usbtmc, which bring a USB library of their own and take the instrument away from it. Linux only.
+The kernel's driver is maintained with the kernel and needs no package, so it was preferred to pyvisa-py and
+python-usbtmc, which use a USB library of their own and detach the instrument from the kernel. Linux only.
 """
 
 import contextlib
@@ -14,16 +14,16 @@ from rig.control.serial_port import PortLost
 try:
     import fcntl
 except ImportError:  # pragma: no cover
-    # a serial port of the same instrument works on every system
+    # without the kernel's driver, a serial port of the same instrument can be used
     fcntl = None  # type: ignore[assignment]
 
 PREFIX = "usbtmc"
-"""A port of this name is the only such instrument; with ``:SERIAL`` behind it the one of that number."""
+"""Port of the only such instrument; with ``:SERIAL`` behind it, of the one with this serial number."""
 _DEVICES = Path("/sys/class/usbmisc")
 _CLEAR = 0x5B02
 _SET_TIMEOUT = 0x40045B0A
 """_IO(91, 2) and _IOW(91, 10, __u32) of linux/usb/tmc.h."""
-_LEAST_TIMEOUT_MS = 100
+_MIN_TIMEOUT_MS = 100
 _ANSWER_BYTES = 4096
 
 
@@ -60,7 +60,7 @@ def find_usbtmc(port: str, vendor: int, devices: Path = _DEVICES) -> str:
 class UsbTmcLine:
     """A `SerialLine` over /dev/usbtmc*: one message out, one message in.
 
-    The kernel asks the instrument for an answer at each `read`; one is therefore made only after a query.
+    The kernel requests an answer of the instrument at each read, so the device is read only after a query.
     """
 
     def __init__(self, path: str, timeout_s: float) -> None:
@@ -94,7 +94,7 @@ class UsbTmcLine:
         try:
             os.write(self._fd, data)
         except TimeoutError:
-            # the caller gets no answer, and asks again
+            # the caller gets no answer, and repeats the query
             self._clear()
         except OSError as error:
             raise self._lost("write", error) from error
@@ -137,7 +137,7 @@ class UsbTmcLine:
             raise self._lost("clear", error) from error
 
     def _set_timeout(self, timeout_s: float) -> None:
-        timeout_ms = max(round(1000 * timeout_s), _LEAST_TIMEOUT_MS)
+        timeout_ms = max(round(1000 * timeout_s), _MIN_TIMEOUT_MS)
         if timeout_ms != self._timeout_ms:
             fcntl.ioctl(self._fd, _SET_TIMEOUT, struct.pack("@I", timeout_ms))
             self._timeout_ms = timeout_ms

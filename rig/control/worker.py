@@ -17,7 +17,7 @@ from processing.errors import DeviceError
 
 _log = logging.getLogger(__name__)
 _LONGEST_WAIT_S = 0.5
-_EVENTS_KEPT = 1024
+_MAX_EVENTS = 1024
 
 T = TypeVar("T")
 
@@ -39,7 +39,7 @@ class _Job:
 class DeviceThread(ABC):
     """Operates one device in one thread from `start` to `close`; a context manager.
 
-    It calls `_poll` regularly and does jobs in between, so that callers never wait on a device.
+    It calls `_poll` regularly and does jobs in between, so that callers never wait for a device.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class DeviceThread(ABC):
     def __init__(self, name: str, longest_job_s: float = 5.0) -> None:
         self.name = name
         self._longest_job_s = longest_job_s
-        self._events: deque[str] = deque(maxlen=_EVENTS_KEPT)
+        self._events: deque[str] = deque(maxlen=_MAX_EVENTS)
         self._jobs: queue.PriorityQueue[_Job] = queue.PriorityQueue()
         self._count = itertools.count()
         self._stopping = threading.Event()
@@ -113,7 +113,9 @@ class DeviceThread(ABC):
         return future
 
     def close(self) -> bool:
-        """Let the queued calls fail, leave the device safe and closed, end the thread; False if that hangs.
+        """Fail the queued calls, put the device into its safe state, close it, and end the thread.
+
+        Returns False if that hangs.
 
         Ctrl-C does not interrupt it: KeyboardInterrupt is raised after the device is in its safe state.
         """

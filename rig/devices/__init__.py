@@ -41,7 +41,7 @@ _LATER = {
     "middle_of": "alignment_look",
     "take_look": "alignment_look",
 }
-"""What is imported when it is asked for, by module."""
+"""Names that are imported on first use, with their modules, which import slow libraries."""
 
 
 if not TYPE_CHECKING:  # which would take any name for one of this room

@@ -1,4 +1,4 @@
-"""Asks a person at the terminal for leave to light again: the number of the trip is typed, then Enter."""
+"""Acknowledgement at the terminal: a person types the number of the trip, then asks for light again."""
 
 import os
 import select
@@ -19,14 +19,14 @@ _ASKS_LIGHT = "Type light and Enter: the laser is lit again"
 
 
 def at_terminal() -> bool:
-    """Whether somebody can be asked there."""
+    """Whether a person can be asked at a terminal."""
     return sys.stdin.isatty() and sys.stderr.isatty()
 
 
 def ask_leave(devices: LitDevices) -> None:
-    """After a trip, and if somebody sits at the terminal, ask until it is acknowledged and light asked for.
+    """After a trip, ask at the terminal, if there is one, until it is acknowledged and light is asked for.
 
-    An empty line, the end of input and Ctrl-C change nothing: then `Devices.light` refuses.
+    An empty line, the end of input and Ctrl-C change nothing, so that `Devices.light` refuses.
     """
     while at_terminal() and (asks := _what_to_ask(devices)):
         _forget_what_was_typed()
@@ -39,14 +39,14 @@ def ask_leave(devices: LitDevices) -> None:
 
 
 def _what_to_ask(devices: LitDevices) -> str:
-    """What a person is asked before anything is lit again; empty if nothing."""
+    """The question to a person before anything is lit again; empty if none is needed."""
     if (trip := devices.permit.latched) is not None:
         return f"{trip.text}. Check that nobody is in the beam path, then type {trip.number} and Enter"
     return _ASKS_LIGHT if devices.waits_for_asking else ""
 
 
 def _answer(devices: LitDevices, typed: str) -> None:
-    """Do what a person has typed: the number of the trip, or `light`."""
+    """Carry out a typed answer: the number of the trip, or `light`."""
     trip = devices.permit.latched
     try:
         if trip is not None and typed == str(trip.number):
@@ -60,9 +60,9 @@ def _answer(devices: LitDevices, typed: str) -> None:
 
 
 class TypedAcknowledgement:
-    """While a run waits in the dark: what a person types at the terminal, in whole lines.
+    """Answers that a person types at the terminal while a run waits in the dark.
 
-    First the trip's number, then `light`; each with Enter. `available` is False where nobody can type.
+    First the trip's number, then `light`; each with Enter. `available` is False without a terminal.
     """
 
     def __init__(self, devices: LitDevices) -> None:
@@ -71,9 +71,9 @@ class TypedAcknowledgement:
         self.available = os.name == "posix" and at_terminal()
 
     def look(self, alarm: str) -> None:
-        """Ask, once, and do what was answered; `alarm` is why the laser is dark, empty if it is lit.
+        """Ask once, and carry out the answer; `alarm` is why the laser is dark, empty if it is lit.
 
-        To be called by the main thread: lighting waits for the devices.
+        Only the main thread may call it, because lighting waits for the devices.
         """
         devices = self._devices
         asks = (_what_to_ask(devices) or _ASKS_LIGHT) if alarm else ""
@@ -105,7 +105,7 @@ def _typed_line() -> str:
 
 
 def _forget_what_was_typed() -> None:
-    """What was typed before the question is no answer to it."""
+    """Discard earlier typing, which is no answer to the question."""
     try:
         import termios
 
@@ -116,15 +116,15 @@ def _forget_what_was_typed() -> None:
 
 
 _DARK_FOR_S = 1.0
-"""Shorter darkness is not believed: the last state that the devices reported may be so old."""
+"""Shortest darkness that is reported, because the last state of the devices may be this old."""
 _SAID = (Light.ON, Light.OFF, Light.INTERLOCK_OPEN)
 
 
 class LightWatch:
-    """Watches the laser of a run; without a laser that the program controls it sees no darkness.
+    """Watches the laser of a run; without a laser that the program controls it detects no darkness.
 
-    `alarm` says why the laser is dark, or what is known of one of which nothing is heard; it is empty while
-    it is lit. Nothing here lights it again: a person asks for that (`Devices.light`).
+    `alarm` states why the laser is dark, or what is known of a laser that does not answer; it is empty while
+    the laser is lit. This class never lights it again: a person asks for that (`Devices.light`).
     """
 
     def __init__(self, devices: Devices | None) -> None:
@@ -136,7 +136,7 @@ class LightWatch:
         self.alarm = ""
 
     def look(self) -> list[tuple[EventKind, str]]:
-        """Ask for the state of the laser; returns the events that follow from it, as (kind, text)."""
+        """Read the state of the laser; returns the events that follow from it, as (kind, text)."""
         return [] if self._devices is None else [*self._trips(self._devices), *self._darkness(self._devices)]
 
     def _trips(self, devices: Devices) -> list[tuple[EventKind, str]]:

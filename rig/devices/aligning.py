@@ -1,4 +1,4 @@
-"""Aligns laser and camera by eye: looks at the newest frames until the user ends it."""
+"""Alignment of laser and camera by eye: shows the newest frames at a terminal until the user ends it."""
 
 import time
 from collections.abc import Callable
@@ -28,7 +28,7 @@ _BARS = " ▁▂▃▄▅▆▇█"
 
 
 class AligningScreen:
-    """Picture, histogram and figures, drawn in place; one line a look where there is no terminal."""
+    """Display of picture, histogram and figures, updated in place; without a terminal one line per frame."""
 
     def __init__(self, console: Console, keys_help: str) -> None:
         self._console = console
@@ -45,7 +45,7 @@ class AligningScreen:
             self._live.stop()
 
     def show(self, look: AlignmentFrame, zoom: float, note: str) -> None:
-        """Draw a look."""
+        """Show a frame with its figures, at this zoom, with a note."""
         if self._live is None:
             self._console.print(
                 "  ".join(filter(None, [*look.lines(), look.beam_line, note])),
@@ -61,7 +61,7 @@ class AligningScreen:
 
 
 def half_blocks(picture: NDArray[np.uint8]) -> Text:
-    """A picture (ny, nx, 3) as characters, each of them two pixels one above the other."""
+    """A picture (ny, nx, 3) as characters, each of which shows two pixels, one above the other."""
     if picture.shape[0] % 2:
         picture = np.concatenate([picture, np.zeros_like(picture[:1])])
     text = Text(no_wrap=True)
@@ -91,7 +91,7 @@ _PREFIX = "align"
 
 
 class _Wish(NamedTuple):
-    """What a key asks of the camera."""
+    """Settings of the camera that a key requests."""
 
     settings: CameraSettings
     note: str
@@ -120,15 +120,15 @@ def align_camera(
     applied
         Settings that the camera has read back.
     folder
-        Where the key `s` puts its pictures, align-1.png and so on; none is written over.
+        Folder for the pictures that the key `s` saves, align-1.png and so on; none is overwritten.
     reference
-        Follows the reference's spot, and the row from which on frames are its own.
+        Tracker of the reference's spot, and the row from which on frames are the reference's.
     reference_px
-        Where the spot should rest, (x, y); default: the middle of the frame.
+        Position (x, y) at which the spot should rest; default: the middle of the frame.
     view
-        Called with each frame that is looked at, timed from the beginning, and the spot in it.
+        Called with each shown frame, timed from the beginning, and the spot in it.
     seconds
-        End after this many; 0: at the key `q`, or at Ctrl-C.
+        Duration in s; 0: until the key `q`, or Ctrl-C.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def align_camera(
                 if wish is not None:
                     break
             if wish is not None:
-                # a camera is configured while it is stopped, and goes on with the next look
+                # the camera was stopped to be configured, and starts again in the next round
                 applied, note = _configured(camera, applied, wish)
                 going = True
     return saved

@@ -1,4 +1,4 @@
-"""One look at the camera while it is aligned: a frame, the spot in it, and their figures."""
+"""A frame during the alignment of the camera, with the spot in it, their figures and verdicts."""
 
 import math
 from dataclasses import replace
@@ -17,12 +17,12 @@ from rig.presentation import Verdict, decimals, palette
 from rig.settings import PreflightSettings
 
 _CENTRED = 0.1
-"""Of the shorter side: so far off the crosshair a spot is centred."""
+"""Largest distance of a centred spot from the crosshair, over the frame's shorter side."""
 _ROOM = 0.15
-"""Of the shorter side: a spot so far from each edge has room, and may as well be one that swings."""
+"""Distance from all edges, in its shorter side, from which a spot off the centre may swing."""
 _OFF_MIDDLE = "at rest it belongs to the crosshair; a swing passes there"
 _SHARP = 0.95
-"""Of the best sharpness so far: so near a focus is right."""
+"""Smallest sharpness of a good focus, over the best so far."""
 
 _LINES = (
     ("peak", "saturated", "sharpness"),
@@ -30,11 +30,11 @@ _LINES = (
     ("sigma", "fit", "reference"),
     ("region", "exposure"),
 )
-"""Figures that stand in one line of a terminal."""
+"""Names of the figures in each line of a terminal."""
 
 
 class SeenReference(NamedTuple):
-    """The spot in the part of a frame that the reference has for itself, and that part's saturated pixels.
+    """The spot in the reference's part of a frame, and the number of saturated pixels there.
 
     `spot` is in px of the whole frame; its fields are NaN if none was found.
     """
@@ -51,12 +51,12 @@ class SeenReference(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Is there a spot at all?"""
+        """Whether there is a spot."""
         return not self.spot.flags & SpotFlag.LOST
 
     @property
     def lamp(self) -> Verdict:
-        """Whether the reference can be followed, else what to do."""
+        """Verdict on the reference, with the remedy if its spot cannot be followed."""
         if not self.found:
             remedy = f"let the reference's beam fall below row {self.from_row_px}"
             return Verdict("reference", False, remedy=remedy, measured="none found", limit="one spot")
@@ -70,20 +70,20 @@ class SeenReference(NamedTuple):
 
 
 class AlignmentFrame(NamedTuple):
-    """A frame (ny, nx) in DN as the eye shall see it, and what is known of it.
+    """A frame (ny, nx) in DN for display, with the spot, its figures and the verdicts on them.
 
     Attributes
     ----------
     spot
         Fitted spot; its fields are NaN if none was found.
     middle_px
-        Where the spot should rest, (x, y) in the frame: the light lever's reference, else the middle.
+        Position (x, y) at which the spot should rest: the light lever's reference, else the frame's middle.
     applied
         Settings that the camera has read back.
     beam
         The verdict on the beam; None where it was not judged.
     reference
-        The reference's spot, in the frame's px; None where it has none, or where it was not looked for.
+        The reference's spot, in the frame's px; None without a reference, or where it was not searched for.
     """
 
     image: Image
@@ -97,7 +97,7 @@ class AlignmentFrame(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Is there a spot at all?"""
+        """Whether there is a spot."""
         return not self.spot.flags & SpotFlag.LOST
 
     @property
@@ -106,9 +106,9 @@ class AlignmentFrame(NamedTuple):
         return "" if self.beam is None else self.beam.line
 
     def lamps(self, sharpest_per_px: float = 0.0) -> list[Verdict]:
-        """Peak, saturation, centring, focus, beam, reference: whether one can go on, else what to do.
+        """Verdicts, with remedies, on peak, saturation, centring, focus, beam and reference.
 
-        `sharpest_per_px` is the best sharpness so far, which a focus is compared with.
+        `sharpest_per_px` is the best sharpness so far, with which the focus is compared.
         """
         seen, limits = self.figures, PreflightSettings()
         low, high = limits.min_peak_fraction, limits.max_peak_fraction
@@ -152,7 +152,7 @@ class AlignmentFrame(NamedTuple):
         return [*lamps, *([] if self.beam is None else [self.beam]), *of_reference]
 
     def rows(self) -> list[tuple[str, str]]:
-        """The figures as a table, one row for each kind; those of the spot only where there is one."""
+        """The figures as rows of (name, text); those of the spot only if there is one."""
         seen, spot, applied = self.figures, self.spot, self.applied
         height_px, width_px = self.image.shape
         exposure, gain = applied.exposure_us, applied.gain_db
@@ -209,7 +209,7 @@ class AlignmentFrame(NamedTuple):
         ]
 
     def lines(self) -> list[str]:
-        """The same in a few lines, without the verdict on the beam."""
+        """The figures of `rows` in a few lines, without the verdict on the beam."""
         texts = dict(self.rows())
         return ["  ".join(f"{name} {texts[name]}" for name in line if name in texts) for line in _LINES]
 
@@ -219,7 +219,7 @@ def _offset(off_px: tuple[float, float], places: int) -> str:
 
 
 def middle_of(image: Image, reference_px: tuple[float, float] | None) -> tuple[float, float]:
-    """Where the spot should rest, (x, y): the reference, else the middle of the frame."""
+    """Position (x, y) at which the spot should rest: the reference, else the middle of the frame."""
     rows, columns = image.shape
     return reference_px or (0.5 * (columns - 1), 0.5 * (rows - 1))
 
@@ -234,8 +234,8 @@ def take_look(
 ) -> AlignmentFrame:
     """Find the spot in a frame, and judge frame and beam.
 
-    `reference` follows the reference's spot, from the row on from which the frame is its own; figures and
-    beam are of the part above.
+    `reference` is the tracker of the reference's spot, and the row from which on the frame is the
+    reference's; figures and beam are those of the part above.
     """
     part, other = image, None
     if reference is not None and reference[1] < len(image):
@@ -246,7 +246,7 @@ def take_look(
     beam = beam_quality([part], [spot], tracker.model, full_scale_dn, PreflightSettings())
     seen = picture.figures(part, full_scale_dn)
     if beam.ok and seen.saturated_px:
-        # of what is cut off at full scale no shape can be judged
+        # the shape of a beam that is cut off at full scale cannot be judged
         beam = replace(
             beam,
             ok=False,
@@ -263,10 +263,10 @@ Picture = NDArray[np.uint8]
 
 
 def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom: float = 1.0) -> Picture:
-    """The whole frame, or its part around the spot, fitted into a size; RGB (height, width, 3).
+    """Picture of the frame, or of its part around the spot, fitted into a size; RGB (height, width, 3).
 
-    Saturated pixels stay visible however much the frame is reduced. With a `zoom` above 1 the part is so
-    much smaller than the frame, and centred on the spot, or on the crosshair where there is none.
+    Saturated pixels stay visible however much the frame is reduced. A `zoom` above 1 is the ratio of the
+    frame to the part, which is centred on the spot, or on the crosshair where there is none.
 
     Returns
     -------
@@ -277,7 +277,7 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     part = look.image[top : top + part_height, left : left + part_width]
     scale = min(width_px / part_width, height_px / part_height)
     size = max(1, round(part_width * scale)), max(1, round(part_height * scale))
-    # a root for each value that there can be, not for each pixel
+    # the root is taken of each possible value, not of each pixel, which is faster
     roots = np.sqrt(np.arange(np.iinfo(part.dtype).max + 1) / look.full_scale_dn)
     drawn = _resized(roots[part], size, scale)
     picture = np.repeat((255.0 * np.clip(drawn, 0.0, 1.0)).astype(np.uint8)[..., np.newaxis], 3, axis=2)
@@ -292,7 +292,7 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
     cv2.line(picture, (0, cross[1]), (size[0] - 1, cross[1]), blue, thin)
     reference = look.reference
     if reference is not None:
-        # from this line on the frame is the reference's
+        # below this line the frame is the reference's
         row = at(0.0, reference.from_row_px - 0.5)[1]
         cv2.line(picture, (0, row), (size[0] - 1, row), palette.rgba(palette.BLUISH_GREEN)[:3], thin)
     for spot, colour in (
@@ -305,14 +305,14 @@ def annotated_picture(look: AlignmentFrame, width_px: int, height_px: int, zoom:
         cv2.ellipse(picture, at(spot.x_px, spot.y_px), half, angle_deg, 0.0, 360.0, rgb, thin)
     full = part >= look.full_scale_dn
     if full.any():
-        # of a pixel of the picture any part may be saturated
+        # a pixel of the picture is marked if any part of it is saturated
         saturated = _resized(full.astype(np.float64), size, scale) > 0.0
         picture[saturated] = palette.rgba(palette.VERMILLION)[:3]
     return picture
 
 
 def _part(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the part that is shown."""
+    """Left, top, width and height of the shown part in px of the frame."""
     rows, columns = look.image.shape
     width, height = max(8, round(columns / zoom)), max(8, round(rows / zoom))
     x_px, y_px = (look.spot.x_px, look.spot.y_px) if look.found else look.middle_px
@@ -322,6 +322,6 @@ def _part(look: AlignmentFrame, zoom: float) -> tuple[int, int, int, int]:
 
 
 def _resized(values: NDArray[np.float64], size: tuple[int, int], scale: float) -> NDArray[np.float64]:
-    """Means over areas when made smaller, single pixels when made larger."""
+    """Resized values: means over areas if reduced, repeated pixels if enlarged."""
     way = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_NEAREST
     return np.asarray(cv2.resize(values, size, interpolation=way), dtype=np.float64)

@@ -1,6 +1,6 @@
-"""The audit log: who lit, darkened, acknowledged, forced and turned what; a line of JSON each, in a chain.
+"""The audit log of light, acknowledgements, forced starts, turned weights and brakes: chained lines of JSON.
 
-Each line holds the digest of the one before, so that a line which is missing or altered is seen.
+Each line holds the digest of the line before, so that a missing or altered line is detected.
 """
 
 import datetime
@@ -28,21 +28,21 @@ except ImportError:  # pragma: no cover
 
 AUDIT_NAME = "audit.jsonl"
 _NAMED = 5
-"""So many folders with a log are named where there is none."""
+"""Largest number of other folders with a log that a message names."""
 _IDLE_S = 1.0
 _PATIENCE_S = 5.0
-"""For so long what is logged is waited for; a disk that hangs holds nothing up for longer."""
+"""Longest wait for the log to be written, so that a hanging disk does not block for longer."""
 
 
 class AuditEntry(StrEnum):
-    """What is kept."""
+    """Kinds of entries in the log."""
 
     LIT = "lit"
     DARK = "dark"
     UNKNOWN = "unknown"
-    """Nothing confirms the light any more, nor that it went."""
+    """Nothing confirms any more that the light is on, or that it is off."""
     TRIP = "trip"
-    """It has happened now; a latch without it was found when the devices were opened."""
+    """A trip has occurred now; a latch without this entry was found when the devices were opened."""
     LATCH = "latch"
     ACKNOWLEDGE = "acknowledge"
     FORCE = "force"
@@ -52,9 +52,9 @@ class AuditEntry(StrEnum):
 
 
 class AuditLog:
-    """Adds lines to the log of a folder (None: nothing is kept) in a thread of its own, in their order.
+    """Adds lines to the log of a folder (None: no log) in a thread of its own, in their order.
 
-    A log that cannot be written is said, and stops nothing.
+    A log that cannot be written is reported, and stops nothing.
     """
 
     def __init__(self, folder: Path | None, operator: str, task: str, state: SafetyState) -> None:
@@ -66,7 +66,7 @@ class AuditLog:
         self._thread: threading.Thread | None = None
 
     def append(self, what: AuditEntry, why: str, **details: object) -> None:
-        """Have a line written; returns at once, in whatever thread."""
+        """Queue a line for writing; returns at once, in any thread."""
         if self._path is None:
             return
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
@@ -78,7 +78,7 @@ class AuditLog:
                 self._thread.start()
 
     def wait(self) -> None:
-        """Wait until everything is written; not for long."""
+        """Wait until everything is written, for at most 5 s."""
         with self._waiting.all_tasks_done:
             done = self._waiting.all_tasks_done.wait_for(
                 lambda: not self._waiting.unfinished_tasks, _PATIENCE_S
@@ -100,7 +100,7 @@ class AuditLog:
                 self._add(line)
             except (OSError, DeviceError) as error:
                 why = error.strerror if isinstance(error, OSError) else error
-                # a terminal that was closed hears nothing
+                # the terminal may have been closed
                 with suppress(OSError):
                     say(f"{self._path}: the audit log cannot be written: {why or error}", error=True)
             finally:
@@ -114,7 +114,7 @@ class AuditLog:
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
         with os.fdopen(os.open(path, flags, 0o644), "r+b") as file:
             if fcntl is not None:
-                # where the disk knows no locks a line that may break the chain is better than none
+                # where the disk supports no locks, a line that may break the chain is better than no line
                 with suppress(OSError):
                     fcntl.flock(file, fcntl.LOCK_EX)
             before, number = _last(file)
@@ -126,9 +126,9 @@ class AuditLog:
 
 
 def check_log(folder: Path, state: SafetyState) -> list[str]:
-    """What is wrong with the log of a folder: lines that were altered, or are missing; empty if nothing is.
+    """Faults of the log of a folder: altered or missing lines; empty without faults.
 
-    `state` knows how the log ended. Raises RecordError if the log cannot be read.
+    `state` holds the noted end of the log. Raises RecordError if the log cannot be read.
     """
     path = folder.absolute() / AUDIT_NAME
     try:
@@ -148,7 +148,7 @@ def check_log(folder: Path, state: SafetyState) -> list[str]:
         except (ValueError, AttributeError):
             faults.append(f"line {number} is incomplete")
         else:
-            # lines of before there was a chain stand at the beginning alone
+            # lines without a chain, of earlier versions, can only be at the beginning
             chained = chained or stated is not None
             if chained and stated != before:
                 faults.append(f"before line {number} something is missing, or line {number - 1} was altered")
@@ -160,7 +160,7 @@ def check_log(folder: Path, state: SafetyState) -> list[str]:
 
 
 def _last(file: BinaryIO) -> tuple[str, int]:
-    """Digest of the last line, and the number of lines; what was torn gets its end."""
+    """Digest of the last line, and the number of lines; an incomplete line is ended."""
     file.seek(0)
     data = file.read()
     if data and not data.endswith(b"\n"):
@@ -177,5 +177,5 @@ def _user() -> str:
     try:
         return getpass.getuser()
     except (KeyError, ImportError, OSError):
-        # a number without a name, as in a container
+        # in a container a user may have a number and no name
         return str(os.getuid()) if hasattr(os, "getuid") else ""

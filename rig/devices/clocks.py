@@ -1,4 +1,4 @@
-"""Clocks: how closely the host's follows UTC, and the rate of the camera's during a run."""
+"""Clocks: agreement of the host's with UTC, and the rate of the camera's during a run."""
 
 import ctypes
 import math
@@ -29,7 +29,7 @@ _TIME_ERROR, _UNSYNCHRONISED = 5, 0x40
 
 @dataclass(frozen=True, slots=True)
 class HostClock:
-    """`u_rate` is the relative standard uncertainty of the host's second."""
+    """State of the host's clock; `u_rate` is the relative standard uncertainty of the host's second."""
 
     synchronised: bool
     text: str
@@ -38,14 +38,14 @@ class HostClock:
 
 @dataclass(frozen=True, slots=True)
 class KernelClock:
-    """What the kernel says of its clock of the day; `u_s` is NaN where it says nothing."""
+    """State of the kernel's clock of the day; `u_s` is its standard uncertainty in s, NaN if unknown."""
 
     synchronised: bool
     u_s: float
 
 
 class _Timex(ctypes.Structure):
-    """The first members of Linux's struct timex, and room for the rest."""
+    """The first members of Linux's struct timex, and memory for the others."""
 
     _fields_ = (
         ("modes", ctypes.c_uint),
@@ -59,7 +59,7 @@ class _Timex(ctypes.Structure):
 
 
 def kernel_clock() -> KernelClock:
-    """State of the kernel's clock, in microseconds of time; on other systems than Linux it is unknown."""
+    """State of the kernel's clock; on other systems than Linux it is unknown."""
     if not sys.platform.startswith("linux"):
         return KernelClock(False, math.nan)
     state = _Timex()
@@ -113,7 +113,7 @@ def _ask(*command: str) -> str:
 
 
 def wrong_rate(relation: ClockRelation) -> str:
-    """How fast the camera's clock runs, if that is not possible for one that counts ns; else empty."""
+    """Rate of the camera's clock in words, if it is impossible for a clock that counts ns; else empty."""
     if abs(relation.drift_ppm) - 3.0 * relation.u_drift_ppm <= MAX_DRIFT_PPM:
         return ""
     return clock_rate_text(relation.drift_ppm)
@@ -126,7 +126,7 @@ _POLL_S: Final = 0.5
 def wait_for_network_clock(
     camera: Camera, timeout_s: float = 60.0, ended: threading.Event | None = None
 ) -> None:
-    """Return when the camera says that it follows, or when `ended` is set.
+    """Return when the camera reports that its clock follows the network's, or when `ended` is set.
 
     Raises DeviceError, with the camera's state, after `timeout_s`.
     """
@@ -154,11 +154,11 @@ def _state(camera: Camera) -> str:
 _PERIOD_NS = 10_000_000_000
 _LEAST_STEP_NS = 2_000_000
 _FASTEST_SLEW = 1e-3
-"""Systems that correct their clock without a step change its rate by at most 0.5 per mille."""
+"""Largest change of rate that is no step; systems that correct a clock smoothly use at most half of it."""
 
 
 class HostClockReading(NamedTuple):
-    """Both clocks of the computer at the same moment, and how far apart in time they were read."""
+    """Both clocks of the computer at the same moment, and the time `apart_ns` between their readings."""
 
     host_time_ns: int
     utc_ns: int
@@ -174,7 +174,7 @@ def read_clocks() -> HostClockReading:
 
 
 class ClockAnchors:
-    """Anchors every 10 s and after every step."""
+    """Anchors of the computer's two clocks, every 10 s and after every step of the clock of the day."""
 
     def __init__(self, read: Callable[[], HostClockReading] = read_clocks) -> None:
         self._read = read
@@ -182,8 +182,9 @@ class ClockAnchors:
         self._due_ns = 0
 
     def take(self, time_ns: int) -> tuple[ClockAnchor | None, list[Event]]:
-        """An anchor, if one is due, and an event, if the clock of the day has stepped; `time_ns` is the time
-        of the latest frame.
+        """An anchor, if one is due, and an event, if the clock of the day has stepped.
+
+        `time_ns` is the time of the latest frame.
         """
         now, before = self._read(), self._last
         self._last = now
@@ -204,18 +205,18 @@ class ClockAnchors:
 
 
 _MOST_FRAMES = 800
-"""When there are so many, every second is left out, and of those to come as many."""
+"""Largest number of pairs; at this number every second one is removed, also of later ones."""
 _LOOKED_AT = 8
-"""Frames of a block; more tell no more."""
+"""Number of frames of a block that are used; more would not improve the rate."""
 _FIRST_NS, _BETWEEN_NS = 3_000_000_000, 10_000_000_000
-"""Between looks; the first is soon, so that it is seen to be read."""
+"""Time to the first fit, which is early so that a user sees a value, and between fits."""
 
 
 class ClockRate:
-    """Keeps some hundred pairs of times, and puts a line through them every ten seconds of the run.
+    """Rate of the camera's clock, from a line through some hundred pairs of times, each 10 s of the run.
 
-    With `beside` the line is found by a thread of its own: it takes 10 ms, for which frames would wait. Its
-    failure is raised by the next call.
+    With `beside` a thread of its own fits the line, which takes 10 ms, for which frames would wait. Its error
+    is raised by the next call.
     """
 
     def __init__(self, *, beside: bool = True) -> None:
@@ -230,16 +231,16 @@ class ClockRate:
         self._steps_s: list[float] = []
 
     def take(self, frames: Sequence[Frame], steps: Iterable[RecordedClockStep] = ()) -> CameraClock:
-        """Take frames and the clock's steps before them into account; the clock as it is known now."""
+        """Take frames, and the clock's steps before them, into account; returns the present estimate."""
         self._steps_s += [seconds(step.step_ns) for step in steps]
         for frame in frames[:: max(1, len(frames) // _LOOKED_AT)]:
-            # one without a clock has none to be read
+            # the time is negative if the camera has no clock
             if frame.device_time_ns >= 0:
                 self.pair(frame.sequence, frame.device_time_ns, frame.host_time_ns)
         return self.now
 
     def take_rows(self, rows: NDArray[Any]) -> CameraClock:
-        """The same of rows of a record."""
+        """Take rows of a record's spots into account, as `take` does with frames."""
         rows = rows[:: max(1, len(rows) // _LOOKED_AT)]
         for device_ns, host_ns, sequence in rows[["device_time_ns", "host_time_ns", "sequence"]].tolist():
             if device_ns >= 0:
@@ -267,7 +268,7 @@ class ClockRate:
 
     @property
     def now(self) -> CameraClock:
-        """The clock as it is known now. Raises what the last look has raised."""
+        """The present estimate of the clock's rate and steps. Raises the error of the last fit, if any."""
         error, self._error = self._error, None
         if error is not None:
             raise error
@@ -277,12 +278,12 @@ class ClockRate:
 
     def _look(self, table: NDArray[np.int64]) -> None:
         try:
-            # of frames that were read at the same moment the first
+            # of frames that were read at the same moment, the first is kept
             keep = np.concatenate(([True], np.diff(np.maximum.accumulate(table[:, 1])) > 0))
             device_ns, host_ns, sequence = table[keep].T
             relation = relate_clocks(device_ns, host_ns, sequence)
         except DataError:
-            # too few as yet
+            # there are too few pairs as yet
             return
         except Exception as error:
             self._error = error

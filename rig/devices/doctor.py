@@ -34,7 +34,8 @@ from rig.settings import Configuration
 
 _FRAMES = 60
 _MOST_RATE_ERROR = 0.1
-"""Of a rate by the host's clock over so few frames; preflight judges the camera's own more sharply."""
+"""Largest relative error of the frame rate, which the host's clock measures over few frames; preflight checks
+the rate by the camera's own clock with a narrower limit."""
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _STEADY_CLOCKS = {"tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter", "hpet"}
@@ -80,7 +81,7 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
         ):
             if wants:
                 reason = f"{key} = {value!r}, but controller.kind = 'none'"
-                # a run without readings of the air is one
+                # a run is possible without readings of the air
                 fails = key == "start.way"
                 yield Verdict("controller", not fails, reason, f"set controller.kind, or another {key}")
     yield from check_environment(config.environment_sensor)
@@ -94,7 +95,7 @@ def _checks(stated: Configuration) -> Iterator[Verdict]:
 
 
 def check_trip(state: SafetyState, named: str) -> Verdict:
-    """Check that no trip waits for its acknowledgement; `named` is the configuration."""
+    """Check that no trip waits for its acknowledgement; `named` is the configuration's name."""
     trip = state.trip
     if trip is None and state.left_lit:
         remedy = f"look at the laser, then rig light show {named}: it latches the trip, and names it"
@@ -132,7 +133,7 @@ def check_settings(config: Configuration, stated: Configuration) -> Iterator[Ver
 def _origin(
     section: Literal["pendulum", "lever", "sensor"], config: Configuration, stated: Configuration
 ) -> str:
-    """Where a section of the complete configuration is from; empty where there is none."""
+    """Origin of a section of the complete configuration, in words; empty if the section is missing."""
     if getattr(config, section) is None:
         return ""
     if getattr(stated, section) is not None:
@@ -177,14 +178,14 @@ def check_camera(config: Configuration, devices: Devices) -> Iterator[Verdict]:
 def check_frames(
     arrivals: Sequence[tuple[int, int]], status: CameraStatus, asked_hz: float | None, *, on_demand: bool
 ) -> Verdict:
-    """Check that all frames came, and at the rate that was asked for.
+    """Check that all frames came, and at the requested rate.
 
     Parameters
     ----------
     arrivals
         Number of each frame, and the host's clock when it arrived, in ns.
     asked_hz
-        None where none was asked for, or something else starts the exposures.
+        The requested rate; None if there is none, or if a trigger starts the exposures.
     on_demand
         Frames are made when they are read, and have no rate.
     """
@@ -293,7 +294,7 @@ def check_usb_cameras(serial: str | None) -> Iterator[Verdict]:
 
 
 def check_usb_memory(frame_bytes: int, frames: int, memory: Path = _USBFS_MEMORY) -> tuple[Verdict, ...]:
-    """Check that Linux has memory for the USB transfers of so many frames, which use half of it at most."""
+    """Check that Linux has memory for the USB transfers of `frames` frames, which use half of it at most."""
     if sys.platform != "linux" or not memory.is_file():
         return ()
     limit_mb = int(memory.read_text(encoding="utf-8"))

@@ -24,21 +24,21 @@ from rig.instrument import setting_differences, with_read_back
 
 _EVERY_S = 0.25
 _STOOD_NS = 2_000_000_000
-"""A busy computer lets a thread wait for less."""
+"""Shortest standstill that is reported; a busy computer delays a thread by less."""
 _SLEPT_NS = 1_000_000_000
 _APART_NS = 10_000_000
-"""Between the readings of two clocks; more, if the program was stopped there."""
+"""Largest time between the readings of two clocks; it is longer if the program was stopped there."""
 
 
 class AwakeTime(NamedTuple):
-    """Time while the computer was awake, and with its sleep; the same where the system counts none."""
+    """Time without and with the computer's sleep; they are equal on systems that do not count sleep."""
 
     awake_ns: int
     with_sleep_ns: int
 
 
 def read_awake() -> AwakeTime:
-    """Both at the same moment."""
+    """Read both clocks at the same moment."""
     clock = _clock_with_sleep()
     while True:
         before_ns = time.monotonic_ns()
@@ -50,12 +50,15 @@ def read_awake() -> AwakeTime:
 def _clock_with_sleep() -> int | None:
     if sys.platform.startswith("linux"):
         return time.CLOCK_BOOTTIME
-    # there time.monotonic is another clock, which stands while the computer sleeps
+    # on macOS time.monotonic is another clock, which stands still while the computer sleeps
     return time.CLOCK_MONOTONIC if sys.platform == "darwin" else None
 
 
 class Standstill:
-    """Wakes a few times a second from `begin` to `end`, and tells by how much too late it was woken."""
+    """Detects that the program stood still, by a thread that wakes often and measures its delay.
+
+    `told` is called with the message.
+    """
 
     def __init__(self, told: Callable[[str], None], read: Callable[[], AwakeTime] = read_awake) -> None:
         self._told, self._read = told, read
@@ -63,16 +66,16 @@ class Standstill:
         self._last = self._first = read()
 
     def begin(self) -> None:
-        """Look, in a thread, until `end`."""
+        """Start the thread, which runs until `end`."""
         self._last = self._first = self._read()
         threading.Thread(target=self._look_on, name="standstill", daemon=True).start()
 
     def end(self) -> None:
-        """The thread ends soon."""
+        """End the thread within a quarter of a second."""
         self._ended.set()
 
     def look(self) -> None:
-        """To be called every quarter of a second."""
+        """Measure the delay of this call, which is due every quarter of a second."""
         before, self._last = self._last, self._read()
         late_ns = self._last.awake_ns - before.awake_ns - round(_EVERY_S * 1e9)
         if late_ns > _STOOD_NS:
@@ -82,7 +85,7 @@ class Standstill:
             )
 
     def raise_if_slept(self) -> None:
-        """Raises DeviceError where the computer has slept since `begin`; to be asked with every frame."""
+        """Raise DeviceError if the computer has slept since `begin`; called with every frame."""
         now = self._read()
         slept_ns = (now.with_sleep_ns - self._first.with_sleep_ns) - (now.awake_ns - self._first.awake_ns)
         if slept_ns > _SLEPT_NS:
@@ -101,17 +104,17 @@ _LOOK_NS = 250_000_000
 _WAIT_S = 0.05
 _FEWEST, _MOST_ON_DEMAND = 8, 64
 _FIRST_S = 0.5
-"""For the first frame a camera is asked again and again, so that a stop is noticed."""
+"""Timeout of each attempt to read the first frame, after which a stop is noticed."""
 
 
 class FrameStream:
     """Reads a camera in a thread into a bounded queue, reconnects it after unplugging, counts lost frames.
 
-    With `policy` "wait" the camera waits while the queue is full, otherwise frames are dropped and
-    counted, and a camera whose clock cannot be right is refused. `ended` is a text that says why the stream
-    ended, `failure` the error that ended it. `permit` learns that frames arrive and are taken, on which the
-    light of a laser depends. `time_shift_ns` is added to the camera's timestamps. `applied` are the settings
-    as the camera read them back: one that comes back has lost those that nobody asked for, too.
+    With `policy` "wait" the camera waits while the queue is full, otherwise frames are dropped and counted,
+    and a camera whose clock cannot be right is refused. `ended` is a text with the reason why the stream
+    ended, `failure` the error that ended it. `permit` is notified of frames that arrive and are taken, on
+    which the light of a laser depends. `time_shift_ns` is added to the camera's timestamps. `applied` are the
+    settings read back from the camera, because a reconnected camera has lost other settings too.
     """
 
     def __init__(
@@ -135,7 +138,7 @@ class FrameStream:
         self._reconnect_s = reconnect_s
         self._stop = threading.Event()
         self._closed = False
-        # frames on demand are not lost while it is full; a short one keeps them in the processor's cache
+        # a full queue loses no frames on demand, and a short one keeps them in the processor's cache
         most = _MOST_ON_DEMAND if policy == "wait" else math.inf
         self._queue = BoundedQueue[Frame](most, policy, MAX_QUEUE_BYTES, fewest=_FEWEST)
         self._line = FrameLine(time_shift_ns, in_real_time=policy != "wait")
@@ -164,7 +167,7 @@ class FrameStream:
 
         Raises FrameTimeout if no frame arrives within the timeout, DeviceError if the driver hangs.
         """
-        # the thread that closes the stream waits for it: a camera that is being read is not closed
+        # `close` waits for this thread, because a camera must not be closed while it is read
         self._thread = threading.Thread(target=self._acquire, name="camera", daemon=True)
         self._thread.start()
         while not (self._begun.wait(_WAIT_S) or self._stop.is_set()):
@@ -186,7 +189,7 @@ class FrameStream:
         return frames
 
     def waits_on_purpose(self) -> None:
-        """The processing waits for a fit, and with it frames that are made on demand: neither has stalled."""
+        """Note that camera and processing have not stalled, but wait for a fit, as frames on demand may."""
         for stage in (Stage.CAMERA, Stage.PROCESSING):
             self.permit.moved(stage)
 
@@ -198,7 +201,7 @@ class FrameStream:
         return taken
 
     def take_clock_steps(self) -> list[RecordedClockStep]:
-        """Steps of the camera's clock since the last call, which are taken off the times of the frames."""
+        """Steps of the camera's clock since the last call, which are subtracted from the frames' times."""
         return taken_from(self._steps)
 
     def request_stop(self) -> None:
@@ -208,7 +211,7 @@ class FrameStream:
     def close(self) -> None:
         """End the thread, once; the camera is stopped, not closed.
 
-        A camera that cannot stop is an event: what it delivered is whole.
+        A camera that cannot be stopped causes an event, not an error, because its frames so far are complete.
         """
         self._stop.set()
         if self._closed:
@@ -233,7 +236,7 @@ class FrameStream:
         return self._lost().since(self._lost_before)
 
     def count_losses_anew(self) -> None:
-        """Frames that were lost before are none of those that `losses` counts."""
+        """Make `losses` count only frames that are lost from now on."""
         self._lost_before = self._lost()
 
     def _lost(self) -> FrameLosses:
@@ -248,14 +251,14 @@ class FrameStream:
         return len(self._queue)
 
     def _raise_if_it_hangs(self, waited_s: float) -> None:
-        # what is made on demand may take as long as it likes
+        # a source of frames on demand may take any time
         if (hangs := self._hanging.check(waited_s)) and self.policy != "wait":
             error = DeviceError(hangs)
             self._fail(error, hangs)
             raise error
 
     def _read(self) -> Frame | None:
-        """What the camera delivers next, opened again after an unplugging; None at the end."""
+        """The camera's next frame, after a reconnection if necessary; None at the end."""
         silent_s, opened_again = 0.0, False
         begun = self._begun.is_set()
         while not self._stop.is_set():
@@ -274,8 +277,8 @@ class FrameStream:
                     silent_s += patience_s
                     if silent_s < self._timeout_s - 1e-6:
                         continue
-                # drivers notice an unplugged cable after seconds, or never: one that can be opened
-                # again was there all the time if it stays silent
+                # drivers notice an unplugged cable late or never, so a silent camera is opened again; if it
+                # then stays silent, it was connected all the time
                 if not begun or (isinstance(lost, FrameTimeout) and (on_demand or opened_again)):
                     raise lost from None
                 opened_again = opened_again or isinstance(lost, FrameTimeout)
@@ -322,7 +325,7 @@ class FrameStream:
             self._begun.set()
 
     def _said_with_reasons(self, lost: FrameTimeout) -> FrameTimeout:
-        """The same, with the frames that came and could not be used: the trigger is no cause of those."""
+        """The error, with the number of frames that came and could not be used, not a trigger's fault."""
         unused = self._lost().since(self._at_last_look)
         if not unused.discarded:
             return lost
@@ -353,11 +356,11 @@ class FrameStream:
         raise CameraLost(f"{lost}; it could not be reopened within {self._reconnect_s:g} s")
 
     def _configure_again(self) -> str:
-        """Set what was asked for and what the camera had besides; returns what is different now."""
+        """Set the requested settings and the camera's other ones; returns the differences after that."""
         try:
             now = self._camera.configure(self._kept)
         except DeviceError:
-            # not all that can be read can be set
+            # some settings can be read back but not set
             now = self._camera.configure(self._settings)
         return "; ".join(setting_differences(self._kept, now))
 
@@ -368,7 +371,7 @@ class FrameStream:
 
     def _fail(self, error: Exception, reason: str) -> None:
         if not isinstance(error, RigError):
-            # the author of a driver wants to see where it failed
+            # the traceback tells the author of a driver where it failed
             _log.error("%s", reason, exc_info=error)
             error = DeviceError(reason)
         if self.failure is None:

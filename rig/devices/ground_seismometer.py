@@ -1,4 +1,4 @@
-"""The witness of the ground of a session, on the clock of its frames."""
+"""The auxiliary seismometer of a session, with its samples on the clock of the frames."""
 
 import math
 import time
@@ -20,7 +20,7 @@ _LOOK_S = 0.02
 
 
 class GroundSeismometer(ABC):
-    """A context manager whose samples come beside the frames of a camera."""
+    """An auxiliary seismometer, sampled together with a camera's frames; a context manager."""
 
     def __init__(self) -> None:
         self._looked_at: list[RecordedWitness] = []
@@ -33,7 +33,7 @@ class GroundSeismometer(ABC):
 
     @abstractmethod
     def beside(self, camera: Camera) -> None:
-        """Which camera's clock its samples are to be on."""
+        """Set the camera to whose clock the samples are related."""
 
     def take(self, frame: Frame) -> list[RecordedWitness]:
         """Samples since the last call, up to a frame. Never blocks."""
@@ -41,7 +41,7 @@ class GroundSeismometer(ABC):
         return [*looked_at, *self._new(frame)]
 
     def recent(self, frame: Frame, last_s: float) -> list[RecordedWitness]:
-        """Those of the last seconds before a frame, which `take` gives again; older ones are given up."""
+        """Samples of the last seconds before a frame, which `take` returns again; older are dropped."""
         from_ns = frame.time_ns - nanoseconds(last_s)
         self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
         return list(self._looked_at)
@@ -52,18 +52,18 @@ class GroundSeismometer(ABC):
 
     @abstractmethod
     def take_events(self) -> tuple[str, ...]:
-        """What happened to it since the last call."""
+        """Events of the instrument since the last call."""
 
     @property
     @abstractmethod
     def problem(self) -> str:
-        """Why no samples come; empty while they do."""
+        """The reason why no samples come; empty while they come."""
 
 
 def ground_witness(config: Configuration) -> GroundSeismometer | None:
-    """The configured one; None without.
+    """The configured auxiliary seismometer; None if none is configured.
 
-    Raises ConfigurationError for one that does not go with the camera.
+    Raises ConfigurationError for one that does not fit the camera.
     """
     settings = config.witness
     if settings.kind == "none":
@@ -84,7 +84,7 @@ def ground_witness(config: Configuration) -> GroundSeismometer | None:
 
 
 def check_witness(config: Configuration) -> Verdict:
-    """For `rig doctor`: wait for the first sample, as long as one may be silent."""
+    """Verdict for `rig doctor`; it waits for the first sample for at most `stale_after_s`."""
     kind = config.witness.kind
     if kind == "none":
         return Verdict("witness", True, "none is configured", made=False)
@@ -104,7 +104,7 @@ def check_witness(config: Configuration) -> Verdict:
 
 
 class _ConnectedSeismometer(GroundSeismometer):
-    """An instrument of this computer, whose clock its samples are on; a frame relates it to the frames'."""
+    """An instrument on this computer, whose monotonic clock a frame relates to the frames' clock."""
 
     def __init__(self, settings: SeismometerSettings) -> None:
         super().__init__()
@@ -119,7 +119,7 @@ class _ConnectedSeismometer(GroundSeismometer):
         self._service.close()
 
     def beside(self, camera: Camera) -> None:
-        """Any camera's frames say when they arrived."""
+        """Do nothing, because the frames of any camera state their arrival."""
 
     def _new(self, frame: Frame) -> list[RecordedWitness]:
         shift_ns = frame.time_ns - frame.host_time_ns
@@ -144,7 +144,7 @@ class _ConnectedSeismometer(GroundSeismometer):
 
 
 class _SimulatedSeismometer(GroundSeismometer):
-    """The instrument beside the simulated rig, whose clock is the simulated camera's."""
+    """The auxiliary seismometer of the simulated rig, on the clock of the simulated camera."""
 
     def __init__(self, settings: SimulationSettings) -> None:
         super().__init__()

@@ -35,19 +35,18 @@ WIRE_IT = "wire its interlock through the controller's enable relay and set lase
 
 
 def through_controller(settings: LaserSettings) -> bool:
-    """Whether the controller feeds the laser, or its relay the laser's interlock.
+    """Whether the controller drives the laser, or its relay is in the laser's interlock.
 
-    Then the board's watchdog switches the laser off if this program is killed.
+    The board's watchdog then switches the laser off if this program is killed.
     """
     return settings.kind == "controller" or (settings.kind in LASERS and settings.interlock == "controller")
 
 
 def light(settings: LaserSettings, control: ControlService | None, laser: LaserService | None) -> str:
-    """Switch the laser on; returns a text that says what was done, empty if the laser was already on.
+    """Switch the laser on; returns a text on what was done, empty if the laser was already on.
 
     Raises DeviceError if the laser refuses or does not answer, if an interlock is open, or if the laser's
-    interlock is not wired through the controller as configured. `control` is there where
-    `check_wiring` has asked for it.
+    interlock is not wired through the controller as configured. `check_wiring` requires `control`.
     """
     if settings.kind == "none" or laser_now(settings, control, laser).on:
         return ""
@@ -85,7 +84,7 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
 def laser_now(
     settings: LaserSettings, control: ControlService | None, laser: LaserService | None
 ) -> LaserNow:
-    """The last known state, as far as it is not too old; never blocks."""
+    """The last known state, unknown if it is too old; never blocks."""
     if settings.kind == "controller":
         heard = control.snapshot if control is not None else None
         if heard is None or heard.status is None:
@@ -109,7 +108,7 @@ def laser_now(
 
 
 def age_s(heard_ns: int) -> float:
-    """Time since a moment of the host's monotonic clock; infinite for 0, never."""
+    """Time since a moment of the host's monotonic clock; infinite for 0, which means never."""
     return seconds(time.monotonic_ns() - heard_ns) if heard_ns else math.inf
 
 
@@ -138,7 +137,7 @@ def _wait(laser: LaserService, reached: Callable[[LaserState], bool]) -> LaserSt
 
 
 def _relay(control: ControlService) -> ControllerStatus:
-    """The controller's status once it is there and not old: without it the wiring cannot be tested."""
+    """The controller's status, once a recent one is available, which a test of the wiring needs."""
     deadline_s = time.monotonic() + _ANSWERS_WITHIN_S
     while True:
         now = control.snapshot
@@ -153,7 +152,7 @@ def _relay(control: ControlService) -> ControllerStatus:
 
 
 def check_wiring(laser: LaserSettings, controller: ControllerSettings) -> None:
-    """Raises ConfigurationError if the laser is switched by a controller that is not there."""
+    """Raise ConfigurationError if the laser is to be switched by a controller that is not configured."""
     if through_controller(laser) and controller.kind == "none":
         key = "kind" if laser.kind == "controller" else "interlock"
         instead = "laser.kind to none, and switch it by hand" if key == "kind" else "laser.interlock to own"
@@ -170,10 +169,11 @@ _LAST_WAIT_S = 0.2
 def confirmed_dark(
     off: Callable[[], "Future[None]"], command: "Future[None]", end_s: float
 ) -> tuple[str, KeyboardInterrupt | None]:
-    """Ask until it is confirmed that the laser is off, or the time is over; why it is not, empty if it is.
+    """Repeat the command until it is confirmed that the laser is off, or until `end_s`.
 
-    A late answer is waited for, and a port that is being opened again. A controller that has no session is
-    dark by definition. Ctrl-C ends no wait that ends soon by itself: it is returned.
+    Returns the reason why it is not confirmed (empty if it is), and a Ctrl-C, which does not end the wait.
+    Late replies, and a port that is being opened again, are waited for. A controller without a session is
+    dark.
     """
     interrupt: KeyboardInterrupt | None = None
     no_session = False

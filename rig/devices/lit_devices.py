@@ -1,4 +1,4 @@
-"""Controller and laser of a rig, and the one way to light: who may, who darkens it, what is known of it."""
+"""Controller and laser of a rig, and the program's only way to light and to darken the laser."""
 
 import math
 import threading
@@ -46,7 +46,7 @@ from rig.settings import Configuration
 _LOOK_S = 0.02
 _BOARD_CONFIRMS_WITHIN_S = 2.0
 _LASER_CONFIRMS_WITHIN_S = 5.0
-"""So long it is asked whether the laser is off, which it is told at once; an instrument is slower."""
+"""Longest wait for a confirmation that the laser is off, which is commanded at once."""
 _LOOKS_FOR_S = _HEARD_WITHIN_S = 3.0
 LEFT_LIT = "a program that had lit the laser was killed, or could not say that it is off"
 _STILL_SEEN = "the laser was commanded off, but the camera still sees its spot"
@@ -55,11 +55,11 @@ _SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
 
 class LitDevices:
-    """What lights, once it is open (`Devices`); `task` says in the audit log of `folder` what it is for.
+    """The devices that can light, which `Devices` opens; `task` is their purpose in `folder`'s audit log.
 
-    After a trip nothing is lit until a person has acknowledged it by its number and somebody asks for light
-    again. The trip is the rig's, not a session's: `SafetyState`. `lights_again` is False once nothing follows
-    that would light.
+    After a trip nothing is lit until a person has acknowledged it by its number and a person asks for light
+    again. The trip belongs to the rig, not to a session: `SafetyState`. `lights_again` is False once nothing
+    follows that would light.
     """
 
     def __init__(
@@ -80,8 +80,8 @@ class LitDevices:
     def light(self, *, asked: bool = False, in_run: bool = False) -> str:
         """Switch the laser on; returns what was done. Raises as `rig.devices.laser.light`.
 
-        `asked`: a person asks for it now; after a trip, also an acknowledged one, nothing else will do.
-        `in_run`: only while the run that is under way processes frames; its end outdates the asking.
+        `asked`: a person asks for light now, which is required after a trip, also an acknowledged one.
+        `in_run`: light only while the present run processes frames; after its end the request is invalid.
 
         From now on frames must be read and taken, else the laser is switched off again (`LightPermit`). To
         be called when the first frame is due. Raises LightRefused while a trip is not acknowledged. Nothing
@@ -91,16 +91,16 @@ class LitDevices:
         if trip := self.permit.latched:
             self.audit(AuditEntry.REFUSED, trip.text)
             raise LightRefused(f"the laser stays off: {trip.text}; {self.remedy}")
-        # before it waits for its turn: what trips meanwhile came after the asking
+        # noted before the wait for the lock, so that a trip meanwhile counts as later than the request
         if asked:
             self.ask_for_light()
-        # by a run and by an order at once, the second finds it lit
+        # if a run and an order light at the same time, the second finds the laser lit
         with self._lighting:
             return self._lit(in_run)
 
     @property
     def remedy(self) -> str:
-        """What a person does about the latched trip."""
+        """Instruction to a person on the latched trip; empty without one."""
         trip = self.permit.latched
         if trip is None:
             return ""
@@ -137,7 +137,7 @@ class LitDevices:
             raise
 
     def _note_lit(self) -> None:
-        """In the rig's state. Where it cannot be written nothing is lit: a trip would be forgotten."""
+        """Note the light in the rig's state; LightRefused if that fails, as a trip would be forgotten."""
         try:
             self.state.lit(True)
         except DeviceError as error:
@@ -146,34 +146,34 @@ class LitDevices:
 
     def darken(self, why: str = "frames are not processed any more") -> None:
         """Switch the laser off before all waiting commands; never blocks."""
-        # first, so that nobody's command to light comes between
+        # first, so that no command to light comes between
         self.permit.end()
         self._order_dark()
         self.went_dark(why)
 
     @property
     def waits_for_asking(self) -> bool:
-        """Whether a trip since these devices were opened was not followed by a person's asking for light."""
+        """Whether no person has asked for light since the last trip of these devices."""
         return self.permit.waits_for_asking
 
     def ask_for_light(self) -> None:
-        """A person asks for light again; a trip that comes later outdates it."""
+        """Note that a person asks for light again; a later trip makes that invalid."""
         self.permit.ask()
 
     def light_off(self, who: str) -> str:
-        """Dark at once and until it is acknowledged, because a person (`who`, where) wants it so.
+        """Switch the laser off at once, until acknowledged, by order of a person at the place `who`.
 
-        Waits for no device. What is latched already stays as it is.
+        Waits for no device. A trip that is latched already stays as it is.
         """
         self._order_dark()
-        # the same press, where it was left beside the rig's state too
+        # the same press may also be noted beside the rig's state
         self.permit.look_for_presses()
         if self.permit.latched is None:
             self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
         return "the laser is commanded off" if self._config.laser.kind != "none" else NOT_OURS
 
     def _look_at_what_was_left(self) -> None:
-        """Before anything is opened: a press, and a light of which no program has said that it went."""
+        """Latch, before devices are opened, an earlier press and a light that was not confirmed off."""
         self.permit.look_for_presses()
         if not self.state.left_lit:
             return
@@ -183,7 +183,7 @@ class LitDevices:
             self.state.lit(False)
 
     def hear_presses(self) -> None:
-        """Dark, and latched, where somebody has pressed LIGHT OFF whom no order could bring here."""
+        """Darken and latch after a press of LIGHT OFF that reached this program by no order."""
         if self.permit.look_for_presses():
             self._order_dark()
         self.state.keep()
@@ -196,16 +196,16 @@ class LitDevices:
             self.laser.off()
 
     def wait_until_heard(self) -> None:
-        """Until the devices that know of light and interlock have answered, or have had time to."""
+        """Wait until the devices with light and interlock have answered, for at most 3 s."""
         end_s = time.monotonic() + _HEARD_WITHIN_S
         while time.monotonic() < end_s and self._silent():
             time.sleep(_LOOK_S)
 
     def acknowledge(self, number: int, who: str) -> str:
-        """Clear the trip of this number, because a person (`who`, where) has looked and says so.
+        """Clear the trip of this number, which a person at the place `who` acknowledges after a check.
 
         Returns what was done; lights nothing. Raises DeviceError for another number than the latched one, and
-        while an interlock is open: who closes it later may be in the beam's way.
+        while an interlock is open, because the person who closes it later may be in the beam path.
         """
         trip, still = self.permit.latched, self._open_interlock()
         if trip is None:
@@ -224,7 +224,7 @@ class LitDevices:
         if self.permit.spot.disagrees and self.permit.spot.age_s <= STALE_S:
             raise DeviceError(f"trip {number} cannot be acknowledged: {_STILL_SEEN}")
         if self.control is not None:
-            # the board's own number is another one; what it latched since it last told is refused by it
+            # the board has its own numbers, and refuses to clear a trip that it has not yet reported
             wait_for_command(self.control.acknowledge())
         self.state.acknowledge(number)
         self.audit(AuditEntry.ACKNOWLEDGE, trip.text, number=number, by=who)
@@ -232,7 +232,7 @@ class LitDevices:
         return f"{trip.text}: acknowledged"
 
     def compare(self) -> None:
-        """Hold what the devices say against what the frames show; a light that is seen though off latches."""
+        """Compare the devices' state with the frames; light in them while the laser is off latches a trip."""
         laser, spot = self.laser_now(), self.permit.spot
         if laser is None or laser.light not in (Light.ON, Light.OFF, Light.INTERLOCK_OPEN):
             return
@@ -244,9 +244,9 @@ class LitDevices:
             self.permit.trip(TripCause.OUTPUT, _STILL_SEEN)
 
     def see_dark(self, camera: Camera) -> None:
-        """After `darken`, look at the frames of a stopped camera until they show that the laser is off.
+        """After `darken`, examine frames of a stopped camera until they show that the laser is off.
 
-        Not for long, and an error of the camera ends it: then the frames confirm nothing.
+        This ends after some seconds, or with an error of the camera; the frames then confirm nothing.
         """
         spot = self.permit.spot
         end_s = time.monotonic() + _LOOKS_FOR_S + 2.0 * spot.exposure_s
@@ -268,17 +268,17 @@ class LitDevices:
         self.went_dark(trip.text)
 
     def went_dark(self, why: str) -> None:
-        """Note that the light has gone; never blocks."""
+        """Note that the light is off; never blocks."""
         if self._is_lit:
             self._is_lit = False
             self.audit(AuditEntry.DARK, why)
 
     def fell_dark(self, why: str) -> None:
-        """Note that a laser which should be lit is not, and latch it: no later run lights it by itself.
+        """Note that a laser which should be lit is dark, and latch a trip, so that no later run lights it.
 
-        A person who switched it off, at its panel or from another program, may be in the beam's way.
-        One that does not answer may still be lit, as it should. What a trip has darkened,
-        acknowledged or not, did not go dark by itself.
+        A person who switched it off, at its panel or from another program, may be in the beam path. No trip
+        is latched for a laser that does not answer, which may still be lit, and for one that a trip darkened,
+        acknowledged or not.
         """
         if not self.confirmed_dark:
             if self._is_lit:
@@ -291,13 +291,13 @@ class LitDevices:
 
     @property
     def confirmed_dark(self) -> bool:
-        """Whether the device that switches the laser has said lately that it is off. Never blocks."""
+        """Whether the device that switches the laser has recently reported that it is off. Never blocks."""
         laser = self.laser_now()
         return laser is not None and laser.light in (Light.OFF, Light.INTERLOCK_OPEN)
 
     @property
     def without_word(self) -> str:
-        """What a laser does of which nothing is heard."""
+        """Behaviour, in words, of a laser whose device does not answer."""
         if not through_controller(self._config.laser):
             return STAYS_LIT
         return (
@@ -306,7 +306,7 @@ class LitDevices:
         )
 
     def _open_interlock(self) -> Interlock | None:
-        """The interlock that is open now. Never blocks."""
+        """The interlock that is open now; None if all are closed or unknown. Never blocks."""
         status = None if self.control is None else self.control.snapshot.status
         if status is not None and not status.interlock_closed:
             return Interlock.CONTROLLER
@@ -315,7 +315,7 @@ class LitDevices:
         return Interlock.LASER if own and state is not None and not state.interlock_closed else None
 
     def _silent(self) -> str:
-        """Who does not answer, so that nobody knows whether an interlock is open. Never blocks."""
+        """The device, in words, that does not answer, so that its interlock is unknown. Never blocks."""
         if self.control is not None and self.control.snapshot.status is None:
             return Light.CONTROLLER_SILENT
         if self.laser is not None and self.laser.snapshot.state is None:
@@ -323,11 +323,11 @@ class LitDevices:
         return ""
 
     def audit(self, what: AuditEntry, why: str, **details: object) -> None:
-        """Add what happened to the light, or what a person did, to the audit log; never blocks."""
+        """Add a change of the light, or an action of a person, to the audit log; never blocks."""
         self._log.append(what, why, **details)
 
     def _darkened(self) -> tuple[str, KeyboardInterrupt | None]:
-        """Switch the laser off; says who confirms it, or that nobody does, and what interrupted the wait."""
+        """Switch the laser off; returns a text on what confirms it, or that nothing does, and a Ctrl-C."""
         asked: list[tuple[str, Callable[[], Future[None]], float]] = []
         if self.control is not None and through_controller(self._config.laser):
             asked.append(("controller", self.control.laser_off, _BOARD_CONFIRMS_WITHIN_S))
@@ -346,7 +346,7 @@ class LitDevices:
         if (trip := self.permit.latched) is not None and trip.cause is TripCause.OUTPUT:
             return f"THE LASER MAY BE LIT: {trip.text}; go and look", interrupt
         with suppress(DeviceError):
-            # else the next program finds it noted as lit, and asks
+            # if this fails, the next program finds the light noted as on, and latches a trip
             self.state.lit(False)
         if not asked:
             return NOT_OURS, interrupt
@@ -354,7 +354,7 @@ class LitDevices:
         return f"laser off, confirmed by the {' and the '.join(witnesses)}", interrupt
 
     def darkness(self) -> str:
-        """Why the laser does not emit although it should; empty if it emits, or if none is controlled."""
+        """The reason why the laser does not emit; empty if it emits, or if no laser is controlled."""
         laser = self.laser_now()
         if laser is None or laser.on:
             return ""
@@ -374,9 +374,9 @@ class LitDevices:
         return laser.text
 
     def darkness_heard(self) -> str:
-        """`darkness` by what is heard from now on, for which it waits a little; a trip if there was one.
+        """The reason of `darkness` by reports from now on, for which it waits up to 3 s, or the latched trip.
 
-        After a computer stood still the frames are dark before any device has said so.
+        After a standstill of the computer, frames are dark before any device has reported that.
         """
         since_ns, end_s = time.monotonic_ns(), time.monotonic() + _HEARD_WITHIN_S
         while self._config.laser.kind != "none" and time.monotonic() < end_s:
@@ -399,7 +399,7 @@ class LitDevices:
         return laser_now(self._config.laser, self.control, self.laser)
 
     def safety(self) -> SafetyNow:
-        """The safety state of the rig, with the ages of what it is known from. Never blocks."""
+        """The safety state of the rig, with the ages of the states that it is derived from. Never blocks."""
         laser, spot = self.laser_now() or LaserNow(Light.UNKNOWN), self.permit.spot
         loops = []
         if self.control is not None and (status := self.control.snapshot.status) is not None:
@@ -414,7 +414,7 @@ class LitDevices:
             trip=self.permit.latched,
             refusal=self.permit.refusal or self.state.problem,
             light=Light.DISAGREES if spot.disagrees else laser.light,
-            # who is silent was never heard, as far as this state goes
+            # a device that is silent now counts as never heard
             light_age_s=math.inf if laser.light in _SILENT else laser.age_s,
             interlock=loop if oldest_s <= STALE_S else Loop.UNKNOWN,
             interlock_age_s=oldest_s,

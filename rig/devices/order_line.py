@@ -1,4 +1,4 @@
-"""The other end of the order socket, from which a desk watches and orders."""
+"""The client's end of the order socket, by which a desk watches a session and gives orders."""
 
 import contextlib
 import json
@@ -29,7 +29,7 @@ class SessionBusy(NoSession):
 
 
 class OrderConnection:
-    """Connected to the session that runs in a folder. May be used from any thread, by one at a time.
+    """Connection to the session that runs in a folder; any thread may use it, one at a time.
 
     Raises NoSession, as every method does, where no session answers; SessionBusy if it may do so later.
     """
@@ -53,14 +53,14 @@ class OrderConnection:
         self.close()
 
     def close(self) -> None:
-        """Hang up; the next question connects again."""
+        """Close the connection; the next request connects again."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
 
     @property
     def process_lives(self) -> bool:
-        """False once the process is gone that was there when it first answered; its port may be another's."""
+        """False once the process that answered first is gone, whose port another program may have now."""
         return not (self._was_seen and not _lives(self.pid))
 
     @property
@@ -69,22 +69,22 @@ class OrderConnection:
         return self.pid if self._was_seen else None
 
     def beat(self) -> None:
-        """Return once the session has answered at all; for that it waits for nothing, and makes nothing."""
+        """Return once the session has answered, which it does without any work or wait."""
         self._ask(BEAT)
 
     def news(self) -> dict[str, Any]:
-        """The news of the session, as `SessionNews.news` gives them."""
+        """The news of the session, from `SessionNews.news`."""
         found: dict[str, Any] = self._ask(NEWS)
         return found
 
     def picture(self, after: int = 0) -> SessionPicture | None:
-        """The newest frame if it is newer than `after`; asks for the next one, too."""
+        """The newest frame if its number is above `after`, else None; this also requests the next one."""
         found: SessionPicture | None = self._ask(LOOK, after)
         return found
 
     def order(self, name: str) -> str:
         """Carry out an order; returns what was done. Raises RigError with the reason if it was not."""
-        # one that is frozen must not find, when it goes on, what was asked of it long ago
+        # a frozen session must not find old orders when it continues, so it must answer first
         self.beat()
         first, _, rest = name.partition(" ")
         done, answer = self._answer(first, rest, _ORDER_S)
@@ -118,22 +118,22 @@ class OrderConnection:
         return done, answer
 
     def _connected(self) -> Connection:
-        """A connection whose two ends have proved that they know the key; raises as its parts do."""
+        """A connection both of whose ends have proved that they know the key; raises OSError and the like."""
         made = socket.create_connection((LOOPBACK, self._port), timeout=_ANSWER_S)
         made.settimeout(None)
         if os.name == "posix":
-            # a session that is stopped in the middle of an answer
+            # a session may be stopped in the middle of an answer
             for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
                 made.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", *_timeval(_ANSWER_S)))
         connection = Connection(made.detach())
         try:
-            # who is asked speaks second: another program may wait for a question
+            # the client challenges first, because another program at this port may wait for a request
             deliver_challenge(connection, self._key)
             answer_challenge(connection, self._key)
         except (TimeoutError, BlockingIOError):
             connection.close()
             if os.name == "posix" and not _lives(self.pid):
-                # what waits for another question
+                # another program, which waits for a request of its own, has the port
                 raise AuthenticationError from None
             raise
         except (OSError, EOFError, AssertionError, AuthenticationError):
@@ -147,12 +147,12 @@ class OrderConnection:
 
 
 def _timeval(time_s: float) -> tuple[int, int]:
-    """Whole seconds, and microseconds, as the system takes them."""
+    """Whole seconds, and microseconds, as in the system's struct timeval."""
     return int(time_s), int(1e6 * (time_s % 1.0))
 
 
 def _lives(pid: int) -> bool:
-    """Whether this system knows the process; False also where that cannot be asked."""
+    """Whether the process exists; False also where the system cannot be asked."""
     if os.name != "posix":
         return False
     try:
@@ -167,8 +167,7 @@ def _lives(pid: int) -> bool:
 def running_sessions(output: Path) -> Iterator[Path]:
     """Folders in `output` whose session answers, the newest first, asked one after the other.
 
-    One that was killed has left its file; another program that has its port now may take long to say
-    nothing.
+    A killed session has left its file, and another program that has its port now may take long not to answer.
     """
     stated = []
     for path in output.glob(f"*/{ORDERS_NAME}"):

@@ -21,21 +21,21 @@ from rig.presentation import plain_values
 ORDERS_NAME = ".orders.json"
 LOOPBACK = "127.0.0.1"
 BEAT = "beat"
-"""Answered with nothing, at once."""
+"""Request that is answered at once with None."""
 NEWS, LOOK = "news", "look"
 _LOOK_S = 0.2
 Orders = Mapping[str, Callable[[str], str]]
-"""What may be ordered, by its first word, which is called with the rest; returns what was done, or raises
-RigError."""
+"""Functions by the first word of an order; called with the rest, they return what was done, or raise
+RigError.
+"""
 
 
 class OrderSocket:
     """A context manager: while it is open, the file in the session's folder names port and key.
 
-    Each connection has a thread of its own, which begins by proving on both sides that the key is known: who
-    stops in the middle of that, or of an order, holds up nobody else. `extra` is asked with each answer, for
-    what only the devices know. A socket that cannot be opened is no reason not to measure: nobody then
-    watches, which `problem` says.
+    Each connection has a thread of its own, so that a client that stops in the middle blocks no other; both
+    sides first prove that they know the key. `extra` is called for each answer, for values that only the
+    devices have. If the socket cannot be opened, the session measures unwatched, for the reason in `problem`.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class OrderSocket:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # who is connected already would be answered for as long as the process fits what was measured
+        # connected clients would otherwise be answered as long as the process lives, which may fit the data
         self._over.set()
         if self._socket is not None:
             with suppress(OSError):
@@ -99,7 +99,7 @@ class OrderSocket:
             threading.Thread(target=self._serve, args=(connection,), name="order", daemon=True).start()
 
     def _serve(self, connection: Connection) -> None:
-        # who has gone is no event
+        # a client that has gone is no event
         with connection, suppress(OSError, EOFError, AssertionError, AuthenticationError):
             answer_challenge(connection, self._key)
             deliver_challenge(connection, self._key)
@@ -111,14 +111,14 @@ class OrderSocket:
                     connection.send(self._answer(*asked))
 
     def _answer(self, name: str, value: Any) -> tuple[bool, Any]:
-        """Whether it was done, and what was asked for or why not."""
+        """Whether a request or an order was carried out, and its result or the reason why not."""
         try:
             if name in self._answers:
                 return True, self._answers[name](value)
             if name in self._orders:
                 return True, self._orders[name](value)
         except Exception as error:
-            # whatever it is, it is reported to who ordered, and ends no session
+            # any error is reported to the client, and must not end the session
             return False, str(error) or type(error).__name__
         return False, f"{name!r}: this session knows no such order"
 
@@ -134,17 +134,17 @@ def devices_now(devices: Devices) -> dict[str, Any]:
 
 @contextmanager
 def light_told(devices: Devices, folder: Path, session_news: SessionNews | None = None) -> Iterator[None]:
-    """While a command that is no session has the devices: the desk shows its light, and can darken it.
+    """Context in which a command that is no session lets the desk show its light, and darken it.
 
-    `folder` is the one that the devices were opened with, which the rig's lock names. A rig without one
-    (simulated) is not found by it, and tells nothing, unless it has `session_news` for who knows the folder:
-    pictures of what is recorded.
+    `folder` is the one that the devices were opened with, which the rig's lock names. A simulated rig has no
+    lock, and opens no socket, unless there are `session_news` (pictures of frames that are recorded) for
+    clients that know the folder.
     """
     if devices.state.path is None and session_news is None:
         yield
         return
     with suppress(OSError):
-        # without it nobody watches
+        # without the folder the command runs unwatched
         folder.mkdir(parents=True, exist_ok=True)
     orders = {"dark": lambda _: devices.light_off("the desk")}
     with OrderSocket(folder, session_news or SessionNews(), orders, lambda: devices_now(devices)):

@@ -60,7 +60,7 @@ def figures(image: Image, full_scale_dn: int) -> PictureFigures:
 
 
 def _where_lit(light: NDArray[np.float64], floor_dn: float) -> NDArray[np.float64]:
-    """The part with all that is above the floor, and a margin where its gradient ends: a spot is small."""
+    """The part of the picture above the floor, with a margin for its gradient; it is small, and so fast."""
     left, top, width, height = cv2.boundingRect((light > floor_dn).astype(np.uint8))
     margin = 2
     return light[
@@ -92,12 +92,12 @@ def histogram_bars(image: Image, full_scale_dn: int, bars: int = 16, width: int 
 
 
 _FRAMES = 9
-"""An odd number, whose median a single flash or a late change of the exposure does not move."""
+"""Number of frames; it is odd, so that a flash or a late change of the exposure does not move the median."""
 _STEPS = 16
-"""A step is at most eight times longer, or 0.4 times as long: from 10 us to 1 s are 6 of them, back 13."""
+"""Largest number of steps, by factors of 0.4 to 8: from 10 us to 1 s are 6 steps, back 13."""
 _TIMEOUT_S = 5.0
 _TOLERANCE = 0.03
-"""Of the target: far from saturation still, with a target of 0.7 of full scale."""
+"""Relative tolerance of the peak; with a target of 0.7 of full scale, saturation is still far."""
 
 
 class Exposure(NamedTuple):

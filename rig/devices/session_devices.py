@@ -59,9 +59,9 @@ class OpenCamera(NamedTuple):
 
 
 class PressWatch:
-    """Looks whether LIGHT OFF was pressed where no order reaches the program that has the rig.
+    """Watches for presses of LIGHT OFF by programs whose orders do not reach the one that has the rig.
 
-    A context manager; in a thread of its own: a disk that hangs may delay no command to a device.
+    A context manager, with a thread of its own, so that a hanging disk delays no command to a device.
     """
 
     def __init__(self, devices: LitDevices) -> None:
@@ -77,7 +77,7 @@ class PressWatch:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._over.set()
-        # what it writes may not come after the next program has the state; a disk that hangs holds nothing up
+        # it must not write after the next program has the state, but a hanging disk must not block the end
         self._thread.join(_WATCH_ENDS_S)
         self._devices.permit.stop_looking()
 
@@ -90,10 +90,10 @@ class Devices(LitDevices):
     """Controller, sensor and laser of one session, and the camera of each run; a context manager.
 
     The configured devices are opened in the order controller, sensor, laser, camera, and closed in reverse
-    order, also after an error; closing turns the laser off. Laser and controller stay on between the runs
-    of a series. `task` says what they are opened for. What happens to the light and what people do is added
-    to the audit log in `folder`, if that is given. `state`: the latch of
-    a rig that has no file (simulated). Raises DeviceError where another program has the rig.
+    order, also after an error; closing turns the laser off. Laser and controller stay on between the runs of
+    a series. `task` is the purpose for which they are opened. Changes of the light and actions of people are
+    added to the audit log in `folder`, if that is given. `state` is the latch of a rig without a file
+    (simulated). Raises DeviceError where another program has the rig.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Devices(LitDevices):
         try:
             if self._was_lit:
                 said, interrupt = self._darkened()
-                # a terminal that was closed hears nothing, and holds nothing up
+                # the terminal may have been closed, which must not block the end
                 with suppress(OSError):
                     say(said)
                     if self.permit.latched is not None:
@@ -175,7 +175,7 @@ class Devices(LitDevices):
 
     @contextmanager
     def _rehearsed(self) -> Iterator[None]:
-        """A failure of a real device beside a simulated camera says how to do without."""
+        """Adds to the error of a real device, beside a simulated camera, how to do without it."""
         try:
             yield
         except DeviceError as error:
@@ -210,12 +210,12 @@ class Devices(LitDevices):
             if self._was_lit and not self.permit.begun and not config.on_demand:
                 self.see_dark(camera)
             if remark := end_within(camera.close, f"{name}: close()"):
-                # a terminal that was closed hears nothing, and holds nothing up
+                # the terminal may have been closed, which must not block the end
                 with suppress(OSError):
                     say(remark)
 
     def stream(self, config: Configuration, camera: OpenCamera) -> FrameStream:
-        """The frames of that camera, read as the configuration says, and told to the light's permit."""
+        """Stream of the camera's frames as configured, which the light's permit watches."""
         return FrameStream(
             camera.camera,
             camera_settings(config),
@@ -255,7 +255,7 @@ class Devices(LitDevices):
         )
 
     def required_control(self, who: str) -> ControlService:
-        """The controller; raises ConfigurationError, naming `who` needs it, if there is none."""
+        """The controller; raises ConfigurationError, with `who` needs it, if there is none."""
         if self.control is None:
             raise ConfigurationError(f"{who} needs a controller: set controller.kind to serial or simulated")
         return self.control
@@ -274,8 +274,8 @@ class Devices(LitDevices):
     def environment(self) -> tuple[float, float, float]:
         """Temperature in °C, humidity in % and pressure in Pa, as last measured by sensor or controller.
 
-        NaN for what is not measured. Values stated by the user are not readings and have no time; they
-        are stored in the record's metadata only.
+        NaN for quantities that are not measured. Values stated by the user are not readings and have no time;
+        they are stored in the record's metadata only.
         """
         if self.sensor is not None:
             air = self.sensor.latest
@@ -291,9 +291,9 @@ def _unwired(_: float) -> None:
 
 
 class SimulatedInterlock:
-    """Closed, but for `open_for_s` from `opens_at_s` on (None: never), since the laser was first lit.
+    """A simulated interlock, which opens `opens_at_s` after the laser was first lit (None: never).
 
-    `laser` passes the laser's power in W on.
+    It stays open for `open_for_s`. `laser` is called with the laser's power in W.
     """
 
     def __init__(
@@ -307,13 +307,13 @@ class SimulatedInterlock:
         self._lit_s: float | None = None
 
     def laser(self, power_w: float) -> None:
-        """The output of the laser."""
+        """Note the laser's power in W, and pass it on."""
         if power_w > 0 and self._lit_s is None:
             self._lit_s = time.monotonic()
         self._laser(power_w)
 
     def closed(self) -> bool:
-        """State of the loop."""
+        """Whether the loop is closed."""
         if self._opens_at_s is None or self._lit_s is None:
             return True
         return not 0 <= time.monotonic() - self._lit_s - self._opens_at_s < self._open_for_s

@@ -1,4 +1,4 @@
-"""What a session knows of itself at this moment, for the programs that ask."""
+"""The present state of a session, for other programs that ask for it."""
 
 import math
 import threading
@@ -19,11 +19,11 @@ from rig.instrument import Block
 from rig.presentation import Verdict, table_tree
 
 PATH_S = 20.0
-"""So much of the way a page draws."""
+"""Length of the trajectory that a page draws, in s."""
 _PATH_POINTS = 400
 _PICTURE_INTERVAL_S = 0.1
 _WATCHED_S = 60.0
-"""So long a desk may be away, and be opened again, before a run that waits for an acknowledgement ends."""
+"""Longest absence of a desk, which may come back, before a run that waits for an acknowledgement ends."""
 
 
 class SessionPicture(NamedTuple):
@@ -38,8 +38,8 @@ class SessionPicture(NamedTuple):
 class SessionNews:
     """The state of a session; written by its threads, read by those that answer.
 
-    Of frames it only keeps references, in the processing thread. A frame is kept when somebody
-    has asked for one, at most ten times a second.
+    Of frames it keeps only references, set in the processing thread. A frame is kept only if a program has
+    asked for one, at most ten times a second.
     """
 
     def __init__(self) -> None:
@@ -64,7 +64,7 @@ class SessionNews:
     def begin_run(
         self, title: str, full_scale_dn: int, applied: CameraSettings | None, record: Path | None = None
     ) -> None:
-        """A run begins, with a camera that has read back these settings; its `record` will tell the rest."""
+        """Note the begin of a run, with the camera's settings as read back, and the path of its `record`."""
         with self._lock:
             self._begin()
             self.run = title
@@ -75,21 +75,21 @@ class SessionNews:
             }
 
     def state(self, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
-        """The state of the run as its display has it: values for programs, and rows of text."""
+        """Set the state of the run as displayed: values for programs, and rows of text."""
         self._state, self._rows = values, rows
 
     def waits(self, what: str) -> None:
-        """The state between two runs: that of the last one, and what the next one waits for."""
+        """Set the state between two runs: that of the last run, and what the next one waits for."""
         self._state = {**self._state, "progress": what}
 
     def preflight(self, verdicts: Sequence[Verdict]) -> None:
-        """The preflight table."""
+        """Set the preflight table."""
         self._preflight = table_tree(verdicts)
 
     # -- in the run's thread --------------------------------------------------
 
     def look(self, frames: Sequence[Frame], block: Block, *, recorded: bool = False) -> None:
-        """Keep the newest frame if it is wanted, and the trajectory of frames that no record has."""
+        """Keep the newest frame if it is wanted, and the trajectory of frames that are not recorded."""
         spots, deflections, now_s = block.spots, block.deflections, time.monotonic()
         if recorded:
             self._path.clear()
@@ -101,7 +101,7 @@ class SessionNews:
                     path.popleft()
         if spots:
             self._frames_s = now_s
-            # what was never seen is looked for since the first frame
+            # a spot that was never found counts as lost since the first frame
             if math.isnan(self._seen_s) or not spots[-1].flags & SpotFlag.LOST:
                 self._seen_s = now_s
         if self._picture_wanted and frames and spots and now_s - self._picture_s >= _PICTURE_INTERVAL_S:
@@ -118,9 +118,9 @@ class SessionNews:
     def news(self) -> dict[str, Any]:
         """Everything as plain values.
 
-        Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is how old the
-        last frame is that was looked at, `spot_lost_s` for how long the spot has been in none; NaN before the
-        first. What is recorded is read in `record`.
+        Positions and amplitudes are as shown: arcsec, or px without a lever. `frames_age_s` is the age of the
+        last processed frame, `spot_lost_s` the time for which the spot has been lost; NaN before the first
+        frame. Recorded values are read from `record`.
         """
         self._asked_s = time.monotonic()
         with self._lock:
@@ -140,11 +140,11 @@ class SessionNews:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody has asked within the last minute."""
+        """Whether a program has asked for the news within the last minute."""
         return time.monotonic() - self._asked_s < _WATCHED_S
 
     def picture(self, after: int = 0) -> SessionPicture | None:
-        """A frame with a number above `after`, and ask for the next; None if there is none yet."""
+        """The newest frame if its number is above `after`, else None; this also requests the next one."""
         self._picture_wanted = True
         frame = self._frame
         return None if frame is None or frame.number <= after else frame
@@ -155,7 +155,7 @@ def thinned_path(path: Sequence[Deflections]) -> dict[str, list[float | None]]:
     if not path:
         return {"x": [], "y": []}
     step = max(1, math.ceil(sum(map(len, path)) / _PATH_POINTS))
-    # at a thousand frames a second these are thousands of single ones: their unit is divided by once
+    # there may be thousands of single deflections, so they are joined before they are divided by their unit
     size = path[0].unit.shown_size
     x = np.concatenate([one.x for one in path])[::step] / size
     y = np.concatenate([one.y for one in path])[::step] / size

@@ -1,4 +1,4 @@
-"""The computer's side of cameras: rules by which users may open them, features as lines, newest frames."""
+"""Cameras at the computer: udev rules for access to devices, features as lines, the newest frames."""
 
 import os
 import shlex
@@ -29,9 +29,9 @@ _HEAD = """\
 
 
 def udev_rules() -> str:
-    """The text of the file: one rule for each kind of device that a driver here opens by itself.
+    """The text of the file, with a rule for each kind of device that a driver of this program opens itself.
 
-    Video4Linux's nodes have rules of systemd's own, and cameras on a network have no node.
+    Video4Linux's nodes have systemd's own rules, and cameras on a network have no node.
     """
     lines = [
         _HEAD,
@@ -49,12 +49,12 @@ def udev_rules() -> str:
 
 
 def as_root() -> str:
-    """The one command that installs the rules, for who is not root."""
+    """The command by which a user who is not root installs the rules."""
     return shlex.join(["sudo", sys.executable, "-m", "rig", "doctor", "--install-udev"])
 
 
 def install_rules(folder: Path = RULES_FOLDER) -> tuple[Path, str]:
-    """Write the file, in place of one of an earlier version; returns it and what is to be done then.
+    """Write the file, replacing that of an earlier version; returns its path and the next instruction.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def install_rules(folder: Path = RULES_FOLDER) -> tuple[Path, str]:
 
 
 def _reloaded() -> bool:
-    """Whether udev's daemon has read the rules again; there is none in a container."""
+    """Make udev's daemon read the rules again; False if that fails, as in a container without one."""
     udevadm = shutil.which("udevadm")
     if udevadm is None or os.geteuid() != 0:
         return False
@@ -89,8 +89,8 @@ def _reloaded() -> bool:
     return done.returncode == 0
 
 
-# Cameras report the largest number of the type for a feature without a limit.
 _NO_LIMIT = 2.0**62
+"""A larger limit means none: cameras report the type's largest number for a feature without a limit."""
 
 
 def feature_lines(readings: Iterable[FeatureReading]) -> Iterator[str]:

@@ -16,11 +16,11 @@ from typing import Any, Final, cast
 
 from pydantic import BaseModel
 
-from processing.errors import ConfigurationError, require_schema
+from processing.errors import ConfigurationError, dotted, require_schema
 from processing.units import unit_of_name
 from rig.settings.configuration import Configuration
 from rig.settings.number_input import quantity, states_unit
-from rig.settings.validation_messages import KeyFault, dotted, validated
+from rig.settings.validation_messages import KeyFault, validated
 
 _TWICE = ("Cannot overwrite a value", "Cannot declare", "Duplicate")
 

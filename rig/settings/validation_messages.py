@@ -13,11 +13,10 @@ from pydantic.dataclasses import dataclass, is_pydantic_dataclass
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, KeyPlace, place_in_words
 from processing.units import unit_of_name
 from rig.settings.number_input import quantity, states_unit
 
-_Place = tuple[int | str, ...]
 _Model = TypeVar("_Model", bound=BaseModel)
 
 _FIELDS_WORDS = {"fps": "frame_rate_hz"}
@@ -127,7 +126,7 @@ _WANTED = {
 class KeyFault(NamedTuple):
     """What is wrong with the key at a place, or, where that is empty, between several keys."""
 
-    place: _Place
+    place: KeyPlace
     line: str
     is_missing: bool = False
 
@@ -157,25 +156,7 @@ def is_unknown_key(fault: ErrorDetails) -> bool:
     return fault["type"] in ("extra_forbidden", "unexpected_keyword_argument")
 
 
-def dotted(place: _Place) -> str:
-    """The path of a key as `--set` takes it."""
-    return ".".join(part if isinstance(part, str) and part.isprintable() else repr(part) for part in place)
-
-
-def place_in_words(place: _Place) -> str:
-    """The path of a key as a person reads it: entries of a list count from 1, ``level 1: frames``."""
-    text = ""
-    for depth, part in enumerate(place):
-        if isinstance(part, int):
-            text += f" {part + 1}"
-        elif depth:
-            text += f"{': ' if isinstance(place[depth - 1], int) else '.'}{dotted((part,))}"
-        else:
-            text = dotted((part,))
-    return text
-
-
-def not_numbers(root: type, tree: Mapping[str, Any], place: _Place = ()) -> Iterator[KeyFault]:
+def not_numbers(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> Iterator[KeyFault]:
     """Places, with a line for each, where a number is wanted and `true`, `"3"`, `inf` or `nan` is stated.
 
     Pydantic would take 1.0 for `true`, and the number in the quotes.
@@ -233,7 +214,7 @@ def _parts(annotation: Any) -> Iterator[Any]:
         yield from _parts(inner)
 
 
-def _field(root: type, place: _Place) -> FieldInfo | None:
+def _field(root: type, place: KeyPlace) -> FieldInfo | None:
     """The field of a key; None inside a table with names of the user's own."""
     section: type | None = root
     field = None
@@ -257,7 +238,7 @@ def _near_in_sections(root: type, key: str) -> list[str]:
     return [f"{keys[each]}.{each}" for each in near]
 
 
-def _known_keys(root: type, place: _Place) -> list[str]:
+def _known_keys(root: type, place: KeyPlace) -> list[str]:
     section = root
     for part in place:
         field = section_fields(section).get(str(part))

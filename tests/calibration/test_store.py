@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration import toml_value
+from calibration import parse_calibration, toml_value
+from processing.errors import ConfigurationError
 
 NOON = datetime.datetime(2026, 1, 31, 12, 0, 5, 0, datetime.timezone(datetime.timedelta(hours=9)))
 
@@ -29,6 +30,14 @@ NOON = datetime.datetime(2026, 1, 31, 12, 0, 5, 0, datetime.timezone(datetime.ti
 )  # fmt: skip
 def test_what_is_written_is_read_by_another_reader(value: object, read: object) -> None:
     assert tomllib.loads(f"key = {toml_value(value)}")["key"] == read
+
+
+def test_a_fault_in_a_list_is_placed_by_counting_from_1() -> None:
+    made = "made_at = 2026-01-31T12:00:00Z\nvalid_until = 2027-01-31T12:00:00Z\n"
+    source = '[[sources]]\nname = "a"\nsha256 = '
+    text = f'kind = "lever"\nmeasured_at = 2026-01-31T12:00:00Z\n{made}{source}"{64 * "0"}"\n{source}"b"\n'
+    with pytest.raises(ConfigurationError, match=r"\(sources 2: sha256 = 'b': should be the 64 hexadecimal"):
+        parse_calibration(text.encode(), "lever.toml")
 
 
 def test_what_toml_has_no_value_for_is_refused() -> None:

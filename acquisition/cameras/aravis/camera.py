@@ -12,7 +12,7 @@ from acquisition.camera import (
     Frame,
 )
 from acquisition.cameras.aravis.library import (
-    SHORT_IDS,
+    LAST_SHORT_ID,
     AravisDevice,
     AravisFeatures,
     BufferReader,
@@ -20,18 +20,19 @@ from acquisition.cameras.aravis.library import (
     find_camera,
     load_library,
 )
-from acquisition.cameras.drivers import AravisSettings, kept_frames
+from acquisition.cameras.drivers import AravisSettings, buffer_count
 from acquisition.cameras.genicam import GenicamCamera
 from acquisition.cameras.reading import CameraRun
 from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
-_CLOSE_RETURNS_S: Final = 0.4
-_CLOSE_ENDS_S: Final = 15.0
-# libaravis takes 6 s to notice the loss of a GigE camera, and may not monitor a USB camera at all: after a
-# silence of this length a register is read
-_ASK_AFTER_S: Final = 1.0
+_MAX_CLOSE_WAIT_S: Final = 0.4
+_MAX_RELEASE_S: Final = 15.0
+_PROBE_AFTER_S: Final = 1.0
+"""Silence after which a register is read, because libaravis takes 6 s to notice the loss of a GigE camera,
+and may not monitor a USB camera at all.
+"""
 _GIGE_CONTROL_REGISTER: Final = 0x0A00
 _USB_VERSION_REGISTER: Final = 0x0000
 _TICKS_REGISTERS: Final = (0x093C, 0x0940)
@@ -93,14 +94,14 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             with self._translate_errors():
                 info, features = self._take_control(self._library, found)
             if closings != self._closings:
-                self._closing.run(_no_action, features.give_up(), self._library.error)
+                self._closing.run(_no_action, features.release(), self._library.error)
                 raise DeviceError(f"{self._name}: was closed while it was opened")
             self._features = features
             return info
 
     def _take_control(self, library: Library, found: AravisDevice) -> tuple[CameraInfo, AravisFeatures]:
         camera = library.aravis.Camera.new(found.identity)
-        # a local variable, so that the signal's handler keeps no reference to this object
+        # a local variable, because the signal's handler must keep no reference to this object
         gone = self._gone
         camera.get_device().connect("control-lost", lambda *_: gone.set())
         camera.stop_acquisition()  # a program that crashed may have left it running
@@ -113,7 +114,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         else:
             self._has_clock = True
         width_px, height_px = features.sensor_size()
-        says_shutter = camera.is_feature_available("SensorShutterMode")
+        states_shutter = camera.is_feature_available("SensorShutterMode")
         info = CameraInfo(
             driver="aravis",
             vendor=found.vendor,
@@ -123,7 +124,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             height_px=height_px,
             full_scale_dn=pixel_format.full_scale_dn,
             has_clock=self._has_clock,
-            shutter=features.text("SensorShutterMode") if says_shutter else "",
+            shutter=features.text("SensorShutterMode") if states_shutter else "",
         )
         return info, features
 
@@ -134,8 +135,8 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             return
         try:
             camera.gv_auto_packet_size()
-        except library.error as refused:
-            logger.info("%s: packet size not changed: %s", self._name, refused)
+        except library.error as failure:
+            logger.info("%s: packet size not changed: %s", self._name, failure)
 
     def start(self) -> None:
         """Start the acquisition of every frame, in order, into new buffers."""
@@ -147,10 +148,10 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             assert library is not None
             pixel_format = features.pixel_format()
             _, _, width_px, height_px = features.region()
-            features.run_on()
+            features.select_continuous()
             stream = camera.create_stream(None, None)
             payload = camera.get_payload()
-            count = kept_frames(self._settings.buffers, features.stated_rate(), payload, 64, 4096)
+            count = buffer_count(self._settings.buffers, features.stated_rate(), payload, 64, 4096)
             for _ in range(count):
                 stream.push_buffer(library.aravis.Buffer.new_allocate(payload))
             self._buffers = BufferReader(
@@ -160,7 +161,7 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
                 width_px,
                 height_px,
                 self._has_clock,
-                self._begin((SHORT_IDS,) if camera.is_gv_device() else ()),
+                self._begin((LAST_SHORT_ID,) if camera.is_gv_device() else ()),
                 features.plane,
             )
             self._last_reply_s = time.monotonic()
@@ -192,53 +193,53 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             stream.push_buffer(buffer)
 
     def _test_connection(self, features: AravisFeatures) -> None:
-        """Test the connection of a silent camera by reading a register in a thread."""
+        """Test the connection of a silent camera: a thread reads a register, and notes a failure."""
         camera, library, gone = features.camera, self._library, self._gone
         now_s = time.monotonic()
-        is_asking = self._probe is not None and self._probe.is_alive()
-        if is_asking or camera is None or library is None or now_s - self._last_reply_s < _ASK_AFTER_S:
+        is_probing = self._probe is not None and self._probe.is_alive()
+        if is_probing or camera is None or library is None or now_s - self._last_reply_s < _PROBE_AFTER_S:
             return
         address = _GIGE_CONTROL_REGISTER if camera.is_gv_device() else _USB_VERSION_REGISTER
 
-        def ask() -> None:
+        def probe() -> None:
             try:
                 camera.get_device().read_register(address)
             except library.error:
                 gone.set()
 
         self._last_reply_s = now_s
-        self._probe = threading.Thread(target=ask, name=f"asks {self._name}", daemon=True)
+        self._probe = threading.Thread(target=probe, name=f"asks {self._name}", daemon=True)
         self._probe.start()
 
     def _end(self) -> None:
         """Stop the camera and drop the stream, which is no longer read."""
         features, gone = self._features, self._gone
-        held, self._stream = [self._stream], None
+        references, self._stream = [self._stream], None
         camera = None if features is None else features.camera
         if self._library is None:
             return
         action = _no_action if camera is None or gone.is_set() else camera.stop_acquisition
         del camera
-        self._closing.run(action, held, self._library.error)
+        self._closing.run(action, references, self._library.error)
 
     def close(self) -> None:
         self._closings += 1
         self.stop()
         features, self._features = self._features, None
         if features is not None and self._library is not None:
-            self._closing.run(_no_action, features.give_up(), self._library.error)
+            self._closing.run(_no_action, features.release(), self._library.error)
 
 
 class _ClosingActions:
-    """Runs the final actions on a camera in threads, one after the other, and waits for them only briefly:
-    libaravis waits 2.5 s for each reply of a lost camera.
+    """Runs the final actions on a camera in threads, one after the other, and waits for them only briefly,
+    because libaravis waits 2.5 s for each reply of a lost camera.
     """
 
     def __init__(self) -> None:
         self._threads: list[threading.Thread] = []
 
-    def run(self, action: Callable[[], None], held: list[Any], error: type[Exception]) -> None:
-        """Run the action, then clear the list `held`; returns after 0.4 s at most, finished or not.
+    def run(self, action: Callable[[], None], references: list[Any], error: type[Exception]) -> None:
+        """Run the action, then clear the list `references`; returns after 0.4 s at most, finished or not.
 
         There must be no other references to the objects in the list, because dropping the last reference to a
         camera waits for its reply.
@@ -246,21 +247,21 @@ class _ClosingActions:
         self._threads = [thread for thread in self._threads if thread.is_alive()]
         thread = threading.Thread(
             target=_run_action,
-            args=(action, held, error, list(self._threads)),
+            args=(action, references, error, list(self._threads)),
             name="leaves camera",
             daemon=True,
         )
         del action
         self._threads.append(thread)
         thread.start()
-        thread.join(_CLOSE_RETURNS_S)
+        thread.join(_MAX_CLOSE_WAIT_S)
 
     def wait(self, name: str) -> None:
         """Wait until all actions are finished; a camera that is still being released must not be opened.
 
         Raises DeviceError if that takes too long.
         """
-        deadline_s = time.monotonic() + _CLOSE_ENDS_S
+        deadline_s = time.monotonic() + _MAX_RELEASE_S
         for thread in list(self._threads):
             thread.join(max(deadline_s - time.monotonic(), 0.0))
             if thread.is_alive():
@@ -272,12 +273,12 @@ def _no_action() -> None:
 
 
 def _run_action(
-    action: Callable[[], None], held: list[Any], error: type[Exception], before: list[threading.Thread]
+    action: Callable[[], None], references: list[Any], error: type[Exception], earlier: list[threading.Thread]
 ) -> None:
-    for other in before:
+    for other in earlier:
         other.join()
     try:
         action()
-    except error as refused:
-        logger.info("%s", refused)
-    held.clear()
+    except error as failure:
+        logger.info("%s", failure)
+    references.clear()

@@ -1,4 +1,4 @@
-"""The library libaravis through ctypes, and its buffers as frames."""
+"""The library libaravis through PyGObject, its cameras' features, and its buffers as frames."""
 
 import time
 import warnings
@@ -17,7 +17,7 @@ from processing.errors import DeviceError
 
 
 class Library(NamedTuple):
-    """libaravis's module and the class of its errors, from PyGObject."""
+    """The module of libaravis and the class of its errors, from PyGObject."""
 
     aravis: Any
     error: type[Exception]
@@ -41,7 +41,7 @@ class AravisDevice:
 
 
 def load_library() -> Library:
-    """libaravis 0.8 through PyGObject. Raises DeviceError that names what is missing."""
+    """Load libaravis 0.8 through PyGObject. Raises DeviceError, which names the missing part."""
     try:
         with warnings.catch_warnings():
             # PyGObject's importer uses a deprecated interface, about which Python warns
@@ -89,10 +89,10 @@ def find_camera(wanted: str | None) -> AravisDevice:
 
     Raises DeviceError, with a list of the cameras, if there is none or the choice is ambiguous.
     """
-    there = find_cameras()
-    chosen = [camera for camera in there if wanted in (None, camera.serial, camera.identity)]
-    listed = "; ".join(camera.name for camera in there)
-    if not there:
+    cameras = find_cameras()
+    chosen = [camera for camera in cameras if wanted in (None, camera.serial, camera.identity)]
+    listed = "; ".join(camera.name for camera in cameras)
+    if not cameras:
         raise DeviceError("aravis: no camera answers; check cable, power and network, then: rig doctor")
     if not chosen:
         raise DeviceError(f"aravis: no camera has the serial number {wanted!r}; there are: {listed}")
@@ -104,12 +104,12 @@ def find_camera(wanted: str | None) -> AravisDevice:
     return chosen[0]
 
 
-_CALLED: Final[dict[NumericFeature, str]] = {
+_FUNCTION_NAMES: Final[dict[NumericFeature, str]] = {
     "exposure_us": "exposure_time",
     "gain_db": "gain",
     "frame_rate_hz": "frame_rate",
 }
-"""What libaravis calls the quantities in the names of its functions."""
+"""Names of the quantities in the names of libaravis's functions."""
 
 
 class AravisFeatures(GenicamFeatures):
@@ -120,8 +120,8 @@ class AravisFeatures(GenicamFeatures):
         self.camera = camera
         self._aravis = aravis
 
-    def give_up(self) -> list[Any]:
-        """Return libaravis's camera in a list, no longer held here: dropping the last reference may block."""
+    def release(self) -> list[Any]:
+        """Hand over libaravis's camera in a list, because dropping the last reference to it may block."""
         camera, self.camera = self.camera, None
         return [camera]
 
@@ -130,7 +130,7 @@ class AravisFeatures(GenicamFeatures):
         width_px, height_px = self.camera.get_sensor_size()
         return int(width_px), int(height_px)
 
-    # ---- as GenicamFeatures
+    # ---- the methods of GenicamFeatures
 
     def writable(self, feature: str) -> bool:
         if not self.camera.is_feature_available(feature):
@@ -156,16 +156,16 @@ class AravisFeatures(GenicamFeatures):
         self.camera.get_device().set_features_from_string(f"{feature}={text}")
 
     def number(self, key: NumericFeature) -> float | None:
-        if not getattr(self.camera, f"is_{_CALLED[key]}_available")():
+        if not getattr(self.camera, f"is_{_FUNCTION_NAMES[key]}_available")():
             return None
-        return float(getattr(self.camera, f"get_{_CALLED[key]}")())
+        return float(getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}")())
 
     def set_number(self, key: NumericFeature, wanted: float) -> None:
-        if not getattr(self.camera, f"is_{_CALLED[key]}_available")():
+        if not getattr(self.camera, f"is_{_FUNCTION_NAMES[key]}_available")():
             raise DeviceError(f"{self.name}: does not allow it to be set; leave camera.{key} out")
         # libaravis clips values out of range without an error
-        self._check(key, wanted, *getattr(self.camera, f"get_{_CALLED[key]}_bounds")())
-        getattr(self.camera, f"set_{_CALLED[key]}")(wanted)
+        self._check(key, wanted, *getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}_bounds")())
+        getattr(self.camera, f"set_{_FUNCTION_NAMES[key]}")(wanted)
 
     def region(self) -> tuple[int, int, int, int]:
         x, y, width_px, height_px = self.camera.get_region()
@@ -176,7 +176,7 @@ class AravisFeatures(GenicamFeatures):
         if all(value is None for value in wanted):
             return
         x, y, width_px, height_px = (
-            now if value is None else value for value, now in zip(wanted, self.region(), strict=True)
+            present if value is None else value for value, present in zip(wanted, self.region(), strict=True)
         )
         sensor_width_px, sensor_height_px = self.sensor_size()
         self._check_end("width_px", x + width_px, sensor_width_px)
@@ -213,19 +213,19 @@ class AravisFeatures(GenicamFeatures):
         """A feature's value as text."""
         return str(self.camera.get_device().get_feature(name).get_value_as_string())
 
-    def run_on(self) -> None:
-        """Select continuous acquisition, without a trigger unless one was asked for."""
+    def select_continuous(self) -> None:
+        """Select continuous acquisition, without a trigger unless one was requested."""
         if not self.is_triggered:
             self.camera.clear_triggers()
         self.camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
 
 
-SHORT_IDS: Final = 65535
-"""16-bit ids are followed by 1 after 65535; zero is not used (GigE Vision 1.x)."""
+LAST_SHORT_ID: Final = 65535
+"""Last 16-bit id of a frame, which is followed by 1; zero is not used (GigE Vision 1.x)."""
 
 
 class Underruns:
-    """Whether libaravis has lacked free buffers, by its count of such events, which it may give early."""
+    """Detects that libaravis lacked free buffers, by its count of such events, which may run ahead."""
 
     def __init__(self) -> None:
         self._last_arrived_ns = -1
@@ -233,14 +233,14 @@ class Underruns:
         self._samples = deque([(-1, 0)])
 
     def before(self, arrived_ns: int, fetched_ns: int, count: int) -> bool:
-        """Whether it did so since the frame before the one that arrived and was fetched at these times."""
+        """Whether buffers were lacking since the frame before, by libaravis's count when it was fetched."""
         samples = self._samples
         while len(samples) > 1 and samples[1][0] <= self._last_arrived_ns:
             samples.popleft()
-        was_full = count > samples[0][1]
+        lacked_buffers = count > samples[0][1]
         samples.append((fetched_ns, count))
         self._last_arrived_ns = arrived_ns
-        return was_full
+        return lacked_buffers
 
 
 @dataclass(slots=True)
@@ -274,9 +274,9 @@ class BufferReader:
             return None
         kinds = self.aravis.BufferPayloadType
         if buffer.get_payload_type() not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
-            sent = buffer.get_payload_type().value_nick
+            payload = buffer.get_payload_type().value_nick
             raise DeviceError(
-                f"{self.name}: sends payload of type {sent}, not images; switch that off in the camera"
+                f"{self.name}: sends payload of type {payload}, not images; switch that off in the camera"
             )
         x_padding, _ = buffer.get_image_padding()
         if x_padding and not self.pixel_format.rows_end_with_bytes(self.width_px):
@@ -290,8 +290,8 @@ class BufferReader:
             return None
         now_ns = time.monotonic_ns()
         arrived_ns = self._arrived_ns(now_ns, buffer.get_system_timestamp())
-        was_full = self._underruns.before(arrived_ns, now_ns, underruns)
-        lost: LossCause = "dropped_by_host" if was_full else "dropped_by_bus"
+        lacked_buffers = self._underruns.before(arrived_ns, now_ns, underruns)
+        lost: LossCause = "dropped_by_host" if lacked_buffers else "dropped_by_bus"
         number = self.numbers.number(buffer.get_frame_id(), lost)
         if number is None:
             return None
@@ -303,7 +303,7 @@ class BufferReader:
         return Frame(image, number, device_time_ns, arrived_ns)
 
     def _arrived_ns(self, now_ns: int, wall_time_ns: int) -> int:
-        """Arrival in ns on the monotonic clock, from that on the wall clock, which libaravis gives."""
+        """Arrival in ns on the monotonic clock, from libaravis's time of arrival on the wall clock."""
         age_ns = min(max(time.time_ns() - wall_time_ns, 0), now_ns)
         self._host_time_ns = max(self._host_time_ns, now_ns - age_ns)
         return self._host_time_ns

@@ -17,7 +17,7 @@ from acquisition.camera import (
     CameraStatus,
     Frame,
     Image,
-    without_features,
+    refuse_features,
 )
 from acquisition.cameras.files.frame_source import (
     FilesSettings,
@@ -34,10 +34,10 @@ _log = logging.getLogger(__name__)
 
 
 class FilesCamera:
-    """A `Camera` that plays recorded frames from the first to the last; each `start` begins at the first, or,
-    after their disk or share was lost, at the next one, with its own number.
+    """A `Camera` that plays recorded frames from the first to the last.
 
-    A frame that cannot be read, or has another size than the first, is skipped, counted in
+    Each `start` begins at the first frame, or, after the disk or share was lost, at the next one, with its
+    own number. A frame that cannot be read, or has another size than the first, is skipped, counted in
     ``status.incomplete``, logged, and leaves a gap in the sequence. The timestamps serve as the camera's
     clock. Exposure and gain are unknown (`configure` returns None), the bit depth is fixed. A region of
     interest is cut out.
@@ -55,7 +55,7 @@ class FilesCamera:
         self._was_lost = False
         self._delivered = 0
         self._incomplete = 0
-        self._dropped_earlier = 0
+        self._dropped_by_recorder = 0
         self._reconnects = 0
         self._dtype: np.dtype[Any] | None = None
         self._shape: tuple[int, ...] = ()
@@ -98,7 +98,7 @@ class FilesCamera:
 
     @property
     def count(self) -> int:
-        """Frames that the source holds."""
+        """Number of frames in the source."""
         return 0 if self._source is None else self._source.count
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -106,7 +106,7 @@ class FilesCamera:
         info = self._must_be_open()
         if self._stopped is not None and not self._stopped.is_set():
             raise DeviceError(f"{info.serial}: cannot be configured while frames are running; stop it first")
-        without_features(settings, info.serial)
+        refuse_features(settings, info.serial)
         x0, y0 = settings.offset_x_px or 0, settings.offset_y_px or 0
         width = settings.width_px or info.width_px - x0
         height = settings.height_px or info.height_px - y0
@@ -132,7 +132,7 @@ class FilesCamera:
         if self._was_lost:
             self._reconnects += 1
         else:
-            self._next = self._delivered = self._incomplete = self._dropped_earlier = self._reconnects = 0
+            self._next = self._delivered = self._incomplete = self._dropped_by_recorder = self._reconnects = 0
         self._was_lost = False
         self._stopped = threading.Event()
 
@@ -149,7 +149,7 @@ class FilesCamera:
                     return None
                 index = self._next
                 if index >= source.count:
-                    self._say_skipped(source)
+                    self._log_skipped(source)
                     if self._delivered == 0:
                         raise DeviceError(
                             f"{self._settings.path}: none of the {self._incomplete} frames can be read"
@@ -157,7 +157,7 @@ class FilesCamera:
                     return None
                 self._next += 1
                 number = self._times.sequence[index]
-                self._dropped_earlier += number - (self._times.sequence[index - 1] if index else -1) - 1
+                self._dropped_by_recorder += number - (self._times.sequence[index - 1] if index else -1) - 1
                 try:
                     image = self._image(source, index)
                 except UnreadableFrame as error:
@@ -169,7 +169,7 @@ class FilesCamera:
                     raise CameraLost(
                         f"{self._settings.path}: is no longer available: {error.strerror}"
                     ) from None
-                self._say_skipped(source)
+                self._log_skipped(source)
             self._delivered += 1
             return Frame(image, number, self._times.time_ns[index], time.monotonic_ns())
         return None
@@ -191,12 +191,12 @@ class FilesCamera:
         """Counts since `start`; `dropped_by_camera` are gaps in the numbers of the timestamps file."""
         return CameraStatus(
             delivered=self._delivered,
-            dropped_by_camera=self._dropped_earlier,
+            dropped_by_camera=self._dropped_by_recorder,
             incomplete=self._incomplete,
             reconnects=self._reconnects,
         )
 
-    def _say_skipped(self, source: FrameSource) -> None:
+    def _log_skipped(self, source: FrameSource) -> None:
         """Log one line on consecutive frames that were skipped."""
         if self._skipped:
             (first, reason), (last, _) = self._skipped[0], self._skipped[-1]

@@ -1,4 +1,4 @@
-"""One frame of a film as a grey image, and its pixels' formats."""
+"""A film as a source of frames: decoding, damage of frames, and pixel formats as grey or coloured images."""
 
 import logging
 from bisect import bisect_right
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 _FULL_RANGE: Final = 2
 """FFmpeg's AVCOL_RANGE_JPEG."""
-_NEUTRAL_WITHIN: Final = 4
-"""Steps of 8 bits by which the chroma of a grey film is off the middle once it has been compressed."""
+_MAX_GREY_CHROMA: Final = 4
+"""Largest distance of the chroma from neutral in a compressed grey film, in steps of 8 bits."""
 
 
 class _Kind(Enum):
@@ -36,10 +36,10 @@ class _Kind(Enum):
 
 
 class _Layout(NamedTuple):
-    """How the samples lie: `bits` of each are used, after `shift` to the right.
+    """Layout of the samples of a pixel format: `bits` of each are used, after `shift` to the right.
 
-    `places` are the places within a pixel (or pair of pixels) of what is taken: the luminance, or blue, green
-    and red. `step` is the number of samples from one pixel to the next in that plane.
+    `places` are the positions of the samples that are used (the luminance, or blue, green and red) within a
+    pixel or pair of pixels. `step` is the number of samples from one pixel to the next in that plane.
     """
 
     kind: _Kind
@@ -57,7 +57,7 @@ class _Layout(NamedTuple):
         return np.dtype(">u2" if self.big_endian else "<u2")
 
 
-def _deep(name: str, layout: _Layout) -> dict[str, _Layout]:
+def _both_byte_orders(name: str, layout: _Layout) -> dict[str, _Layout]:
     return {f"{name}{end}": layout._replace(big_endian=end == "be") for end in ("le", "be")}
 
 
@@ -66,18 +66,18 @@ def _layouts() -> Mapping[str, _Layout]:
     grey = luma._replace(grey=True)
     found = {"gray": grey, "ya8": grey._replace(step=2), "pal8": _Layout(_Kind.PALETTE)}
     for bits in (9, 10, 12, 14, 16):
-        found |= _deep(f"gray{bits}", grey._replace(bits=bits))
-    found |= _deep("ya16", grey._replace(bits=16, step=2))
+        found |= _both_byte_orders(f"gray{bits}", grey._replace(bits=bits))
+    found |= _both_byte_orders("ya16", grey._replace(bits=16, step=2))
     for ratio in ("410", "411", "420", "422", "440", "444"):
         found |= {f"yuv{ratio}p": luma, f"yuvj{ratio}p": luma, f"yuva{ratio}p": luma}
         for bits in (9, 10, 12, 14, 16):
             for name in ("yuv", "yuva"):
-                found |= _deep(f"{name}{ratio}p{bits}", luma._replace(bits=bits))
+                found |= _both_byte_orders(f"{name}{ratio}p{bits}", luma._replace(bits=bits))
     found |= dict.fromkeys(("nv12", "nv21", "nv16", "nv24", "nv42"), luma)
-    found |= _deep("nv20", luma._replace(bits=10))
+    found |= _both_byte_orders("nv20", luma._replace(bits=10))
     for ratio in "024":
         for bits in (10, 12, 16):
-            found |= _deep(f"p{ratio}{bits}", luma._replace(bits=bits, shift=16 - bits))
+            found |= _both_byte_orders(f"p{ratio}{bits}", luma._replace(bits=bits, shift=16 - bits))
     found |= dict.fromkeys(("yuyv422", "yvyu422"), luma._replace(step=2))
     found["uyvy422"] = luma._replace(step=2, places=(1,))
     for bits in (10, 12):
@@ -85,7 +85,7 @@ def _layouts() -> Mapping[str, _Layout]:
     found |= {"gbrp": rgb, "gbrap": rgb}
     for bits in (9, 10, 12, 14, 16):
         for name in ("gbrp", "gbrap"):
-            found |= _deep(f"{name}{bits}", rgb._replace(bits=bits))
+            found |= _both_byte_orders(f"{name}{bits}", rgb._replace(bits=bits))
     for order in ("rgb24", "bgr24", "rgba", "bgra", "argb", "abgr", "rgb0", "bgr0", "0rgb", "0bgr"):
         letters = order.removesuffix("24")
         places = tuple(letters.index(letter) for letter in "bgr")
@@ -93,15 +93,15 @@ def _layouts() -> Mapping[str, _Layout]:
     for order in ("rgb48", "bgr48", "rgba64", "bgra64"):
         letters = order[:-2]
         places = tuple(letters.index(letter) for letter in "bgr")
-        found |= _deep(order, packed._replace(bits=16, step=len(letters), places=places))
+        found |= _both_byte_orders(order, packed._replace(bits=16, step=len(letters), places=places))
     return found
 
 
 _LAYOUTS: Final = _layouts()
 
 
-def known_pixel_format(label: str, name: str) -> None:
-    """Raise DeviceError for a pixel format whose samples nothing here can place."""
+def require_known_format(label: str, name: str) -> None:
+    """Raise DeviceError for a pixel format whose layout is not known here."""
     if name not in _LAYOUTS:
         raise DeviceError(
             f"{label}: its pixels are stored as {name}, which is not read here; convert the film: "
@@ -114,7 +114,7 @@ def film_pixels(frame: "VideoFrame", label: str) -> StoredImage:
 
     Raises DeviceError for a pixel format that is not listed, and for interlaced frames.
     """
-    known_pixel_format(label, frame.format.name)
+    require_known_format(label, frame.format.name)
     if frame.interlaced_frame:
         raise DeviceError(
             f"{label}: is interlaced: its odd and even rows are of two moments; film in progressive mode"
@@ -134,7 +134,7 @@ def film_pixels(frame: "VideoFrame", label: str) -> StoredImage:
         return StoredImage(np.dstack(parts), full_scale, False)
     if layout.grey or frame.format.name.startswith("yuvj") or frame.color_range == _FULL_RANGE:
         return StoredImage(parts[0], full_scale, not layout.grey and _has_chroma(frame, layout))
-    # of the limited range 16 is black and 235 white, in 8 bits
+    # in the limited range 16 is black and 235 is white, in 8 bits
     return StoredImage(parts[0], 235 << (layout.bits - 8), _has_chroma(frame, layout))
 
 
@@ -156,8 +156,8 @@ def _samples(plane: "VideoPlane", layout: _Layout, width: int, place: int) -> ND
 
 
 def _has_chroma(frame: "VideoFrame", layout: _Layout) -> bool:
-    """Whether any chroma is off the middle by more than compression makes of grey."""
-    middle, within = 1 << (layout.bits - 1), _NEUTRAL_WITHIN << (layout.bits - 8)
+    """Whether any chroma is farther from neutral than that of a compressed grey film."""
+    middle, limit = 1 << (layout.bits - 1), _MAX_GREY_CHROMA << (layout.bits - 8)
     if layout.step > 1:
         chroma = [_rows(frame.planes[0], layout.dtype, 2 * frame.width)[:, 1 - layout.places[0] :: 2]]
     else:
@@ -165,7 +165,7 @@ def _has_chroma(frame: "VideoFrame", layout: _Layout) -> bool:
         chroma = [_rows(plane, layout.dtype, plane.width * per_pixel) for plane in frame.planes[1:3]]
     for plane in chroma:
         values = plane.astype(np.int32) >> layout.shift
-        if np.abs(values - middle).max() > within:
+        if np.abs(values - middle).max() > limit:
             return True
     return False
 
@@ -176,13 +176,15 @@ _LOSSLESS: Final = (
     "bmp", "utvideo", "magicyuv", "qtrle", "zlib", "zmbv", "lagarith", "gif", "pgm", "pgmyuv", "ppm", "y41p",
     "yuv4", "targa", "dpx", "sgi", "pam", "pbm", "exr", "fits",
 )  # fmt: skip
-_STRICT: Final = {"err_detect": "crccheck+bitstream+buffer+explode"}
-"""Without concealment, which tells what it conceals, H.264 of several slices is all marked as damaged."""
-_FAR: Final = 1 << 62
-_ORDER_SEEN: Final = 40
-"""First frames by which it is seen whether a film keeps the times at which they are shown."""
-_LOOKED_AT: Final = 5
-"""First packets of FFV1 that are looked at for checksums; one of them may itself be damaged."""
+_STRICT_DECODING: Final = {"err_detect": "crccheck+bitstream+buffer+explode"}
+"""Strict decoding, but with concealment of errors (which it reports): without it FFmpeg marks all H.264
+frames of several slices as damaged.
+"""
+_BEYOND_ALL: Final = 1 << 62
+_ORDER_CHECK_FRAMES: Final = 40
+"""Number of first frames on which the order of the film's display times is checked."""
+_CHECKSUM_PACKETS: Final = 5
+"""Number of first packets in which FFV1's checksums are searched for; one of them may itself be damaged."""
 
 
 class FilmSource(FrameSource):
@@ -190,7 +192,7 @@ class FilmSource(FrameSource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        index = film_index(path, _LOOKED_AT)
+        index = film_index(path, _CHECKSUM_PACKETS)
         self._index: Final[FilmIndex] = index
         self.count = len(index.time_ns)
         self.times = FrameTimes(index.time_ns, index.sequence)
@@ -204,15 +206,15 @@ class FilmSource(FrameSource):
         rate = "changing" if index.rate_hz is None else f"{float(index.rate_hz):.9g} frames/s"
         lasts = f"{len(index.ticks)} frames in {index.time_ns[-1] / 1e9:.6g} s"
         self.summary = f"{lasts}, {rate}, {index.codec}, {index.pixel_format}"
-        self._places = {tick: place for place, tick in enumerate(index.ticks)}
+        self._index_by_tick = {tick: place for place, tick in enumerate(index.ticks)}
         self._container: Any = None
         self._frames: Iterator[tuple[int, VideoFrame]] = iter(())
-        self._held: tuple[int, VideoFrame] | None = None
+        self._pending: tuple[int, VideoFrame] | None = None
         self._position = 0
-        self._spoilt: dict[int, str] = {}
-        # raises at once what would else come in the midst of a run
+        self._damaged: dict[int, str] = {}
+        # decoding the first frames raises errors now which would otherwise come in the middle of a run
         self._container = open_film(path)
-        for _ in zip(self._decoded(), range(_ORDER_SEEN), strict=False):
+        for _ in zip(self._decoded(), range(_ORDER_CHECK_FRAMES), strict=False):
             pass
         self.close()
 
@@ -224,50 +226,50 @@ class FilmSource(FrameSource):
         self._position = index
         if index >= len(self._index.ticks):
             raise UnreadableFrame("the film is cut off before this frame; copy it again")
-        while self._held is None or self._held[0] < index:
-            self._held = next(self._frames, (_FAR, None))  # type: ignore[assignment]
-        place, frame = self._held
-        if place != index or index in self._spoilt:
-            raise UnreadableFrame(self._spoilt.get(index, "the decoder delivers no picture of this packet"))
+        while self._pending is None or self._pending[0] < index:
+            self._pending = next(self._frames, (_BEYOND_ALL, None))  # type: ignore[assignment]
+        place, frame = self._pending
+        if place != index or index in self._damaged:
+            raise UnreadableFrame(self._damaged.get(index, "the decoder delivers no picture of this packet"))
         return film_pixels(frame, self.label(index))
 
     def close(self) -> None:
         if self._container is not None:
             self._container.close()
         self._container = None
-        self._frames, self._held = iter(()), None
+        self._frames, self._pending = iter(()), None
         self._position = 0
-        self._spoilt = {}
+        self._damaged = {}
 
     def _decoded(self) -> Iterator[tuple[int, "VideoFrame"]]:
-        """Frames with their places, in the order of their times; fills `_spoilt` ahead of what it names."""
+        """Frames with their indices, in the order of their times; fills `_damaged` before a damaged one."""
         stream = self._container.streams.video[0]
         context = stream.codec_context
-        # with more threads an error is told packets later than where it is
+        # with more threads an error is reported some packets after the damaged one
         context.thread_count = 1
-        context.options = dict(_STRICT)
-        spoilt_by = after_key = ""
-        key_tick = -_FAR
+        context.options = dict(_STRICT_DECODING)
+        fault_since_key = fault_before_key = ""
+        key_tick = -_BEYOND_ALL
         before = -1
         for packet in _packets(self._container, stream):
             if packet.size and packet.pts is not None:
                 fault, frames = self._decode(context, packet)
                 if packet.is_keyframe:
-                    # frames shown before a key frame, and stored after it, build on the pictures before
-                    key_tick = packet.pts if spoilt_by else -_FAR
-                    after_key, spoilt_by = spoilt_by, ""
+                    # frames that are stored after a key frame and shown before it depend on earlier frames
+                    key_tick = packet.pts if fault_since_key else -_BEYOND_ALL
+                    fault_before_key, fault_since_key = fault_since_key, ""
                 if fault:
-                    spoilt_by, key_tick = fault, -_FAR
-                reason = spoilt_by or (after_key if packet.pts < key_tick else "")
-                if reason and packet.pts in self._places:
-                    self._spoilt.setdefault(self._places[packet.pts], reason)
+                    fault_since_key, key_tick = fault, -_BEYOND_ALL
+                reason = fault_since_key or (fault_before_key if packet.pts < key_tick else "")
+                if reason and packet.pts in self._index_by_tick:
+                    self._damaged.setdefault(self._index_by_tick[packet.pts], reason)
             else:
                 _, frames = self._decode(context, None)
             for frame in frames:
-                place = self._places.get(frame.pts) if frame.pts is not None else None
+                place = self._index_by_tick.get(frame.pts) if frame.pts is not None else None
                 if place is None:
                     continue
-                if place < before and self._spoilt:
+                if place < before and self._damaged:
                     continue
                 if place < before:
                     raise DeviceError(
@@ -277,18 +279,18 @@ class FilmSource(FrameSource):
                     )
                 before = place
                 if frame.is_corrupt:
-                    self._spoil_to_next_key(place)
+                    self._mark_to_next_key(place)
                 yield place, frame
 
-    def _spoil_to_next_key(self, place: int) -> None:
+    def _mark_to_next_key(self, place: int) -> None:
         keys, ticks = self._index.key_ticks, self._index.ticks
         following = bisect_right(keys, ticks[place])
-        end = self._places[keys[following]] if following < len(keys) else len(ticks)
+        end = self._index_by_tick[keys[following]] if following < len(keys) else len(ticks)
         for one in range(place, end):
-            self._spoilt.setdefault(one, "the decoder marks it, or one it builds on, as damaged")
+            self._damaged.setdefault(one, "the decoder marks it, or one it builds on, as damaged")
 
     def _decode(self, context: Any, packet: "Packet[VideoStream] | None") -> tuple[str, list["VideoFrame"]]:
-        """What is wrong with a packet, and the frames that the decoder gives for it."""
+        """The fault of a packet (empty if there is none), and the frames that the decoder returns for it."""
         logs = pyav().logging
         fault, frames = "", list["VideoFrame"]()
         logs.set_level(logs.ERROR)
@@ -311,7 +313,7 @@ class FilmSource(FrameSource):
 
 
 def _packets(container: Any, stream: Any) -> Iterator["Packet[VideoStream]"]:
-    """The packets, the flushing one last, also of a container that breaks off."""
+    """The packets of a container, with a flushing one last even if the container breaks off."""
     flushed, broken = False, ffmpeg_error()
     try:
         for packet in container.demux(stream):
@@ -319,7 +321,7 @@ def _packets(container: Any, stream: Any) -> Iterator["Packet[VideoStream]"]:
             if packet.size or flushed:
                 yield packet
     except broken:
-        # the index has said so, and ends here too
+        # the index has reported this end of the container, and ends here, too
         pass
     if not flushed:
         yield pyav().Packet(0)

@@ -1,7 +1,7 @@
-"""The frames that a film's container holds: one entry a packet, with its time as the container states it.
+"""Index of a film: one entry a packet, with its time as the container states it, without any decoding.
 
-Nothing is decoded here. A rate that the file states is used only if all packets' times lie on it; it then
-replaces times that are rounded to the container's ticks (1 ms in Matroska).
+A frame rate that the file states is used only if all packets' times agree with it; it then replaces the
+times, which are rounded to the container's ticks (1 ms in Matroska).
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,9 +24,9 @@ def pyav() -> Any:
         import av
     except ImportError:
         raise MissingPackage("a film", "av", "video", "convert it to a folder of images") from None
-    # the readers of a film report its faults
+    # FFmpeg's own messages are suppressed, because the readers of a film report its faults
     av.logging.set_level(None)
-    # a repeated message is a second fault
+    # a repeated message must not be skipped, because it is a second fault
     av.logging.set_skip_repeated(False)
     return av
 
@@ -61,9 +61,9 @@ class FilmIndex:
     """Packets of a film that are shown, in the order of their times.
 
     `ticks` are times in units of `tick_s`, `time_ns` times since the first frame, `sequence` numbers that
-    count missing frames too. `rate_hz` is the constant rate on which all times lie, else None. `said` are
-    warnings. `cut_off` is the number of frames at the end that the container announces but lacks; they have
-    times too.
+    count missing frames too. `rate_hz` is the constant rate with which all times agree, else None.
+    `key_ticks` are the times of key frames, `first_packets` the bytes of the first packets. `cut_off` is the
+    number of frames at the end that the container announces but lacks; they have times too.
     """
 
     ticks: Sequence[int]
@@ -92,7 +92,7 @@ def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
     try:
         if not container.streams.video:
             raise DeviceError(f"{path}: holds no picture; name a film")
-        # FFmpeg gives images times that nobody stated
+        # FFmpeg invents times for images, which state none
         if container.format.name == "image2" or container.format.name.endswith("_pipe"):
             raise DeviceError(f"{path}: {ONE_IMAGE}")
         stream = container.streams.video[0]
@@ -102,21 +102,21 @@ def film_index(path: Path, keep_packets: int = 0) -> FilmIndex:
 
 
 def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int) -> FilmIndex:
-    said: list[str] = []
+    warnings: list[str] = []
     shown: dict[int, bool] = {}
     dts_before: int | None = None
-    total = twice = 0
-    kept: list[bytes] = []
+    total = duplicates = 0
+    first_packets: list[bytes] = []
     last_duration = 0
     tick_s: Fraction = stream.time_base or Fraction(1, _SECOND_NS)
     try:
         for packet in container.demux(stream):
-            # AVI repeats a frame by a packet without bytes; the last one of all flushes a decoder
+            # in AVI a packet without bytes repeats a frame; the last packet of any film flushes the decoder
             if not packet.size:
                 continue
             total += 1
-            if len(kept) < keep_packets:
-                kept.append(bytes(packet))
+            if len(first_packets) < keep_packets:
+                first_packets.append(bytes(packet))
             if packet.pts is None:
                 raise DeviceError(
                     f"{path}: packet {total} has no display time; put the film into another container "
@@ -133,16 +133,16 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
             if packet.is_discard:
                 continue
             if packet.pts in shown:
-                twice += 1
+                duplicates += 1
                 continue
             shown[packet.pts] = packet.is_keyframe
             last_duration = packet.duration or 0
     except ffmpeg_error() as error:
-        said.append(f"cannot be read beyond packet {total}: {error}")
+        warnings.append(f"cannot be read beyond packet {total}: {error}")
     if not shown:
         raise DeviceError(f"{path}: holds no frame; name another film")
-    if twice:
-        said.append(f"{twice} packets have the time of another and are left out")
+    if duplicates:
+        warnings.append(f"{duplicates} packets have the time of another and are left out")
     ticks = sorted(shown)
     rate_hz, numbers = _constant_rate(
         ticks, tick_s, [stream.average_rate, stream.base_rate, stream.guessed_rate]
@@ -152,17 +152,17 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
     else:
         numbers = numbers_by_steps(ticks)
         time_ns = [round((tick - ticks[0]) * tick_s * _SECOND_NS) for tick in ticks]
-    said += missing_frames(time_ns, numbers, "the container's times")
+    warnings += missing_frames(time_ns, numbers, "the container's times")
     cut_off = _cut_off(container, stream, ticks, total, tick_s, last_duration)
     if cut_off:
-        said.append(f"ends {cut_off} frames early: it is cut off, copy it again")
+        warnings.append(f"ends {cut_off} frames early: it is cut off, copy it again")
         step_ns = time_ns[-1] // numbers[-1] if numbers[-1] else _SECOND_NS
         time_ns += [time_ns[-1] + step_ns * (k + 1) for k in range(cut_off)]
         numbers += [numbers[-1] + k + 1 for k in range(cut_off)]
     context, aspect = stream.codec_context, stream.sample_aspect_ratio or Fraction(1)
     shown_nx = round(context.width * aspect)
     if shown_nx != context.width:
-        said.append(
+        warnings.append(
             f"pixels are not square, {aspect.numerator}:{aspect.denominator} wide to high: a viewer shows "
             f"{shown_nx}x{context.height} px instead of {context.width}x{context.height}"
         )
@@ -174,10 +174,10 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
         rate_hz=rate_hz,
         key_ticks=[tick for tick in ticks if shown[tick]],
         cut_off=cut_off,
-        warnings=tuple(said),
+        warnings=tuple(warnings),
         codec=context.name,
         pixel_format=context.pix_fmt or "",
-        first_packets=kept,
+        first_packets=first_packets,
         pixel_aspect=aspect,
     )
 
@@ -185,32 +185,32 @@ def _index(path: Path, container: Any, stream: "VideoStream", keep_packets: int)
 def _constant_rate(
     ticks: Sequence[int], tick_s: Fraction, stated: Iterable[Fraction | None]
 ) -> tuple[Fraction | None, list[int]]:
-    """The stated rate on which every time lies, to the rounding of a tick, and each frame's number on it."""
+    """The stated rate with which all times agree to the rounding of a tick, and the frames' numbers at it."""
     for rate_hz in dict.fromkeys(stated):
         if not rate_hz or rate_hz * tick_s > 1 or len(ticks) < 3:
             continue
         for start in (Fraction(0), Fraction(1, 2), Fraction(-1, 2)):
             exact = [(tick - ticks[0] + start) * tick_s * rate_hz for tick in ticks]
             numbers = [round(one) for one in exact]
-            off = [one - number for one, number in zip(exact, numbers, strict=True)]
+            errors = [one - number for one, number in zip(exact, numbers, strict=True)]
             steps = [after - before for before, after in pairwise(numbers)]
-            # a microsecond more than a tick, for rates of which the file keeps nine digits
+            # a microsecond more than a tick, because some files state rates to nine digits only
             width = tick_s + Fraction(1, 1_000_000) if tick_s * rate_hz != 1 else 0
-            if min(steps) > 0 and _middle(steps) == 1 and max(off) - min(off) <= width * rate_hz:
+            if min(steps) > 0 and _median(steps) == 1 and max(errors) - min(errors) <= width * rate_hz:
                 return Fraction(rate_hz), [number - numbers[0] for number in numbers]
     return None, []
 
 
-def _middle(values: Sequence[int]) -> int:
+def _median(values: Sequence[int]) -> int:
     return sorted(values)[len(values) // 2]
 
 
 def _cut_off(
     container: Any, stream: "VideoStream", ticks: Sequence[int], total: int, tick_s: Fraction, last: int
 ) -> int:
-    """Number of frames announced beyond the last packet; 0 for containers that do not say exactly."""
+    """Number of frames announced beyond the last packet; 0 for containers that do not state it exactly."""
     steps = [after - before for before, after in pairwise(ticks)]
-    step = _middle(steps) if steps else last
+    step = _median(steps) if steps else last
     start, kind = stream.start_time or 0, container.format.name
     if "avi" in kind and stream.average_rate and tick_s * stream.average_rate == 1:
         # a chunk without bytes, which repeats a frame, counts too
@@ -219,7 +219,7 @@ def _cut_off(
         missing = int((start + stream.duration - ticks[-1] - max(last, step)) / step + 0.25)
         return max(min(missing, stream.frames - total), 0)
     if step and "matroska" in kind and container.duration and len(container.streams) == 1:
-        # from zero on, not from the first frame
+        # the container's duration begins at time zero, not at the first frame
         announced = round(container.duration / (1_000_000 * tick_s))
         return max(int((announced - ticks[-1] - max(last, step)) / step + 0.25), 0)
     return 0

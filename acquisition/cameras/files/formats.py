@@ -1,7 +1,7 @@
-"""Readers of what libraries miss: all images of a PGM, PPM or TIFF file, damage of FFV1 video.
+"""Readers that the libraries lack: of all images of a PGM, PPM or TIFF file, and of checksums of FFV1 video.
 
-OpenCV rescales some portable maps and reads the first image of each; a TIFF file has a directory per image,
-but one of ImageJ has one for all.
+OpenCV rescales some portable maps and reads only the first image of each. A TIFF file has a directory for
+each image, but ImageJ writes one for all.
 """
 
 import re
@@ -18,7 +18,7 @@ _HEADER: Final = re.compile(rb"\s*P([56])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
 
 
 class _PortableMapHeader(NamedTuple):
-    """What the header of a binary PGM (1 channel) or PPM (3) image states, and where its pixels begin."""
+    """Header of a binary PGM (1 channel) or PPM (3) image; `pixels_at` is the offset of its pixels."""
 
     channels: int
     nx: int
@@ -44,7 +44,7 @@ def _portable(data: bytes | mmap, begin: int) -> _PortableMapHeader | None:
 
 
 def portable_images(data: bytes | mmap) -> list[tuple[int, int]]:
-    """First byte and end of each image of a portable map; the last may end beyond the file."""
+    """First byte, and end, of each image of a portable map; the last may end beyond the file."""
     found, begin = list[tuple[int, int]](), 0
     while header := _portable(data, begin):
         found.append((begin, header.end))
@@ -75,7 +75,7 @@ def read_portable(data: bytes) -> tuple[NDArray[Any], int]:
 
 _Order = Literal["little", "big"]
 _ORDERS: Final[dict[bytes, _Order]] = {b"II": "little", b"MM": "big"}
-_MOST_PAGES = 10_000_000
+_MAX_PAGES = 10_000_000
 _SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 16: 8}
 """Bytes of the types of a TIFF tag that are read here: byte, text, short, long, and long of BigTIFF."""
 _MAX_TEXT_BYTES = 1 << 20
@@ -84,9 +84,9 @@ WIDTH, HEIGHT, BITS, COMPRESSION, _NOTE, STRIP_OFFSETS = 256, 257, 258, 259, 270
 
 
 class TiffHead(NamedTuple):
-    """Number of directories of a TIFF file; tags and note of the first one.
+    """Number of directories of a TIFF file; tags and note (ImageDescription) of the first one.
 
-    `cut_off`: a directory, to which the file or a page refers, lies beyond the end of the file.
+    `cut_off` is True if a directory, to which the file or a page refers, lies beyond the end of the file.
     """
 
     directories: int
@@ -97,7 +97,7 @@ class TiffHead(NamedTuple):
 
 
 def tiff_head(path: Path) -> TiffHead:
-    """Read the directories of a TIFF file; for another file 0 of them, and no error."""
+    """Read the directories of a TIFF file; any other file has 0 of them, and is no error."""
     size = path.stat().st_size
     tags: dict[int, list[int]] = {}
     count = 0
@@ -108,7 +108,7 @@ def tiff_head(path: Path) -> TiffHead:
             return TiffHead(0, False, "little", tags, "")
         big = int.from_bytes(head[2:4], order) == 43
         offset = int.from_bytes(head[8:16] if big else head[4:8], order)
-        while offset and count < _MOST_PAGES:
+        while offset and count < _MAX_PAGES:
             following = _next_directory(file, offset, size, order, big)
             if following is None:
                 break
@@ -119,7 +119,7 @@ def tiff_head(path: Path) -> TiffHead:
 
 
 def _tags(file: BinaryIO, offset: int, order: _Order, big: bool) -> dict[int, list[int]]:
-    """Integers, or bytes of a text, by tag of a directory."""
+    """Values of a directory by tag: integers, or the bytes of a text."""
     count_bytes, entry_bytes, place_bytes = _directory(big)
     file.seek(offset)
     entries = file.read(count_bytes + entry_bytes * int.from_bytes(file.read(count_bytes), order))
@@ -145,7 +145,7 @@ def _directory(big: bool) -> tuple[int, int, int]:
 
 
 def _next_directory(file: BinaryIO, offset: int, size: int, order: _Order, big: bool) -> int | None:
-    """Place of the directory after the one at `offset`, 0 after the last; None if the file ends before."""
+    """Offset of the directory after that at `offset`, 0 after the last; None if the file ends before it."""
     count_bytes, entry_bytes, place_bytes = _directory(big)
     if offset + count_bytes > size:
         return None
@@ -158,7 +158,7 @@ def _next_directory(file: BinaryIO, offset: int, size: int, order: _Order, big: 
     return int.from_bytes(file.read(place_bytes), order)
 
 
-# Checksums of FFV1 video (RFC 9043): a decoder that finds damage delivers a picture all the same.
+# Checksums of FFV1 video (RFC 9043) are verified here, because a decoder also delivers damaged pictures.
 #
 # A frame is divided into slices. Each ends with its size (3 bytes, big-endian), and where the encoder wrote
 # checksums, with a status byte and a CRC-32 that makes the remainder over the whole slice zero.

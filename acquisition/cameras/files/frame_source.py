@@ -1,4 +1,4 @@
-"""What every source of recorded frames offers: its settings, the times of its frames, and their pixels."""
+"""Interface of the sources of recorded frames: settings, times of the frames, and their pixels."""
 
 import csv
 from abc import ABC, abstractmethod
@@ -23,7 +23,7 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
     Times come from either a CSV file or a stated frame rate. If neither is given, a CSV file beside the
     frames is used: ``timestamps.csv`` in a folder of images, otherwise the name of the frames' file with the
     suffix ``.csv``; without one a film's own times are used. A stated rate that a film's own times contradict
-    is refused, unless `force_frame_rate` says that it is right.
+    is refused, unless `force_frame_rate` is true.
 
     The CSV file has one header line and one row per frame, in the order of the frames. Columns, in any order
     (others are ignored): ``time_ns`` (integer) or ``time_s`` (decimal, any number of digits), not negative
@@ -57,7 +57,7 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
     )
 
     @model_validator(mode="after")
-    def _one_clock(self) -> Self:
+    def _refuse_two_clocks(self) -> Self:
         if self.timestamps_csv is not None and self.frame_rate_hz is not None:
             raise ValueError("state timestamps_csv or frame_rate_hz, not both")
         if self.force_frame_rate and self.frame_rate_hz is None:
@@ -66,15 +66,15 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
 
 
 T = TypeVar("T")
-_MOST_DIGITS = 11
-_TICKS = 1.5
-"""Ticks of a film's clock by which its times may be off a stated rate: both ends are rounded."""
-_RATE_WITHIN = 2e-5
-"""Parts of the elapsed time as well: what a rate of six digits leaves open."""
-_JUMP = 1.75
-"""Usual steps of time from which on a longer one is taken for missing frames."""
-_LISTED = 5
-"""Places that a message names one by one."""
+_MAX_DIGITS = 11
+_MAX_OFF_TICKS = 1.5
+"""Largest difference of a film's times from a stated rate, in ticks of its clock; both ends are rounded."""
+_MAX_OFF_FRACTION = 2e-5
+"""The same as a fraction of the elapsed time, because a rate may be stated to six digits only."""
+_MIN_GAP_STEPS = 1.75
+"""Length of a step of time, in usual steps, from which on frames are missing in it."""
+_MAX_LISTED = 5
+"""Largest number of gaps that a message lists one by one."""
 
 
 class FrameTimes(NamedTuple):
@@ -93,7 +93,7 @@ def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
         None of these, a CSV file that does not match the frames, or a rate that the film contradicts.
     """
     if settings.frame_rate_hz is not None:
-        return _at_rate(settings, settings.frame_rate_hz, source)
+        return _times_at_rate(settings, settings.frame_rate_hz, source)
     path = settings.timestamps_csv or timestamps_beside(settings.path)
     if settings.timestamps_csv is None and not path.is_file():
         if source.times is not None:
@@ -102,11 +102,11 @@ def frame_times(settings: FilesSettings, source: "FrameSource") -> FrameTimes:
             f"{settings.path}: when were the frames taken? State camera.files.frame_rate_hz (rig fit: "
             f"--rate) or write {path}"
         )
-    return _read(path, source.count, source.names)
+    return _times_from_csv(path, source.count, source.names)
 
 
-def _at_rate(settings: FilesSettings, rate_hz: float, source: "FrameSource") -> FrameTimes:
-    """Times of frames that are taken at a stated rate, those that are missing counted in."""
+def _times_at_rate(settings: FilesSettings, rate_hz: float, source: "FrameSource") -> FrameTimes:
+    """Times of frames that were taken at a stated rate; missing frames count, too."""
     numbers: Sequence[int] = range(source.count)
     if settings.numbering == "names" and source.numbers is not None:
         numbers = source.numbers
@@ -114,18 +114,20 @@ def _at_rate(settings: FilesSettings, rate_hz: float, source: "FrameSource") -> 
         numbers = source.times.sequence
     times_ns = [round(number * NS_PER_S / rate_hz) for number in numbers]
     if source.times is not None and not settings.force_frame_rate:
-        _agree(settings, rate_hz, times_ns, source)
+        _refuse_contradiction(settings, rate_hz, times_ns, source)
     return FrameTimes(times_ns, numbers)
 
 
-def _agree(settings: FilesSettings, rate_hz: float, times_ns: Sequence[int], source: "FrameSource") -> None:
-    """Raise DeviceError where a stated rate puts a frame elsewhere than the film itself does."""
+def _refuse_contradiction(
+    settings: FilesSettings, rate_hz: float, times_ns: Sequence[int], source: "FrameSource"
+) -> None:
+    """Raise DeviceError where a frame's time by a stated rate differs from the film's own time."""
     if source.times is None:
         return
     own_ns = source.times.time_ns
     worst = max(range(source.count), key=lambda i: abs(times_ns[i] - own_ns[i]))
     off_s = abs(times_ns[worst] - own_ns[worst]) / NS_PER_S
-    if off_s > max(_TICKS * source.tick_s, _RATE_WITHIN * own_ns[worst] / NS_PER_S):
+    if off_s > max(_MAX_OFF_TICKS * source.tick_s, _MAX_OFF_FRACTION * own_ns[worst] / NS_PER_S):
         raise DeviceError(
             f"{settings.path}: camera.files.frame_rate_hz = {rate_hz:g} puts frame {worst} at "
             f"{times_ns[worst] / NS_PER_S:.4f} s, the film itself at {own_ns[worst] / NS_PER_S:.4f} s; "
@@ -135,11 +137,11 @@ def _agree(settings: FilesSettings, rate_hz: float, times_ns: Sequence[int], sou
 
 
 def timestamps_beside(path: Path) -> Path:
-    """Where the times of frames are looked for that are stated nowhere else."""
+    """Path of the CSV file of times beside the frames, which is used if no times are stated."""
     return path / "timestamps.csv" if path.is_dir() else path.with_suffix(".csv")
 
 
-def _read(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
+def _times_from_csv(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
@@ -158,12 +160,12 @@ def _read(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
             f"{path}: has {len(body)} rows of times for {count} frames; one row a frame is needed"
         )
     if "time_ns" in header:
-        times_ns = _rising(path, "time_ns", _column(path, header, body, "time_ns", int))
+        times_ns = _require_rising(path, "time_ns", _column(path, header, body, "time_ns", int))
     else:
-        times_ns = _rising(path, "time_s", _column(path, header, body, "time_s", _ns_of_seconds))
+        times_ns = _require_rising(path, "time_s", _column(path, header, body, "time_s", _ns_of_seconds))
     sequence: Sequence[int] = range(count)
     if "sequence" in header:
-        numbers = _rising(path, "sequence", _column(path, header, body, "sequence", int))
+        numbers = _require_rising(path, "sequence", _column(path, header, body, "sequence", int))
         sequence = [number - numbers[0] for number in numbers] if numbers else numbers
     if "file" in header and names:
         stated = _column(path, header, body, "file", str)
@@ -175,8 +177,8 @@ def _read(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
 
 def _ns_of_seconds(text: str) -> int:
     seconds = Decimal(text)
-    if seconds.is_finite() and seconds.adjusted() > _MOST_DIGITS:
-        raise OverflowError  # an exponent of a thousand million is a number of as many digits
+    if seconds.is_finite() and seconds.adjusted() > _MAX_DIGITS:
+        raise OverflowError  # with an exponent of a thousand million the integer would have as many digits
     return round(seconds * 1_000_000_000)
 
 
@@ -196,7 +198,7 @@ def _column(
     return values
 
 
-def _rising(path: Path, name: str, values: list[int]) -> list[int]:
+def _require_rising(path: Path, name: str, values: list[int]) -> list[int]:
     for line, (before, after) in enumerate(pairwise(values), start=3):
         if after <= before:
             raise DeviceError(f"{path}: line {line}: {name} does not rise; frames must be in the order taken")
@@ -208,18 +210,18 @@ def _rising(path: Path, name: str, values: list[int]) -> list[int]:
 
 
 def numbers_by_steps(ticks: Sequence[int]) -> list[int]:
-    """Numbers of frames with a varying rate, in which only clearly longer steps count as missing frames."""
+    """Numbers of frames at a varying rate; only clearly longer steps of time count as missing frames."""
     steps = sorted(after - before for before, after in pairwise(ticks))
     usual = steps[len(steps) // 2] if steps else 1
     numbers = [0]
     for before, after in pairwise(ticks):
         step = after - before
-        numbers.append(numbers[-1] + (round(step / usual) if step >= _JUMP * usual else 1))
+        numbers.append(numbers[-1] + (round(step / usual) if step >= _MIN_GAP_STEPS * usual else 1))
     return numbers
 
 
 def missing_frames(time_ns: Sequence[int], numbers: Sequence[int], source: str) -> list[str]:
-    """What is to be said of frames that are missing between others, by the `source` of their times."""
+    """Warning (none or one line) about gaps in the frames' numbers; `source` says what these come from."""
     gaps = [
         (time_ns[i] / NS_PER_S, numbers[i + 1] - numbers[i] - 1)
         for i in range(len(numbers) - 1)
@@ -227,8 +229,8 @@ def missing_frames(time_ns: Sequence[int], numbers: Sequence[int], source: str) 
     ]
     if not gaps:
         return []
-    places = ", ".join(f"{count} after {time_s:.3f} s" for time_s, count in gaps[:_LISTED])
-    more = f" and {len(gaps) - _LISTED} more places" if len(gaps) > _LISTED else ""
+    places = ", ".join(f"{count} after {time_s:.3f} s" for time_s, count in gaps[:_MAX_LISTED])
+    more = f" and {len(gaps) - _MAX_LISTED} more places" if len(gaps) > _MAX_LISTED else ""
     return [f"{sum(count for _, count in gaps)} frames are missing by {source}: {places}{more}"]
 
 
@@ -242,7 +244,7 @@ class UnreadableFrame(Exception):
 class StoredImage(NamedTuple):
     """Pixels as stored, (ny, nx) or (ny, nx, channels), and their largest possible value.
 
-    `coloured`: the pixels are the luminance of a picture that has colour beside it.
+    `coloured` is True if the pixels are the luminance of a picture that also stores colour.
     """
 
     pixels: NDArray[Any]
@@ -258,17 +260,15 @@ class FrameSource(ABC):
     names: Sequence[str] = ()
     """Name of each frame's file; empty if the frames have no files of their own."""
     numbers: Sequence[int] | None = None
-    """Number of each frame by its file's name, from 0; a gap is a missing file. None where names do not
-    count.
-    """
+    """Number of each frame by its file's name, from 0; a gap is a missing file. None without numbers."""
     times: FrameTimes | None = None
-    """Times that the frames have by themselves, in ns from the first, and their numbers."""
+    """Times that the source itself states, in ns from the first frame, and the frames' numbers."""
     tick_s: float = 0.0
-    """Resolution of these times."""
+    """Resolution of these times in s."""
     warnings: Sequence[str] = ()
-    """Lines on what is not as it should be: missing, cut off, out of order."""
+    """Lines on faults of the source: missing frames, a cut-off file, a wrong order."""
     summary: str = ""
-    """One line on what was found, for a person; may be empty."""
+    """One line that describes the source, for a person; may be empty."""
     pixel_aspect: float = 1.0
     """Width of a pixel over its height, as the source itself states it."""
     lossy: str = ""
@@ -285,5 +285,5 @@ class FrameSource(ABC):
         """Name of the frame in messages."""
         return f"{self._path}, frame {index}"
 
-    def close(self) -> None:  # noqa: B027 most hold nothing
+    def close(self) -> None:  # noqa: B027 most sources hold no file open
         """Close the files; a later `read` opens them again."""

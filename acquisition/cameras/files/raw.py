@@ -17,17 +17,17 @@ from acquisition.cameras.files.frame_source import (
     numbers_by_steps,
 )
 from acquisition.cameras.pixel_formats import BY_NAME
-from processing.errors import DeviceError
+from processing.errors import DeviceError, place_in_words
 from processing.units import NS_PER_S
 
-_RAW: Final = (".raw", ".bin", ".gray", ".y8", ".y16")
-_COLOURED: Final = ("RGB8", "BGR8")
-_FORMATS: Final = (*BY_NAME, *_COLOURED)
+_RAW_SUFFIXES: Final = (".raw", ".bin", ".gray", ".y8", ".y16")
+_COLOUR_FORMATS: Final = ("RGB8", "BGR8")
+_FORMATS: Final = (*BY_NAME, *_COLOUR_FORMATS)
 
 
 def is_raw(path: Path) -> bool:
-    """Whether a file holds raw pixels, by its name or because a sidecar with all of its name lies beside."""
-    return path.suffix.lower() in _RAW or any(
+    """Whether a file holds raw pixels, by its suffix, or because a sidecar ``NAME.toml`` lies beside it."""
+    return path.suffix.lower() in _RAW_SUFFIXES or any(
         one.name.startswith(path.name) and one.is_file() for one in _sidecars(path)
     )
 
@@ -54,7 +54,7 @@ class RawSidecar(BaseModel, frozen=True, extra="forbid", strict=True):
         if self.pixel_format not in _FORMATS:
             raise ValueError(f"pixel_format = {self.pixel_format!r}: should be one of {', '.join(_FORMATS)}")
         if self.byte_order == "big" and (
-            self.pixel_format in _COLOURED or BY_NAME[self.pixel_format].transport_bits != 16
+            self.pixel_format in _COLOUR_FORMATS or BY_NAME[self.pixel_format].transport_bits != 16
         ):
             raise ValueError(f"byte_order: pixels of {self.pixel_format} have none; leave it out")
         stated = [
@@ -74,7 +74,7 @@ class RawSidecar(BaseModel, frozen=True, extra="forbid", strict=True):
     @property
     def frame_bytes(self) -> int:
         """Bytes of a frame."""
-        if self.pixel_format in _COLOURED:
+        if self.pixel_format in _COLOUR_FORMATS:
             return 3 * self.width_px * self.height_px
         return BY_NAME[self.pixel_format].byte_count(self.width_px, self.height_px)
 
@@ -87,25 +87,25 @@ class RawSidecar(BaseModel, frozen=True, extra="forbid", strict=True):
 
 
 class RawSource(FrameSource):
-    """One frame after another; those that a file cut off lacks are counted, and cannot be read."""
+    """Raw pixels as a source of frames; frames that a cut-off file lacks are counted, and cannot be read."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._sidecar, self._layout = _read_sidecar(path)
         layout = self._layout
-        self._whole, self.count = self._counted()
-        missing = self.count - self._whole
-        said = [f"ends {missing} frames before the {self.count} that {self._sidecar.name} states"]
+        self._complete, self.count = self._count_frames()
+        missing = self.count - self._complete
+        message = [f"ends {missing} frames before the {self.count} that {self._sidecar.name} states"]
         self.times = _times(layout, self.count)
         gaps = [] if self.times is None else missing_frames(*self.times, f"the times in {self._sidecar.name}")
-        self.warnings = [*(said if missing else []), *gaps]
+        self.warnings = [*(message if missing else []), *gaps]
         when = "" if layout.frame_rate_hz is None else f"{layout.frame_rate_hz:.9g} frames/s, "
         self.summary = (
             f"{self.count} frames, {when}raw {layout.pixel_format}, {layout.width_px}x{layout.height_px} px"
         )
 
     def read(self, index: int) -> StoredImage:
-        if index >= self._whole:
+        if index >= self._complete:
             raise UnreadableFrame("the file is cut off before the end of this frame; copy it again")
         layout = self._layout
         with self._path.open("rb") as file:
@@ -114,23 +114,24 @@ class RawSource(FrameSource):
         if len(data) < layout.frame_bytes:
             raise UnreadableFrame("the file became shorter")
         raw = np.frombuffer(data, np.uint8)
-        if layout.pixel_format in _COLOURED:
+        if layout.pixel_format in _COLOUR_FORMATS:
             pixels = raw.reshape(layout.height_px, layout.width_px, 3)
-            # blue first, as all colours here
+            # blue first, as in all sources
             return StoredImage(pixels[:, :, ::-1] if layout.pixel_format == "RGB8" else pixels, 255)
-        known = BY_NAME[layout.pixel_format]
+        pixel_format = BY_NAME[layout.pixel_format]
         if layout.byte_order == "big":
             raw = raw.view(">u2").astype(np.uint16).view(np.uint8)
-        image = known.image(raw, layout.width_px, layout.height_px)
-        if image.max() > known.full_scale_dn:
+        image = pixel_format.image(raw, layout.width_px, layout.height_px)
+        if image.max() > pixel_format.full_scale_dn:
             raise UnreadableFrame(
-                f"a pixel of {image.max()} is above {known.full_scale_dn}, the largest of {known.name}; "
-                f"{self._sidecar.name} states another pixel_format or byte_order than the file has"
+                f"a pixel of {image.max()} is above {pixel_format.full_scale_dn}, the largest of "
+                f"{pixel_format.name}; {self._sidecar.name} states another pixel_format or byte_order than "
+                "the file has"
             )
-        return StoredImage(image, known.full_scale_dn)
+        return StoredImage(image, pixel_format.full_scale_dn)
 
-    def _counted(self) -> tuple[int, int]:
-        """Whole frames in the file, and frames that it should hold."""
+    def _count_frames(self) -> tuple[int, int]:
+        """Number of complete frames in the file, and of frames that it should hold."""
         layout = self._layout
         size = self._path.stat().st_size - layout.header_bytes
         whole, rest = divmod(max(size, 0), layout.frame_bytes)
@@ -162,7 +163,7 @@ def _times(layout: RawSidecar, count: int) -> FrameTimes | None:
 
 
 def _sidecars(path: Path) -> list[Path]:
-    """Where the sidecar of a file may be: ``swing.raw.toml`` or ``swing.toml``."""
+    """Possible paths of a file's sidecar: ``swing.raw.toml`` or ``swing.toml``."""
     return [path.with_name(f"{path.name}.toml"), path.with_suffix(".toml")]
 
 
@@ -181,18 +182,18 @@ def _read_sidecar(path: Path) -> tuple[Path, RawSidecar]:
         raise DeviceError(f"{sidecar}: {_in_words(error)}") from None
     except OSError as error:
         raise DeviceError(f"{sidecar}: cannot be read: {error.strerror or error}") from None
-    # what is no TOML, or no text
+    # the file is not TOML, or not text
     except ValueError as error:
         raise DeviceError(f"{sidecar}: is not TOML: {str(error).splitlines()[0]}") from None
 
 
 def _in_words(error: ValidationError) -> str:
-    """The first fault, unknown keys before missing ones: a slip of the pen makes both."""
+    """The first fault in words; unknown keys come before missing ones, because a misspelt key causes both."""
     fault = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
-    place = ".".join(str(part) for part in fault["loc"])
-    said = fault["msg"].removeprefix("Value error, ").replace("Input should", "should")
+    place = place_in_words(fault["loc"])
+    message = fault["msg"].removeprefix("Value error, ").replace("Input should", "should")
     if fault["type"] == "extra_forbidden":
         return f"{place}: unknown key; known here: {', '.join(RawSidecar.model_fields)}"
     if fault["type"] == "missing":
         return f"{place}: is missing; state a value"
-    return f"{place} = {fault['input']!r}: {said}" if place else said
+    return f"{place} = {fault['input']!r}: {message}" if place else message

@@ -1,4 +1,4 @@
-"""Sources of recorded frames: folder of images, file of several, .npy stack, raw pixels, film."""
+"""Sources of recorded frames: folder of images, file of several images, .npy stack, raw pixels, film."""
 
 import contextlib
 import math
@@ -38,8 +38,8 @@ _FILMS = (
     ".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv",
     ".3gp", ".nut", ".gif",
 )  # fmt: skip
-_LISTED = 5
-"""Most places that a message names."""
+_MAX_LISTED = 5
+"""Largest number of gaps that a message lists."""
 
 
 def open_source(path: Path) -> FrameSource:
@@ -63,13 +63,13 @@ def is_film(path: Path) -> bool:
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Sort key that counts digits as numbers: frame2 before frame10."""
+    """Sort key that compares digits as numbers: frame2 before frame10."""
     parts = re.split(r"(\d+)", name)
     return [(0, int(part), part) if part.isdecimal() else (1, 0, part.lower()) for part in parts if part]
 
 
 def numbers_in(names: Sequence[str]) -> list[int] | None:
-    """The number of each image by its name, from 0 in steps of 1; None if names are not usable.
+    """The number of each image by its name, counted from 0 in steps of 1; None if names are not usable.
 
     Usable names differ in one number only, which rises evenly except where images are missing.
     """
@@ -89,7 +89,7 @@ def numbers_in(names: Sequence[str]) -> list[int] | None:
 
 
 class _Images:
-    """The images of one file: one, unless a subclass says otherwise."""
+    """The images of one file, which holds a single one unless it is of a subclass."""
 
     count = 1
     warnings: Sequence[str] = ()
@@ -130,10 +130,10 @@ class _PortableImages(_Images):
 
 
 class _TiffImages(_Images):
-    """Images of a TIFF file; one that is cut off counts one more, which is unreadable.
+    """Images of a TIFF file; a cut-off file counts one image more, which is unreadable.
 
-    ImageJ writes one directory for any number of images, whose pixels follow each other, and their number
-    into a note (ImageDescription), as tifffile can.
+    ImageJ, and optionally tifffile, writes one directory for any number of images, whose pixels follow each
+    other, and states their number in a note (ImageDescription).
     """
 
     def __init__(self, path: Path) -> None:
@@ -143,23 +143,23 @@ class _TiffImages(_Images):
             self._decoded = int(cv2.imcount(str(path), cv2.IMREAD_UNCHANGED))
         self.count = max(self._decoded + head.cut_off, 1)
         shape = [(head.tags.get(tag) or [0])[0] for tag in (HEIGHT, WIDTH)]
-        noted = _images_by_note(path, head.note, shape)
+        note_count = _images_by_note(path, head.note, shape)
         self._pixels_at, self._shape = -1, shape
-        if noted <= self.count:
+        if note_count <= self.count:
             return
         if head.cut_off:
-            self.count = noted
+            self.count = note_count
         elif head.directories > 1:
-            self.warnings = [f"{path}: its note states {noted} images, of which it holds {self.count}"]
+            self.warnings = [f"{path}: its note states {note_count} images, of which it holds {self.count}"]
         else:
             bits = head.tags.get(BITS, [1])
             plain = head.tags.get(COMPRESSION, [1]) == [1] and len(bits) == 1 and bits[0] in (8, 16)
             if not plain or not head.tags.get(STRIP_OFFSETS):
                 raise DeviceError(
-                    f"{path}: its note states {noted} images and it has one directory, whose pixels are not "
-                    "plain grey values of 8 or 16 bits; save it as a sequence of images"
+                    f"{path}: its note states {note_count} images and it has one directory, whose pixels are "
+                    "not plain grey values of 8 or 16 bits; save it as a sequence of images"
                 )
-            self.count, self._pixels_at = noted, head.tags[STRIP_OFFSETS][0]
+            self.count, self._pixels_at = note_count, head.tags[STRIP_OFFSETS][0]
             self._dtype = np.dtype(f"{'>' if head.order == 'big' else '<'}u{bits[0] // 8}")
 
     def read(self, page: int) -> StoredImage:
@@ -176,11 +176,11 @@ class _TiffImages(_Images):
             raise UnreadableFrame("the file is cut off before this image; copy it again")
         try:
             with _quiet():
-                good, pages = cv2.imreadmulti(str(self._path), page, 1, flags=cv2.IMREAD_UNCHANGED)
+                decoded, pages = cv2.imreadmulti(str(self._path), page, 1, flags=cv2.IMREAD_UNCHANGED)
         except cv2.error:
-            # a changed page may state a size that no array has
-            good = False
-        if not good or len(pages) != 1:
+            # a damaged page may state a size that is impossible for an array
+            decoded = False
+        if not decoded or len(pages) != 1:
             self._path.stat()
             raise UnreadableFrame("the image cannot be decoded")
         return _stored(pages[0])
@@ -208,7 +208,7 @@ def _images_by_note(path: Path, note: str, shape: Sequence[int]) -> int:
 
 def _images_of(path: Path) -> _Images:
     suffix = path.suffix.lower()
-    # a file that cannot be opened is an image that cannot be read
+    # a file that cannot be opened counts as one image, which cannot be read
     with contextlib.suppress(OSError):
         if suffix in _PORTABLE:
             return _PortableImages(path)
@@ -218,11 +218,11 @@ def _images_of(path: Path) -> _Images:
 
 
 def images_in(names: Sequence[str]) -> list[str]:
-    """Names in a folder that are its images, in natural order: JPEG only where nothing else is."""
+    """Names of the images in a folder, in natural order; JPEG only where there are no others and no film."""
     images = [name for name in names if Path(name).suffix.lower() in IMAGES and not name.startswith(".")]
-    kept = [name for name in images if Path(name).suffix.lower() not in _LOSSY]
+    lossless = [name for name in images if Path(name).suffix.lower() not in _LOSSY]
     films = any(Path(name).suffix.lower() in _FILMS for name in names)
-    return sorted(kept or ([] if films else images), key=natural_key)
+    return sorted(lossless or ([] if films else images), key=natural_key)
 
 
 class ImageSource(FrameSource):
@@ -230,26 +230,26 @@ class ImageSource(FrameSource):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._folder, files, said = path, [""], list[str]()
+        self._folder, files, warnings = path, [""], list[str]()
         if path.is_dir():
             try:
                 inside = [entry.name for entry in path.iterdir()]
             except OSError as error:
                 raise DeviceError(f"{path}: cannot be listed: {error.strerror}") from None
             files = images_in(inside)
-            said = _ignored_files(path, inside, files)
+            warnings = _ignored_files(path, inside, files)
         self._files = [path / name for name in files]
         self._images = [_images_of(file) for file in self._files]
         self._places = [(k, page) for k, one in enumerate(self._images) for page in range(one.count)]
         self.count = len(self._places)
         if path.is_dir():
             self.names = [files[k] for k, _ in self._places]
-            said += self._numbered(files)
+            warnings += self._number_by_names(files)
         elif self.count == 1:
-            self._one_image()
+            self._refuse_single_image()
         if self.count > len(files):
             self.summary = f"{self.count} images in {len(files)} file{'s' if len(files) > 1 else ''}"
-        self.warnings = [*said, *(line for one in self._images for line in one.warnings)]
+        self.warnings = [*warnings, *(line for one in self._images for line in one.warnings)]
         self.lossy = "jpeg" if self._files[0].suffix.lower() in _LOSSY else ""
 
     def read(self, index: int) -> StoredImage:
@@ -265,28 +265,28 @@ class ImageSource(FrameSource):
         file, page = self._places[index]
         return str(self._files[file]) + (f", image {page + 1}" if self._images[file].count > 1 else "")
 
-    def _one_image(self) -> None:
-        """Raise DeviceError: one image is no film."""
+    def _refuse_single_image(self) -> None:
+        """Raise DeviceError for a source of a single image, which has no motion."""
         try:
             self.read(0)
         except UnreadableFrame as error:
             raise DeviceError(f"{self._path}: cannot be read as an image: {error}") from None
         raise DeviceError(f"{self._path}: {ONE_IMAGE}")
 
-    def _numbered(self, files: Sequence[str]) -> list[str]:
-        """Number the images by their files' names; warnings of missing images."""
+    def _number_by_names(self, files: Sequence[str]) -> list[str]:
+        """Number the images by their files' names; returns warnings about missing images."""
         if len(files) < 3:
-            # one file, or two, cannot miss any between them
+            # in fewer than three files no gap can be recognised
             return []
         numbers, counts = numbers_in(files), [one.count for one in self._images]
-        # the last file may have been left half full
+        # the last file may hold fewer images than the others
         if numbers is None or len(set(counts[:-1])) > 1 or counts[-1] > counts[0]:
             return ["the numbers in the images' names are uneven: no gap can be found"]
         self.numbers = [numbers[k] * counts[0] + page for k, page in self._places]
         gaps = [i for i, (before, after) in enumerate(pairwise(numbers)) if after - before > 1]
         count = counts[0] * sum(numbers[i + 1] - numbers[i] - 1 for i in gaps)
-        places = ", ".join(f"{files[i]} to {files[i + 1]}" for i in gaps[:_LISTED])
-        more = f" and {len(gaps) - _LISTED} more places" if len(gaps) > _LISTED else ""
+        places = ", ".join(f"{files[i]} to {files[i + 1]}" for i in gaps[:_MAX_LISTED])
+        more = f" and {len(gaps) - _MAX_LISTED} more places" if len(gaps) > _MAX_LISTED else ""
         return (
             [f"{count} images are missing by the numbers in their names: between {places}{more}"]
             if count
@@ -295,7 +295,7 @@ class ImageSource(FrameSource):
 
 
 def _ignored_files(path: Path, inside: Sequence[str], images: Sequence[str]) -> list[str]:
-    """Warnings of other files in the folder; raises DeviceError without images."""
+    """Warnings about other files in the folder; raises DeviceError if there are no images."""
     others = [name for name in inside if name not in set(images) and not name.startswith(".")]
     films = sum(is_film(path / name) for name in others)
     if not images and films:
@@ -319,7 +319,7 @@ class StackSource(FrameSource):
         super().__init__(path)
         try:
             stack = np.load(path, mmap_mode="r", allow_pickle=False)
-        # whatever Python's own parser raises at a changed header
+        # numpy parses the header with Python's own parser, which raises many kinds of errors
         except Exception as error:
             raise DeviceError(f"{path}: cannot be read as a .npy stack: {error}") from None
         if stack.ndim != 3 or stack.dtype not in (np.uint8, np.uint16) or 0 in stack.shape:

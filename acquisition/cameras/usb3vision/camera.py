@@ -32,15 +32,15 @@ from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
-_LARGEST_FRAME: Final = 1 << 30
-_LARGEST_TRANSFER: Final = 1 << 20
+_MAX_FRAME_BYTES: Final = 1 << 30
+_MAX_TRANSFER_BYTES: Final = 1 << 20
 _REPLY_S: Final = 0.5
-# `stop` and `close` must return within a second whatever the camera does; time limits of their steps
+# the three limits together let `stop` and `close` return within a second, whatever the camera does
 _LOCK_S: Final = 0.2
 _COMMANDS_S: Final = 0.25
 _JOIN_S: Final = 0.25
-_COARSE_NS: Final = 15_000
-"""Jitter of the frame times above which the times of turning points suffer."""
+_MAX_CLOCK_STEP_NS: Final = 15_000
+"""Resolution of the camera's clock above which the times of turning points become less accurate."""
 
 
 class Usb3VisionCamera(GenicamCamera[Features]):
@@ -72,7 +72,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
         self._registers: StreamRegisters | None = None
         self._has_clock = False
         self._stream: UsbFrameStream | None = None
-        self._camera_runs = False
+        self._camera_is_running = False
 
     # ---- life cycle
 
@@ -99,7 +99,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 features = self._read_features(self._channel, identity)
                 self._registers = StreamRegisters(self._channel, identity.stream_address, link.name)
                 self._has_clock = identity.timestamp_increment_ns > 0
-                # an acquisition that a program left running when it was killed
+                # end an acquisition that a killed program left running
                 self._try_each(
                     lambda: features.execute("AcquisitionStop"),
                     lambda: self._enable(False),
@@ -120,13 +120,13 @@ class Usb3VisionCamera(GenicamCamera[Features]):
         for name in ("Width", "Height", "PixelFormat", "AcquisitionStart", "AcquisitionStop"):
             if name not in features.nodes:
                 raise DeviceError(f"{self._name}: its description lacks {name}, which every camera must have")
-        if identity.timestamp_increment_ns > _COARSE_NS:
+        if identity.timestamp_increment_ns > _MAX_CLOCK_STEP_NS:
             logger.warning(
                 "%s: its clock counts in steps of %g us, by which the times of its frames are uncertain; "
                 "turning times need %g us",
                 self._name,
                 identity.timestamp_increment_ns / 1e3,
-                _COARSE_NS / 1e3,
+                _MAX_CLOCK_STEP_NS / 1e3,
             )
         return features
 
@@ -146,7 +146,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
         )
 
     def start(self) -> None:
-        """Set up the stream, then let the camera run."""
+        """Set up the stream, then start the camera's acquisition."""
         with self._lock, self._translate_errors():
             features, link, registers = self._open_device(), self._link, self._registers
             assert link is not None
@@ -155,7 +155,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             self._end_run()
             pixel_format = features.pixel_format()
             pixel_format.prepare()
-            features.run_on()
+            features.select_continuous()
             expected = ExpectedFrames(
                 pixel_format,
                 int(features.get("Width")),
@@ -165,7 +165,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             )
             registers.enable(False)
             link.reset_stream()
-            plan = registers.set_up(_LARGEST_FRAME, _LARGEST_TRANSFER)
+            plan = registers.set_up(_MAX_FRAME_BYTES, _MAX_TRANSFER_BYTES)
             if sum(plan.payload) < expected.image_bytes:
                 size = f"{expected.width_px} x {expected.height_px} in {pixel_format.name}"
                 raise DeviceError(
@@ -179,7 +179,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             transfers = self._transfers(link, ahead)
             self._stream = UsbFrameStream(transfers, plan, expected, link, numbers)
             self._run = CameraRun(self._stream.step, transfers.cancel)
-            self._camera_runs = True
+            self._camera_is_running = True
             try:
                 features.execute("AcquisitionStart")
             except DeviceError:
@@ -203,51 +203,51 @@ class Usb3VisionCamera(GenicamCamera[Features]):
         if run is None:
             return
         run.request_stop()
-        if features is None or channel is None or not self._camera_runs:
+        if features is None or channel is None or not self._camera_is_running:
             run.stop(_JOIN_S)
             return
-        self._camera_runs = False
+        self._camera_is_running = False
         with suppress(CameraLost):
             self._try_each(
                 lambda: features.execute("AcquisitionStop"),
                 lambda: self._enable(False),
-                within_s=_COMMANDS_S / 2,
+                limit_s=_COMMANDS_S / 2,
             )
         run.stop(_JOIN_S)
         with suppress(CameraLost):
-            self._try_each(lambda: _set_locked(features, False), within_s=_COMMANDS_S / 2)
+            self._try_each(lambda: _set_locked(features, False), limit_s=_COMMANDS_S / 2)
 
     def _enable(self, on: bool) -> None:
         if self._registers is not None:
             self._registers.enable(on)
 
-    def _try_each(self, *steps: Callable[[], None], within_s: float | None = None) -> None:
-        """Call each step, also after others failed because the camera does not answer.
+    def _try_each(self, *steps: Callable[[], None], limit_s: float | None = None) -> None:
+        """Call each step, even if earlier ones failed because the camera does not answer.
 
-        Raises CameraLost where it is unplugged.
+        Raises CameraLost where the camera is unplugged.
         """
         assert self._channel is not None
         for step in steps:
             try:
-                with nullcontext() if within_s is None else self._channel.within(within_s):
+                with nullcontext() if limit_s is None else self._channel.within(limit_s):
                     step()
             except CameraLost:
                 raise
-            except DeviceError as refused:
-                logger.info("%s", refused)
+            except DeviceError as failure:
+                logger.info("%s", failure)
 
     def close(self) -> None:
         if self._run is not None:
             self._run.request_stop()
         with self._lock_briefly() as locked:
             if not locked:
-                return  # the call that holds the lock has been told to abort and will release the camera
+                return  # the aborted call, which still holds the lock, will release the camera
             self._end_run()
             link, self._link, self._features, self._channel = self._link, None, None, None
             if link is not None:
-                self._when_unread(link.release)
+                self._when_idle(link.release)
 
-    # ---- beyond the protocol
+    # ---- not part of the protocol `Camera`
 
     @property
     def features(self) -> Features:

@@ -14,8 +14,8 @@ _COUNT: Final = struct.Struct("<Q")
 _ENTRY: Final = struct.Struct("<HBBIQQ")  # file's sub-minor, minor, major version, schema, address, size
 _ENTRY_STRIDE: Final = 64
 _MAX_ENTRIES: Final = 64
-# real descriptions are below 1 MB, zipped below 100 kB; a larger size means a damaged manifest
-_LARGEST_FILE: Final = 64 << 20
+_MAX_FILE_BYTES: Final = 64 << 20
+"""A larger description means a damaged manifest; real ones are below 1 MB, zipped below 100 kB."""
 _PLAIN: Final = 0
 _ZIPPED: Final = 1
 
@@ -55,7 +55,7 @@ def read_description(channel: GenCpChannel, address: int, name: str) -> str:
     if not entries:
         raise DeviceError(f"{name}: its manifest has no description that is plain or zipped XML")
     newest = max(entries, key=lambda entry: entry.version)
-    if not 0 < newest.size <= _LARGEST_FILE:
+    if not 0 < newest.size <= _MAX_FILE_BYTES:
         raise DeviceError(
             f"{name}: its manifest gives the description {newest.size} bytes: the manifest is damaged"
         )
@@ -63,7 +63,7 @@ def read_description(channel: GenCpChannel, address: int, name: str) -> str:
 
 
 def decode_description(packed: bytes, name: str) -> str:
-    """Unzip data that begin like a zip archive (also if the manifest says plain), and extract the XML."""
+    """Text of a description; data that begin like a zip archive are unzipped, whatever the manifest says."""
     if packed.startswith(b"PK"):
         packed = _unzip(packed, name)
     # some cameras put a line of text before the XML, or zeros after it

@@ -11,7 +11,7 @@ from processing.errors import DeviceError
 
 logger = logging.getLogger(__name__)
 
-# names of the Standard Feature Naming Convention (SFNC) first, then those of older cameras
+# names of the Standard Feature Naming Convention (SFNC) come first, then those of older cameras
 ALIASES: Final[dict[str, tuple[str, ...]]] = {
     "ExposureTime": ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw"),
     "Gain": ("Gain", "GainAbs", "GainRaw"),
@@ -37,7 +37,7 @@ class Features(GenicamFeatures):
         self.nodes = nodes
 
     def find(self, name: str) -> str:
-        """The name of the feature in this camera, also if it is not accessible now, or it has none."""
+        """The name of a feature in this camera; the standard name if the camera does not have the feature."""
         present = [alias for alias in ALIASES.get(name, ()) if alias in self.nodes] or [name]
         usable = (alias for alias in present if self.nodes.readable(alias) or self.nodes.writable(alias))
         return next(usable, present[0])
@@ -70,7 +70,7 @@ class Features(GenicamFeatures):
     def execute(self, name: str) -> None:
         self.nodes.set(name, True)
 
-    # ---- as GenicamFeatures
+    # ---- the methods of GenicamFeatures
 
     def writable(self, feature: str) -> bool:
         return self.nodes.writable(feature)
@@ -114,9 +114,9 @@ class Features(GenicamFeatures):
                 self.write(self.rate_switch, True)
         found = self.find(_NAMES[key])
         is_whole = found in self.nodes and self.nodes.kind(found) == "Integer"
-        got = self.set(_NAMES[key], round(wanted) if is_whole else wanted)
-        if abs(got - wanted) > 1e-6 * abs(wanted):
-            logger.info("%s: %s was set to %g, the camera reports %g", self.name, found, wanted, got)
+        applied = self.set(_NAMES[key], round(wanted) if is_whole else wanted)
+        if abs(applied - wanted) > 1e-6 * abs(wanted):
+            logger.info("%s: %s was set to %g, the camera reports %g", self.name, found, wanted, applied)
 
     @property
     def rate_switch(self) -> str:
@@ -127,8 +127,8 @@ class Features(GenicamFeatures):
 
     def possible_rate(self) -> float | None:
         found = self.find("AcquisitionFrameRate")
-        most_hz = self.nodes.limits(found)[1] if found in self.nodes else None
-        return super().possible_rate() or (float(most_hz) if most_hz else None)
+        highest_hz = self.nodes.limits(found)[1] if found in self.nodes else None
+        return super().possible_rate() or (float(highest_hz) if highest_hz else None)
 
     def region(self) -> tuple[int | None, int | None, int, int]:
         x, y = self.get_if_readable("OffsetX"), self.get_if_readable("OffsetY")
@@ -144,11 +144,11 @@ class Features(GenicamFeatures):
         largest = self.nodes.limits(size)[1]
         return int(largest if largest is not None else self.get(size))
 
-    def set_region(self, asked: CameraSettings) -> None:
-        """Set size and offset, in the order in which the limits allow it: they limit each other."""
+    def set_region(self, requested: CameraSettings) -> None:
+        """Set size and offset, which limit each other, in the order in which their limits allow it."""
         for size, offset, wanted_size, wanted_offset in (
-            ("Width", "OffsetX", asked.width_px, asked.offset_x_px),
-            ("Height", "OffsetY", asked.height_px, asked.offset_y_px),
+            ("Width", "OffsetX", requested.width_px, requested.offset_x_px),
+            ("Height", "OffsetY", requested.height_px, requested.offset_y_px),
         ):
             length, sensor = wanted_size or self.get(size), self.sensor_size(size)
             if wanted_offset and length + wanted_offset > sensor:
@@ -182,7 +182,7 @@ class Features(GenicamFeatures):
         self.set("PixelFormat", name)
 
     def set_format(self, wanted: PixelFormat | None) -> None:
-        """Set a format of this depth, or any of a mosaic; one that is set already (packed, say) stays."""
+        """Set a format of this depth, or (None) of a mosaic; a fitting one that is set already stays."""
         if wanted is None and (not self.plane or self.present_format() is not None):
             return
         names = names_by_depth(set(self.offered_formats()), self.plane)
@@ -195,8 +195,8 @@ class Features(GenicamFeatures):
 
     # ---- for the driver
 
-    def run_on(self) -> None:
-        """Select continuous acquisition, without a trigger unless one was asked for."""
+    def select_continuous(self) -> None:
+        """Select continuous acquisition, without a trigger unless one was requested."""
         if "Continuous" in self.choices("AcquisitionMode") and self.writable("AcquisitionMode"):
             self.write("AcquisitionMode", "Continuous")
         if not self.is_triggered:

@@ -23,13 +23,12 @@ _READ: Final = 0x0800
 _WRITE: Final = 0x0802
 _PENDING_ACK: Final = 0x0805
 
-# Packet size that every camera supports, used until its own limits have been read from the bootstrap
-# registers.
 _SMALLEST_PACKET: Final = 64
-# limit for a camera that repeatedly asks for more time
+"""Packet size in bytes that every camera supports, used until the camera's own limits have been read."""
 _LONGEST_WAIT_S: Final = 30.0
-# replies are read with this timeout, so that `abort` takes effect within it
+"""Longest wait for a camera that repeatedly requests more time."""
 _SLICE_S: Final = 0.1
+"""Timeout of a single read of a reply, within which `abort` takes effect."""
 
 _BUSY: Final = 0x8007
 _STATUS_MEANINGS: Final = {
@@ -115,9 +114,7 @@ class GenCpChannel:
 
     @contextmanager
     def within(self, seconds: float) -> Iterator[None]:
-        """Context in which all accesses together may take at most this time; they then fail with
-        `NoAnswer`.
-        """
+        """Context whose accesses may together take at most this time, after which they raise `NoAnswer`."""
         give_up_at_s = self._clock() + seconds
         if not self._lock.acquire(timeout=seconds):
             raise NoAnswer(f"{self._name}: still busy with another command after {seconds:.1f} s")
@@ -129,7 +126,7 @@ class GenCpChannel:
             self._lock.release()
 
     def abort(self) -> None:
-        """Let the present command of another thread, and all later commands, fail immediately."""
+        """Make another thread's present command, and all later commands, fail immediately."""
         self._aborted.set()
 
     def read(self, address: int, length: int) -> bytes:
@@ -155,7 +152,7 @@ class GenCpChannel:
                     raise NoAnswer(f"{self._name}: {where}: the camera reports that it has written {written}")
 
     def _read_part(self, address: int, size: int) -> bytes:
-        """One command; a camera that reads only whole words of 4 bytes is asked for the last one whole."""
+        """Read by one command; where a camera reads only whole words of 4 bytes, the size is rounded up."""
         try:
             return self._read_once(address, size)
         except RegisterRefused:

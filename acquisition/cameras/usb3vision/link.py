@@ -163,7 +163,7 @@ class UsbLink:
 
     def receive(self, size: int, timeout_s: float) -> bytes:
         """Read one packet of at most `size` bytes from the control endpoint; TimeoutError if none arrives."""
-        # With room for whole packets, a longer reply than expected cannot cause an overflow error.
+        # with room for whole packets, a longer reply than expected cannot cause an overflow error
         room = -(-size // 1024) * 1024
         try:
             packet: array[int] = self.device.read(self._control_in, room, self._milliseconds(timeout_s))
@@ -226,16 +226,16 @@ class UsbSpeed(IntEnum):
 
     @property
     def text(self) -> str:
-        """Name in data sheets."""
+        """Name of the speed in data sheets."""
         names = {UsbSpeed.SUPER: "SuperSpeed", UsbSpeed.SUPER_PLUS: "SuperSpeed+"}
         return names.get(self, f"{self.name.lower()} speed")
 
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera on the bus; unreadable texts are empty; `accessible` False: no permission or driver.
+    """A camera on the bus; texts that cannot be read are empty.
 
-    `device` is pyusb's object.
+    `accessible` is False without permission or driver; `device` is pyusb's object.
     """
 
     vendor: str

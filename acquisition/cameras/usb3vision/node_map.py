@@ -1,4 +1,4 @@
-"""The features of a camera by name: EMVA's GenApi on the camera's own description and registers."""
+"""The features of a camera by name: EMVA's GenApi, with the camera's own description and registers."""
 
 import re
 import threading
@@ -18,21 +18,21 @@ ACCESS: Final = (
     "read-only",
     "readable and writable",
 )
-"""What can be done with a feature, by the numbers of GenApi's access modes."""
+"""Possible access to a feature, indexed by the numbers of GenApi's access modes."""
 NOT_IMPLEMENTED, _, WRITE_ONLY, READ_ONLY, READ_WRITE = ACCESS
 _PORT: Final = "Device"
 _NUMBERS: Final = ("Integer", "Float")
 _VALUES: Final = (*_NUMBERS, "Boolean", "Enumeration", "String")
 _NO_LIMIT: Final = 1e300
-"""A bound beyond this means "no limit"."""
+"""A limit beyond this means "no limit"."""
 _SWITCH: Final = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 _SOURCE_PLACE: Final = re.compile(r"\s*: \w+Exception thrown.*", re.DOTALL)
-"""End of a GenApi message: the place in its sources."""
+"""End of a GenApi message, which names the line of GenApi's source code."""
 
 
 @dataclass(frozen=True, slots=True)
 class FeatureReading:
-    """One feature for display. `value` is None if it cannot be read; `problem` is then the reason."""
+    """One feature for display; `value` is None if it cannot be read, for the reason in `problem`."""
 
     name: str
     kind: str
@@ -46,7 +46,7 @@ class FeatureReading:
 
 
 def load_genapi() -> Any:
-    """EMVA's GenApi. Raises MissingPackage if it is not installed."""
+    """The module of EMVA's GenApi. Raises MissingPackage if it is not installed."""
     try:
         from genicam import genapi
     except ImportError:
@@ -73,12 +73,12 @@ class NodeMap:
     def __init__(self, xml: str, channel: GenCpChannel, name: str) -> None:
         self.name = name
         self._genapi = genapi = load_genapi()
-        # GenApi holds Python's lock while it waits for its own: two threads in it would wait for ever
+        # GenApi keeps Python's lock while it waits for its own, so two threads in it would wait for ever
         self._lock = threading.RLock()
         self._nodes = genapi.NodeMap()
 
         class Port(genapi.AbstractPort):  # type: ignore[name-defined, misc]
-            """The camera's registers, whose addresses GenApi takes for signed."""
+            """The camera's registers, whose addresses GenApi passes as signed numbers."""
 
             def read(self, address: int, length: int) -> bytes:
                 return channel.read(address % (1 << 64), length)
@@ -100,7 +100,7 @@ class NodeMap:
             return bool(self._nodes.has_node(name))
 
     def access(self, name: str) -> str:
-        """What can be done with a feature at present, one of `ACCESS`, whether or not the camera has it."""
+        """Possible access to a feature at present, one of `ACCESS`; the camera need not have the feature."""
         with self._locked(f"{name} cannot be read"):
             return ACCESS[self._node(name).get_access_mode()] if name in self else NOT_IMPLEMENTED
 
@@ -117,12 +117,12 @@ class NodeMap:
         return type(self._node(name)).__name__.removeprefix("I")
 
     def choices(self, name: str) -> tuple[str, ...]:
-        """Values that an enumeration takes at present; none for other features."""
+        """Values to which an enumeration can be set at present; empty for other features."""
         with self._locked(f"{name} cannot be read"):
             return tuple(getattr(self._node(name), "symbolics", ())) if name in self else ()
 
     def limits(self, name: str) -> tuple[float | None, float | None]:
-        """Smallest and largest value of a number at present; None without such a limit, or where unknown."""
+        """Smallest and largest value of a number at present; None for a limit that is absent or unknown."""
         if self.kind(name) not in _NUMBERS or not self.readable(name):
             return None, None
         with self._locked(f"{name} cannot be read"):
@@ -132,7 +132,7 @@ class NodeMap:
     def get(self, name: str) -> Any:
         """Value of a feature: int, float, bool, bytes (a register), or str (a text or a choice).
 
-        For a command: whether the camera is still executing it.
+        The value of a command is True while the camera executes it.
         """
         with self._locked(f"{name} cannot be read"):
             node, kind = self._node(name), self.kind(name)
@@ -147,7 +147,7 @@ class NodeMap:
             return node.value
 
     def set(self, name: str, value: Any) -> None:
-        """Set a feature to a value, or to its text; any value runs a command."""
+        """Set a feature to a value, or to a value's text; a command is run by any value."""
         with self._locked(f"{name} cannot be set to {value!r}"):
             node, kind = self._node(name), self.kind(name)
             if not self.writable(name):
@@ -189,8 +189,8 @@ class NodeMap:
         """Names of the features in a category and in those below it."""
         with self._lock:
             names = [feature.node.name for feature in self._node(category).features]
-        below = (self._listed(name) if self.kind(name) == "Category" else [name] for name in names)
-        return [name for listed in below for name in listed]
+        nested = (self._listed(name) if self.kind(name) == "Category" else [name] for name in names)
+        return [name for listed in nested for name in listed]
 
     def _reading(self, name: str) -> FeatureReading:
         kind, access = self.kind(name), self.access(name)
@@ -200,7 +200,7 @@ class NodeMap:
         return FeatureReading(name, kind, access, value, *self.limits(name), unit, choices)
 
     def _allowed(self, name: str, value: Any) -> Any:
-        """The value in the feature's type; DeviceError with the allowed values if it is not one."""
+        """The value in the feature's type; DeviceError, with the allowed values, if it is not allowed."""
         node, kind, stated = self._node(name), self.kind(name), f"{self.name}: {name} = {value}"
         if kind == "Enumeration" and value not in node.symbolics:
             listed = ", ".join(node.symbolics)
@@ -227,13 +227,13 @@ class NodeMap:
 
     @contextmanager
     def _locked(self, problem: str) -> Iterator[None]:
-        """Hold the lock, and turn GenApi's errors into a DeviceError that begins with this problem."""
+        """Hold the lock, and convert GenApi's errors into a DeviceError that begins with `problem`."""
         with self._lock:
             try:
                 yield
-            except (self._genapi.GenericException, UnicodeDecodeError, RuntimeError) as refused:
-                reason = re.sub(r"\s+", " ", _SOURCE_PLACE.sub("", str(refused))).strip()
-                raise DeviceError(f"{self.name}: {problem}: {reason}") from refused
+            except (self._genapi.GenericException, UnicodeDecodeError, RuntimeError) as failure:
+                reason = re.sub(r"\s+", " ", _SOURCE_PLACE.sub("", str(failure))).strip()
+                raise DeviceError(f"{self.name}: {problem}: {reason}") from failure
 
 
 def _number(text: str) -> int | float:

@@ -31,7 +31,7 @@ class Leader:
 
 @dataclass(frozen=True, slots=True)
 class Trailer:
-    """Packet after a frame; `status` is 0 if the frame is complete, `valid_bytes` its number of bytes."""
+    """Packet after a frame; `status` is 0 for a complete frame, `valid_bytes` the frame's size."""
 
     block: int
     status: int
@@ -39,7 +39,7 @@ class Trailer:
 
 
 def parse_leader(raw: bytes) -> Leader | None:
-    """The leader in these bytes; None if they are not a leader, or not one of an image."""
+    """The leader in these bytes; None if they are not the leader of an image."""
     if len(raw) < _LEADER.size:
         return None
     magic, _, size, block, _, kind, timestamp, pixel_format, width, height, _, _, padding, _ = (
@@ -99,8 +99,8 @@ _USUAL_PACKET: Final = 1024
 class Identity:
     """Contents of the bootstrap registers.
 
-    `timestamp_increment_ns` is the resolution of the timestamps; their unit is always ns (GenCP 1.3.1,
-    5.4.16 and 5.4.18); 0 for a camera without a clock.
+    `timestamp_increment_ns` is the resolution of the timestamps, 0 for a camera without a clock; their unit
+    is always ns (GenCP 1.3.1, 5.4.16 and 5.4.18).
     """
 
     vendor: str
@@ -186,12 +186,12 @@ def _timestamp_increment(channel: GenCpChannel) -> int:
         increment = _u64(channel, _TIMESTAMP_INCREMENT)
     except RegisterRefused:
         return 0  # a camera without a clock need not have the register
-    # a resolution of 1 s or more is not a usable clock: the register does not contain what it should
+    # a resolution of 1 s or more is no usable clock, and probably not the content of this register
     return increment if increment < 1_000_000_000 else 0
 
 
 def silence_events(channel: GenCpChannel, event_address: int) -> None:
-    """Switch the event endpoint off: it is not read, and some cameras stall when it is full."""
+    """Switch the event endpoint off, because it is never read, and some cameras stall when it is full."""
     if event_address:
         try:
             channel.write(event_address, struct.pack("<I", 0))
@@ -208,10 +208,9 @@ class StreamRegisters:
         self._name = name
 
     def set_up(self, payload_limit: int, largest_transfer: int) -> TransferPlan:
-        """Read the size of a frame, write the sizes of the transfers, and return them. The stream must be
-        off.
+        """Read the size of a frame, write the sizes of the transfers, and return these.
 
-        Raises DeviceError if the registers contain impossible sizes.
+        The stream must be off. Raises DeviceError if the registers contain impossible sizes.
         """
         base = self._address
         alignment = 1 << (_u32(self._channel, base + _STREAM_INFO) >> 24)

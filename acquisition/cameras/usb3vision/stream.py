@@ -35,15 +35,16 @@ from processing.errors import DeviceError, RigError
 
 logger = logging.getLogger(__name__)
 
-# Bus errors for longer than this without a frame in between: the connection is lost.
 _PATIENCE_S: Final = 0.3
-# Sizes of block counters that are shorter than the standard's 64 bits.
+"""Bus errors for longer than this without a frame in between mean that the connection is lost."""
 COUNTERS: Final = (1 << 16, 1 << 32)
-# After so many frames in a row with other parts than planned, these are expected.
+"""Sizes of block counters that are shorter than the standard's 64 bits."""
 _FRAMES_TO_LEARN: Final = 2
+"""Consecutive frames with other parts than planned, after which these parts are expected."""
 _LOSSES_TO_UNLEARN: Final = 6
-# So many consecutive frames of a wrong size or format are a wrong setting and not an error of the bus.
-_MOST_MISFITS: Final = 10
+"""Consecutive lost frames after which the planned parts are expected again."""
+_MAX_MISFITS: Final = 10
+"""This many consecutive frames of a wrong size or format are a wrong setting, not an error of the bus."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +68,13 @@ class _Part(Enum):
     PAYLOAD = 1
     TRAILER = 2
     SEARCH = 3
-    """A read that looks for the next leader."""
+    """A read that searches for the next leader."""
     EMPTY = 4
     """The empty packet after a payload of whole packets."""
 
 
 class _Payload:
-    """Bytes of one frame, `byte_count` of them so far."""
+    """The bytes of one frame that have arrived so far; `byte_count` is their number."""
 
     def __init__(self) -> None:
         self._pieces: list[NDArray[np.uint8]] = []
@@ -87,14 +88,14 @@ class _Payload:
         self._pieces.append(piece)
         self.byte_count += piece.size
 
-    def whole(self) -> NDArray[np.uint8]:
+    def as_array(self) -> NDArray[np.uint8]:
         """The payload as one array: without a copy if its pieces are contiguous in one buffer."""
         first = self._pieces[0]
         if len(self._pieces) == 1:
             return first
         base = first.base
-        lie_together = isinstance(base, np.ndarray) and all(piece.base is base for piece in self._pieces)
-        if lie_together and isinstance(base, np.ndarray) and base.size >= self.byte_count:
+        share_buffer = isinstance(base, np.ndarray) and all(piece.base is base for piece in self._pieces)
+        if share_buffer and isinstance(base, np.ndarray) and base.size >= self.byte_count:
             ends = np.cumsum([piece.size for piece in self._pieces])
             starts = [piece.ctypes.data - base.ctypes.data for piece in self._pieces]
             if starts[0] == 0 and starts[1:] == list(ends[:-1]):
@@ -103,7 +104,7 @@ class _Payload:
 
 
 class UsbFrameStream:
-    """The frames of one run, which `step` assembles; `numbers` numbers them, and counts the others.
+    """The frames of one run, which `step` assembles; `numbers` numbers them and counts those that are lost.
 
     From construction on, reads for `Transfers.frames_ahead` frames are queued; data beyond them wait in the
     camera's memory until the next call, and are lost if it is full.
@@ -137,17 +138,17 @@ class UsbFrameStream:
         self._next_part = 0
         self._buffer = np.empty(0, np.uint8)  # buffer of the frame for which reads are being queued
         self._leader: Leader | None = None
-        self._arrived = _Payload()
+        self._payload = _Payload()
         self._deviations, self._deviated = 0, False
         self._misfits = 0
-        self._trouble_since_s: float | None = None
+        self._halted_since_s: float | None = None
         self._numbers = numbers
         self._disturbed = False
-        with suppress(RigError):  # the first step meets it again, and deals with it
+        with suppress(RigError):  # an error occurs again in the first step, which handles it
             self._fill()
 
     def step(self, timeout_s: float) -> Frame | None:
-        """Take a transfer; the frame it completes, or None."""
+        """Take the next transfer; returns the frame that it completes, or None."""
         try:
             self._fill()
             part, planned, buffer = self._ring[0]
@@ -155,7 +156,7 @@ class UsbFrameStream:
         except TimeoutError:
             return None
         except StreamHalted as halt:
-            self._after_trouble(halt)
+            self._after_halt(halt)
             return None
         self._ring.popleft()
         data = buffer[: arrived.byte_count]
@@ -208,19 +209,19 @@ class UsbFrameStream:
             # part is unknown: search for a leader.
             next_part = -1
         if next_part <= 0 and self._numbers.lost_parts >= _LOSSES_TO_UNLEARN:
-            self._parts = self._planned_parts  # what was learned does not hold (any more)
+            self._parts = self._planned_parts  # the learned deviation does not hold (any more)
         self._transfers.cancel()
         self._ring.clear()
         self._buffer = np.empty(0, np.uint8)
         self._next_part = next_part
 
-    def _after_trouble(self, trouble: StreamHalted) -> None:
-        logger.info("%s", trouble)
+    def _after_halt(self, halt: StreamHalted) -> None:
+        logger.info("%s", halt)
         now_s = time.monotonic()
-        if self._trouble_since_s is None:
-            self._trouble_since_s = now_s
-        elif now_s - self._trouble_since_s > _PATIENCE_S:
-            raise CameraLost(f"{trouble}, again and again; unplug it and plug it in again")
+        if self._halted_since_s is None:
+            self._halted_since_s = now_s
+        elif now_s - self._halted_since_s > _PATIENCE_S:
+            raise CameraLost(f"{halt}, again and again; unplug it and plug it in again")
         self._lose_frame()
         self._disturbed = True
         self._resume_at(-1)
@@ -233,7 +234,7 @@ class UsbFrameStream:
         self._leader = None
 
     def _deviates(self) -> bool:
-        """Note a frame not sent as planned; True from the second in a row on: then it is expected."""
+        """Note a frame that was not sent as planned; True from the second consecutive one on."""
         self._deviations += not self._deviated
         self._deviated = True
         return self._deviations >= _FRAMES_TO_LEARN
@@ -255,7 +256,7 @@ class UsbFrameStream:
     def _take_leader(self, data: NDArray[np.uint8], *, in_rhythm: bool) -> None:
         self._lose_frame()
         leader = parse_leader(data[:256].tobytes()) if data.size <= self._plan.leader else None
-        self._arrived = _Payload()
+        self._payload = _Payload()
         if leader is None:
             self._refuse_other_payload(data[:256].tobytes())
             self._disturbed = True
@@ -277,28 +278,29 @@ class UsbFrameStream:
         if kind is None:
             return
         self._misfits += 1
-        if self._misfits >= _MOST_MISFITS:
+        if self._misfits >= _MAX_MISFITS:
             raise DeviceError(
                 f"{self._link.name}: sends payload of type 0x{kind:04X}, no image; switch chunks and "
                 "compression off (rig camera set CONFIGURATION ChunkModeActive=0)"
             )
 
     def _take_payload(self, data: NDArray[np.uint8], planned: int, host_time_ns: int) -> Frame | None:
-        # A camera that announced more than it sends: its trailer is in place of payload or right behind it.
-        at = max(self._expected.image_bytes - self._arrived.byte_count, 0)
-        if data.size < planned and self._leader is not None and at < data.size <= at + self._plan.trailer:
-            trailer = parse_trailer(data[at : at + 256].tobytes())
+        # Where a camera announced more than it sends, its trailer is in place of payload or right behind it.
+        image_end = max(self._expected.image_bytes - self._payload.byte_count, 0)
+        limit = image_end + self._plan.trailer
+        if data.size < planned and self._leader is not None and image_end < data.size <= limit:
+            trailer = parse_trailer(data[image_end : image_end + 256].tobytes())
             if trailer is not None and trailer.block == self._leader.block:
-                payload = self._parts[1 : 1 + len(self._arrived) + bool(at)]
-                end = () if at else ((_Part.TRAILER, self._plan.trailer),)
-                if at:
-                    self._arrived.append(data[:at])
-                sent = (self._parts[0], *payload, *end)
-                is_new = sent != self._parts
+                payload = self._parts[1 : 1 + len(self._payload) + bool(image_end)]
+                trailer_part = () if image_end else ((_Part.TRAILER, self._plan.trailer),)
+                if image_end:
+                    self._payload.append(data[:image_end])
+                sent_parts = (self._parts[0], *payload, *trailer_part)
+                is_new = sent_parts != self._parts
                 is_learned = is_new and self._deviates()
-                frame = self._take_trailer(data[at:], host_time_ns)
+                frame = self._take_trailer(data[image_end:], host_time_ns)
                 if is_new:
-                    self._parts = sent if is_learned else self._parts
+                    self._parts = sent_parts if is_learned else self._parts
                     self._disturbed = True
                     self._resume_at(0)
                 return frame
@@ -307,7 +309,7 @@ class UsbFrameStream:
         if data.size < planned and data.size <= max(self._plan.leader, self._plan.trailer):
             head = data[:256].tobytes()
             trailer = parse_trailer(head)
-            is_short = self._arrived.byte_count + data.size < self._expected.image_bytes
+            is_short = self._payload.byte_count + data.size < self._expected.image_bytes
             if is_short and trailer is not None and self._leader and trailer.block == self._leader.block:
                 self._lose_frame()
                 self._disturbed = True
@@ -316,7 +318,7 @@ class UsbFrameStream:
             if is_short and parse_leader(head) is not None:
                 self._take_leader(data, in_rhythm=False)
                 return None
-        self._arrived.append(data)
+        self._payload.append(data)
         return None
 
     def _take_trailer(self, data: NDArray[np.uint8], host_time_ns: int) -> Frame | None:
@@ -333,12 +335,12 @@ class UsbFrameStream:
             return None
         wanted = self._expected
         image_bytes = wanted.pixel_format.byte_count(wanted.width_px, wanted.height_px, leader.x_padding)
-        whole = (
+        is_complete = (
             trailer.status == 0
             and trailer.valid_bytes >= image_bytes
-            and self._arrived.byte_count >= image_bytes
+            and self._payload.byte_count >= image_bytes
         )
-        if trailer.block != leader.block or not whole or not self._fits(leader):
+        if trailer.block != leader.block or not is_complete or not self._fits(leader):
             self._numbers.faulty += trailer.block == leader.block and trailer.status != 0
             self._lose_frame()
             return None
@@ -349,10 +351,10 @@ class UsbFrameStream:
         if number is None:
             return None
         self._disturbed = False
-        self._trouble_since_s = None
+        self._halted_since_s = None
         self._deviations, self._deviated = self._deviations * self._deviated, False
         image = wanted.pixel_format.image(
-            self._arrived.whole(), wanted.width_px, wanted.height_px, leader.x_padding
+            self._payload.as_array(), wanted.width_px, wanted.height_px, leader.x_padding
         )
         image = plane_of(image, wanted.pixel_format.colours, wanted.plane)
         image.flags.writeable = False
@@ -365,11 +367,11 @@ class UsbFrameStream:
         if can_be_cut and size == (wanted.width_px, wanted.height_px, wanted.pixel_format.code):
             return True
         self._misfits += 1
-        if self._misfits >= _MOST_MISFITS:
+        if self._misfits >= _MAX_MISFITS:
             sent = f"{leader.width_px} x {leader.height_px}, format 0x{leader.pixel_format:08X}"
-            said = f"{wanted.width_px} x {wanted.height_px} in {wanted.pixel_format.name}"
+            stated = f"{wanted.width_px} x {wanted.height_px} in {wanted.pixel_format.name}"
             raise DeviceError(
                 f"{self._link.name}: sends frames of {sent}, padding {leader.x_padding}; "
-                f"its features say {said}. Stop it and set size and format again"
+                f"its features say {stated}. Stop it and set size and format again"
             )
         return False

@@ -1,4 +1,4 @@
-"""Bulk reads from the stream endpoint: interface, blocking ones through pyusb, and queued ones of libusb."""
+"""Bulk reads from the stream endpoint: interface, blocking reads of pyusb, and queued reads of libusb."""
 
 import ctypes
 import errno
@@ -100,9 +100,9 @@ class BlockingTransfers:
             raise stream_error(error, link) from error
         now_ns = time.monotonic_ns()
         self._filled += count
-        # only whole packets and the time has elapsed: the timeout ended the transfer, not the camera
-        is_cut = count % link.packet_size == 0 and time.monotonic() - begin_s >= timeout_s
-        if is_cut and self._filled < buffer.size:
+        # whole packets only, and the time has elapsed, so the timeout ended the transfer and not the camera
+        timed_out = count % link.packet_size == 0 and time.monotonic() - begin_s >= timeout_s
+        if timed_out and self._filled < buffer.size:
             raise TimeoutError
         self._queued.popleft()
         total, self._filled = self._filled, 0
@@ -115,12 +115,12 @@ class BlockingTransfers:
 
 
 def unplugged_error(link: UsbLink) -> CameraLost:
-    """The exception for a camera that is disconnected while frames are read."""
+    """The exception for a camera that was unplugged while frames were read."""
     return CameraLost(f"{link.name}: is no longer connected (reading frames); plug it in again")
 
 
 def stream_error(error: usb.core.USBError, link: UsbLink) -> CameraLost | StreamHalted:
-    """The exception for an error of pyusb while the stream is read."""
+    """The exception for an error of pyusb while the stream was read."""
     if is_gone(error):
         return unplugged_error(link)
     if error.errno == errno.EPIPE:
@@ -164,7 +164,7 @@ class _TimeValue(Structure):
 
 
 class _Read:
-    """One pending read; the reference to `buffer` keeps the memory in which libusb writes."""
+    """One pending read; its reference to `buffer` keeps the memory alive into which libusb writes."""
 
     def __init__(self, transfer: Any, buffer: NDArray[np.uint8]) -> None:
         self.transfer = transfer
@@ -180,7 +180,7 @@ class LibusbTransfers:
 
     def __init__(self, link: UsbLink, frames_ahead: int) -> None:
         self.frames_ahead = frames_ahead
-        self._most_bytes = _usbfs_limit()
+        self._max_bytes = _usbfs_limit()
         self._link = link
         backend = link.device.backend
         # loaded again, because the declarations of functions below must not change those of pyusb
@@ -203,7 +203,7 @@ class LibusbTransfers:
         """Whether the kernel has memory for a further read of the largest size."""
         pending = sum(read.buffer.size for read in self._reads)
         longest = max((read.buffer.size for read in self._reads), default=0)
-        return pending + longest <= self._most_bytes
+        return pending + longest <= self._max_bytes
 
     def _declare(self) -> None:
         lib = self._lib
@@ -300,9 +300,7 @@ _ABANDONED: list[_Read] = []
 
 
 def _usbfs_limit() -> float:
-    """Largest total size of pending reads in bytes: on Linux half of the limit for all USB devices; else
-    inf.
-    """
+    """Largest total size of pending reads in bytes: half of Linux's limit for all USB devices; else inf."""
     try:
         megabytes = int(Path("/sys/module/usbcore/parameters/usbfs_memory_mb").read_text(encoding="utf-8"))
     except (OSError, ValueError):

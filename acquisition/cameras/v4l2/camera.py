@@ -40,7 +40,7 @@ class V4l2Camera(DeviceCamera[LinuxSource]):
             return info
 
     def start(self) -> None:
-        """Begin with fresh buffers."""
+        """Start the stream with new buffers."""
         with self._lock:
             source = self._open_device()
             self._must_be_idle()
@@ -51,12 +51,12 @@ class V4l2Camera(DeviceCamera[LinuxSource]):
             self._run = CameraRun(lambda timeout_s: source.next(timeout_s, numbers), source.stop)
 
     def close(self) -> None:
-        """Stop, and release the device, at the latest when a waiting read has ended."""
+        """Stop, and release the device, now or when a waiting read has ended."""
         self.stop()
         with self._lock:
             source, self._features = self._features, None
             if source is not None:
-                self._when_unread(source.close)
+                self._when_idle(source.close)
 
     def feature_values(self) -> dict[str, FeatureValue]:
         """All controls of the device that can be read now."""

@@ -1,4 +1,4 @@
-"""Video devices of Linux, their pixel layouts, and the source of frames that a camera reads."""
+"""Video devices of Linux, the search for them, and the layouts of their pixels."""
 
 import errno
 import os
@@ -17,9 +17,9 @@ from processing.errors import DeviceError
 
 
 class Layout(NamedTuple):
-    """Grey values in a buffer: their `pixel_format`, type, distance in a row and first position (in
-    values).
+    """Layout of the grey values in a buffer.
 
+    `step` is their distance in a row, `offset` the position of the first, both counted in values of `dtype`.
     `packed` is the number of pixels in a MIPI group: a byte with the high bits of each, then one with the
     low bits of all, least significant first; 0 if pixels are whole bytes. `colours` are those of the first
     two pixels of the first row of a Bayer mosaic.
@@ -62,15 +62,13 @@ LAYOUTS: Final[dict[str, Layout]] = {
 
 
 def choose(offered: list[str], wanted: PixelFormat | None, *, mosaic: bool = False) -> str | None:
-    """Code of the preferred layout among the offered ones, grey or with a Bayer mosaic, with the wanted pixel
-    format; None if there is none.
-    """
+    """Code of the preferred offered layout with the wanted pixel format, grey or of a mosaic; else None."""
     fitting = (code for code in _usable(offered, mosaic) if wanted in (None, LAYOUTS[code].pixel_format))
     return next(fitting, None)
 
 
 def pixel_formats_of(offered: list[str], *, mosaic: bool = False) -> list[PixelFormat]:
-    """Pixel formats that follow from the offered layouts, grey or with a Bayer mosaic."""
+    """Pixel formats of the offered layouts, grey or of a Bayer mosaic."""
     return list(dict.fromkeys(LAYOUTS[fourcc].pixel_format for fourcc in _usable(offered, mosaic)))
 
 
@@ -86,7 +84,7 @@ def image_bytes(layout: PixelLayout) -> int:
 
 
 def to_image(data: memoryview, layout: PixelLayout, plane: ColourPlane | None = None) -> Image:
-    """A copy of the grey values, shape (height, width), or of those of one colour of a mosaic.
+    """A copy of the grey values, shape (height, width), or of the values of one colour of a mosaic.
 
     `data` holds at least `image_bytes`.
     """
@@ -124,8 +122,8 @@ _SYSFS = Path("/sys/class/video4linux")
 class VideoDevice(NamedTuple):
     """One device that delivers images.
 
-    `formats` are four-character codes, `modes` the supported ones with size and largest rate as text.
-    `problem` is the reason for which it cannot be opened, empty if it can.
+    `formats` are four-character codes, `modes` the supported formats with size and highest rate as text.
+    `problem` is the reason why the device cannot be opened; empty if it can.
     """
 
     path: str
@@ -150,7 +148,7 @@ def list_devices() -> list[VideoDevice]:
 
 
 def list_cameras() -> list[PluggedCamera]:
-    """All cameras for ``rig doctor``; DeviceError on systems but Linux."""
+    """All cameras for ``rig doctor``; DeviceError on any system but Linux."""
     if sys.platform != "linux":
         raise DeviceError("v4l2: there are such cameras on Linux only")
     cameras = []
@@ -170,17 +168,17 @@ def find_device(path: str | None, serial: str | None) -> VideoDevice:
     DeviceError
         No such device; several, of which none is selected (the message lists them); or no permission.
     """
-    there = list_devices()
-    listed = "; ".join(f"{device.path} {device.name} {device.serial}".strip() for device in there)
-    chosen = there
+    devices = list_devices()
+    listed = "; ".join(f"{device.path} {device.name} {device.serial}".strip() for device in devices)
+    chosen = devices
     if path is not None:
         path = f"/dev/video{path}" if path.isdigit() else path
         real = os.path.realpath(path)
-        chosen = [device for device in there if device.path == real]
+        chosen = [device for device in devices if device.path == real]
         if not chosen:
             raise DeviceError(f"{path}: is not a camera; there are: {listed or 'none'}")
     elif serial is not None:
-        chosen = [device for device in there if device.serial == serial]
+        chosen = [device for device in devices if device.serial == serial]
         if not chosen:
             raise DeviceError(
                 f"no video device has the serial number {serial!r}; there are: {listed or 'none'}"
@@ -204,13 +202,13 @@ def find_again(known: VideoDevice) -> VideoDevice:
     Raises DeviceError while it is not there, or cannot be opened.
     """
     same = [one for one in list_devices() if (one.name, one.serial) == (known.name, known.serial)]
-    # two cameras of one model without serial numbers differ by their place on the bus
-    for told in ("bus", "path"):
+    # two cameras of one model without serial numbers are told apart by their place on the bus
+    for attribute in ("bus", "path"):
         if len(same) > 1:
-            same = [one for one in same if getattr(one, told) == getattr(known, told)]
+            same = [one for one in same if getattr(one, attribute) == getattr(known, attribute)]
     if not same:
-        who = f"{known.name} {known.serial}".strip()
-        raise DeviceError(f"{known.path}: {who} is not connected any more; plug it in again")
+        identity = f"{known.name} {known.serial}".strip()
+        raise DeviceError(f"{known.path}: {identity} is not connected any more; plug it in again")
     if same[0].problem:
         raise DeviceError(same[0].problem)
     return same[0]
@@ -240,8 +238,8 @@ def _look_at(path: str, serial: str) -> VideoDevice | None:
             return None
         return VideoDevice(path, "", "", serial, (), (), refusal(path, error))
     try:
-        who = kernel.capabilities(device)
-        if not who.captures:
+        identity = kernel.capabilities(device)
+        if not identity.captures:
             return None
         formats = kernel.formats(device)
         modes = [
@@ -252,7 +250,7 @@ def _look_at(path: str, serial: str) -> VideoDevice | None:
             for width, height in kernel.sizes(device, fourcc)
             for rate in [kernel.highest_rate_hz(device, fourcc, width, height)]
         ]
-        return VideoDevice(path, who.card, who.bus, serial, tuple(formats), tuple(modes))
+        return VideoDevice(path, identity.card, identity.bus, serial, tuple(formats), tuple(modes))
     except OSError:
         return None
     finally:

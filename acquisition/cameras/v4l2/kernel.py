@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 try:
     import fcntl
 except ImportError:
-    # Windows, where nothing here is called: the search for cameras says so
+    # on Windows nothing of this module is called, because the search for cameras refuses earlier
     fcntl = None  # type: ignore[assignment]
 
 CAPTURE: Final = 1
@@ -28,7 +28,7 @@ AUTO_WHITE_BALANCE, AUTO_HUE, AUTO_BRIGHTNESS, BACKLIGHT = 0x0098090C, 0x0098091
 AUTOMATIC: Final = {EXPOSURE_AUTO: MANUAL_EXPOSURE} | dict.fromkeys(
     (EXPOSURE_PRIORITY, AUTO_GAIN, AUTO_WHITE_BALANCE, AUTO_HUE, AUTO_BRIGHTNESS, BACKLIGHT), 0
 )
-"""Values that switch off what a camera does by itself to exposure, gain, white balance and brightness."""
+"""Values that switch off the camera's automatic exposure, gain, white balance and brightness."""
 
 
 def _code(direction: int, number: int, size: int) -> int:
@@ -102,14 +102,14 @@ class FilledBuffer(NamedTuple):
 def capabilities(device: int) -> Capabilities:
     """Identity of a device, and whether it streams images."""
     data = _call(device, _QUERY_CAPABILITIES, bytes(104))
-    driver, card, bus, _, everything, here = struct.unpack_from("<16s32s32s3I", data)
-    flags = here if everything & 0x8000_0000 else everything
+    driver, card, bus, _, all_flags, device_flags = struct.unpack_from("<16s32s32s3I", data)
+    flags = device_flags if all_flags & 0x8000_0000 else all_flags
     captures = flags & STREAMING_CAPTURE == STREAMING_CAPTURE
     return Capabilities(_text(driver), _text(card), _text(bus), captures)
 
 
 def formats(device: int) -> list[str]:
-    """Four-character codes of the formats that are offered."""
+    """Four-character codes of the formats that a device offers."""
     found = _enumerated(device, _ENUM_FORMAT, lambda index: struct.pack("<II56x", index, CAPTURE))
     return [data[44:48].decode("latin-1") for data in found]
 
@@ -131,9 +131,9 @@ def highest_rate_hz(device: int, fourcc: str, width_px: int, height_px: int) -> 
     best = float("nan")
     size = (fourcc.encode("latin-1"), width_px, height_px)
     for data in _enumerated(device, _ENUM_INTERVALS, lambda index: struct.pack("<I4sII36x", index, *size)):
-        kind, above, below = struct.unpack_from("<III", data, 16)
-        if above:
-            rate = below / above
+        kind, numerator, denominator = struct.unpack_from("<III", data, 16)
+        if numerator:
+            rate = denominator / numerator
             best = rate if math.isnan(best) else max(best, rate)
         if kind != 1:
             break
@@ -159,8 +159,8 @@ def get_rate_hz(device: int) -> float:
         data = _call(device, _GET_PARAMETERS, struct.pack("<I200x", CAPTURE))
     except OSError:
         return float("nan")
-    above, below = struct.unpack_from("<II", data, 12)
-    return below / above if above else float("nan")
+    numerator, denominator = struct.unpack_from("<II", data, 12)
+    return denominator / numerator if numerator else float("nan")
 
 
 def set_rate_hz(device: int, rate_hz: float) -> None:
@@ -211,11 +211,11 @@ def set_selection(device: int, region: Rectangle) -> None:
 
 
 def request_buffers(device: int, count: int) -> int:
-    """Let the driver allocate buffers (0 frees them); returns the number allocated."""
-    made: int = struct.unpack_from(
+    """Make the driver allocate buffers (0 frees them); returns the number allocated."""
+    allocated: int = struct.unpack_from(
         "<I", _call(device, _REQUEST_BUFFERS, struct.pack("<III8x", count, CAPTURE, MEMORY_MAPPED))
     )[0]
-    return made
+    return allocated
 
 
 def buffer_place(device: int, index: int) -> tuple[int, int]:
@@ -262,7 +262,7 @@ def _layout(data: bytes) -> PixelLayout:
 
 
 def _enumerated(device: int, code: int, request: Callable[[int], bytes]) -> Iterator[bytes]:
-    """Answers to the requests for number 0, 1, ... until the driver has no more."""
+    """Replies to the requests for numbers 0, 1, ... until the driver has no more."""
     with contextlib.suppress(OSError):
         for index in range(256):
             yield _call(device, code, request(index))

@@ -18,9 +18,9 @@ from acquisition.camera import (
     FeatureValue,
     Frame,
     PixelFormat,
-    without_wires,
+    refuse_wiring,
 )
-from acquisition.cameras.drivers import V4l2Settings, kept_frames
+from acquisition.cameras.drivers import V4l2Settings, buffer_count
 from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import (
@@ -37,14 +37,15 @@ from acquisition.cameras.v4l2.devices import (
 from acquisition.frames.losses import BlockNumbers
 from processing.errors import DeviceError
 
-_FEWEST_BUFFERS, _MOST_BUFFERS = 4, 32
+_MIN_BUFFERS, _MAX_BUFFERS = 4, 32
 _EXPOSURE_STEP_US = 100.0  # the kernel's unit of V4L2_CID_EXPOSURE_ABSOLUTE
 
 
 class LinuxSource:
     """A device, used by one thread at a time. Timestamps are the driver's, on the host's monotonic clock.
 
-    `found` is the device; one that is `known` from before is looked for by what it is, not by its number.
+    `found` is the device. A device that was `known` before is found again by its name and serial number, and
+    not by its device number.
     """
 
     def __init__(self, settings: V4l2Settings, known: VideoDevice | None = None) -> None:
@@ -77,9 +78,9 @@ class LinuxSource:
                     f"{self._name}: offers {', '.join(code.strip() for code in found.formats)}; none is grey "
                     f"or has its luminance uncompressed ({', '.join(code.strip() for code in LAYOUTS)})"
                 )
-            now = kernel.get_layout(self._device)
-            if now.fourcc not in LAYOUTS:
-                now = kernel.set_layout(self._device, now.width_px, now.height_px, fourcc)
+            present = kernel.get_layout(self._device)
+            if present.fourcc not in LAYOUTS:
+                present = kernel.set_layout(self._device, present.width_px, present.height_px, fourcc)
             driver = kernel.capabilities(self._device).driver
         except OSError as error:
             self.close()
@@ -87,7 +88,7 @@ class LinuxSource:
         except DeviceError:
             self.close()
             raise
-        self.found, self._layout = found, now
+        self.found, self._layout = found, present
         region = kernel.get_selection(self._device, kernel.CROP)
         self._bounds = None if region is None else kernel.get_selection(self._device, kernel.CROP_BOUNDS)
         return CameraInfo(
@@ -95,21 +96,21 @@ class LinuxSource:
             vendor=found.bus,
             model=found.name,
             serial=found.serial,
-            width_px=self._bounds.width if self._bounds else now.width_px,
-            height_px=self._bounds.height if self._bounds else now.height_px,
-            full_scale_dn=2 ** BITS_OF_FORMAT[LAYOUTS[now.fourcc].pixel_format] - 1,
+            width_px=self._bounds.width if self._bounds else present.width_px,
+            height_px=self._bounds.height if self._bounds else present.height_px,
+            full_scale_dn=2 ** BITS_OF_FORMAT[LAYOUTS[present.fourcc].pixel_format] - 1,
             has_clock=True,
             # UVC cameras state when an exposure began, all others when its last pixel has arrived
             stamped="start" if driver == "uvcvideo" else "end",
         )
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
-        """Apply the settings, in an order in which a later one does not change an earlier one."""
-        without_wires(settings.model_copy(update={"colour_plane": None}), self._name)
+        """Apply the settings, in an order in which no setting changes an earlier one."""
+        refuse_wiring(settings.model_copy(update={"colour_plane": None}), self._name)
         self._plane = settings.colour_plane or self._plane
         settings = in_sensor_px(settings.model_copy(update={"colour_plane": self._plane}))
         try:
-            self._leave_images_alone()
+            self._switch_off_processing()
             self._set_layout(settings)
             self._set_exposure(settings)
             self._set_gain(settings)
@@ -142,13 +143,13 @@ class LinuxSource:
         rate_hz = kernel.get_rate_hz(self._device)
         known_hz = rate_hz if math.isfinite(rate_hz) else None
         frame_bytes = image_bytes(self._layout)
-        return kept_frames(self._settings.buffers, known_hz, frame_bytes, _FEWEST_BUFFERS, _MOST_BUFFERS)
+        return buffer_count(self._settings.buffers, known_hz, frame_bytes, _MIN_BUFFERS, _MAX_BUFFERS)
 
     def next(self, timeout_s: float, numbers: BlockNumbers) -> Frame | None:
-        """The next frame, copied, with the number that `numbers` gives it; None where there is no whole one.
+        """The next frame, copied, with its number from `numbers`; None if no complete frame has come.
 
-        The driver fills buffers in the order in which it received them. If it received the one of this
-        frame only after the frame before had arrived, it had none for the frames in between.
+        The driver fills buffers in the order in which it received them. If it received this frame's buffer
+        only after the frame before had arrived, it had no buffer for the frames in between.
         """
         try:
             poll = select.poll()
@@ -165,7 +166,7 @@ class LinuxSource:
             if whole and not stale:
                 with memoryview(self._maps[filled.buffer]) as data:
                     image = to_image(data, self._layout, self._plane)
-            late = self._queued_ns[filled.buffer] > self._last_ns
+            no_buffer = self._queued_ns[filled.buffer] > self._last_ns
             self._last_ns = filled.time_ns
             kernel.queue(self._device, filled.buffer)
             self._queued_ns[filled.buffer] = time.monotonic_ns()
@@ -177,10 +178,10 @@ class LinuxSource:
             numbers.lost_parts += 1
             numbers.faulty += 1
             return None
-        # a driver that gives all the same number does not count
+        # a driver that gives all frames the same number does not count them
         block = None if filled.sequence == self._last_sequence else filled.sequence
         self._last_sequence = filled.sequence
-        number = numbers.number(block, "dropped_by_host" if late else "dropped_by_bus")
+        number = numbers.number(block, "dropped_by_host" if no_buffer else "dropped_by_bus")
         return None if number is None else Frame(image, number, filled.time_ns, host_time_ns)
 
     def stop(self) -> None:
@@ -202,19 +203,19 @@ class LinuxSource:
         self._maps = []
         kernel.request_buffers(self._device, 0)
 
-    def _leave_images_alone(self) -> None:
-        """Switch off what the camera does by itself to its images, whether or not a number is asked for."""
-        there = {control.number: control for control in kernel.controls(self._device)}
+    def _switch_off_processing(self) -> None:
+        """Switch off the camera's automatic changes of images, whether or not settings replace them."""
+        available = {control.number: control for control in kernel.controls(self._device)}
         for number, value in kernel.AUTOMATIC.items():
-            if number in there and there[number].can_be_set:
+            if number in available and available[number].can_be_set:
                 kernel.set_control(self._device, number, value)
 
     def _set_feature(self, name: str, value: FeatureValue) -> None:
-        there = {_key(control.name): control for control in kernel.controls(self._device)}
-        control = there.get(_key(name))
+        available = {_key(control.name): control for control in kernel.controls(self._device)}
+        control = available.get(_key(name))
         if control is None:
             raise DeviceError(
-                f"{self._name}: has no control {name}; there are {', '.join(sorted(there)) or 'none'}"
+                f"{self._name}: has no control {name}; there are {', '.join(sorted(available)) or 'none'}"
             )
         if isinstance(value, str) or not control.lowest <= value <= control.highest:
             raise DeviceError(
@@ -235,8 +236,8 @@ class LinuxSource:
         offered = kernel.formats(self._device)
         fourcc = self._layout.fourcc
         wanted, mosaic = settings.pixel_format, self._plane is not None
-        now = LAYOUTS[fourcc]
-        if wanted not in (None, now.pixel_format) or bool(now.colours) != mosaic:
+        present = LAYOUTS[fourcc]
+        if wanted not in (None, present.pixel_format) or bool(present.colours) != mosaic:
             fourcc = choose(offered, wanted, mosaic=mosaic) or ""
             if not fourcc:
                 raise DeviceError(f"{self._name}: {_no_format(offered, wanted, mosaic)}")
@@ -244,7 +245,7 @@ class LinuxSource:
         height_px = settings.height_px or self._layout.height_px
         if self._bounds is not None:
             region = self._set_region(self._bounds, settings)
-            # a driver may scale the region to another size: only its own size is unscaled
+            # the format must have the region's size, because a driver scales the region to any other
             width_px, height_px = region.width, region.height
         elif settings.offset_x_px or settings.offset_y_px:
             raise DeviceError(
@@ -257,39 +258,39 @@ class LinuxSource:
                 f"{self._name}: format {fourcc} was requested, the camera set {self._layout.fourcc}; "
                 "set camera.pixel_format to another one"
             )
-        made = (self._layout.width_px, self._layout.height_px)
-        if self._bounds is not None and made != (width_px, height_px):
+        applied = (self._layout.width_px, self._layout.height_px)
+        if self._bounds is not None and applied != (width_px, height_px):
             raise DeviceError(
-                f"{self._name}: scales a region of {width_px} x {height_px} to {made[0]} x {made[1]}; "
+                f"{self._name}: scales a region of {width_px} x {height_px} to {applied[0]} x {applied[1]}; "
                 "set camera.width_px and camera.height_px to another size"
             )
 
     def _set_region(self, bounds: kernel.Rectangle, settings: CameraSettings) -> kernel.Rectangle:
-        now = kernel.get_selection(self._device, kernel.CROP) or bounds
-        asked = kernel.Rectangle(
-            now.left if settings.offset_x_px is None else settings.offset_x_px,
-            now.top if settings.offset_y_px is None else settings.offset_y_px,
-            settings.width_px or now.width,
-            settings.height_px or now.height,
+        present = kernel.get_selection(self._device, kernel.CROP) or bounds
+        requested = kernel.Rectangle(
+            present.left if settings.offset_x_px is None else settings.offset_x_px,
+            present.top if settings.offset_y_px is None else settings.offset_y_px,
+            settings.width_px or present.width,
+            settings.height_px or present.height,
         )
         for name, end, size in (
-            ("width_px", asked.left + asked.width, bounds.width),
-            ("height_px", asked.top + asked.height, bounds.height),
+            ("width_px", requested.left + requested.width, bounds.width),
+            ("height_px", requested.top + requested.height, bounds.height),
         ):
             if end > size:
                 raise DeviceError(
                     f"{self._name}: {name} with its offset reaches {end}; the sensor has {size}"
                 )
-        if asked == now:
-            return now
-        kernel.set_selection(self._device, asked)
-        return kernel.get_selection(self._device, kernel.CROP) or asked
+        if requested == present:
+            return present
+        kernel.set_selection(self._device, requested)
+        return kernel.get_selection(self._device, kernel.CROP) or requested
 
     def _set_exposure(self, settings: CameraSettings) -> None:
         if settings.exposure_us is None:
             return
-        there = {control.number: control for control in kernel.controls(self._device)}
-        exposure = there.get(kernel.EXPOSURE_ABSOLUTE)
+        available = {control.number: control for control in kernel.controls(self._device)}
+        exposure = available.get(kernel.EXPOSURE_ABSOLUTE)
         if exposure is None:
             raise DeviceError(f"{self._name}: has no exposure time; leave camera.exposure_us out")
         steps = round(settings.exposure_us / _EXPOSURE_STEP_US)
@@ -300,7 +301,7 @@ class LinuxSource:
                 "are possible"
             )
         for number, value in ((kernel.EXPOSURE_AUTO, kernel.MANUAL_EXPOSURE), (kernel.EXPOSURE_PRIORITY, 0)):
-            if number in there:
+            if number in available:
                 kernel.set_control(self._device, number, value)
         kernel.set_control(self._device, kernel.EXPOSURE_ABSOLUTE, steps)
 
@@ -312,27 +313,27 @@ class LinuxSource:
         wanted = self._settings.gain
         if wanted is None:
             return
-        there = {control.number: control for control in kernel.controls(self._device)}
-        gain = there.get(kernel.GAIN)
+        available = {control.number: control for control in kernel.controls(self._device)}
+        gain = available.get(kernel.GAIN)
         if gain is None:
             raise DeviceError(f"{self._name}: has no gain; leave camera.v4l2.gain out")
         if not gain.lowest <= wanted <= gain.highest:
             raise DeviceError(
                 f"{self._name}: gain = {wanted} is out of range; {gain.lowest} to {gain.highest} are possible"
             )
-        if kernel.AUTO_GAIN in there:
+        if kernel.AUTO_GAIN in available:
             kernel.set_control(self._device, kernel.AUTO_GAIN, 0)
         kernel.set_control(self._device, kernel.GAIN, wanted)
-        taken = kernel.get_control(self._device, kernel.GAIN)
-        if taken != wanted:
-            raise DeviceError(f"{self._name}: gain = {wanted} was requested, the camera set {taken}")
+        applied = kernel.get_control(self._device, kernel.GAIN)
+        if applied != wanted:
+            raise DeviceError(f"{self._name}: gain = {wanted} was requested, the camera set {applied}")
 
     def _readings(self, features: tuple[str, ...] = ()) -> CameraSettings:
-        there = {control.number for control in kernel.controls(self._device)}
+        available = {control.number for control in kernel.controls(self._device)}
         region = kernel.get_selection(self._device, kernel.CROP) if self._bounds else None
         rate_hz = kernel.get_rate_hz(self._device)
         exposure_us = None
-        if kernel.EXPOSURE_ABSOLUTE in there:
+        if kernel.EXPOSURE_ABSOLUTE in available:
             steps = kernel.get_control(self._device, kernel.EXPOSURE_ABSOLUTE)
             exposure_us = max(steps * _EXPOSURE_STEP_US, 1e-3)
         return CameraSettings(
@@ -353,9 +354,9 @@ class LinuxSource:
 
 
 def _no_format(offered: list[str], wanted: PixelFormat | None, mosaic: bool) -> str:
-    there = pixel_formats_of(offered, mosaic=mosaic)
-    if there:
-        return f"pixel format {wanted} is not supported; there are {', '.join(there)}"
+    available = pixel_formats_of(offered, mosaic=mosaic)
+    if available:
+        return f"pixel format {wanted} is not supported; there are {', '.join(available)}"
     if mosaic:
         return "has no Bayer format; leave camera.colour_plane out"
     return "has a Bayer mosaic; set camera.colour_plane to the laser's colour"

@@ -84,7 +84,7 @@ class Bme280:
         raw_p = (d[0] << 12) | (d[1] << 4) | (d[2] >> 4)
         raw_t = (d[3] << 12) | (d[4] << 4) | (d[5] >> 4)
         raw_h = (d[6] << 8) | d[7]
-        # what the registers hold before the first measurement, and for a quantity that is not measured
+        # contents of the registers before the first measurement, and for a quantity that is not measured
         if raw_p == 0x80000 or raw_t == 0x80000 or raw_h == 0x8000:
             raise OSError("BME280 has not measured yet")
         t, h, p = compensate(self.calibration, raw_t, raw_p, raw_h)

@@ -113,8 +113,9 @@ class Board:
             self._close_gate()
 
     def set_pulse(self, delay_us: float, width_us: float) -> None:
-        """From the next time the laser is switched on: one pulse after each exposure's beginning; width 0: no
-        pulses, light all the time.
+        """Set the pulse after each exposure's beginning, from the next time on when the laser is switched on.
+
+        With width 0 there are no pulses, and light all the time.
         """
         self._pulse_us = (delay_us, width_us)
 
@@ -129,7 +130,7 @@ class Board:
         if self._pulses is not None:
             self._pulses.end()
             self._pulses = None
-        # takes the pin back from the pulses
+        # this also returns the pin from the state machine of the pulses
         self._gate.init(machine.Pin.OUT, value=0)
 
     def laser_enabled(self) -> bool:
@@ -179,7 +180,7 @@ class Board:
         return bool(self._light.value()) if self._has_photodiode else None
 
     def stored_latch(self) -> tuple[int, str]:
-        """Number and cause of the last trip, cause NONE once acknowledged; a torn file counts as POWER."""
+        """Number and cause of the last trip, cause NONE once acknowledged; a damaged file counts as POWER."""
         try:
             with open(LATCH_FILE) as file:
                 number, cause = json.load(file)
@@ -188,13 +189,13 @@ class Board:
             return 0, "POWER"
 
     def store_latch(self, number: int, cause: str) -> None:
-        """Keep them over a reset: written beside the old file, which is then replaced at once."""
+        """Store number and cause so that they survive a reset: a new file replaces the old one at once."""
         try:
             with open(LATCH_FILE + ".new", "w") as file:
                 json.dump([number, cause], file)
             os.rename(LATCH_FILE + ".new", LATCH_FILE)
         except OSError:
-            # a full flash: the start latches POWER in any case
+            # where the flash is full, the next start latches POWER in any case
             self.fault = LATCH_FILE + " cannot be written"
 
     def environment(self) -> tuple[float, float, float]:
@@ -205,7 +206,7 @@ class Board:
         return self._sensor.read()  # type: ignore[no-any-return]
 
     def ticks_ms(self) -> int:
-        """The board's clock."""
+        """The board's clock in ms."""
         return time.ticks_ms()  # type: ignore[attr-defined, no-any-return]
 
     def ticks_diff(self, later: int, earlier: int) -> int:

@@ -7,14 +7,14 @@ board object (see `board.py` for its methods). The commands are documented in do
 try:
     from rig.control.firmware.lines import Lines, Refused, spelled
 except ImportError:
-    # the board has its files in no package
+    # on the board the files are in no package
     from lines import Lines, Refused, spelled  # type: ignore[import-not-found, no-redef]
 
 VERSION = "1.4"
 DEADLINE_MIN_MS = 100
 DEADLINE_MAX_MS = 5000
 PULSE_MAX_US = 1000000
-# a photodiode and a laser's electronics follow within some ms; a finger is slower than a contact that bounces
+# a photodiode and a laser's electronics respond within some ms; a press lasts longer than a bouncing contact
 LIGHT_MS = 200
 CAUSES = ("NONE", "INTERLOCK", "OUTPUT", "WATCHDOG", "POWER")
 BUTTON_MS = 500
@@ -125,9 +125,7 @@ class Firmware(Lines):
             self._receive(data)
 
     def safe(self) -> None:
-        """Switch laser, magnet, starter and brake off; the clamp does not move, because it could hit the
-        ball.
-        """
+        """Switch laser, magnet, starter and brake off; the clamp stays, as it could hit the ball."""
         self.laser = self.magnet = self.starter = self.brake = False
         board = self.board
         board.set_laser(False, 0.0)
@@ -141,12 +139,12 @@ class Firmware(Lines):
         if self.token and board.ticks_diff(now, self.heard_ms) > self.deadline_ms:
             self._trip("WATCHDOG", 101)
         closed = board.interlock_closed()
-        # an opening that was shorter than a turn is told by the pin's interrupt
+        # an opening that was shorter than a turn is reported by the pin's interrupt
         opened = board.interlock_opened()
         if opened or (self._was_closed and not closed):
             self._trip("INTERLOCK", 102)
         self._was_closed = closed
-        # a pin that does not do what it was set to: wired wrongly, or broken
+        # a pin that does not follow its setting is wired wrongly, or broken
         disagrees = board.laser_enabled() != self.laser
         if disagrees and not self._disagrees:
             self._trip("OUTPUT", 103)
@@ -164,7 +162,7 @@ class Firmware(Lines):
     def _light_at_odds(self, now: int) -> bool:
         """Whether a photodiode has just contradicted the laser's state for long enough."""
         sees = self.board.light_seen()
-        # there is none between pulses; a laser of its own power may light where only the relay is closed
+        # no light is due between pulses; a laser with its own power control may light at a set power of 0 W
         due = self.laser and self.power_w > 0.0 and not self.pulse_us[1]
         if sees is None or (self.laser if sees else not due):
             self._at_odds_ms, self._odds_told = -1, False
@@ -176,7 +174,7 @@ class Firmware(Lines):
         return False
 
     def _watch_button(self, now: int) -> None:
-        """Acknowledge by the board's button: let go, then held, so that a stuck one does nothing."""
+        """Acknowledge by the button, which must be released, then held, so that a stuck one has no effect."""
         if not self.board.button_pressed():
             self._may_press, self._pressed_ms = True, -1
         elif self._may_press and self._pressed_ms < 0:

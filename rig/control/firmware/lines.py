@@ -51,7 +51,7 @@ def _spellings(header: str) -> list[str]:
 
 
 def spelled(pairs):  # type: ignore[no-untyped-def]
-    """The actions of headers, by all spellings of these."""
+    """Dictionary of the actions by all spellings of their headers."""
     return {spelling: action for header, action in pairs for spelling in _spellings(header)}
 
 
@@ -95,7 +95,7 @@ class Lines:
             self._overrun = True
 
     def _take(self, line: bytes) -> None:
-        # a line whose end was lost may precede a complete one: begin at the last tag
+        # a line whose end was lost may precede a complete one, so parsing begins at the last tag
         tag_at = line.rfind(b"#")
         if tag_at < 0:
             self._take_typed(line)
@@ -103,7 +103,8 @@ class Lines:
         line = line[tag_at:].rstrip(b"\r")
         for seen, reply in self._replies:
             if seen == line:
-                # the reply to a repeated line was lost: send it again without executing the command again
+                # a line is repeated if its reply was lost, so the reply is sent again without executing it
+                # again
                 self.board.write(reply)
                 return
         try:

@@ -45,5 +45,5 @@ class Pulses:
         self._machine.active(1)
 
     def end(self) -> None:
-        """No more pulses; whoever calls this takes the pin back."""
+        """Stop the pulses; the caller must take the pin back."""
         self._machine.active(0)

@@ -21,7 +21,7 @@ def off_line(settings: LaserSettings) -> bytes | None:
 
 
 def laser_unit(kind: str) -> Literal["w", "a"]:
-    """Whether a laser is set in watts or in amperes; one that the controller feeds in watts."""
+    """Unit in which a laser is set, "w" or "a"; a laser that the controller switches is set in watts."""
     return _driver(kind).unit if kind in LASERS else "w"
 
 

@@ -15,7 +15,7 @@ from rig.control.lasers.serial_laser import (
 
 _MODULATION = ("3", "4")
 _FAULTS = {"0": "", "1": "temperature error", "3": "", "4": "constant-power time-out"}
-"""An interlock error (3) is an open interlock, which `interlock_closed` says."""
+"""Faults by their numbers; an interlock error (3) is none, because `interlock_closed` reports it."""
 
 
 class Cobolt(SerialLaser):
@@ -26,7 +26,7 @@ class Cobolt(SerialLaser):
     step = 1e-5
 
     def identify(self) -> LaserIdentity:
-        """Serial number; the family has no identification string beyond it."""
+        """Serial number; the family has no other identification."""
         serial = self.ask("sn?")
         if "error" in serial.lower() or not any(c.isdigit() for c in serial) or "," in serial:
             raise LaserRefused(

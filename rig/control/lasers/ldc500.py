@@ -58,7 +58,7 @@ class Ldc500(DiodeDriver):
 
     def _command(self, command: str) -> None:
         self.tell(command)
-        # an error is entered only after the command was carried out, and a query does not wait for that
+        # an error is registered only after the command was executed, for which a query does not wait
         time.sleep(_CARRIED_OUT_S)
         # LEXE? is the error of the last execution, LCME? that of the last command; reading clears them.
         errors = (self.ask("LEXE?"), self.ask("LCME?"))

@@ -1,11 +1,11 @@
 """Coherent OBIS and its remotes: SCPI, lines end with CR LF, power in W.
 
 With handshaking (the factory setting) each command is answered by a line ``OK`` or ``ERR<number>``, which
-also follows the answer to each query. Both lines are always read; handshaking is switched on at first.
+also follows the answer to each query. Both lines are always read, and handshaking is switched on first.
 
-Its analogue and digital inputs are switched off (constant power), and so is ``SYSTem:AUTostart``, which
-lights by the key alone. The delay of its safety class (``SYSTem:CDRH``) stays as it is. While it warms up
-it is not told to light, because it would do so at the end of that.
+Its analogue and digital inputs are switched off (constant power), and so is ``SYSTem:AUTostart``, with which
+the key alone lights it. The delay of its safety class (``SYSTem:CDRH``) stays as it is. It is not switched
+on while it warms up, because it would then light at the end of the warm-up.
 """
 
 import time
@@ -32,7 +32,7 @@ class Obis(SerialLaser):
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""
-        # without the OK behind it, which comes only with handshaking
+        # read without the OK that follows only with handshaking
         identity = super().ask("*IDN?")
         if "COHERENT" not in identity.upper() or "OBIS" not in identity.upper():
             raise LaserRefused(f"{self.name}: {identity!r} is not a Coherent OBIS; check the port")
@@ -80,20 +80,20 @@ class Obis(SerialLaser):
         return self.ask_float("SOURce:POWer:LEVel:IMMediate:AMPLitude?")
 
     def _command(self, command: str) -> None:
-        _, reader = self._claimed()
+        _, reader = self._require_open()
         reader.clear()
         self.tell(command)
         self._handshake(command)
 
     def _shake_hands(self) -> None:
         """Switch handshaking on; whether this is answered depends on what it was before."""
-        _, reader = self._claimed()
+        _, reader = self._require_open()
         reader.clear()
         self.tell("SYSTem:COMMunicate:HANDshaking ON")
         reader.read_line(time.monotonic() + self._settings.timeout_s)
 
     def _handshake(self, command: str) -> None:
-        _, reader = self._claimed()
+        _, reader = self._require_open()
         line = reader.read_line(time.monotonic() + self._settings.timeout_s)
         if line is None:
             raise ReplyTimeout(f"{self.name}: no OK after {command} within {self._settings.timeout_s:g} s")

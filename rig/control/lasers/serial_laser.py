@@ -1,4 +1,4 @@
-"""Base class of the laser drivers: what they tell, queries and answers, limits, safe order of switching."""
+"""Base class of the laser drivers: states, queries and answers, limits, safe order of switching."""
 
 import contextlib
 import logging
@@ -19,10 +19,10 @@ ON_WITHIN_S = 10.0
 _log = logging.getLogger(__name__)
 _RETRIES = 2
 _POLL_S = 0.1
-_METER = 1.05
-"""What a measured power or current may exceed its limit by: such meters err by some percent."""
+_METER_TOLERANCE = 1.05
+"""Largest measured power or current over its limit, because such meters err by some percent."""
 _DARK_W, _DARK_A = 1e-5, 1e-3
-"""What they may show in the dark, whatever the limit."""
+"""Allowed readings of these meters in the dark, whatever the limit."""
 
 
 class LaserRefused(DeviceError):
@@ -43,8 +43,8 @@ class LaserState:
     """State read from the laser; None for values that this family does not report.
 
     `power_w` is the measured optical power, `current_a` the measured diode current; `fault` is empty if there
-    is none. `excess` says why the laser must be dark although it was set as allowed: more light or current
-    is measured, or something else than this program can change it; empty if it need not.
+    is none. `excess` is the reason why the laser must be dark although its settings are allowed: too much
+    light or current is measured, or something besides this program can change the light; else empty.
     """
 
     on: bool
@@ -59,9 +59,9 @@ class SerialLaser(ABC):
     """A laser, or the driver of a laser diode, over a serial line; a subclass has the commands of its family.
 
     Life cycle: ``open`` -> (``set_power_w`` or ``set_current_a``, ``enable``, ``state``, ``off``) any number
-    of times -> ``close``, which may be called in any state. ``open`` sets or refuses what else could change
-    the light. Only one thread may call them. Each blocks for at most a few timeouts (``enable`` for the delay
-    of the safety class) and raises DeviceError with one line.
+    of times -> ``close``, which may be called in any state. ``open`` sets or refuses all modes in which
+    something else could change the light. Only one thread may call them. Each blocks for at most a few
+    timeouts (``enable`` for the delay of the safety class) and raises DeviceError with one line.
 
     Limits are checked here before a value is sent, and are also written into the device if it has a limit of
     its own. `unit` is that of the value that is set, "w" or "a".
@@ -91,9 +91,7 @@ class SerialLaser(ABC):
 
     @abstractmethod
     def _strayed(self) -> str:
-        """What of the modes that `_prepare` sets is otherwise now, so that something else than the value set
-        here decides on the light; empty if nothing is.
-        """
+        """A mode of `_prepare` that has changed, so that something else sets the light; empty if none has."""
 
     @abstractmethod
     def _prepare(self) -> None:
@@ -122,7 +120,7 @@ class SerialLaser(ABC):
             if strayed := self._strayed():
                 raise LaserRefused(f"{self.name}: {strayed}, and stays so; change it as its manual says")
         except BaseException:
-            self._give_back()
+            self._close_port()
             raise
         return identity
 
@@ -130,7 +128,7 @@ class SerialLaser(ABC):
     def state(self) -> LaserState:
         """Read the laser's state."""
         state = self._read()
-        return replace(state, excess=self._beyond_limits(state) or self._strayed())
+        return replace(state, excess=self._excess_of(state) or self._strayed())
 
     def set_power_w(self, power_w: float) -> None:
         """Set the optical power; raises PowerLimit above max_power_w, LaserRefused for one set in amperes."""
@@ -150,10 +148,10 @@ class SerialLaser(ABC):
 
     def enable(self, refusal: Callable[[], str] = str) -> None:
         """Switch on if the interlock is closed and there is no fault, and wait until the laser reports
-        emission, or `refusal` says why it must not light.
+        emission.
 
-        Raises InterlockOpen if the interlock is open, LaserRefused if the laser does not emit, or as soon as
-        it must not.
+        `refusal` returns the reason why the laser must not light, or "". Raises InterlockOpen if the
+        interlock is open, LaserRefused if the laser does not emit, or as soon as it must not.
         """
         state = self.state()
         if not state.interlock_closed:
@@ -184,7 +182,7 @@ class SerialLaser(ABC):
             time.sleep(_POLL_S)
 
     def off(self) -> None:
-        """Switch off and check the state."""
+        """Switch off; LaserRefused if the laser still reports emission."""
         self._switch(False)
         if self._read().on:
             raise LaserRefused(f"{self.name}: was switched off but still emits; open the interlock by hand")
@@ -198,7 +196,7 @@ class SerialLaser(ABC):
         except DeviceError as error:
             _log.error("%s: may still emit (%s); switch it off by hand", self.name, error)
         finally:
-            self._give_back()
+            self._close_port()
 
     @property
     def name(self) -> str:
@@ -216,7 +214,7 @@ class SerialLaser(ABC):
 
     def ask(self, command: str) -> str:
         """Send a query and return the answer; the query is repeated if none arrives in time."""
-        line, reader = self._claimed()
+        line, reader = self._require_open()
         for _ in range(_RETRIES + 1):
             # a late answer to an earlier query must not be taken for the answer to this one
             reader.clear()
@@ -241,7 +239,7 @@ class SerialLaser(ABC):
 
     def tell(self, command: str) -> None:
         """Send a command that this family does not answer."""
-        line, _ = self._claimed()
+        line, _ = self._require_open()
         line.write(command.encode("ascii") + self.terminator)
 
     def _set_within(self, value: float, limit: float, limit_name: str) -> None:
@@ -259,22 +257,22 @@ class SerialLaser(ABC):
                 "it was switched off"
             )
 
-    def _beyond_limits(self, state: LaserState) -> str:
+    def _excess_of(self, state: LaserState) -> str:
         limits = self._settings
         for value, limit, dark, unit, name in (
             (state.power_w, limits.max_power_w, _DARK_W, "mW", "max_power_w"),
             (state.current_a, limits.max_current_a, _DARK_A, "mA", "max_current_a"),
         ):
-            if value is not None and not value <= limit * _METER + dark:
+            if value is not None and not value <= limit * _METER_TOLERANCE + dark:
                 return f"{value * 1e3:.3g} {unit} measured, {limit * 1e3:g} {unit} allowed by {name}"
         return ""
 
-    def _claimed(self) -> tuple[SerialLine, LineReader]:
+    def _require_open(self) -> tuple[SerialLine, LineReader]:
         if self._line is None or self._reader is None:
             raise PortLost(f"{self.name}: the laser is not open")
         return self._line, self._reader
 
-    def _give_back(self) -> None:
+    def _close_port(self) -> None:
         line, self._line, self._reader = self._line, None, None
         if line is not None:
             with contextlib.suppress(PortLost):
@@ -287,7 +285,7 @@ class DiodeDriver(SerialLaser):
     unit = "a"
 
     def _identified(self, maker: str, models: tuple[str, ...], what: str) -> LaserIdentity:
-        """Vendor, model and serial number; raises LaserRefused for none of these models, of `what`."""
+        """Vendor, model and serial number; raises LaserRefused for other models, with `what` is expected."""
         fields = [field.strip() for field in self.ask("*IDN?").split(",")]
         if len(fields) < 3 or maker not in fields[0].upper() or not fields[1].upper().startswith(models):
             raise LaserRefused(f"{self.name}: {','.join(fields)!r} is not {what}; check the port")

@@ -1,4 +1,4 @@
-"""Section [laser]: the driver, power or current, limits; and which drivers there are."""
+"""Section [laser]: the driver, power or current, and limits; with the registry of the drivers."""
 
 from typing import Literal, Self
 
@@ -16,7 +16,7 @@ A driver is added by one line here and one file with a subclass of `SerialLaser`
 It is imported when it is used.
 """
 WITHOUT_DRIVER = ("none", "controller")
-"""No laser, and one that the controller switches."""
+"""Kinds without a driver here: no laser, and one that the controller switches."""
 
 
 class LaserSettings(BaseModel, frozen=True, extra="forbid"):

@@ -4,9 +4,9 @@ They are USBTMC instruments (1313:804a is an ITC4001): ``port`` is "usbtmc", "us
 A serial port is served as well.
 
 The commands are those of the series' programmer's reference manual. The set current and its limit are read
-back, and the instrument's error queue is read after every setting. Modulation, which its analogue input or
-its own generator does, and pulses are switched off. Its input LD ENABLE, if used, is made to switch off for
-good instead of only as long as it is low.
+back, and the instrument's error queue is read after every setting. Modulation, by its analogue input or by
+its own generator, and pulses are switched off. Its input LD ENABLE, if used, is set to switch the laser off
+permanently instead of only while it is low.
 """
 
 from collections.abc import Callable

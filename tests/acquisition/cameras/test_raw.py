@@ -105,6 +105,7 @@ WHOLE = pictures().tobytes()
         ({"frames": COUNT - 1}, WHOLE, "holds 15360 bytes more than the 11 frames"),
         ({"times_s": [0.0]}, WHOLE, "frame_rate_hz and times_s: state one of them"),
         ({"frame_rate_hz": None, "times_s": [0.0, 0.2, 0.1]}, WHOLE, "times_s: entry 3 is not later"),
+        ({"frame_rate_hz": None, "times_s": [0.0, "b"]}, WHOLE, "times_s 2 = 'b': should be a valid number"),
         ({"frame_rate_hz": None, "times_s": [0.0, 1.0], "frames": 3}, WHOLE, "has 2 entries for frames = 3"),
         ({"width_px": None}, WHOLE, "width_px: is missing"),
         ({"width_px": "160"}, WHOLE, "width_px = '160': should be a valid integer"),

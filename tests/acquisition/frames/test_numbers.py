@@ -5,12 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition.camera import CameraLost, CameraStatus
-from acquisition.cameras.aravis.library import SHORT_IDS, Underruns
+from acquisition.cameras.aravis.library import LAST_SHORT_ID, Underruns
 from acquisition.frames.losses import BlockNumbers
 
 
 def short() -> BlockNumbers:
-    return BlockNumbers("camera", (SHORT_IDS,))
+    return BlockNumbers("camera", (LAST_SHORT_ID,))
 
 
 def at_once(numbers: BlockNumbers, *blocks: int | None) -> list[int | None]:
@@ -36,7 +36,7 @@ def test_a_frame_whose_number_is_not_known_follows_the_one_before() -> None:
     assert numbers.status(5).dropped == 0
 
 
-@pytest.mark.parametrize("counters", [(), (SHORT_IDS,)])
+@pytest.mark.parametrize("counters", [(), (LAST_SHORT_ID,)])
 def test_a_camera_that_counts_again_loses_nothing(counters: tuple[int, ...]) -> None:
     numbers = BlockNumbers("camera", counters)
     assert at_once(numbers, 500, 501, 1, 2) == [0, 1, 2, 3]
@@ -89,7 +89,7 @@ def test_frames_that_found_no_buffer_are_ours_although_the_count_is_seen_early()
 
 
 @given(
-    st.integers(1, SHORT_IDS),
+    st.integers(1, LAST_SHORT_ID),
     st.lists(st.sampled_from(["whole", "lost", "damaged"]), min_size=1, max_size=300),
 )
 def test_numbers_and_losses_always_agree(first: int, fates: list[str]) -> None:
@@ -103,7 +103,7 @@ def test_numbers_and_losses_always_agree(first: int, fates: list[str]) -> None:
         elif fate == "damaged":
             numbers.lost_parts += 1
         # zero is left out
-        block = block % SHORT_IDS + 1
+        block = block % LAST_SHORT_ID + 1
     if not expected:
         return
     before = fates[: expected[0]].count("damaged")

@@ -34,7 +34,7 @@ def test_a_key_is_read_when_its_value_is_taken(key: str) -> None:
 def test_what_a_section_calculates_reads_its_keys() -> None:
     watched = KeyUseMonitor(stated(), ["lever.arm_m=1", "lever.u_skew=0", "instrument.period_s=2"], "")
     assert watched.config.lever is not None
-    assert watched.config.lever.square().rad_per_px() > 0
+    assert watched.config.lever.without_skew().rad_per_px() > 0
     assert watched.unread == ["lever.u_skew", "instrument.period_s"]
     watched.config.instrument.description()
     assert watched.unread == ["lever.u_skew"]

@@ -56,7 +56,7 @@ class Triggered(AravisCamera):
     def configure(self, settings: CameraSettings) -> CameraSettings:
         applied = super().configure(settings)
         features = self._open_device()
-        features.run_on = lambda: features.camera.set_trigger("Software")  # type: ignore[method-assign]
+        features.select_continuous = lambda: features.camera.set_trigger("Software")  # type: ignore[method-assign]
         return applied
 
 

@@ -18,7 +18,7 @@ from tests.acquisition.cameras.usb3vision.registers import SIRM
 def test_every_format_gives_the_cameras_pixels(
     device: VisionDevice, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(driver, "_LARGEST_TRANSFER", 1 << 16)  # frames of several transfers
+    monkeypatch.setattr(driver, "_MAX_TRANSFER_BYTES", 1 << 16)  # frames of several transfers
     camera = camera_on(device)
     camera.open()
     camera.features.set("PixelFormat", name)

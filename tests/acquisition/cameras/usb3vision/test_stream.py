@@ -42,7 +42,7 @@ def streaming(
     if settings is not None:
         camera.configure(settings)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(driver, "_LARGEST_TRANSFER", 1 << 14)
+        patch.setattr(driver, "_MAX_TRANSFER_BYTES", 1 << 14)
         camera.start()
     try:
         yield camera

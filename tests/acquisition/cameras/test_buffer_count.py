@@ -3,7 +3,7 @@
 import pytest
 
 from acquisition.camera import CameraSettings
-from acquisition.cameras.drivers import kept_frames
+from acquisition.cameras.drivers import buffer_count
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.cameras.usb3vision.link import UsbLink
 from acquisition.cameras.usb3vision.transfers import BlockingTransfers, Transfers
@@ -13,15 +13,15 @@ from tests.acquisition.cameras.usb3vision.device import VisionDevice
 
 @pytest.mark.parametrize("rate_hz", [25.0, 60.0, 333.3, 500.0, 2000.0])
 def test_a_tenth_of_a_second_is_kept(rate_hz: float) -> None:
-    assert kept_frames(None, rate_hz, 640 * 480, 4, 4096) / rate_hz >= 0.1
+    assert buffer_count(None, rate_hz, 640 * 480, 4, 4096) / rate_hz >= 0.1
 
 
 def test_bounds_hold_for_what_is_asked_too() -> None:
-    assert kept_frames(7, 2000.0, 1, 64, 4096) == 7
-    assert kept_frames(None, None, 1, 64, 4096) == 64
-    assert kept_frames(None, 2000.0, 1, 4, 32) == 32
-    assert kept_frames(None, 2000.0, 100_000_000, 4, 4096) == 2
-    assert kept_frames(1000, 50.0, 10_000_000, 4, 4096) * 10_000_000 <= 256 * 2**20
+    assert buffer_count(7, 2000.0, 1, 64, 4096) == 7
+    assert buffer_count(None, None, 1, 64, 4096) == 64
+    assert buffer_count(None, 2000.0, 1, 4, 32) == 32
+    assert buffer_count(None, 2000.0, 100_000_000, 4, 4096) == 2
+    assert buffer_count(1000, 50.0, 10_000_000, 4, 4096) * 10_000_000 <= 256 * 2**20
 
 
 def test_a_usb_camera_reads_a_tenth_of_a_second_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
