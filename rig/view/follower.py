@@ -30,7 +30,7 @@ from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
-from rig.instrument import Phase, RecordContents, RunNow, advice_for, recorded_configuration, told_in
+from rig.instrument import Phase, RecordContents, RunNow, advice_for, piece_contents, recorded_configuration
 from rig.presentation import balance_numbers
 from rig.settings import Configuration
 from rig.view import layout
@@ -114,7 +114,7 @@ class RecordDrawer:
 
     def _draw(self, piece: Piece) -> None:
         reader, drawing, run = self._reader, self._drawing, self._run
-        told = told_in(reader, piece, self._start_ns or 0, self._last_ns)
+        told = piece_contents(reader, piece, self._start_ns or 0, self._last_ns)
         before, self._now = self._now, self._now.after(told, reader.deflection_unit)
         # the line of a balance separates the samples beside it
         self._draw_balances(told.balances)
@@ -177,17 +177,17 @@ class RecordDrawer:
     def _draw_session(self, told: RecordContents, before: RunNow) -> None:
         """What the session says of itself: phase, clock, estimates."""
         clock, drawing, run = self._now.clock, self._drawing, self._run
-        for health in told.of(RecordedHealth):
+        for health in told.messages_of_kind(RecordedHealth):
             self._told_of_session = True
             if clock.known and clock != before.clock:
                 drawing.clock(run, self._at(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
-        rows = told.of(RecordedEstimate)
+        rows = told.messages_of_kind(RecordedEstimate)
         for time_ns in dict.fromkeys(row.time_ns for row in rows):
             of_one = {
                 row.quantity: Estimate(row.value, row.u_value) for row in rows if row.time_ns == time_ns
             }
             drawing.estimates(run, self._at(time_ns), of_one)
-        if told.of(RecordedPhase):
+        if told.messages_of_kind(RecordedPhase):
             self._draw_state()
 
     def _draw_pictures(self, *, at_end: bool = False) -> None:
