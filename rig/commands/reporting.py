@@ -196,8 +196,8 @@ def model_runs(
     from rig.campaigns import (
         NamedRuns,
         StatedCampaign,
-        answer_of,
         campaign_tables,
+        fit_campaign,
         read_campaign,
         save_campaign,
     )
@@ -205,7 +205,7 @@ def model_runs(
 
     stated = StatedCampaign() if model == DEFAULT else read_campaign(there(Path(model)))
     runs = NamedRuns(list(folders), archive, where, by_sample=by_sample).found()
-    found = answer_of(runs, stated, sample=sample)
+    found = fit_campaign(runs, stated, sample=sample)
     answer(campaign=encoded(found.results))
     print_tables(campaign_tables(found))
     for line in (*found.results.left_out, *found.results.warnings):

@@ -139,7 +139,7 @@ def blocks_of(reader: RecordReader, config: Configuration, lost: range = range(0
     return found
 
 
-@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("threaded", [False, True])
 def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path, threaded: bool) -> None:
     with RecordReader(recorded) as reader:
         config, raw = recorded_configuration(reader), scatter(reader.swings())
