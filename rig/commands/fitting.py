@@ -13,7 +13,6 @@ from rig.commands.arguments import ResultsFolder, Set, in_json, kind_of, there, 
 
 if TYPE_CHECKING:
     from rig.analysis import AnalysedTable, SeismometerSource
-    from rig.intake import FilmAsked
 
 
 def register(app: typer.Typer) -> None:
@@ -146,10 +145,10 @@ def fit(
     if rate is not None and not rate > 0:
         raise ConfigurationError(f"--rate {rate:g}: the number of rows or frames per second must be above 0")
     if kind == "film":
-        from rig.intake import FilmAsked
+        from rig.intake import FilmOptions
 
         _refuse("on a film", columns, {"--witness": witness})
-        asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
+        asked = FilmOptions(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
         raise typer.Exit(fit_film(files[0], asked, output, config, run, set_ or [], law or []))
     if files[0].suffix.lower() in (".json", ".toml"):
         raise ConfigurationError(
@@ -244,7 +243,7 @@ def fit_records(
 
 def fit_film(
     film: Path,
-    asked: "FilmAsked",
+    asked: "FilmOptions",
     output: Path | None,
     config: Path | None,
     run: str,

@@ -27,7 +27,7 @@ from rig.campaigns import (
     runs_of_folders,
     save_campaign,
 )
-from rig.intake import FilmAsked, TableColumns, film_trajectory
+from rig.intake import FilmOptions, TableColumns, film_trajectory
 from rig.scripting.session import Record, Session, columns_of, overrides_of, path_of, several, text_of
 from rig.settings import load_configuration
 
@@ -144,7 +144,7 @@ def fit_film(
     if configuration is not None:
         config = load_configuration(path_of(configuration, "configuration"), needs_camera=False)
     size = text_of(pixel, "pixel", "0.142 mm")
-    asked = FilmAsked(rate_hz=rate_hz, dark=dark, size=size, begin_s=begin_s, end_s=end_s)
+    asked = FilmOptions(rate_hz=rate_hz, dark=dark, size=size, begin_s=begin_s, end_s=end_s)
     return analyse_trajectory(film, film_trajectory(film, asked), config).results
 
 
