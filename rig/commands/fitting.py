@@ -13,6 +13,7 @@ from rig.commands.arguments import ResultsFolder, Set, in_json, kind_of, there, 
 
 if TYPE_CHECKING:
     from rig.analysis import AnalysedTable, SeismometerSource
+    from rig.intake import FilmOptions
 
 
 def register(app: typer.Typer) -> None:

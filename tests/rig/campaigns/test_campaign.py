@@ -15,8 +15,8 @@ from rig.analysis import read_results
 from rig.archive import selected
 from rig.archive.listing import write_sessions, writing
 from rig.campaigns import StatedCampaign, fit_campaign, read_campaign, runs_of_folders
-from rig.campaigns.likelihoods import FoundRun, compressed
-from rig.campaigns.sources import _IN_ORDER
+from rig.campaigns.likelihoods import FoundRun, compress
+from rig.campaigns.sources import _ORDERED_RUNS_SQL
 from rig.campaigns.tables import effects_table
 from tests.rig.campaigns.made_sessions import (
     ENERGY_OVER_C,
@@ -123,7 +123,7 @@ def test_what_runs_share_cancels_between_contacts(tmp_path: Path) -> None:
 
 def test_a_likelihood_is_that_of_its_results() -> None:
     one = run(1, GLASS, np.random.default_rng(3))
-    likelihood, problem = compressed(
+    likelihood, problem = compress(
         FoundRun(label="run-1", contact="glass", results_sha256="", run=one), 60 * ARCSEC_RAD, {}
     )
     assert likelihood is not None
@@ -301,7 +301,7 @@ def test_runs_of_an_archive_are_in_the_order_of_their_beginnings(tmp_path: Path)
         rows.append({"sha256": f"{number}", "folder": folder, "run": run, "began_utc": began, "results": "x"})
     with writing(tmp_path / "archive.duckdb") as connection:
         write_sessions(connection, {"a": "", "b": "", "c": ""}, rows)
-    found = selected(tmp_path / "archive.duckdb", "*", "", _IN_ORDER)[1]
+    found = selected(tmp_path / "archive.duckdb", "*", "", _ORDERED_RUNS_SQL)[1]
     runs = [f"{row[3]}/{row[1]}" for row in found]
     assert runs == ["a/run-1", *(f"b/run-{n}" for n in range(1, 13)), "a/run-2", "c/run-1"]
 

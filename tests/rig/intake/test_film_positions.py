@@ -16,7 +16,7 @@ from processing.errors import ConfigurationError, DataError
 from rig.analysis import read_results
 from rig.analysis.table_fit import analyse_trajectory
 from rig.intake import FilmOptions, film_trajectory
-from rig.intake.film import inverted, looks_dark
+from rig.intake.film import has_dark_object, inverted
 from rig.presentation import TimeLeft
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 from tests.processing.fit.decays import ARCSEC, paper_pair
@@ -248,8 +248,8 @@ def test_light_that_stays_where_it_is_is_said_and_taken_off(
 def test_dark_is_what_is_darker_than_the_middle() -> None:
     picture = np.full((50, 50), 100, np.uint8)
     picture[10:14, 10:14] = 20
-    assert looks_dark(picture)
-    assert not looks_dark(inverted(picture, 255))
+    assert has_dark_object(picture)
+    assert not has_dark_object(inverted(picture, 255))
     assert inverted(np.array([[0, 235, 250]], np.uint8), 235).tolist() == [[235, 0, 0]]
 
 
