@@ -175,7 +175,7 @@ def fit(
 
 
 def _refuse(where: str, *options: Mapping[str, object]) -> None:
-    """Raise ConfigurationError for the first stated option of those that have no effect there."""
+    """Raise ConfigurationError for the first stated option without effect; `where` names the input."""
     for name, value in (pair for stated in options for pair in stated.items()):
         if value:
             raise ConfigurationError(f"{name}: has no effect {where}; leave it out")
@@ -275,7 +275,7 @@ def fit_film(
 
 
 def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:
-    """The film itself, or those of a folder, of which `run` names one."""
+    """The film itself, or the films of a folder, or only the one that `run` names."""
     if len(inside) < 2 and run:
         raise ConfigurationError(f"--run {run}: {film} holds one film; leave the option out")
     by_number = [inside[int(run) - 1]] if run.isdecimal() and 0 < int(run) <= len(inside) else []
@@ -287,7 +287,7 @@ def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:
 
 
 def table_report(table: "AnalysedTable", folder: Path) -> Sequence[tuple[str, Path]]:
-    """Draw what was found in a table or a film; imported where it is needed, as figures take a second."""
+    """Draw the results of a table or a film; imported here, because figures take a second."""
     from rig.report import make_table_report
 
     return make_table_report(table, folder)

@@ -176,7 +176,7 @@ def compare(
 
 
 DEFAULT = "default"
-"""In place of a file: the model with nothing stated."""
+"""Word in place of a file for the default model."""
 
 
 def model_runs(
@@ -189,7 +189,7 @@ def model_runs(
     by_sample: bool,
     sample: bool,
 ) -> None:
-    """Fit the model to the runs, print its tables and save what it found in `output`."""
+    """Fit the model to the runs, print its tables and save the results in `output`."""
     if archive is None and not folders:
         raise ConfigurationError("rig compare --model needs runs: name folders of sessions, or --archive")
     from rig.analysis import encoded

@@ -10,7 +10,7 @@ from rig.instrument.balance import (
     balance_verdicts,
     balls,
     check_materials,
-    height_of,
+    mass_centre_height,
     material,
     nominal_effects,
     pendulum_on_ball,

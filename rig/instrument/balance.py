@@ -201,7 +201,7 @@ def elastic_drop(config: Configuration, amplitude_rad: float) -> float:
     return float(frequency_drop(amplitude_rad, config.balance.n, kappa, rho))
 
 
-def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
+def mass_centre_height(config: Configuration, balance: Balance) -> tuple[float, float]:
     """Excess height of the mass centre in m, from the period, and its uncertainty; NaN if unknown.
 
     `balance` must be in rad, because the period depends on the angle.
@@ -291,7 +291,7 @@ def advice_for(
     """
     if balance.unit is not DeflectionUnit.RAD or math.isnan(balance.rest_x):
         return Advice()
-    height_m = height_of(config, balance)
+    height_m = mass_centre_height(config, balance)
     faults = find_faults(balance, height_m, config.balance)
     state = np.array([faults[0].value, faults[1].value, height_m[0]])
     effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}

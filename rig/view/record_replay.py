@@ -28,13 +28,13 @@ from rig.presentation import (
     QuantityDisplay,
     Table,
     answer,
-    columns_of,
     plain,
     print_line,
     print_tables,
     quantity,
     say,
     signed,
+    terminal_columns,
 )
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import Terminated
@@ -108,7 +108,7 @@ class ReplayLine:
             self._stream.flush()
 
     def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
-        columns = columns_of(self._stream)
+        columns = terminal_columns(self._stream)
         part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
         amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
         clock = f"  clock {state.clock.text}" if state.clock.text else ""
