@@ -159,7 +159,7 @@ _PARAMETERS = ("b", "p", "c", "n")
 _SAMPLE = f"case when {IS_SIMULATED} then '{_SIMULATED}' else '' end || coalesce(sample, '') as sample"
 
 
-def _uncertainty_columns(names: Sequence[str]) -> list[str]:
+def _u_columns(names: Sequence[str]) -> list[str]:
     """The columns of uncertainties and verdicts, shown in the cells of their quantities."""
     return [column for name in names for column in (*row_columns(name)[1:], f"verdict_{name}")]
 
@@ -178,9 +178,7 @@ def list_runs(
     on_screen = not json_lines and output is None
     shown = IMPORTANT if on_screen and screen_width() < _MIN_WIDTH_OF_ALL else SHOWN
     default = f"{_ID}, {', '.join(shown)}" + ("" if on_screen else ", camera")
-    default += "".join(
-        f", {name}" for name in _uncertainty_columns([each for each in _PARAMETERS if each in shown])
-    )
+    default += "".join(f", {name}" for name in _u_columns([each for each in _PARAMETERS if each in shown]))
     if on_screen:
         default = default.replace(" sample,", f" {_SAMPLE},")
     names, rows = selected(archive, columns if columns.strip() else default, condition)
@@ -200,7 +198,7 @@ def list_runs(
 def show_runs(archive: Path, names: Sequence[str]) -> None:
     """Print all columns of runs."""
     columns, rows = selected(
-        archive, f"*, {IS_SIMULATED} as simulated", f"{named_condition(archive, names)} order by run"
+        archive, f"*, {IS_SIMULATED} as simulated", f"{named_runs(archive, names)} order by run"
     )
     for values in rows:
         row = dict(zip(columns, values, strict=True))
@@ -213,7 +211,7 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
         print_tables([Table(row["sha256"][:8], title, (), (), ("", ""), texts, "")])
 
 
-def named_condition(archive: Path, names: Sequence[str]) -> str:
+def named_runs(archive: Path, names: Sequence[str]) -> str:
     """SQL condition for runs named by the first characters of their SHA-256; all runs without a name."""
     runs = (f"'{run}'" for name in names for run in _named(archive, name))
     return f"sha256 in ({', '.join(runs)})" if names else "true"
@@ -221,7 +219,7 @@ def named_condition(archive: Path, names: Sequence[str]) -> str:
 
 _FOUND_COLUMNS = (
     f"{_ID}, began_utc, folder, run, {_SAMPLE}, operator, state, "
-    f"b, p, c, {', '.join(_uncertainty_columns(('b', 'p', 'c')))}"
+    f"b, p, c, {', '.join(_u_columns(('b', 'p', 'c')))}"
 )
 _SEARCHED_TEXT = (
     "lower(concat_ws(' ', strftime(began_utc, '%Y-%m-%d %H:%M:%S'), folder, run, sample, operator, state, "

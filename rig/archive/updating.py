@@ -28,7 +28,7 @@ from rig.analysis import (
 from rig.archive.listing import (
     check_is_there,
     forget_sessions,
-    named_condition,
+    named_runs,
     reading,
     selected,
     write_sessions,
@@ -113,8 +113,7 @@ def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = 
     removed = [
         name
         for name in known.keys() - seen
-        if not (ancestors := {Path(name), *Path(name).parents}).isdisjoint(roots)
-        and ancestors.isdisjoint(hidden)
+        if not (places := {Path(name), *Path(name).parents}).isdisjoint(roots) and places.isdisjoint(hidden)
     ]
     if sessions or removed:
         with writing(archive) as connection:
@@ -202,7 +201,7 @@ def _differences(folder: Path, rows: Sequence[tuple[Any, ...]]) -> Iterator[str]
 Level = Literal["swings", "spots", "pixels"]
 _PROGRESS_INTERVAL = 100
 _MAX_WORKER_WAIT_S = 10
-_RECORDS_SQL = """
+_RECORDS = """
 select folder, record, sha256 from every_run
 where ends_with(record, '.mcap') and state not in ('missing', 'unreadable')
   and folder in (select folder from chosen)
@@ -271,15 +270,10 @@ def refit_runs(
     if names and where:
         raise ConfigurationError(f"--where {where!r}: has no effect beside {names[0]}; leave out one")
     records = dict[str, list[tuple[Path, str]]]()
-    for folder, record, sha256 in selected(
-        archive, "*", where or named_condition(archive, names), _RECORDS_SQL
-    )[1]:
+    for folder, record, sha256 in selected(archive, "*", where or named_runs(archive, names), _RECORDS)[1]:
         records.setdefault(folder, []).append((Path(folder) / record, sha256))
     recipe = (level, tuple(laws), tuple(settings))
-    tasks = [
-        RefitTask(Path(folder), tuple(has_own_records), *recipe)
-        for folder, has_own_records in records.items()
-    ]
+    tasks = [RefitTask(Path(folder), tuple(listed), *recipe) for folder, listed in records.items()]
     if tasks and settings:
         # an unknown setting is refused once, not by every session
         with RecordReader(tasks[0].records[0][0]) as reader:

@@ -99,7 +99,7 @@ class BalanceView:
             self._shown_ns = frames[-1].time_ns - self._shift_ns
 
 
-def measure_balance(
+def measure(
     config: Configuration,
     devices: Devices,
     show: Callable[[Balance], None],
@@ -276,9 +276,7 @@ def balance_rig(
                 config = config.model_copy(update={"simulation": operator.simulation})
             measurements += 1
             try:
-                why = session.take(
-                    measure_balance(config, devices, _shower(config, reporter), view, swing_arcsec)
-                )
+                why = session.take(measure(config, devices, _shower(config, reporter), view, swing_arcsec))
             except DataError as error:
                 why = str(error)
             if why:

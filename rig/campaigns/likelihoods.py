@@ -31,11 +31,11 @@ from rig.analysis import Fit, JsonObject, ResultRow, RunResults
 from rig.campaigns.campaign_file import SURROUNDING_COVARIATES
 
 _AIR, _MISFIT = "air", "misfit"
-_SOURCES_OF_EACH_RUN = ("period_drift", "drag_drift", "plane_of_swing_rad")
+_OWN = ("period_drift", "drag_drift", "plane_of_swing_rad")
 """Sources of uncertainty that are independent from run to run."""
 _MAX_SHARED = 0.9999
 """Largest fraction of a variance that is shared; the rest is the run's own."""
-_MAX_DETERMINED_U_RELATIVE = 0.5
+_MAX_U = 0.5
 """Relative standard uncertainty above which a positive parameter without a verdict is only bounded."""
 _MIN_ASYMMETRY = 0.1
 """Asymmetry of a profile below which it is ignored."""
@@ -82,11 +82,7 @@ def compress(
     covariance = _covariance(fit, names)
     moved, u_of = _sources(run, names, jacobian)
     # the budget gives corrections of the values; the observed values move the other way
-    shared = {
-        source: -by
-        for source, by in moved.items()
-        if source not in GROWTH + _SOURCES_OF_EACH_RUN and np.any(by)
-    }
+    shared = {source: -by for source, by in moved.items() if source not in GROWTH + _OWN and np.any(by)}
     grown = {source: moved[source] for source in GROWTH if u_of.get(source, 0.0) > 0}
     shared |= grown
     own, law_shared = _without_model_discrepancy(run, names, jacobian @ covariance @ jacobian.T)
@@ -99,7 +95,7 @@ def compress(
         shared[_AIR] = part = part * min(1.0, (_MAX_SHARED / share) ** 0.5) if share > 0 else part
         own = own - np.outer(part, part)
     shared |= law_shared
-    for source in _SOURCES_OF_EACH_RUN:
+    for source in _OWN:
         if source in moved:
             own = own + np.outer(moved[source], moved[source])
     duration_s = _duration_s(run)
@@ -134,10 +130,8 @@ def _bound(name: str, value: float, u: float, row: ResultRow | None) -> Bound | 
     if row is not None and row.verdict is Determinacy.LOWER_BOUND and row.lower > 0:
         return Bound(log(row.lower), EndSide.LOWER, _SOFT)
     upper = row.upper if row is not None and isfinite(row.upper) else value + 2 * u
-    is_only_bounded = (
-        not _is_determined(row) or value <= 0 or (row is None and u > _MAX_DETERMINED_U_RELATIVE * value)
-    )
-    if not is_only_bounded or not 0 < upper < inf:
+    bounded = not _is_determined(row) or value <= 0 or (row is None and u > _MAX_U * value)
+    if not bounded or not 0 < upper < inf:
         return None
     # the likelihood falls from one u below the limit on, and is half at the value plus one u
     return Bound(log(upper) - _SOFT, EndSide.UPPER, _SOFT)

@@ -77,13 +77,11 @@ def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list
 def _sample(folder: Path) -> str:
     """The sample stated in the configuration of a session or of a table's fit."""
     runs = read_results(results_path(folder)).runs
-    table_sessions = [run.decay.session for run in runs if run.decay is not None]
+    stated = [run.decay.session for run in runs if run.decay is not None]
     place = folder if folder.is_dir() else folder.parent
-    path = results_path(folder) if table_sessions else place / _SESSION
+    path = results_path(folder) if stated else place / _SESSION
     try:
-        session = (
-            table_sessions[0] if table_sessions else json.loads(path.read_bytes())["configuration"]["session"]
-        )
+        session = stated[0] if stated else json.loads(path.read_bytes())["configuration"]["session"]
         sample = session.get("sample", "")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigurationError(

@@ -34,7 +34,7 @@ def there(given: _Given) -> _Given:
     return given
 
 
-_COMMANDS_FOR_RECORDS = {
+_INSTEAD = {
     "balance": "rig view {} --layout balancing shows its balance",
     "run": "rig replay {0} processes it again, rig fit {0} fits it",
     "desk": "rig view {} shows it",
@@ -46,9 +46,7 @@ def configuration(ctx: typer.Context, given: _Given) -> _Given:
     for path in _paths(there(given)):
         if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
             kind = "is a folder with records" if path.is_dir() else "is a record"
-            instead = _COMMANDS_FOR_RECORDS.get(
-                ctx.command.name or "", "rig record info {} says how it was made"
-            )
+            instead = _INSTEAD.get(ctx.command.name or "", "rig record info {} says how it was made")
             if path.is_dir() and ctx.command.name == "run":
                 instead = "rig run --resume {} continues its session"
             raise ConfigurationError(

@@ -157,7 +157,7 @@ def _verdict(condition: _Condition, fault: Fault, beyond_u: float) -> Verdict:
 
 
 Floats = NDArray[np.float64]
-_U_EFFECT_ACROSS = 0.3
+_U_ACROSS = 0.3
 """Standard uncertainty of a weight's effect out of its plane, relative to its effect in the plane."""
 _EDGE_PX = 24
 """Distance of a resting spot from the sensor's edges: about its width."""
@@ -184,9 +184,7 @@ def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | 
         # a positive turn moves the height weight down, and the mass centre with it
         turn = np.array([tilt_arcsec, tilt_arcsec, -shift_m])
         direction = np.array(DIRECTIONS[name])
-        across = (
-            [_U_EFFECT_ACROSS, _U_EFFECT_ACROSS, 1.0] if name == "height" else [1.0, 1.0, _U_EFFECT_ACROSS]
-        )
+        across = [_U_ACROSS, _U_ACROSS, 1.0] if name == "height" else [1.0, 1.0, _U_ACROSS]
         effects[name] = (direction * turn, config.balance.u_effect * np.array(across) * np.abs(turn))
     return effects
 

@@ -14,14 +14,14 @@ from processing.errors import ConfigurationError
 
 _EXPONENT: Final = r"(?:[eEdD][+-]?\d+)?"
 _SPACES: Final = "  ’'"
-_DECIMAL_POINT: Final = re.compile(rf"[+-]?(?:\d+\.\d*|\.\d+){_EXPONENT}")
-_DECIMAL_COMMA: Final = re.compile(rf"[+-]?(?:\d+,\d*|,\d+){_EXPONENT}")
+_POINT: Final = re.compile(rf"[+-]?(?:\d+\.\d*|\.\d+){_EXPONENT}")
+_COMMA: Final = re.compile(rf"[+-]?(?:\d+,\d*|,\d+){_EXPONENT}")
 _WHOLE: Final = re.compile(rf"[+-]?\d+{_EXPONENT}")
-_POINT_THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
-_COMMA_THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
-_SPACE_THOUSANDS: Final = re.compile(rf"[+-]?\d{{1,3}}(?:[{_SPACES} ]\d{{3}})+(?:[.,]\d+)?")
+_BY_POINT: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
+_BY_COMMA: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
+_BY_SPACE: Final = re.compile(rf"[+-]?\d{{1,3}}(?:[{_SPACES} ]\d{{3}})+(?:[.,]\d+)?")
 _MINUS: Final = "\u2212\u2013"
-_MISSING: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|--?|)", re.IGNORECASE)
+_NONE: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|--?|)", re.IGNORECASE)
 _PLAIN_NUMBER: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
 _WITH_UNIT: Final = re.compile(r"(?P<number>[+\u2212\u2013-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
 _COUNT: Final = re.compile(r'"?\d{1,15}"?')
@@ -45,13 +45,13 @@ class NumberFormat(NamedTuple):
         if self.decimal == "." and _PLAIN_NUMBER.fullmatch(cell):
             return cell
         text = _with_ascii_minus(cell).strip(f" \t{_SPACES}")
-        if _SPACE_THOUSANDS.fullmatch(text):
+        if _BY_SPACE.fullmatch(text):
             text = re.sub(rf"[{_SPACES} ]", "", text)
         if self.thousands and self.thousands in text:
-            pattern = _POINT_THOUSANDS if self.thousands == "." else _COMMA_THOUSANDS
+            pattern = _BY_POINT if self.thousands == "." else _BY_COMMA
             # a thousands mark elsewhere is a typing error: the cell is not a number
             text = text.replace(self.thousands, "") if pattern.fullmatch(text) else f"?{text}"
-        if self.decimal == "," and _DECIMAL_COMMA.fullmatch(text):
+        if self.decimal == "," and _COMMA.fullmatch(text):
             text = text.replace(",", ".")
         return re.sub(r"(?<=\d)[dD](?=[+-]?\d+$)", "e", text)
 
@@ -63,7 +63,7 @@ def _with_ascii_minus(cell: str) -> str:
 
 def is_missing(cell: str) -> bool:
     """Whether a cell stands for a missing number: empty, or a word for none."""
-    return bool(_MISSING.fullmatch(cell.strip()))
+    return bool(_NONE.fullmatch(cell.strip()))
 
 
 def is_number(cell: str) -> bool:
@@ -72,16 +72,7 @@ def is_number(cell: str) -> bool:
         return True
     cell = _with_ascii_minus(cell)
     return any(
-        kind.fullmatch(cell)
-        for kind in (
-            _WHOLE,
-            _DECIMAL_POINT,
-            _DECIMAL_COMMA,
-            _COMMA_THOUSANDS,
-            _POINT_THOUSANDS,
-            _SPACE_THOUSANDS,
-            _MISSING,
-        )
+        kind.fullmatch(cell) for kind in (_WHOLE, _POINT, _COMMA, _BY_COMMA, _BY_POINT, _BY_SPACE, _NONE)
     )
 
 
@@ -119,16 +110,16 @@ def number_format(cells: Iterable[str], stated: str, where: str) -> NumberFormat
     for cell in map(_with_ascii_minus, cells):
         if "." in cell and "," in cell:
             decimal = max(".,", key=cell.rindex)
-            if (_POINT_THOUSANDS if decimal == "," else _COMMA_THOUSANDS).fullmatch(cell):
+            if (_BY_POINT if decimal == "," else _BY_COMMA).fullmatch(cell):
                 mixed[decimal] = cell
-        elif "," in cell and _DECIMAL_COMMA.fullmatch(cell):
-            if _COMMA_THOUSANDS.fullmatch(cell):
+        elif "," in cell and _COMMA.fullmatch(cell):
+            if _BY_COMMA.fullmatch(cell):
                 ambiguous = ambiguous or cell
             else:
                 comma = comma or cell
-        elif "." in cell and _DECIMAL_POINT.fullmatch(cell):
-            pointed |= bool(_POINT_THOUSANDS.fullmatch(cell))
-            if not _POINT_THOUSANDS.fullmatch(cell):
+        elif "." in cell and _POINT.fullmatch(cell):
+            pointed |= bool(_BY_POINT.fullmatch(cell))
+            if not _BY_POINT.fullmatch(cell):
                 point = point or cell
     comma, point = comma or mixed[","], point or mixed["."]
     if stated:

@@ -11,13 +11,13 @@ from typing import Final
 
 from processing.errors import DataError
 from rig.intake.cell_text import NumberFormat, counts_rows, is_moment, is_value, number_format, split_unit
-from rig.intake.files import binary_rows, decoded_text, read_bytes_of
+from rig.intake.files import binary_rows, decode, read_bytes_of
 from rig.intake.units import TIME_NAME, is_time, known_unit, named_unit
 
 _COMMENTS: Final = ("#", "%", "//", "!")
 _SEPARATORS: Final = {"tabs": "\t", "semicolons": ";", "bars": "|", "commas": ","}
 # A sentence above the rows contains commas and blanks, too, but not these marks.
-_NOT_IN_SENTENCES: Final = ("tabs", "semicolons")
+_SURE_MARKS: Final = ("tabs", "semicolons")
 _NO_UNIT: Final = ("", "-", "--", "n/a", "none", "ts", "rn")
 """Cells without a unit in a line of units; the last two are Campbell loggers', for times and row numbers."""
 _BRACKETED: Final = re.compile(r"\s*[\[({<].*[\])}>]\s*")
@@ -63,9 +63,7 @@ def read_cells(path: Path, decimal: str = "") -> Cells:
         filled = [(number, cells) for number, cells in enumerate(given.rows, 1) if any(cells)]
         return replace(_cells(path, filled, [], "", decimal), said=given.said)
     numbered = [
-        (number, line)
-        for number, line in enumerate(decoded_text(raw).splitlines(), 1)
-        if line.strip(" \t;,|")
+        (number, line) for number, line in enumerate(decode(raw).splitlines(), 1) if line.strip(" \t;,|")
     ]
     plain = [item for item in numbered if not item[1].lstrip().startswith(_COMMENTS)]
     name, split = _separator([line for _, line in plain])
@@ -163,13 +161,11 @@ def _cells(
         behind, columns[k] = split_unit(column)
         units[k] = units[k] or behind
     numbers = (cell for column in columns for cell in column if not is_moment(cell))
-    cell_format = number_format(numbers, decimal, str(path))
-    columns = [
-        [cell if is_moment(cell) else cell_format.plain(cell) for cell in column] for column in columns
-    ]
+    form = number_format(numbers, decimal, str(path))
+    columns = [[cell if is_moment(cell) else form.plain(cell) for cell in column] for column in columns]
     rows = list(zip(*columns, strict=True))
     lines = [number for number, _ in body]
-    return Cells(names, units, rows, lines, left_out, _blocks(lines, left_out), separator, cell_format)
+    return Cells(names, units, rows, lines, left_out, _blocks(lines, left_out), separator, form)
 
 
 def _blocks(lines: Sequence[int], left_out: Sequence[int]) -> list[int]:
@@ -195,13 +191,10 @@ def _header(lines: list[list[str]], columns: list[list[str]], separator: str) ->
         and any(any(map(str.isalpha, cell)) for cell in cells)
         and (width > 1 or not set(cells[0]) & set(",;\t"))
     ]
-    unit_lines = [k for k in range(len(fitting)) if len(fitting) > 1 and _is_unit_line(fitting, k)]
-    if unit_lines:
-        above, units = (
-            fitting[: unit_lines[-1]],
-            [cell.strip("()[]{}<> ") for cell in fitting[unit_lines[-1]]],
-        )
-        names = _names(above) if above else fitting[unit_lines[-1] + 1]
+    units_at = [k for k in range(len(fitting)) if len(fitting) > 1 and _is_unit_line(fitting, k)]
+    if units_at:
+        above, units = (fitting[: units_at[-1]], [cell.strip("()[]{}<> ") for cell in fitting[units_at[-1]]])
+        names = _names(above) if above else fitting[units_at[-1] + 1]
         return names, ["" if unit.lower() in _NO_UNIT else unit for unit in units]
     return (_names(fitting) if fitting else []), []
 
@@ -213,11 +206,7 @@ def _fitted_to_columns(cells: list[str], columns: list[list[str]], separator: st
         cells = cells[:width]
     if len(cells) > width > 1 and separator and all(any(map(str.isalpha, cell)) for cell in cells[:width]):
         # LabVIEW writes the name of a column of comments, which the rows lack
-        cells = (
-            cells[:width]
-            if separator in _NOT_IN_SENTENCES or any(map(_is_telling_name, cells[:width]))
-            else cells
-        )
+        cells = cells[:width] if separator in _SURE_MARKS or any(map(_is_name, cells[:width])) else cells
     if 1 < len(cells) < width and not any(map(any, columns[len(cells) :])):
         cells = [*cells, *[""] * (width - len(cells))]
     if 1 < len(cells) == width - 1 and counts_rows(columns[0]):
@@ -226,7 +215,7 @@ def _fitted_to_columns(cells: list[str], columns: list[list[str]], separator: st
     return cells if len(cells) == width else []
 
 
-def _is_telling_name(name: str) -> bool:
+def _is_name(name: str) -> bool:
     """Whether a cell is clearly a column's name: it contains a time or a unit."""
     return bool(TIME_NAME.fullmatch(name) or named_unit(name).unit)
 
@@ -234,7 +223,7 @@ def _is_telling_name(name: str) -> bool:
 def _names(lines: list[list[str]]) -> list[str]:
     """The names: the last line that contains a time or a unit, else the last line."""
     words = [cells for cells in lines if all(any(map(str.isalpha, cell)) for cell in cells if cell)]
-    return next((cells for cells in reversed(words) if any(map(_is_telling_name, cells))), lines[-1])
+    return next((cells for cells in reversed(words) if any(map(_is_name, cells))), lines[-1])
 
 
 def _is_unit_line(lines: list[list[str]], k: int) -> bool:

@@ -135,7 +135,7 @@ class RowsOfRun(NamedTuple):
 
     name: str
     cells: Cells
-    separated_by: str = ""
+    separator: str = ""
 
 
 def separate_runs(cells: Cells, columns: HeaderColumns, t_column: int | None) -> list[RowsOfRun]:
@@ -145,14 +145,12 @@ def separate_runs(cells: Cells, columns: HeaderColumns, t_column: int | None) ->
         labels = [_label(row[numbered]) for row in cells.rows]
         counts = Counter(label for label in labels if label.lower() not in _MISSING)
         if len(counts) > 1 and len(labels) >= _MIN_ROWS_OF_RUN * len(counts):
-            separated_by = f"the column {columns.names[numbered]}"
-            return [RowsOfRun(name, _rows_of_run(cells, labels, name), separated_by) for name in counts]
+            separator = f"the column {columns.names[numbered]}"
+            return [RowsOfRun(name, _rows(cells, labels, name), separator) for name in counts]
     blocks = _blocks(cells, t_column)
     if len(set(blocks)) > 1:
-        separated_by = "blank lines between them" if t_column is None else "times that begin again"
-        return [
-            RowsOfRun(name, _rows_of_run(cells, blocks, name), separated_by) for name in dict.fromkeys(blocks)
-        ]
+        separator = "blank lines between them" if t_column is None else "times that begin again"
+        return [RowsOfRun(name, _rows(cells, blocks, name), separator) for name in dict.fromkeys(blocks)]
     return [RowsOfRun("", cells)]
 
 
@@ -200,7 +198,7 @@ def _time(cell: str) -> float | None:
     return value if value == value else None
 
 
-def _rows_of_run(cells: Cells, labels: Sequence[str], name: str) -> Cells:
+def _rows(cells: Cells, labels: Sequence[str], name: str) -> Cells:
     """The cells of one run, with the left-out lines that follow its rows."""
     kept = [k for k, label in enumerate(labels) if label == name]
     of_line = dict(zip(cells.lines, labels, strict=True))

@@ -176,7 +176,7 @@ def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -
 _MIN_SLOW_STEP_S = 1.0
 _USUAL_PERIOD_S = (0.2, 100.0)
 """Range of plausible periods in s of times without a stated unit; a pendulum of 0.2 s is 1 cm long."""
-_MAX_AMPLITUDE_RATIO = 3.0
+_MAX_RATIO = 3.0
 """Largest plausible ratio of an amplitude to the first amplitude of a session; 1 arcsec is 5 urad."""
 
 
@@ -215,9 +215,7 @@ def strange_amplitudes(
     """A warning of amplitudes that do not fit the rig, as of angles in another unit; else empty."""
     first, last = config.session.initial_amplitude_arcsec, config.session.final_amplitude_arcsec
     is_rig = trajectory.scale_rad is not None and config.instrument.kind == "single_ball"
-    if not is_rig or (
-        np.median(amplitude_arcsec) >= last and amplitude_arcsec[0] <= _MAX_AMPLITUDE_RATIO * first
-    ):
+    if not is_rig or (np.median(amplitude_arcsec) >= last and amplitude_arcsec[0] <= _MAX_RATIO * first):
         return []
     return [
         (

@@ -78,7 +78,7 @@ def refuse_binary(path: Path, raw: bytes) -> None:
         raise DataError(f"{path}: is JSON, which is not read; {remedy}")
 
 
-def decoded_text(raw: bytes) -> str:
+def decode(raw: bytes) -> str:
     """Text from UTF-8, from UTF-16 with or without its mark, or from Windows-1252."""
     for mark, encoding in _MARKS:
         if raw.startswith(mark):

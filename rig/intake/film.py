@@ -41,13 +41,13 @@ _WHITE = "GROUND_SATURATED"
 """Flag of frames in which the ground of a dark object is saturated, which distorts the shape of its edges."""
 _MIN_FOUND_FRACTION = 0.5
 """Fraction of frames with a position below which the followed object is hardly the pendulum."""
-_PREDICTING_NEIGHBOURS: Final = 3
+_NEAR: Final = 3
 """Neighbours on each side that predict a position."""
 _COMPARED_NEIGHBOURS: Final = 100
 """Neighbours on each side that give the usual error of a prediction."""
 _USUAL_QUANTILE: Final = 0.95
 """Quantile of prediction errors taken as the usual error: compression skips small motion, with tails."""
-_MAX_ERROR_RATIO: Final = 4.0
+_MAX_RATIO: Final = 4.0
 """Prediction error over the usual error that marks a break; for noise nearly eight standard deviations."""
 _MAX_PICTURES, _MAX_PICTURES_BYTES = 64, 1 << 28
 """Limits of the pictures that are kept, evenly spread over the film, to find fixed light."""
@@ -58,7 +58,7 @@ _MAX_COMPRESSION_TRACE: Final = 0.015
 _MAX_SEARCHED_FRAMES: Final = 100
 """Number of the first frames without a spot in which a point smaller than a pixel is searched."""
 _POINT_REACH: Final = 4
-_MIN_POINT_HEIGHT, _MIN_CORE_LIGHT, _MAD_OF_NORMAL = 10.0, 0.8, 0.6745
+_MIN_HEIGHT, _MIN_CORE, _MAD = 10.0, 0.8, 0.6745
 """Least height of a point over the noise, least fraction of its light in nine pixels (0.82 for a sigma of 0.9
 px), and median absolute over standard deviation of normal noise."""
 _MIN_BREAK_PX: Final = 0.1
@@ -249,11 +249,8 @@ def brightest_point(image: Image) -> tuple[int, int] | None:
     level = float(np.median(around))
     light = around - level
     core = image[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] - level
-    noise = float(np.median(np.abs(light))) / _MAD_OF_NORMAL + 0.5
-    alone = (
-        light.max() > _MIN_POINT_HEIGHT * noise
-        and core.sum() > _MIN_CORE_LIGHT * light[light > _MAD_OF_NORMAL * noise].sum()
-    )
+    noise = float(np.median(np.abs(light))) / _MAD + 0.5
+    alone = light.max() > _MIN_HEIGHT * noise and core.sum() > _MIN_CORE * light[light > _MAD * noise].sum()
     return (int(x), int(y)) if alone else None
 
 
@@ -352,12 +349,10 @@ def broken_positions(time_s: Floats, positions: Floats) -> list[int]:
     Positions with a lost neighbour are not judged.
     """
     count = len(time_s)
-    if count < 4 * _PREDICTING_NEIGHBOURS:
+    if count < 4 * _NEAR:
         return []
-    middle = np.arange(_PREDICTING_NEIGHBOURS, count - _PREDICTING_NEIGHBOURS)
-    beside = middle[:, None] + np.array(
-        [k for k in range(-_PREDICTING_NEIGHBOURS, _PREDICTING_NEIGHBOURS + 1) if k]
-    )
+    middle = np.arange(_NEAR, count - _NEAR)
+    beside = middle[:, None] + np.array([k for k in range(-_NEAR, _NEAR + 1) if k])
     since = time_s[beside] - time_s[middle][:, None]
     since /= np.abs(since).max(axis=1, keepdims=True)
     weights = np.linalg.pinv(since[:, :, None] ** np.arange(4))[:, 0, :]
@@ -372,9 +367,7 @@ def broken_positions(time_s: Floats, positions: Floats) -> list[int]:
         usual = np.full(len(off), np.nan)
         usual[known] = np.nanquantile(around[known], _USUAL_QUANTILE, axis=1)
         with np.errstate(invalid="ignore"):
-            broken[middle] |= off > np.maximum(_MAX_ERROR_RATIO * usual, _MIN_BREAK_PX)
+            broken[middle] |= off > np.maximum(_MAX_RATIO * usual, _MIN_BREAK_PX)
     places = np.flatnonzero(broken)
     # one break also spoils the predictions of its neighbours
-    return [
-        int(one) for k, one in enumerate(places) if k == 0 or one > places[k - 1] + 2 * _PREDICTING_NEIGHBOURS
-    ]
+    return [int(one) for k, one in enumerate(places) if k == 0 or one > places[k - 1] + 2 * _NEAR]

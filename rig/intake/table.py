@@ -95,7 +95,7 @@ class TableColumns:
 
 def _listed(runs: Sequence[RowsOfRun]) -> str:
     named = ", ".join(f"{run.name} ({len(run.cells.rows)} rows)" for run in runs)
-    return f"{len(runs)} runs, told apart by {runs[0].separated_by}: {named}"
+    return f"{len(runs)} runs, told apart by {runs[0].separator}: {named}"
 
 
 class _TableReader:

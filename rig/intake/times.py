@@ -158,8 +158,8 @@ def clock_form(
     """
     two = [cell.strip() for cell in cells if _has_two_fields(cell)]
     by_option, by_header = (
-        _stated_form(asked),
-        _stated_form(title) or _stated_form(named.strange) or _stated_form(named.unit),
+        _form_of(asked),
+        _form_of(title) or _form_of(named.strange) or _form_of(named.unit),
     )
     if not two:
         if _FORM.search(asked) and cells:
@@ -201,7 +201,7 @@ def _has_two_fields(cell: str) -> bool:
     return found is not None and not found["date"] and (found["clock"] or "").count(":") == 1
 
 
-def _stated_form(text: str) -> str:
+def _form_of(text: str) -> str:
     """The form that an option or a header names: ``mm:ss``, ``min:s``, or its first unit alone."""
     found = _FORM.search(text)
     if found is None:
@@ -219,13 +219,13 @@ _MIN_SAMPLES: Final = 64
 _RELATIVE_HALF_WIDTH: Final = 0.1
 """Half width of a spectral line relative to its frequency, including the width by decay."""
 _MIN_HALF_WIDTH_BINS: Final = 4
-_MIN_TWO_LINE_FRACTION: Final = 0.8
+_MIN_BOTH: Final = 0.8
 """Fraction of the variance in two lines from which on samples count as two oscillations."""
-_MIN_WEAKER_FRACTION: Final = 0.1
+_MIN_WEAKER: Final = 0.1
 """Fraction of the variance from which on the weaker line is nearly as large as a swing."""
 _OVERTONES: Final = (2, 3)
 """Frequency ratios of overtones by stops or steps of one motion; higher ones are smaller than required."""
-_OVERTONE_TOLERANCE: Final = 0.1
+_TOLERANCE: Final = 0.1
 _MIN_GAP_STEPS: Final = 3.0
 """Shortest gap, in steps between samples."""
 _MIN_FAST_RATIO: Final = 1.5
@@ -268,12 +268,8 @@ def second_frequency(times_ns: NDArray[np.int64], deflection: NDArray[np.float64
         power[near] = 0.0
     (first_hz, first), (second_hz, second) = sorted(lines)
     ratio = second_hz / first_hz if first_hz > 0 else 0.0
-    harmonic = any(abs(ratio - overtone) < _OVERTONE_TOLERANCE for overtone in _OVERTONES)
-    if (
-        not first + second > _MIN_TWO_LINE_FRACTION * total
-        or min(first, second) < _MIN_WEAKER_FRACTION * total
-        or harmonic
-    ):
+    harmonic = any(abs(ratio - overtone) < _TOLERANCE for overtone in _OVERTONES)
+    if not first + second > _MIN_BOTH * total or min(first, second) < _MIN_WEAKER * total or harmonic:
         return ""
     size = (second / first) ** 0.5
     return (

@@ -95,9 +95,7 @@ class PhasesBeforeRecord:
         self._attempt += 1
         try:
             if config.start.way == "at once":
-                self._wait.until_reached(
-                    Phase.PREFLIGHT, math.inf, lambda: frames.frame_count >= _AT_ONCE_FRAMES
-                )
+                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _AT_ONCE_FRAMES)
                 self._check(resting=False)
                 return frames.frames, self._wait.events
             self._come_to_rest()
@@ -121,9 +119,7 @@ class PhasesBeforeRecord:
         self._wait = PhaseWait(frames, report, stop)
         with suppress(NoGo, WaitStopped):
             if self._config.start.way == "at once":
-                self._wait.until_reached(
-                    Phase.PREFLIGHT, math.inf, lambda: frames.frame_count >= _AT_ONCE_FRAMES
-                )
+                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _AT_ONCE_FRAMES)
                 self._check(resting=False)
             else:
                 self._preflight_at_rest()
@@ -191,13 +187,13 @@ class PhasesBeforeRecord:
                 _drift_per_min(recent.times_s, recent.shown_x), _drift_per_min(recent.times_s, recent.shown_y)
             )
             limit = phases.warm_up_drift_arcsec_per_min
-            frame_count = (
+            drift_text = (
                 f"drift {drift:.2f} {self._unit.shown}/min" if math.isfinite(drift) else "no spot is seen"
             )
             if self._unit is DeflectionUnit.PX:
-                self._wait.progress = f"{frame_count}, not checked: {rest_checks.NO_LEVER}"
+                self._wait.progress = f"{drift_text}, not checked: {rest_checks.NO_LEVER}"
                 return True
-            self._wait.progress = f"{frame_count} (limit {limit:.3g})"
+            self._wait.progress = f"{drift_text} (limit {limit:.3g})"
             return drift <= limit
 
         self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)

@@ -48,7 +48,7 @@ from rig.presentation import (
 )
 from rig.settings import Configuration
 
-_UNREACHED_AMPLITUDE_ARCSEC = 1e-9
+_NEVER_ARCSEC = 1e-9
 """Final amplitude in arcsec that no record reaches, not even that of a clamped pendulum."""
 
 
@@ -61,11 +61,7 @@ def record_plainly(config: Configuration, source: Path, record: Path, seconds: f
     """
     updates = {
         "session": config.session.model_copy(
-            update={
-                "max_duration_s": seconds,
-                "final_amplitude_arcsec": _UNREACHED_AMPLITUDE_ARCSEC,
-                "stop_when": (),
-            }
+            update={"max_duration_s": seconds, "final_amplitude_arcsec": _NEVER_ARCSEC, "stop_when": ()}
         ),
         "view": config.view.model_copy(update={"mode": "none", "file": False}),
         "preflight": config.preflight.model_copy(update={"when": "never"}),

@@ -48,7 +48,7 @@ class RecentFrames:
         self._frames_ns = nanoseconds(frames_s)
         self._window_ns = nanoseconds(window_s)
         self._last_spot_ns = 0
-        self.frame_count = 0
+        self.count = 0
 
     def advance(self) -> bool:
         """Take some frames; False if the stream has ended."""
@@ -67,7 +67,7 @@ class RecentFrames:
         self._frames.extend(frames)
         if self._watch is not None:
             self._watch(frames, block)
-        self.frame_count += len(frames)
+        self.count += len(frames)
         newest_ns = frames[-1].time_ns
         most = max(8, _MAX_FRAMES_BYTES // max(frames[0].image.nbytes, 1))
         while newest_ns - self._frames[0].time_ns > self._frames_ns or len(self._frames) > most:
@@ -101,16 +101,14 @@ class RecentFrames:
 
     def since(self, time_ns: int) -> Deflections:
         """Deflections from a time on, in the frames' clock."""
-        return joined((frame_count.deflections for frame_count in self._blocks), self._optics.unit).since(
-            time_ns
-        )
+        return joined((count.deflections for count in self._blocks), self._optics.unit).since(time_ns)
 
     def look(self, resting: bool, duration_s: float) -> TrialFrames:
         """Frames, spots and deflections of the last `duration_s` seconds."""
         from_ns = self.now_ns - nanoseconds(duration_s)
         deflections = self.since(from_ns)
-        spots = [spot for frame_count in self._blocks for spot in frame_count.spots]
-        references = [spot for frame_count in self._blocks for spot in frame_count.references]
+        spots = [spot for count in self._blocks for spot in count.spots]
+        references = [spot for count in self._blocks for spot in count.references]
         frames = [frame for frame in self._frames if frame.time_ns >= from_ns]
         return TrialFrames(
             frames,
@@ -138,7 +136,7 @@ class WaitStopped(Exception):
     """The operator stopped the wait, or the frames have ended."""
 
 
-_END_WORDS = {Phase.REST: "reached", Phase.RELEASE: "seen"}
+_VERBS = {Phase.REST: "reached", Phase.RELEASE: "seen"}
 
 
 class PhaseWait:
@@ -194,7 +192,7 @@ class PhaseWait:
             if due and frames.now_ns and reached():
                 so_far = f", {self.progress}" if self.progress else ""
                 self.note(
-                    EventKind(phase), f"{_END_WORDS.get(phase, 'finished')} after {elapsed_s:.1f} s{so_far}"
+                    EventKind(phase), f"{_VERBS.get(phase, 'finished')} after {elapsed_s:.1f} s{so_far}"
                 )
                 return
             if elapsed_s > limit_s:

@@ -28,16 +28,13 @@ from rig.report.drawing import (
 
 
 def loop_figure(
-    parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_arcsec: float, *, c_is_determined: bool
+    parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_arcsec: float, *, has_c: bool
 ) -> ReportFigure:
     """The three loops of Table 4 at a measured amplitude, with the rectangle of the adhesive work.
 
-    Without `c_is_determined` the data do not determine c, and there is no rectangle.
+    Without `has_c` the data do not determine c, and there is no rectangle.
     """
-    amplitude_rad, is_paper_amplitude = (
-        amplitude_arcsec * ARCSEC_RAD,
-        amplitude_arcsec == TABLE4_AMPLITUDE_ARCSEC,
-    )
+    amplitude_rad, is_paper = (amplitude_arcsec * ARCSEC_RAD, amplitude_arcsec == TABLE4_AMPLITUDE_ARCSEC)
     loop = moment_loop(amplitude_rad, asdict(parameters), pendulum)
     work = cycle_work(amplitude_rad, parameters, pendulum)
     phi = loop.phi_rad / ARCSEC_RAD
@@ -59,7 +56,7 @@ def loop_figure(
         axes.axvline(0, color=INK, lw=0.5)
         axes.set(title=title, xlabel="φ / arcsec")
     texts = [(0.96, f"4A = {plain(work.dissipated_j * 1e15)} fJ")]
-    if c_is_determined:
+    if has_c:
         adhesive = weight_moment(pendulum) * parameters.c * 1e9
         panels[0].plot(
             np.array([-1, 1, 1, -1, -1]) * amplitude_arcsec,
@@ -72,10 +69,9 @@ def loop_figure(
     panels[0].set_ylabel("M / nN m")
     return ReportFigure(
         "table4-loops",
-        f"Moments over one cycle at {amplitude_arcsec:.4g} arcsec"
-        + (" (Table 4)" if is_paper_amplitude else ""),
+        f"Moments over one cycle at {amplitude_arcsec:.4g} arcsec" + (" (Table 4)" if is_paper else ""),
         "Shaded: 4A, the work lost in a cycle. "
-        + ("Dashed: 4Aₜ, the part of adhesion (c). " if c_is_determined else "")
+        + ("Dashed: 4Aₜ, the part of adhesion (c). " if has_c else "")
         + "The elastic moment is the skeletal curve about which the total makes its loop.",
         figure,
     )

@@ -150,18 +150,16 @@ def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
 
     Line drawings follow the page's theme; figures that contain pixels stay on white.
     """
-    follows_theme = kind == "image/svg+xml" and b"<image" not in data
+    themed = kind == "image/svg+xml" and b"<image" not in data
     if kind == "image/svg+xml":
-        text = (
-            (with_dark_theme(data) if follows_theme else data).decode().replace("\n", " ").replace('"', "'")
-        )
+        text = (with_theme(data) if themed else data).decode().replace("\n", " ").replace('"', "'")
         # escaped, because an address ends at a `#`; base64 would be a third longer
         for mark in "%#&":
             text = text.replace(mark, f"%{ord(mark):X}")
         source = f"data:{kind},{text}"
     else:
         source = f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
-    card = "" if follows_theme else ' class="card"'
+    card = "" if themed else ' class="card"'
     return (
         f'<figure><img{card} alt="{escape(drawing.title)}" src="{source}">'
         f"<figcaption><b>{escape(drawing.title)}.</b> {escape(drawing.caption)}</figcaption></figure>"
@@ -260,7 +258,7 @@ def check_report(results: Path) -> list[Finding]:
     return [Finding("note", f"{report.name} was made from {results.name}")]
 
 
-def with_dark_theme(figure: bytes) -> bytes:
+def with_theme(figure: bytes) -> bytes:
     """A line drawing (SVG) that takes the colours of a dark theme by itself, even as an image."""
     rules = [f"svg {{ fill: {DARK['ink']}; }}"]
     for light, dark in _DARK_COLOUR.items():

@@ -326,7 +326,5 @@ def _drawings(series: PairSeries) -> list[ReportFigure]:
             figures_laws.decay_figure(points, curves, motion.unit),
             figures_laws.period_figure(curves),
         ]
-    loop = figures_contact.loop_figure(
-        exact.contact(), series.pendulum, _LOOP_AMPLITUDE_ARCSEC, c_is_determined=True
-    )
+    loop = figures_contact.loop_figure(exact.contact(), series.pendulum, _LOOP_AMPLITUDE_ARCSEC, has_c=True)
     return [*drawings, loop]

@@ -229,10 +229,8 @@ def _slow_density(config: Configuration, at_hz: NDArray[np.float64]) -> NDArray[
     shared, noise = _reference_share_and_noise(config)
     common = shared * air + (walk if shared else 0.0)
     # a Wiener filter leaves roughly the smaller of motion and noise
-    residual = (
-        common if math.isinf(noise) else common * noise / np.maximum(common + noise, np.finfo(float).tiny)
-    )
-    return np.asarray(air + walk - common + residual)
+    rest = common if math.isinf(noise) else common * noise / np.maximum(common + noise, np.finfo(float).tiny)
+    return np.asarray(air + walk - common + rest)
 
 
 def _reference_share_and_noise(config: Configuration) -> tuple[float, float]:

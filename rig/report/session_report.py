@@ -42,10 +42,8 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     with written(target):
         files.mkdir(parents=True, exist_ok=True)
         series = [] if source.series is None else _series(source, source.series, files)
-        is_single = len(source.runs) == 1
-        runs = [
-            _run(run, files / f"run-{k}", is_single=is_single) for k, run in enumerate(source.runs, start=1)
-        ]
+        single = len(source.runs) == 1
+        runs = [_run(run, files / f"run-{k}", single=single) for k, run in enumerate(source.runs, start=1)]
         # the first decay is shown at the top beside the verdict, every other with its run
         body = [*summary_of(source, runs[0].pop("fig12-decay", "")), *series]
         for each in runs:
@@ -109,7 +107,7 @@ _ORDER = (
 """Order of the tables and figures of a run; small tables in a tuple stand side by side."""
 
 
-def _run(run: RunData, files: Path, *, is_single: bool) -> dict[str, str]:
+def _run(run: RunData, files: Path, *, single: bool) -> dict[str, str]:
     """The parts of a run in their order, figures and tables by their names."""
     files.mkdir(parents=True, exist_ok=True)
     curves = curves_of(run.results)
@@ -119,21 +117,19 @@ def _run(run: RunData, files: Path, *, is_single: bool) -> dict[str, str]:
     with styled():
         figures = save_figures(_drawings(run, curves), files)
     body = {"heading": html.heading(run.title)}
-    if not is_single:
+    if not single:
         body["said"] = html.paragraph(run_sentence(run)) + html.notes(notes_of(run))
     if run.results.instrument is not None:
         body["instrument-said"] = html.notes(run.results.instrument.text)
     for part in _ORDER:
         if isinstance(part, tuple):
-            body["+".join(part)] = html.side_by_side(
-                [_pop_html(name, tables_shown, figures) for name in part]
-            )
+            body["+".join(part)] = html.side_by_side([_pop(name, tables_shown, figures) for name in part])
         else:
-            body[part] = _pop_html(part, tables_shown, figures)
+            body[part] = _pop(part, tables_shown, figures)
     return {name: text for name, text in {**body, **tables_shown, **figures}.items() if text}
 
 
-def _pop_html(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
+def _pop(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
     """Remove and return the HTML of the table and the figure of this name, as far as they exist."""
     return "\n".join(found.pop(name) for found in (tables, figures) if name in found)
 
@@ -177,9 +173,7 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
         # with a negative power there is no friction moment at rest, and no closed loop
         for work in run.results.work_per_cycle[:1] if exact.p >= 0 else ():
             known = not math.isnan(work.adhesive_4at_j.value)
-            drawings.append(
-                figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, c_is_determined=known)
-            )
+            drawings.append(figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, has_c=known))
         if run.spectrum is not None:
             unit = motion.unit
             drawings.append(

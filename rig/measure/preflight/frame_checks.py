@@ -30,7 +30,7 @@ from rig.settings import Configuration, PreflightSettings
 
 _RECORDED_SPOT_BYTES = 260
 """Size of the numbers of one frame in the record."""
-_FIXED_LIGHT_FRAMES = 48
+_LIGHT_FRAMES = 48
 """Number of frames that are searched for light that does not move."""
 
 
@@ -138,9 +138,7 @@ def _size_text(size_bytes: float) -> str:
 
 def _fixed_light(look: TrialFrames) -> FixedLight | None:
     pairs = list(zip(look.frames, look.spots[-len(look.frames) :], strict=True))
-    return fixed_light(
-        [(frame.image, spot) for frame, spot in pairs[:: max(1, len(pairs) // _FIXED_LIGHT_FRAMES)]]
-    )
+    return fixed_light([(frame.image, spot) for frame, spot in pairs[:: max(1, len(pairs) // _LIGHT_FRAMES)]])
 
 
 def check_trial_frames(

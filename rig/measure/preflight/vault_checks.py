@@ -26,7 +26,7 @@ from rig.settings import PreflightSettings, ReferenceSettings
 
 _LIMIT = "samples come"
 _MIN_SAMPLES = 20
-_MAX_DEVIATION_U = 4.0
+_MAX_OFF_U = 4.0
 """Deviation of the stated from the fitted gain, in standard uncertainties, at which it is called wrong."""
 _VALUES = ("first", "second", "third")
 
@@ -85,18 +85,16 @@ def _without_beam_motion(look: TrialFrames, stated: ReferenceSettings | None) ->
     use = at.found & np.all(np.isfinite(spots), axis=0)
     columns = np.column_stack([*spots[:2, use], np.ones(np.count_nonzero(use))])
     per_px = np.linalg.lstsq(columns, at.y[use], rcond=None)[0]
-    beam_motion = np.zeros(len(at.y))
+    beam = np.zeros(len(at.y))
     for axis in (0, 1):
         gain = stated.gain
         if gain is None:
             fitted = gain_in_swings(
                 at.times_ns, spots[axis], spots[2 + axis], references[axis], references[2 + axis]
             )
-            gain = fitted.value if fitted.value > _MAX_DEVIATION_U * fitted.standard_uncertainty else 0.0
-        beam_motion += (
-            gain * per_px[axis] * common_motion(at.times_ns, references[axis], references[2 + axis]).value
-        )
-    return np.asarray(at.y - beam_motion)
+            gain = fitted.value if fitted.value > _MAX_OFF_U * fitted.standard_uncertainty else 0.0
+        beam += gain * per_px[axis] * common_motion(at.times_ns, references[axis], references[2 + axis]).value
+    return np.asarray(at.y - beam)
 
 
 def _alive(reason: str, kind: str) -> Verdict:
@@ -155,12 +153,10 @@ def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: Prefl
             limit=limit,
             made=False,
         )
-    return _reference_verdict(axes, stated, seen, limit)
+    return _judged_axes(axes, stated, seen, limit)
 
 
-def _reference_verdict(
-    axes: Sequence[_ReferenceAxis], stated: ReferenceSettings, seen: str, limit: str
-) -> Verdict:
+def _judged_axes(axes: Sequence[_ReferenceAxis], stated: ReferenceSettings, seen: str, limit: str) -> Verdict:
     texts, deviations, useless = [], [], True
     for name, found in axes:
         if not found.share > 0:
@@ -171,7 +167,7 @@ def _reference_verdict(
         if stated.gain is None:
             continue
         off = abs(found.gain.value - stated.gain)
-        if off > _MAX_DEVIATION_U * np.hypot(found.gain.standard_uncertainty, stated.u_gain):
+        if off > _MAX_OFF_U * np.hypot(found.gain.standard_uncertainty, stated.u_gain):
             deviations.append(f"{name} shows a gain of {with_uncertainty(*found.gain)}")
     measured = f"{seen}; {', '.join(texts)}"
     if deviations:

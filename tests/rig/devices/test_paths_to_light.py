@@ -16,7 +16,7 @@ import rig
 from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from processing.errors import DeviceError, RigError
-from rig.balance.balancing import BalanceView, measure_balance
+from rig.balance.balancing import BalanceView, measure
 from rig.control import ControlService, LightRefused, Stage, TripCause
 from rig.control.light_permit import LONGEST_PAUSE_S, OVER
 from rig.control.simulated import SimulatedBoard
@@ -164,9 +164,7 @@ def calibrate(config: Configuration, folder: Path) -> None:
 def balance(config: Configuration, folder: Path) -> None:
     config = complete(config)
     with Devices(config) as devices:
-        measure_balance(
-            config, devices, lambda _: None, BalanceView(config, None, lambda _: "", lambda _: None)
-        )
+        measure(config, devices, lambda _: None, BalanceView(config, None, lambda _: "", lambda _: None))
 
 
 def preflight(config: Configuration, folder: Path) -> None:
