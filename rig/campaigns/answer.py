@@ -71,7 +71,7 @@ class Campaign:
         return "\n".join(lines)
 
 
-def fit_campaign(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False) -> Campaign:
+def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False) -> Campaign:
     """Fit one model to all runs of a campaign; with `sample` the posterior is sampled by emcee.
 
     Raises DataError if no run can enter, or the data hold no covariate asked for; ConfigurationError if an

@@ -197,7 +197,7 @@ def model_runs(
         NamedRuns,
         StatedCampaign,
         campaign_tables,
-        fit_campaign,
+        fit_model,
         read_campaign,
         save_campaign,
     )
@@ -205,7 +205,7 @@ def model_runs(
 
     stated = StatedCampaign() if model == DEFAULT else read_campaign(there(Path(model)))
     runs = NamedRuns(list(folders), archive, where, by_sample=by_sample).found()
-    found = fit_campaign(runs, stated, sample=sample)
+    found = fit_model(runs, stated, sample=sample)
     answer(campaign=encoded(found.results))
     print_tables(campaign_tables(found))
     for line in (*found.results.left_out, *found.results.warnings):

@@ -157,10 +157,7 @@ def clock_form(
         None of them decides, or two disagree.
     """
     two = [cell.strip() for cell in cells if _has_two_fields(cell)]
-    by_option, by_header = (
-        _form_of(asked),
-        _form_of(title) or _form_of(named.strange) or _form_of(named.unit),
-    )
+    by_option, by_header = (_form(asked), _form(title) or _form(named.strange) or _form(named.unit))
     if not two:
         if _FORM.search(asked) and cells:
             raise ConfigurationError(
@@ -201,7 +198,7 @@ def _has_two_fields(cell: str) -> bool:
     return found is not None and not found["date"] and (found["clock"] or "").count(":") == 1
 
 
-def _form_of(text: str) -> str:
+def _form(text: str) -> str:
     """The form that an option or a header names: ``mm:ss``, ``min:s``, or its first unit alone."""
     found = _FORM.search(text)
     if found is None:

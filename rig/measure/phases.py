@@ -187,13 +187,11 @@ class PhasesBeforeRecord:
                 _drift_per_min(recent.times_s, recent.shown_x), _drift_per_min(recent.times_s, recent.shown_y)
             )
             limit = phases.warm_up_drift_arcsec_per_min
-            drift_text = (
-                f"drift {drift:.2f} {self._unit.shown}/min" if math.isfinite(drift) else "no spot is seen"
-            )
+            text = f"drift {drift:.2f} {self._unit.shown}/min" if math.isfinite(drift) else "no spot is seen"
             if self._unit is DeflectionUnit.PX:
-                self._wait.progress = f"{drift_text}, not checked: {rest_checks.NO_LEVER}"
+                self._wait.progress = f"{text}, not checked: {rest_checks.NO_LEVER}"
                 return True
-            self._wait.progress = f"{drift_text} (limit {limit:.3g})"
+            self._wait.progress = f"{text} (limit {limit:.3g})"
             return drift <= limit
 
         self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)

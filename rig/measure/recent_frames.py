@@ -136,7 +136,7 @@ class WaitStopped(Exception):
     """The operator stopped the wait, or the frames have ended."""
 
 
-_VERBS = {Phase.REST: "reached", Phase.RELEASE: "seen"}
+_VERB = {Phase.REST: "reached", Phase.RELEASE: "seen"}
 
 
 class PhaseWait:
@@ -191,9 +191,7 @@ class PhaseWait:
             last_check_ns = frames.now_ns if due else last_check_ns
             if due and frames.now_ns and reached():
                 so_far = f", {self.progress}" if self.progress else ""
-                self.note(
-                    EventKind(phase), f"{_VERBS.get(phase, 'finished')} after {elapsed_s:.1f} s{so_far}"
-                )
+                self.note(EventKind(phase), f"{_VERB.get(phase, 'finished')} after {elapsed_s:.1f} s{so_far}")
                 return
             if elapsed_s > limit_s:
                 raise DataError(

@@ -110,7 +110,7 @@ def _continue_session(
     folder: Path, config: Configuration, waiting: PreflightWait, *, force: bool, json_lines: bool
 ) -> int:
     with announced(config.session, folder) as outcome, closing(SessionFile.opened(folder)) as file:
-        outcome.status = _finish(file, config, SessionOptions(outcome.notices, force, json_lines, waiting))
+        outcome.status = _make(file, config, SessionOptions(outcome.notices, force, json_lines, waiting))
     return outcome.status
 
 
@@ -150,13 +150,11 @@ def resume_session(
             say(f"{folder}: continues with {source}, which states {changed}")
         with announced(config.session, folder, file) as outcome:
             waiting = PreflightWait(folder.name, config.preflight)
-            outcome.status = _finish(
-                file, config, SessionOptions(outcome.notices, force, json_lines, waiting)
-            )
+            outcome.status = _make(file, config, SessionOptions(outcome.notices, force, json_lines, waiting))
     return outcome.status
 
 
-def _finish(file: SessionFile, config: Configuration, options: SessionOptions) -> int:
+def _make(file: SessionFile, config: Configuration, options: SessionOptions) -> int:
     """Make the missing runs of a session and fit them, as described in `resume_session`."""
     folder = file.folder
     for entry in file.state.entries:

@@ -19,14 +19,7 @@ from rig.analysis import (
     session_results,
     with_laws,
 )
-from rig.campaigns import (
-    Campaign,
-    StatedCampaign,
-    fit_campaign,
-    read_campaign,
-    runs_of_folders,
-    save_campaign,
-)
+from rig.campaigns import Campaign, StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
 from rig.intake import FilmOptions, TableColumns, film_trajectory
 from rig.scripting.session import Record, Session, columns_of, overrides_of, path_of, several, text_of
 from rig.settings import load_configuration
@@ -272,7 +265,7 @@ def campaign(
     ]
     folder = None if output is None else path_of(output, "output")
     known = StatedCampaign() if stated is None else read_campaign(path_of(stated, "stated"))
-    found = fit_campaign(runs_of_folders(folders), known, sample=sample)
+    found = fit_model(runs_of_folders(folders), known, sample=sample)
     if folder is not None:
         save_campaign(found, folder)
     return found

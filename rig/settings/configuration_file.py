@@ -140,20 +140,12 @@ def validate_configuration(
     if config is not None:
         return config
     stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
-    stated_with_u = stated | {
-        ".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1
-    }
+    with_u = stated | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1}
     lines, override_faults = [], []
     for fault in found_faults:
-        is_stated, place = _is_from_overrides(fault, stated_with_u), fault.place
-        stated_in_section = [
-            key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")
-        ]
-        why = (
-            f" (--set {stated_in_section[0]} states this section)"
-            if fault.is_missing and stated_in_section
-            else ""
-        )
+        is_stated, place = _is_from_overrides(fault, with_u), fault.place
+        siblings = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
+        why = f" (--set {siblings[0]} states this section)" if fault.is_missing and siblings else ""
         lines.append(f"{'--set ' if is_stated else f'{source}: '}{fault.line}{why}")
         override_faults += [(dotted(place), f"{fault.line}{why}")] if is_stated else []
     raise FaultyConfiguration(lines, override_faults)
@@ -193,10 +185,8 @@ def _is_from_overrides(fault: KeyFault, stated: set[str]) -> bool:
 def _merged(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     result = dict(base)
     for key, value in changes.items():
-        base_value = result.get(key)
-        result[key] = (
-            _merged(base_value, value) if isinstance(base_value, dict) and isinstance(value, dict) else value
-        )
+        inner = result.get(key)
+        result[key] = _merged(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
     return result
 
 

@@ -30,11 +30,9 @@ def in_words(root: type, fault: ErrorDetails) -> str:
             # the user wrote a dotted key, as for --set, below the head of its section
             key = next(iter(fault["input"]), "")
             return f"{path}.{key}: unknown key; below [{section}] it is {key}, without '{section}.'"
-        sections = _sections_with(root, section) if len(fault["loc"]) == 1 else []
-        if sections:
-            return (
-                f"{path}: unknown key; did you mean {' or '.join(f'{name}.{section}' for name in sections)}?"
-            )
+        owners = _sections_with(root, section) if len(fault["loc"]) == 1 else []
+        if owners:
+            return f"{path}: unknown key; did you mean {' or '.join(f'{name}.{section}' for name in owners)}?"
         known = _known_keys(root, fault["loc"][:-1])
         near = difflib.get_close_matches(section, known, n=1, cutoff=0.5)
         if not near and len(fault["loc"]) == 1:
@@ -52,11 +50,9 @@ def in_words(root: type, fault: ErrorDetails) -> str:
         return f"{path} = {fault['input']!r}: should be a number, with a point: {pointed}"
     if fault["type"] == "float_parsing" and states_unit(fault["input"]):
         return f"{path} = {fault['input']!r}: {_without_unit(fault['input'], str(fault['loc'][-1]))}"
-    is_value_error = fault["type"].startswith("value_error")
-    expected = (
-        fault["msg"].removeprefix("Value error, ") if is_value_error else f"should be {expected_text(fault)}"
-    )
-    if is_value_error and isinstance(fault["input"], Mapping):
+    is_value = fault["type"].startswith("value_error")
+    expected = fault["msg"].removeprefix("Value error, ") if is_value else f"should be {expected_text(fault)}"
+    if is_value and isinstance(fault["input"], Mapping):
         # the fault is of a whole section, whose message names keys and values itself
         return f"{path}: {expected.removeprefix(f'{path}: ')}"
     return f"{path} = {_shown(fault['input'])}: {expected}"

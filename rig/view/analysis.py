@@ -54,21 +54,19 @@ def analysis_curves(runs: Mapping[str, RunResults]) -> list[AnalysisCurve]:
 
     Several runs share the axes, with the data and the residuals of the exact fit, named by the run.
     """
-    curves_drawn: list[AnalysisCurve] = []
+    result: list[AnalysisCurve] = []
     single = len(runs) == 1
     for name, run in runs.items():
         # the unit is one of a record's, never that of a table
         points, size = run.points, DeflectionUnit(run.stored.unit).shown_size
         amplitude, u = points.amplitude / size, points.u_amplitude / size
         data = "measured" if single else name
-        curves_drawn.append(
-            AnalysisCurve("decay", data, points.time_s, amplitude, u if single else None, "points")
-        )
+        result.append(AnalysisCurve("decay", data, points.time_s, amplitude, u if single else None, "points"))
         curves = curves_of(run)
         if curves is None:
             continue
         at, u_period_s = curves.period_rad / size, curves.u_period_s
-        curves_drawn.append(
+        result.append(
             AnalysisCurve("period", data, at, curves.period_s, u_period_s if single else None, "points")
         )
         models = {
@@ -81,17 +79,17 @@ def analysis_curves(runs: Mapping[str, RunResults]) -> list[AnalysisCurve]:
                 continue
             fit = f"{method} fit" if single else name
             if single:
-                curves_drawn += [
+                result += [
                     AnalysisCurve("decay", fit, points.time_s, decay),
                     AnalysisCurve("period", fit, at, period_s),
                 ]
             u_bars, u_bars_ms = (u, 1e3 * u_period_s) if single and exact else (None, None)
             residual_ms = 1e3 * (curves.period_s - period_s)
-            curves_drawn += [
+            result += [
                 AnalysisCurve("residuals", fit, points.time_s, amplitude - decay, u_bars, "points"),
                 AnalysisCurve("period_residuals", fit, at, residual_ms, u_bars_ms, "points"),
             ]
-    return curves_drawn
+    return result
 
 
 def report_text(runs: Mapping[str, RunResults]) -> str:
@@ -133,14 +131,14 @@ def _markdown(table: Table) -> str:
 
 
 def draw_fits(
-    stream: rr.RecordingStream, curves_drawn: Sequence[AnalysisCurve], text: str, run: str, unit: str
+    stream: rr.RecordingStream, result: Sequence[AnalysisCurve], text: str, run: str, unit: str
 ) -> None:
     """Draw axes and curves of each panel, and the report's text (Markdown).
 
     They are static entities (without a time), because they hold for the whole run.
     """
     for panel, (x_title, y_title) in TITLES.items():
-        curves = [curve for curve in curves_drawn if curve.panel == panel]
+        curves = [curve for curve in result if curve.panel == panel]
         if not curves:
             continue
         graticule = Graticule.boxed(
@@ -158,10 +156,8 @@ def draw_fits(
             colour = palette.curve_colour(curve.name, number)
             later = curves[number + 1 :] if panel in COINCIDING else []
             lines_above = sum(other.style == "line" for other in later)
-            outside_count = _draw_curve(stream, root, curve, graticule, colour, lines_above)
-            entries.append(
-                (f"{curve.name} ({outside_count} outside)" if outside_count else curve.name, colour)
-            )
+            outside = _draw_curve(stream, root, curve, graticule, colour, lines_above)
+            entries.append((f"{curve.name} ({outside} outside)" if outside else curve.name, colour))
         legend = _legend(entries, graticule, below=panel == RISING)
         stream.log(f"{root}/legend", legend, static=True)
     if text:

@@ -122,9 +122,7 @@ class Drawing:
         if not chosen.any():
             return
         gap_s, entity = SAMPLES_GAP_PERIODS * self.setup.period_s, layout.entity(run, layout.X)
-        drawn_s, drawn_x, drawn_y = self._breaks.with_gaps_broken(
-            entity, gap_s, time_s[chosen], x[chosen], y[chosen]
-        )
+        drawn_s, drawn_x, drawn_y = self._breaks.broken(entity, gap_s, time_s[chosen], x[chosen], y[chosen])
         single, unit = len(self.setup.runs) < 2, self.setup.unit
         colour = palette.GREY if single else palette.X_COLOUR
         self._gather(run, layout.X, drawn_s, drawn_x, f"X / {unit}", colour)
@@ -158,7 +156,7 @@ class Drawing:
             return
         gap_s = SAMPLES_GAP_PERIODS * self.setup.period_s
         x, y = x_px[chosen] - origin_x, y_px[chosen] - origin_y
-        drawn_s, x, y = self._breaks.with_gaps_broken(entity, gap_s, time_s[chosen], x, y)
+        drawn_s, x, y = self._breaks.broken(entity, gap_s, time_s[chosen], x, y)
         for path, values, colour in (("x", x, palette.X_COLOUR), ("y", y, palette.Y_COLOUR)):
             self._gather(run, f"{layout.REFERENCE}/{path}", drawn_s, values, f"{path} / px", colour)
 
@@ -274,7 +272,7 @@ class Drawing:
             )
             self.stream.log(full, style, static=True)
         self._gathered.measurements(
-            full, *self._breaks.with_gaps_broken(full, gap_periods * self.setup.period_s, time_s, value, u)
+            full, *self._breaks.broken(full, gap_periods * self.setup.period_s, time_s, value, u)
         )
 
     def _gather(

@@ -109,7 +109,7 @@ class RecordDrawer:
         events = self._reader.events(piece.get(EVENT.topic, ()))
         return next((event.time_ns for event in events if event.kind == EventKind.START), None)
 
-    def _run_time_s(self, times_ns: int) -> float:
+    def _run_s(self, times_ns: int) -> float:
         return seconds(times_ns - (self._start_ns or 0))
 
     def _draw(self, piece: Piece) -> None:
@@ -125,9 +125,9 @@ class RecordDrawer:
         for event in contents.events:
             if event.kind == EventKind.ADVICE:
                 self._advised = True
-                drawing.text(run, layout.ADVICE, self._run_time_s(event.time_ns), event.text)
+                drawing.text(run, layout.ADVICE, self._run_s(event.time_ns), event.text)
             else:
-                drawing.event(run, self._run_time_s(event.time_ns), event)
+                drawing.event(run, self._run_s(event.time_ns), event)
         self._draw_session(contents, before)
 
     def _draw_spots(self, rows: NDArray[Any]) -> None:
@@ -169,7 +169,7 @@ class RecordDrawer:
 
     def _draw_balances(self, balances: Sequence[Balance]) -> None:
         for balance in balances:
-            at_s = self._run_time_s(balance.time_ns)
+            at_s = self._run_s(balance.time_ns)
             self._drawing.balance(self._run, at_s, balance_numbers(balance))
             if not self._advised and (advice := self._advise(balance)):
                 self._drawing.text(self._run, layout.ADVICE, at_s, advice)
@@ -180,13 +180,13 @@ class RecordDrawer:
         for health in contents.messages_of_kind(RecordedHealth):
             self._has_session_messages = True
             if clock.known and clock != before.clock:
-                drawing.clock(run, self._run_time_s(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
+                drawing.clock(run, self._run_s(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
         rows = contents.messages_of_kind(RecordedEstimate)
         for time_ns in dict.fromkeys(row.time_ns for row in rows):
             estimates = {
                 row.quantity: Estimate(row.value, row.u_value) for row in rows if row.time_ns == time_ns
             }
-            drawing.estimates(run, self._run_time_s(time_ns), estimates)
+            drawing.estimates(run, self._run_s(time_ns), estimates)
         if contents.messages_of_kind(RecordedPhase):
             self._draw_state()
 
@@ -199,9 +199,7 @@ class RecordDrawer:
             shape, step = self._shape
             x_px, y_px = self._spot_of(sequence)
             # each pixel of a reduced picture is the first of `step` pixels
-            self._drawing.picture(
-                self._run, self._run_time_s(time_ns), jpeg, shape, (x_px / step, y_px / step)
-            )
+            self._drawing.picture(self._run, self._run_s(time_ns), jpeg, shape, (x_px / step, y_px / step))
 
     def _spot_of(self, sequence: int) -> tuple[float, float]:
         for rows in reversed(self._spots):
@@ -216,13 +214,13 @@ class RecordDrawer:
         self._shown_losses = self.missing, self.lost
         self._losses_due_ns = self._last_ns + _LOSSES_INTERVAL_NS
         counts = {"missing_frames": self.missing, "lost_spots": self.lost}
-        self._drawing.losses(self._run, self._run_time_s(self._last_ns), counts)
+        self._drawing.losses(self._run, self._run_s(self._last_ns), counts)
 
     def _draw_state(self) -> None:
         self._state_due_ns = self._last_ns + _STATE_INTERVAL_NS
         # several runs share one panel, which shows their summaries at the end
         if len(self._drawing.setup.runs) < 2:
-            self._drawing.text(self._run, layout.STATE, self._run_time_s(self._last_ns), self._state())
+            self._drawing.text(self._run, layout.STATE, self._run_s(self._last_ns), self._state())
 
     def _state(self) -> str:
         """Phase, amplitude, frames and losses, and why a panel is empty, in Markdown.
@@ -231,10 +229,7 @@ class RecordDrawer:
         """
         state, unit = self._now, self._reader.deflection_unit
         now = time.localtime(seconds(self._last_ns + self._reader.epoch_offset_ns))
-        lines = [
-            f"state of {time.strftime('%H:%M:%S', now)}",
-            f"time {self._run_time_s(self._last_ns):.1f} s",
-        ]
+        lines = [f"state of {time.strftime('%H:%M:%S', now)}", f"time {self._run_s(self._last_ns):.1f} s"]
         if math.isfinite(state.amplitude):
             lines.append(f"amplitude {state.amplitude:.2f} {unit.shown}")
         if math.isfinite(state.period_s):
@@ -274,14 +269,12 @@ class RecordDrawer:
             found.append("the balance is empty until some periods of swing have been seen")
         if parameters and not self._now.estimates:
             found.append("the parameters are empty until there are enough half-cycles for a first fit")
-        elif undetermined := [
+        elif unknown := [
             label.split(" /")[0]
             for key, label in parameters.items()
             if not is_drawn(*self._now.estimates.get(key, Estimate(math.nan, math.nan)))
         ]:
-            found.append(
-                f"not known to a half of their values yet, hence not drawn: {', '.join(undetermined)}"
-            )
+            found.append(f"not known to a half of their values yet, hence not drawn: {', '.join(unknown)}")
         if self._reader.deflection_unit is DeflectionUnit.PX:
             found.append("no parameters are fitted: without [lever] pixels are not angles")
         return found

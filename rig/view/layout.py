@@ -57,7 +57,7 @@ EVENTS: Final = "events"
 ANALYSIS_ROOT: Final = "analysis"
 REPORT: Final = "analysis/report"
 
-DEFLECTION_WINDOW_S: Final = 30.0
+WINDOW_S: Final = 30.0
 """Time span of X(t) and Y(t) that is shown before the time cursor."""
 BALANCE_WINDOW_S: Final = 120.0
 """Time span of the balance before the time cursor: a longer one would hide the effect of the last turn."""
@@ -207,9 +207,7 @@ class _Views:
         )
 
     def deflection(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
-        return self._curves(
-            f"{title} / {self._unit}", self._below(path), until_now(DEFLECTION_WINDOW_S), has_legend
-        )
+        return self._curves(f"{title} / {self._unit}", self._below(path), until_now(WINDOW_S), has_legend)
 
     def history(self, path: str, title: str, *, has_legend: bool = False) -> rrb.View:
         return self._curves(title, self._below(path), WHOLE_RUN, has_legend)

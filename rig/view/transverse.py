@@ -117,9 +117,7 @@ class GapBreaker:
     def __init__(self) -> None:
         self._last_s: dict[str, float] = {}
 
-    def with_gaps_broken(
-        self, path: str, max_gap_s: float, time_s: Floats, *columns: Floats
-    ) -> tuple[Floats, ...]:
+    def broken(self, path: str, max_gap_s: float, time_s: Floats, *columns: Floats) -> tuple[Floats, ...]:
         """Times and columns (n,) of the curve at entity `path`, with NaN in gaps above `max_gap_s`."""
         steps_s = np.diff(time_s, prepend=self._last_s.get(path, np.nan))
         self._last_s[path] = float(time_s[-1])

@@ -80,7 +80,7 @@ def _without_beam_motion(look: TrialFrames, stated: ReferenceSettings | None) ->
     at = look.deflections
     if stated is None or not look.references:
         return at.y
-    spots, references = _positions(look.spots), _positions(look.references)
+    spots, refs = _positions(look.spots), _positions(look.references)
     # deflection per px, fitted to the frames themselves
     use = at.found & np.all(np.isfinite(spots), axis=0)
     columns = np.column_stack([*spots[:2, use], np.ones(np.count_nonzero(use))])
@@ -89,11 +89,9 @@ def _without_beam_motion(look: TrialFrames, stated: ReferenceSettings | None) ->
     for axis in (0, 1):
         gain = stated.gain
         if gain is None:
-            fitted = gain_in_swings(
-                at.times_ns, spots[axis], spots[2 + axis], references[axis], references[2 + axis]
-            )
+            fitted = gain_in_swings(at.times_ns, spots[axis], spots[2 + axis], refs[axis], refs[2 + axis])
             gain = fitted.value if fitted.value > _MAX_OFF_U * fitted.standard_uncertainty else 0.0
-        beam += gain * per_px[axis] * common_motion(at.times_ns, references[axis], references[2 + axis]).value
+        beam += gain * per_px[axis] * common_motion(at.times_ns, refs[axis], refs[2 + axis]).value
     return np.asarray(at.y - beam)
 
 
@@ -138,10 +136,10 @@ def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: Prefl
     at = look.deflections
     try:
         period_s = swing_at_rest(at.times_s, at.y).period_s
-        spots, references = _positions(look.spots), _positions(look.references)
+        spots, refs = _positions(look.spots), _positions(look.references)
         axes = []
         for axis, name in enumerate("xy"):
-            both = spots[axis], spots[2 + axis], references[axis], references[2 + axis]
+            both = spots[axis], spots[2 + axis], refs[axis], refs[2 + axis]
             found = reference_at_rest(at.times_ns, *both, gain=stated.gain, period_s=period_s)
             axes.append(_ReferenceAxis(name, found))
     except DataError as error:

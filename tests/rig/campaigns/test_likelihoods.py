@@ -10,7 +10,7 @@ from processing.fit import AIR, drifts_of
 from processing.series import to_coordinates
 from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record
-from rig.campaigns import StatedCampaign, fit_campaign, runs_of_folders
+from rig.campaigns import StatedCampaign, fit_model, runs_of_folders
 from rig.campaigns.likelihoods import FoundRun, compress
 
 REFERENCE_RAD = 60 * ARCSEC_RAD
@@ -55,7 +55,7 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
 
 
 def test_a_measured_series_is_a_campaign(measured_series: Path) -> None:
-    found = fit_campaign(runs_of_folders([measured_series]), StatedCampaign())
+    found = fit_model(runs_of_folders([measured_series]), StatedCampaign())
     (values,) = found.results.contacts.values()
     assert 0.9 < values["p"].value < 1.0
     assert found.results.simulated
@@ -70,4 +70,4 @@ def test_what_is_not_determined_is_left_out(measured_series: Path) -> None:
     assert found is None
     assert problem.endswith("left out: too short")
     with pytest.raises(Exception, match=r"no run can enter the campaign: .*too short"):
-        fit_campaign([nothing], StatedCampaign())
+        fit_model([nothing], StatedCampaign())
