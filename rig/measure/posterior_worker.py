@@ -161,11 +161,11 @@ class MeasuredRun:
         If the plane of swing turns, the half-cycles are those of the motion in that plane.
         """
         swings, blocks = self._half_cycles_in_plane()
-        posterior, self._last_fit = fitted_twice(swings, blocks, fit, self._last_fit, self._fixed)
-        if posterior.exact is not None and self.samples > self._most:
-            self._fix_older_half(posterior.swings)
-        return posterior.swings, with_misfit(
-            LinearisedFit.of(fit.points(posterior.swings), fit.pendulum, self._last_fit)
+        refined, self._last_fit = fitted_twice(swings, blocks, fit, self._last_fit, self._fixed)
+        if refined.exact is not None and self.samples > self._most:
+            self._fix_older_half(refined.swings)
+        return refined.swings, with_misfit(
+            LinearisedFit.of(fit.points(refined.swings), fit.pendulum, self._last_fit)
         )
 
     def _half_cycles_in_plane(self) -> tuple[Sequence[HalfCycle], Iterable[Deflections]]:

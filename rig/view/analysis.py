@@ -131,14 +131,14 @@ def _markdown(table: Table) -> str:
 
 
 def draw_fits(
-    stream: rr.RecordingStream, result: Sequence[AnalysisCurve], text: str, run: str, unit: str
+    stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], text: str, run: str, unit: str
 ) -> None:
     """Draw axes and curves of each panel, and the report's text (Markdown).
 
     They are static entities (without a time), because they hold for the whole run.
     """
     for panel, (x_title, y_title) in TITLES.items():
-        curves = [curve for curve in result if curve.panel == panel]
+        curves = [curve for curve in all_curves if curve.panel == panel]
         if not curves:
             continue
         graticule = Graticule.boxed(
