@@ -126,8 +126,7 @@ def session_rows(folder: Path) -> SessionRows:
 def _table_row(folder: Path, decay: RunResults, number: int) -> Row:
     """The row of a decay, counted from 1, of a table or a film.
 
-    Its identifier is the table's hash; for later decays, and for a table of several runs, a hash derived from
-    it.
+    Its identifier is the table's hash; for later decays, and tables of several runs, a hash derived from it.
     """
     path, name, place = folder / decay.record, decay.source_name, decay.decay or TableDecay()
     suffix = (f" run {place.run}" if place.run else "") + (f" decay {number}" if number > 1 else "")

@@ -301,8 +301,7 @@ def _in_processes(
 ) -> Iterator[tuple[RefitTask, str]]:
     """Carry out tasks in processes of this machine; yields each with its problem, empty if it succeeded.
 
-    A process that dies breaks the whole pool; unfinished tasks are then tried again, each in a process of its
-    own.
+    A process that dies breaks the whole pool; unfinished tasks are then tried again, each in its own process.
     """
     # each process is to use one processor: libraries that read this variable start no threads
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -342,7 +341,7 @@ def _problem(done: Any) -> str:
 def cluster_client(address: str) -> Iterator[Any]:
     """A client of the scheduler of a running Dask cluster whose workers run the same code.
 
-    Raises ConfigurationError if Dask is not installed, no scheduler answers, there is no worker, or one runs
+    Raises ConfigurationError if Dask is not installed, no scheduler answers, no worker exists, or one runs
     other code.
     """
     try:

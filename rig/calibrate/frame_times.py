@@ -46,8 +46,8 @@ _MAX_SATURATED_FRACTION = 0.1
 def mean_spot(spots: Deflections) -> tuple[float, float, float, float]:
     """Mean x and y in px, and their standard uncertainties.
 
-    Each uncertainty is the larger of the tracker's and that from the scatter of segment means, which includes
-    slow drift.
+    Each uncertainty is the larger of the tracker's and that from the scatter of segment means, including slow
+    drift.
     """
     found = []
     for values, u in ((spots.x, spots.u_x), (spots.y, spots.u_y)):

@@ -58,8 +58,7 @@ def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list
 
     A folder without results of its own stands for all series in its subfolders, as one contact.
 
-    Raises ConfigurationError if a run or a folder occurs twice, or a sample is not stated, RecordError if
-    results cannot be read.
+    Raises ConfigurationError for a run or folder that occurs twice, or no stated sample, and RecordError.
     """
     names = [folder.resolve().name if folder.is_dir() else folder.resolve().parent.name for folder in folders]
     found: list[FoundRun] = []

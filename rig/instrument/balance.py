@@ -169,8 +169,7 @@ def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | 
     """Expected effect of one turn of each weight, from its mass and thread, with standard uncertainty.
 
     An effect is (tilt in x in arcsec, tilt in y in arcsec, height of the mass centre in m); None: unknown.
-    Its relative uncertainty is `balance.u_effect` in the plane of the weight's axis, a fraction of that
-    across.
+    Its relative uncertainty is `balance.u_effect` in the plane of its axis, a fraction of that across.
     """
     pendulum = config.pendulum
     effects: dict[str, tuple[Floats, Floats] | None] = {}

@@ -237,8 +237,7 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
 def compile_tracker(sensor: SensorModel) -> None:
     """Compile, or load from the cache, the kernels that track and record a spot of this sensor.
 
-    Two frames of the camera's pixel type are tracked, the first by searching, the second by following; one is
-    encoded.
+    Two frames of the camera's pixel type are tracked, one by searching, one by following; one is encoded.
     """
     y, x = np.mgrid[0:_SIDE_PX, 0:_SIDE_PX] - 0.5 * (_SIDE_PX - 1)
     spot = 0.5 * sensor.full_scale_dn * np.exp(-0.5 * (x**2 + y**2) / _SIGMA_PX**2)

@@ -105,7 +105,7 @@ class RecordContents(NamedTuple):
     """One piece of a record: half-cycles, balances, events, and messages of the session.
 
     `start_ns` is the time of the record's first frame, `last_ns` that of its last frame so far; both are 0
-    before the record begins.
+    before it.
     """
 
     start_ns: int = 0

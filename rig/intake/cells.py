@@ -32,8 +32,8 @@ class Cells:
 
     `names` is empty without a header; `units` are those stated in a line of their own or in the cells.
     `left_out` are the numbers of lines with another number of columns. `blocks` holds, for each row, the
-    number of its block; blocks are separated by blank lines, comments or a repeated header. `said` are lines
-    on how the file was read.
+    number of its block; blocks are separated by blank lines, comments or a repeated header. `said` are
+    remarks on the reading.
     """
 
     names: Sequence[str]

@@ -255,7 +255,7 @@ def decay_warnings(summary: DecaySummary) -> list[str]:
 def clipping_warnings(name: str, values: NDArray[np.float64]) -> list[str]:
     """Warnings of a position (n,) whose largest values the sensor has cut off.
 
-    It stays at one value for so many rows that an uncut swing would be larger by more than two steps of its
+    It stays at one value for so many rows that an uncut swing would be larger by over two steps of its
     digits.
     """
     values = values[np.isfinite(values)]

@@ -151,8 +151,8 @@ class HandOver:
 def state_of(session: SessionState) -> RunState | None:
     """State in which a session has ended: complete, stopped, failed or interrupted; None without a run.
 
-    A session that was killed is interrupted: one of its runs is still noted as being recorded, or its next
-    run did not begin.
+    A session that was killed is interrupted: a run is still noted as being recorded, or the next run did not
+    begin.
     """
     if len(session.complete) >= session.runs_wanted:
         return RunState.COMPLETE

@@ -83,8 +83,7 @@ class MeasurementRun:
         """Measure until the run ends; returns with the record closed.
 
         Ctrl-C and `Terminated` switch the laser off and end the run like `request_stop`, immediately if
-        frames come on demand. A thread that hangs at the end is abandoned after a time, sooner after a second
-        interrupt.
+        frames come on demand. A thread that hangs at the end is abandoned, sooner after a second interrupt.
         """
         self._stream.start_camera()
         threading.Thread(target=self._process, name="processing", daemon=True).start()

@@ -148,10 +148,9 @@ _MIN_EXCESS_U = 2.0
 class StartJudge:
     """Judges one start by its first two unflagged half-cycles and the balance of its first periods.
 
-    The rotation is judged once more, by the first balance that has a rate of rotation, about five periods
-    after the release. `first_amplitude` is the larger amplitude of these half-cycles, in `unit`, 0 before the
-    first; in px it has no limits, because they are configured in arcsec. After `attempts` rejected starts a
-    run fails.
+    The rotation is judged later, by the first balance that has its rate, five periods after the release.
+    `first_amplitude` is the larger amplitude of these half-cycles, in `unit`, 0 before the first; in px it
+    has no limits, because they are configured in arcsec. After `attempts` rejected starts a run fails.
     """
 
     def __init__(self, config: Configuration, unit: DeflectionUnit) -> None:

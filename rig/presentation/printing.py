@@ -193,8 +193,7 @@ def unbroken_words(text: str) -> list[str]:
 def written(path: Path, other: str = "folder") -> Iterator[None]:
     """A context for writing files, which turns errors into messages.
 
-    Raises ConfigurationError if a file exists (`other` is what the user should choose anew), and RecordError
-    if one cannot be written.
+    Raises ConfigurationError if a file exists (`other` is what to choose anew), else RecordError.
     """
     try:
         yield

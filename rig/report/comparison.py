@@ -173,8 +173,8 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
     names an ambient condition against which the parameters of all runs are tabulated and plotted, too; one
     session is then enough.
 
-    Raises RecordError for a folder without fits, ConfigurationError for a folder named twice and for an
-    unknown `against`.
+    Raises RecordError for a folder without fits, ConfigurationError for a folder named twice or unknown
+    `against`.
     """
     over = ambient_condition_name(against) if against else ""
     sessions = {}

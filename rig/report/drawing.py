@@ -93,8 +93,7 @@ _STYLING = threading.RLock()
 def styled() -> Iterator[None]:
     """A context in which figures are drawn and saved in `STYLE`, by one thread at a time.
 
-    matplotlib has one style for all threads: without the lock the style of one thread could stay set for
-    ever.
+    matplotlib has one style for all threads: without the lock one thread's style could stay for ever.
     """
     with _STYLING, mpl.rc_context(cast(Any, dict(STYLE))):
         yield
