@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from rig.archive.updating import add_folders, check_archive, cluster_client, refit_runs, update_archive
 
 _LAZY_MODULES = {"add_folders": "updating", "check_archive": "updating", "update_archive": "updating"}
-_LAZY_MODULES |= {"client_of": "updating", "refit_runs": "updating"}
+_LAZY_MODULES |= {"cluster_client": "updating", "refit_runs": "updating"}
 """Names whose modules take seconds to import, for which `list` must not wait."""
 
 
