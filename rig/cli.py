@@ -31,7 +31,7 @@ from rig.commands import (
     reporting,
     session,
 )
-from rig.terminal import reason_of, spell_out_what_is_missing, terminated_by_signals
+from rig.terminal import reason_of, replace_missing_characters, terminated_by_signals
 
 _MADE_BETWEEN_COLLECTIONS = 10_000
 
@@ -155,7 +155,7 @@ def main() -> None:
     # Imports make a hundred thousand objects that stay: to look through them for garbage as often as Python
     # does by itself takes a twentieth of the time of `rig fit`.
     gc.set_threshold(_MADE_BETWEEN_COLLECTIONS)
-    spell_out_what_is_missing()
+    replace_missing_characters()
     debug = "--debug" in sys.argv
     # accepted anywhere, because users append them to the command that has just said too little
     moved = [word for word in sys.argv[1:] if word in ("--debug", "-v", "--verbose")]

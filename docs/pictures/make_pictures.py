@@ -22,7 +22,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
 from rig.instrument import complete  # noqa: E402
-from rig.report import draw_run, expected_of, plan_expected, plan_figure, png, styled  # noqa: E402
+from rig.report import draw_run, make_plan, plan_figure, planned_contact, png, styled  # noqa: E402
 from rig.settings import load_configuration  # noqa: E402
 from rig.view import LayoutName  # noqa: E402
 from rig.view.layout import TIMELINE  # noqa: E402
@@ -73,9 +73,9 @@ def photograph(rrd: Path, picture: Path, at_s: float) -> None:
 
 def draw_plan(picture: Path) -> None:
     """Save what runs of the basement's rig will tell."""
-    expected = expected_of(complete(load_configuration(PLANNED)))
+    expected = planned_contact(complete(load_configuration(PLANNED)))
     lasts = [60.0, 30.0, 15.0, 8.0, 4.0, 2.0]
-    plan = plan_expected(expected, PLANNED_FROM_ARCSEC, lasts, counts=PLANNED_RUNS)
+    plan = make_plan(expected, PLANNED_FROM_ARCSEC, lasts, counts=PLANNED_RUNS)
     with styled():
         picture.write_bytes(png(plan_figure(plan)))
     print(f"{picture.name}: {picture.stat().st_size / 1000:.0f} kB")

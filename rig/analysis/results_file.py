@@ -14,7 +14,7 @@ from processing.errors import RecordError, place_in_words, require_schema
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults
 from rig.presentation import plain_values, written
-from rig.settings import wanted
+from rig.settings import expected_text
 
 RESULTS_NAME = "results.json"
 _REMEDY = "rig fit makes it again from the record"
@@ -105,7 +105,7 @@ def _one_line(fault: ErrorDetails) -> str:
     if fault["type"] in ("missing", "missing_argument"):
         return f"{key} is missing"
     shown = json.dumps(fault["input"], default=str)
-    return f"{key} is {shown if len(shown) <= 40 else shown[:37] + '...'}, not {wanted(fault)}"
+    return f"{key} is {shown if len(shown) <= 40 else shown[:37] + '...'}, not {expected_text(fault)}"
 
 
 def recorded_results(record: Path, sha256: str) -> tuple[str, RunResults | None]:

@@ -50,16 +50,16 @@ from rig.intake import (
     TableColumns,
     Trajectory,
     along_and_across,
-    changes_in,
-    cut_off,
+    clipping_warnings,
+    decay_warnings,
     direction_warning,
+    fast_mode_ratio,
     fast_oscillation,
-    fast_part,
     judge_sign,
     judge_time_unit,
+    missing_for_laws,
     second_frequency,
     strange_amplitudes,
-    why_no_laws,
 )
 from rig.settings import Configuration
 
@@ -253,7 +253,7 @@ def _analyse(
     deflection = np.concatenate([block.y for block in followed.deflections])
     points = turning_points(swings)
     summary = summarise_decay(points)
-    problem = why_no_laws(trajectory, config)
+    problem = missing_for_laws(trajectory, config)
     sha256 = cached_sha256_of_path(path)
     run = AnalysedRun(path=path, record=relative_record(path, Path.cwd()), sha256=sha256, problem=problem)
     if config is not None and not problem:
@@ -286,11 +286,11 @@ def _analyse(
         *run.warnings,
         *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
         *filter(None, [oscillation]),
-        *changes_in(summary),
+        *decay_warnings(summary),
         *(
             line
             for name, values in zip(trajectory.names, trajectory.positions, strict=True)
-            for line in cut_off(name, values[inside])
+            for line in clipping_warnings(name, values[inside])
         ),
     ]
     notes = [followed.text if followed.text not in run.notes and run.instrument is None else ""]
@@ -342,7 +342,7 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
         return followed
     period_s = summarise_decay(turning_points(followed.swings)).period_s.value
     seen = joined(followed.deflections, DeflectionUnit.RAD)
-    part = fast_part(seen.times_ns, seen.y, seen.x, period_s)
+    part = fast_mode_ratio(seen.times_ns, seen.y, seen.x, period_s)
     if not part:
         return followed
     alone = replace(seen, y=seen.y - part * seen.x, u_y=np.hypot(seen.u_y, part * seen.u_x))

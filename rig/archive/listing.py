@@ -1,4 +1,4 @@
-"""Runs of an archive that meet a condition: listed, shown, or found by words."""
+"""The archive's file, and queries of its runs: listed, shown, or found by words."""
 
 import contextlib
 import datetime
@@ -28,7 +28,7 @@ from rig.presentation import (
     written,
 )
 
-_TABLES: Final = f"""
+_TABLES_SQL: Final = f"""
 create table if not exists folders (folder varchar primary key);
 create table if not exists sessions (folder varchar, files varchar);
 create table if not exists every_run ({", ".join(f"{name} {kind}" for name, kind in COLUMNS.items())});
@@ -37,26 +37,25 @@ create or replace view runs as
   from every_run
   qualify row_number() over (partition by sha256 order by added_utc desc, folder) = 1;
 """
-"""`sessions` says by a hash of names, sizes and times in which state a folder was read; `runs` has a run that
-lies in several folders once.
-"""
-_INSERT: Final = f"""
+"""`sessions` holds a hash of names, sizes and times of the files of each folder as it was read; `runs` lists
+a run that lies in several folders once."""
+_INSERT_SQL: Final = f"""
 insert into every_run by name
   select unnest(row) from (select unnest(from_json(?::json, '{json.dumps([COLUMNS])}')) as row)
 """
-_READS_ONLY: Final = {
+_READ_ONLY_SETTINGS: Final = {
     "enable_external_access": "false",
     "lock_configuration": "true",
     "autoinstall_known_extensions": "false",
     "python_enable_replacements": "false",
 }
-"""A condition reads the archive and nothing else: no file, no variable of this program."""
-_WAIT_S = 20.0
-"""So long another process is waited for that writes; a transaction takes a part of a second."""
+"""Settings with which a condition can read only the archive: no file, no variable of this program."""
+_MAX_WAIT_S = 20.0
+"""Longest wait for another process that writes; a transaction takes a fraction of a second."""
 
 
 def duckdb_module() -> Any:
-    """DuckDB. Raises ConfigurationError where it is not installed."""
+    """The module of DuckDB; raises ConfigurationError if it is not installed."""
     try:
         import duckdb
     except ImportError:
@@ -68,11 +67,11 @@ def duckdb_module() -> Any:
 def reading(archive: Path) -> Iterator[Any]:
     """A connection that reads the archive.
 
-    Raises ConfigurationError where there is none, or for a condition that no row can meet, which is found
-    when rows are fetched; RecordError for a file that cannot be read.
+    Raises ConfigurationError if there is no archive, or for a condition with an invalid value, found when
+    rows are fetched; RecordError for a file that cannot be read.
     """
     check_is_there(archive)
-    with _connected(archive, read_only=True, config=_READS_ONLY) as connection:
+    with _connected(archive, read_only=True, config=_READ_ONLY_SETTINGS) as connection:
         if _is_of_another_version(connection):
             raise RecordError(f"{archive}: another version made it; rig archive update makes it again")
         yield connection
@@ -80,35 +79,35 @@ def reading(archive: Path) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def writing(archive: Path) -> Iterator[Any]:
-    """A connection in one transaction, of which all is written when the block ends, or nothing."""
+    """A connection in one transaction, which is committed when the block ends without an error."""
     with _connected(archive) as connection:
-        connection.execute(f"begin transaction; {_TABLES}")
+        connection.execute(f"begin transaction; {_TABLES_SQL}")
         if _is_of_another_version(connection):
-            # the folders are kept, and all of them are read again
-            connection.execute(f"drop view runs; drop table every_run; delete from sessions; {_TABLES}")
+            # the list of folders stays, and all of them are read again
+            connection.execute(f"drop view runs; drop table every_run; delete from sessions; {_TABLES_SQL}")
         yield connection
         connection.execute("commit")
 
 
 def check_is_there(archive: Path) -> None:
-    """Raise ConfigurationError where there is no archive."""
+    """Raise ConfigurationError if the archive is missing."""
     if not archive.is_file():
         what = "is a folder; an archive is a file" if archive.is_dir() else "no such archive"
         raise ConfigurationError(f"{archive}: {what}; rig archive add FOLDER --archive FILE makes one")
 
 
 def write_sessions(connection: Any, sessions: Mapping[str, str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Put the rows of sessions, each with the hash of its files, in place of those that are there."""
+    """Replace the rows of sessions; `sessions` maps folders to the hashes of their files."""
     forget_sessions(connection, list(sessions))
     connection.execute(
         "insert into sessions select unnest(?::varchar[]), unnest(?::varchar[])",
         [list(sessions), list(sessions.values())],
     )
-    connection.execute(_INSERT, [json.dumps(rows, allow_nan=False, default=str)])
+    connection.execute(_INSERT_SQL, [json.dumps(rows, allow_nan=False, default=str)])
 
 
 def forget_sessions(connection: Any, folders: Sequence[str]) -> None:
-    """Take away the rows of sessions."""
+    """Remove the rows of sessions."""
     for table in ("sessions", "every_run"):
         connection.execute(f"delete from {table} where folder in (select unnest(?::varchar[]))", [folders])
 
@@ -122,8 +121,8 @@ def _is_of_another_version(connection: Any) -> bool:
 def _connected(
     archive: Path, *, read_only: bool = False, config: Mapping[str, str] | None = None
 ) -> Iterator[Any]:
-    """A connection; waits for another process that writes, and says in a line what DuckDB raises."""
-    duckdb, given_up_s, connection = duckdb_module(), time.monotonic() + _WAIT_S, None
+    """A connection; waits for another process that writes, and converts DuckDB's errors."""
+    duckdb, given_up_s, connection = duckdb_module(), time.monotonic() + _MAX_WAIT_S, None
     try:
         while connection is None:
             try:
@@ -136,7 +135,7 @@ def _connected(
                 time.sleep(0.05)
         yield connection
     except (duckdb.DataError, duckdb.InvalidInputException, duckdb.OutOfMemoryException) as error:
-        # as '45 %' is no number, or a table joined with itself
+        # for example '45 %', which is no number, or a table joined with itself
         said = str(error).splitlines()[0].partition(": ")[2]
         raise ConfigurationError(
             f"condition or columns: {said}; docs/reference/archive.md lists the columns and their units"
@@ -148,20 +147,20 @@ def _connected(
         ) from None
     finally:
         if connection is not None:
-            # without a commit all is as it was
+            # without a commit nothing has changed
             connection.close()
 
 
 _SIMULATED = "SIMULATED: "
-_WIDE = 150
-"""Characters of a line that hold all columns of `SHOWN`; a narrower terminal shows `IMPORTANT` alone."""
+_MIN_WIDTH_OF_ALL = 150
+"""Width of a terminal, in characters, that shows all columns of `SHOWN`; a narrower one shows `IMPORTANT`."""
 _ID = "left(sha256, 8) as id"
 _PARAMETERS = ("b", "p", "c", "n")
 _SAMPLE = f"case when {IS_SIMULATED} then '{_SIMULATED}' else '' end || coalesce(sample, '') as sample"
 
 
-def _beside(names: Sequence[str]) -> list[str]:
-    """The columns that stand with quantities in one cell of the screen."""
+def _u_columns(names: Sequence[str]) -> list[str]:
+    """The columns of uncertainties and verdicts, shown in the cells of their quantities."""
     return [column for name in names for column in (*row_columns(name)[1:], f"verdict_{name}")]
 
 
@@ -170,18 +169,19 @@ def list_runs(
 ) -> None:
     """Print the runs that meet a condition of SQL (empty: all), or write them to a new CSV file.
 
-    `columns` are expressions of SQL; without any those of `SHOWN`, with the run's name before them, and with
-    uncertainties and verdicts of the parameters. With `json_lines` a JSON object a line is printed.
+    `columns` are expressions of SQL; by default those of `SHOWN` after the run's identifier, with
+    uncertainties and verdicts of the parameters. With `json_lines` each run is printed as a JSON object on a
+    line.
 
-    Raises ConfigurationError for a condition that is no plain one.
+    Raises ConfigurationError for an invalid condition.
     """
     on_screen = not json_lines and output is None
-    shown = IMPORTANT if on_screen and screen_width() < _WIDE else SHOWN
-    usual = f"{_ID}, {', '.join(shown)}" + ("" if on_screen else ", camera")
-    usual += "".join(f", {name}" for name in _beside([each for each in _PARAMETERS if each in shown]))
+    shown = IMPORTANT if on_screen and screen_width() < _MIN_WIDTH_OF_ALL else SHOWN
+    default = f"{_ID}, {', '.join(shown)}" + ("" if on_screen else ", camera")
+    default += "".join(f", {name}" for name in _u_columns([each for each in _PARAMETERS if each in shown]))
     if on_screen:
-        usual = usual.replace(" sample,", f" {_SAMPLE},")
-    names, rows = selected(archive, columns if columns.strip() else usual, condition)
+        default = default.replace(" sample,", f" {_SAMPLE},")
+    names, rows = selected(archive, columns if columns.strip() else default, condition)
     if json_lines:
         for row in rows:
             print_json_line("run", dict(zip(names, map(_json_value, row), strict=True)))
@@ -196,9 +196,9 @@ def list_runs(
 
 
 def show_runs(archive: Path, names: Sequence[str]) -> None:
-    """Print all that the archive knows of runs."""
+    """Print all columns of runs."""
     columns, rows = selected(
-        archive, f"*, {IS_SIMULATED} as simulated", f"{meant(archive, names)} order by run"
+        archive, f"*, {IS_SIMULATED} as simulated", f"{named_runs(archive, names)} order by run"
     )
     for values in rows:
         row = dict(zip(columns, values, strict=True))
@@ -211,19 +211,17 @@ def show_runs(archive: Path, names: Sequence[str]) -> None:
         print_tables([Table(row["sha256"][:8], title, (), (), ("", ""), texts, "")])
 
 
-def meant(archive: Path, names: Sequence[str]) -> str:
-    """The condition that the runs meet that are named by the first characters of their SHA-256; of all
-    without a name.
-    """
+def named_runs(archive: Path, names: Sequence[str]) -> str:
+    """SQL condition for runs named by the first characters of their SHA-256; all runs without a name."""
     runs = (f"'{run}'" for name in names for run in _named(archive, name))
     return f"sha256 in ({', '.join(runs)})" if names else "true"
 
 
-_FOUND = (
+_FOUND_COLUMNS = (
     f"{_ID}, began_utc, folder, run, {_SAMPLE}, operator, state, "
-    f"b, p, c, {', '.join(_beside(('b', 'p', 'c')))}"
+    f"b, p, c, {', '.join(_u_columns(('b', 'p', 'c')))}"
 )
-_SEARCHED = (
+_SEARCHED_TEXT = (
     "lower(concat_ws(' ', strftime(began_utc, '%Y-%m-%d %H:%M:%S'), folder, run, sample, operator, state, "
     "contact_history, noted))"
 )
@@ -232,17 +230,17 @@ _SEARCHED = (
 def find_runs(archive: Path, words: str, most: int) -> Table:
     """The newest runs with all these words in their texts, the newest first."""
     quoted = (word.replace("'", "''") for word in words.lower().split())
-    where = " and ".join(f"contains({_SEARCHED}, '{word}')" for word in quoted) or "true"
+    where = " and ".join(f"contains({_SEARCHED_TEXT}, '{word}')" for word in quoted) or "true"
     order = f"order by began_utc desc nulls last, sha256 limit {most:d}"
-    return _table(*selected(archive, _FOUND, f"{where} {order}"))
+    return _table(*selected(archive, _FOUND_COLUMNS, f"{where} {order}"))
 
 
 def selected(
     archive: Path, wanted: str, condition: str, then: str = ""
 ) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Names and rows of a query of the runs, or of the query `then` of its result, `chosen`.
+    """Column names and rows of a query of the runs, or of the query `then` of its result `chosen`.
 
-    Raises ConfigurationError for a condition that is no plain one.
+    Raises ConfigurationError for an invalid condition.
     """
     duckdb = duckdb_module()
     no_condition = re.match(r"\s*(order\s+by|limit|group\s+by|$)", condition, re.IGNORECASE)
@@ -267,9 +265,9 @@ def selected(
 
 
 def _named(archive: Path, name: str) -> list[str]:
-    """The SHA-256 of the run, or of the session's runs, that a name begins.
+    """The SHA-256 of the run, or of the runs of the session, whose hash begins with a name.
 
-    Raises ConfigurationError where none or several are meant.
+    Raises ConfigurationError if it fits none or several.
     """
     if not re.fullmatch("[0-9a-f]{4,64}", name):
         raise ConfigurationError(f"{name}: names no run; take 4 or more characters of list's first column")
@@ -277,14 +275,14 @@ def _named(archive: Path, name: str) -> list[str]:
     _, found = selected(archive, "sha256, session", where)
     if not found:
         raise ConfigurationError(f"{name}: no run of the archive begins so; rig archive list names all")
-    of_one_session = len({session for _, session in found}) == 1 and found[0][1].startswith(name)
-    if len(found) > 1 and not of_one_session:
+    is_one_session = len({session for _, session in found}) == 1 and found[0][1].startswith(name)
+    if len(found) > 1 and not is_one_session:
         raise ConfigurationError(f"{name}: {len(found)} runs begin so; give more characters")
     return [run for run, _ in found]
 
 
 def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
-    """For the screen values with whole uncertainty, or bounds, in one cell; for the file each in its own."""
+    """Table of runs: on screen values with total u or bounds in one cell, in the file in separate columns."""
     found = [dict(zip(names, row, strict=True)) for row in rows]
     head = [name for name in names if name not in _NUMBERS or _PREFIX.sub("", name, count=1) not in names]
     shown = [[_shown(name, row) for name in head] for row in found]
@@ -294,7 +292,7 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
 
 _PREFIX = re.compile("(u_total|u|lower|upper|verdict)_")
 _NUMBERS = [name for name in COLUMNS if _PREFIX.match(name)]
-"""Columns that are shown with the quantity to which they belong."""
+"""Columns that are shown in the cell of their quantity."""
 
 
 def _shown(name: str, row: Mapping[str, Any]) -> str:

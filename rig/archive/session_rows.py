@@ -1,4 +1,4 @@
-"""A session's folder as rows of the archive: its records, and what its newest results say of each."""
+"""Rows of the archive from a session's folder: its records, and the newest results of each."""
 
 import hashlib
 from collections.abc import Iterable, Mapping
@@ -19,17 +19,17 @@ from processing.units import seconds
 from rig.analysis import RunResults, TableDecay, read_results, recorded_surroundings, results_path
 
 PARAMETERS: Final = ("b", "p", "c", "n", "period0_s", "gamma_pa", "drag_s")
-"""Of the contact's laws, as far as results hold them."""
+"""Parameters of the contact's laws, as far as results hold them."""
 DERIVED: Final = quantities_of(DerivedQuantity)
-"""What follows from them."""
-OF_INSTRUMENTS: Final = (
+"""Quantities derived from the parameters."""
+INSTRUMENT_QUANTITIES: Final = (
     "scale_hardness",
     "time_hardness_s",
     "time_hardness_first_swing_s",
     "log_decrement",
     "rolling_friction_coefficient",
 )
-"""Of other kinds of pendulum."""
+"""Quantities of other kinds of pendulum."""
 
 
 def _typed(text: str) -> dict[str, str]:
@@ -65,35 +65,32 @@ COLUMNS: Final[Mapping[str, str]] = {
     **{column: "double" for name in DERIVED for column in row_columns(name)},
     **{f"verdict_{name}": "varchar" for name in DERIVED},
     **_typed("mass_kg double, ball_radius_m double, instrument varchar"),
-    **_estimated(OF_INSTRUMENTS),
+    **_estimated(INSTRUMENT_QUANTITIES),
 }
 SHORT_NAMES: Final[Mapping[str, str]] = {"temperature": "temperature_c", "humidity": "humidity_percent"}
-"""Further names in conditions."""
+"""Short names of columns, for conditions."""
 IMPORTANT: Final = ("run", "sample", "began_utc", "b", "c", "state")
-"""What `list` shows where there is no room for all of `SHOWN`."""
+"""Columns that `list` shows on a narrow terminal."""
 SHOWN: Final = (*IMPORTANT[:3], "humidity_percent", "temperature_c", "b", "p", "c", "n", "state")
 IS_SIMULATED: Final = "coalesce(camera = 'simulated rig', false)"
-"""Whether the numbers of a run were invented, in SQL."""
+"""SQL expression for a run of the simulated rig."""
 
 
 Row = dict[str, Any]
 
 
 class SessionRows(NamedTuple):
-    """Rows of one session, one a record, and what is to be said of it, in lines."""
+    """Rows of one session, one for each record, and its flaws in lines."""
 
     rows: list[Row]
     flaws: list[str]
 
 
 def session_rows(folder: Path) -> SessionRows:
-    """The rows of a folder with records, results, or both.
-
-    Raises RecordError where a file cannot be read: what it holds is then not known.
-    """
+    """The rows of a folder with records, results, or both; raises RecordError if a file cannot be read."""
     rows, flaws = list[Row](), list[str]()
     source, results = results_path(folder), list[RunResults]()
-    of_source: Row = {"results_sha256": sha256_of(source) if source.is_file() else ""}
+    source_columns: Row = {"results_sha256": sha256_of(source) if source.is_file() else ""}
     if source.is_file():
         try:
             results = list(read_results(source).runs)
@@ -101,7 +98,7 @@ def session_rows(folder: Path) -> SessionRows:
             flaws.append(str(error))
     by_record = {folder / run.record: run for run in results if run.decay is None}
     found = set(records_of(folder))
-    # of a record and its recovered copy the copy
+    # a recovered copy takes the place of its record
     kept = {path for path in found if recovered_beside(path) not in found}
     for path in sorted(kept | (by_record.keys() - found)):
         run = by_record.get(path)
@@ -113,14 +110,14 @@ def session_rows(folder: Path) -> SessionRows:
                 "left out; rig fit makes new ones"
             )
             if path.parent != folder:
-                # a session of the folder in which that record lies
+                # that record belongs to the session of its own folder
                 continue
         elif run is not None:
-            row |= row_of_results(run)
-        rows.append(row | of_source | {"results": source.name if run is not None else None})
+            row |= results_row(run)
+        rows.append(row | source_columns | {"results": source.name if run is not None else None})
     decays = [run for run in results if run.decay is not None]
     for number, decay in enumerate(decays, start=1):
-        rows.append(_table_row(folder, decay, number) | of_source | {"results": source.name})
+        rows.append(_table_row(folder, decay, number) | source_columns | {"results": source.name})
     flaws += [f"{folder / row['record']}: {row['state']}: {row['flaw']}" for row in rows if row["flaw"]]
     session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
     return SessionRows([row | {"session": session} for row in rows], flaws)
@@ -129,16 +126,15 @@ def session_rows(folder: Path) -> SessionRows:
 def _table_row(folder: Path, decay: RunResults, number: int) -> Row:
     """The row of a decay, counted from 1, of a table or a film.
 
-    The first is known by the table's hash, the others, and those of a table with several runs, by one that
-    follows from it.
+    Its identifier is the table's hash; for later decays, and tables of several runs, a hash derived from it.
     """
     path, name, place = folder / decay.record, decay.source_name, decay.decay or TableDecay()
-    of_one = (f" run {place.run}" if place.run else "") + (f" decay {number}" if number > 1 else "")
-    of_both = hashlib.sha256(f"{decay.sha256}{of_one}".encode()).hexdigest()
+    suffix = (f" run {place.run}" if place.run else "") + (f" decay {number}" if number > 1 else "")
+    derived_sha256 = hashlib.sha256(f"{decay.sha256}{suffix}".encode()).hexdigest()
     row: Row = {
         "run": name if number == 1 else f"{name}-decay-{number}",
         "record": decay.record,
-        "sha256": of_both if of_one else decay.sha256,
+        "sha256": derived_sha256 if suffix else decay.sha256,
         "record_bytes": path.stat().st_size if path.is_file() else None,
         "duration_s": _number(place.ended_s - place.began_s),
         "state": "whole",
@@ -150,11 +146,11 @@ def _table_row(folder: Path, decay: RunResults, number: int) -> Row:
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
     elif cached_sha256_of_path(path) != decay.sha256:
         row |= {"state": "damaged", "flaw": "the table has changed since the results were made"}
-    return row | row_of_results(decay)
+    return row | results_row(decay)
 
 
 def _record_row(path: Path, run: RunResults | None) -> Row:
-    """What a record says of itself, and the state it is in."""
+    """The columns read from a record, and its state."""
     if run is not None and not path.exists():
         flaw = "results name a record that is not there"
         return {"sha256": run.sha256, "state": "missing", "flaw": flaw}
@@ -173,7 +169,7 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"
                 row |= {"state": "cut short", "flaw": flaw}
             if not reader.truncated:
-                # one that was cut lacks the counts
+                # a truncated record lacks the counts
                 row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
             if contents.start_ns:
                 row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
@@ -192,8 +188,8 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
     return row
 
 
-def row_of_results(run: RunResults) -> Row:
-    """What results say of a run, by the names of columns."""
+def results_row(run: RunResults) -> Row:
+    """The columns read from the results of a run."""
     row: Row = {
         name: getattr(run, name)
         for name in ("frames", "dropped_frames", "half_cycles", "amplitude_unit", "problem")
@@ -221,7 +217,7 @@ def row_of_results(run: RunResults) -> Row:
             row[f"verdict_{one.quantity}"] = one.verdict.value
     if run.instrument is not None:
         row["instrument"] = run.instrument.kind
-        for one in (one for one in run.table if one.quantity in OF_INSTRUMENTS):
+        for one in (one for one in run.table if one.quantity in INSTRUMENT_QUANTITIES):
             row |= _estimate(one.quantity, Estimate(*one))
     return row
 

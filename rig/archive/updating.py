@@ -1,4 +1,4 @@
-"""`rig archive add`, `update` and `check`: what folders hold now, and whether it is what the archive says."""
+"""`rig archive add`, `update`, `check` and `refit`: the archive is brought up to date with its folders."""
 
 import contextlib
 import datetime
@@ -28,7 +28,7 @@ from rig.analysis import (
 from rig.archive.listing import (
     check_is_there,
     forget_sessions,
-    meant,
+    named_runs,
     reading,
     selected,
     write_sessions,
@@ -38,15 +38,15 @@ from rig.instrument import code_identity, recorded_configuration
 from rig.presentation import say
 from rig.view import analyse_replayed
 
-_WRITTEN_EVERY_S = 5.0
-"""So much of what was read is lost to a kill at most."""
+_WRITE_INTERVAL_S = 5.0
+"""Interval of writes: a kill loses at most this much of what was read."""
 _COMPARED = ("folder", "record", "run", "sha256", "state", "results", "results_sha256")
 
 
 def add_folders(archive: Path, folders: Sequence[Path], *, read: bool = False) -> str:
-    """Remember folders, and update what is in and below them; returns a line that counts.
+    """Add folders to the archive and read all sessions in and below them; returns a line with counts.
 
-    Raises ConfigurationError for a folder without sessions, and as `update_archive` does.
+    Raises ConfigurationError for a folder without sessions, else like `update_archive`.
     """
     if archive.is_dir():
         check_is_there(archive)
@@ -61,19 +61,19 @@ def add_folders(archive: Path, folders: Sequence[Path], *, read: bool = False) -
 
 
 def update_archive(archive: Path, *, read: bool = False) -> str:
-    """Read what is new or has changed in all folders that were added; returns a line that counts.
+    """Read new and changed sessions in all folders that were added; returns a line with counts.
 
-    A session whose files are as they were by name, size and time is not read, unless `read`. What lies in
-    folders that are not here now stays as it is. Flaws of records are said on stderr and listed as `state`.
+    A session whose files have the same names, sizes and times is not read again, unless `read`. Rows of
+    folders that are unavailable now stay. Flaws of records are printed on stderr and stored as `state`.
 
-    Raises RecordError, when all others are written, where a session's files cannot be read.
+    Raises RecordError, after all other sessions are written, if a session's files cannot be read.
     """
     check_is_there(archive)
     return update_below(archive, None, read=read)
 
 
 def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = False) -> str:
-    """The same for what lies in and below some folders; None: those that were added."""
+    """Like `update_archive` for sessions in and below some folders; None: all added folders."""
     with writing(archive) as connection:
         known = dict(connection.execute("select folder, files from sessions").fetchall())
         added = connection.execute("select folder from folders order by folder").fetchall()
@@ -87,7 +87,7 @@ def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = 
         seen.add(str(folder))
         if not read and known.get(str(folder)) == files:
             continue
-        # takes a second to import, for which an update that finds nothing must not wait
+        # imported here: it takes a second, for which an update without changes must not wait
         from rig.archive.session_rows import session_rows
 
         try:
@@ -100,41 +100,42 @@ def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = 
             say(flaw)
         now = datetime.datetime.now(datetime.UTC).replace(tzinfo=None)
         rows += [row | {"folder": str(folder), "added_utc": now} for row in found.rows]
-        # a record that lies elsewhere changes unseen: such a folder is read each time
-        inside = not any(Path(row["record"]).is_absolute() for row in found.rows)
-        sessions[str(folder)] = files if inside else ""
+        # changes of a record outside the folder are not noticed, so such a folder is read each time
+        has_own_records = not any(Path(row["record"]).is_absolute() for row in found.rows)
+        sessions[str(folder)] = files if has_own_records else ""
         read_sessions, read_runs = read_sessions + 1, read_runs + len(found.rows)
-        if time.monotonic() - written_s > _WRITTEN_EVERY_S:
+        if time.monotonic() - written_s > _WRITE_INTERVAL_S:
             with writing(archive) as connection:
                 write_sessions(connection, sessions, rows)
             sessions, rows, written_s = {}, [], time.monotonic()
     for name in hidden:
         say(f"{name}: is not here or cannot be read; what the archive has of it stays")
-    gone = [
+    removed = [
         name
         for name in known.keys() - seen
-        if not (above := {Path(name), *Path(name).parents}).isdisjoint(roots) and above.isdisjoint(hidden)
+        if not (places := {Path(name), *Path(name).parents}).isdisjoint(roots) and places.isdisjoint(hidden)
     ]
-    if sessions or gone:
+    if sessions or removed:
         with writing(archive) as connection:
-            forget_sessions(connection, gone)
+            forget_sessions(connection, removed)
             write_sessions(connection, sessions, rows)
-    told = (
+    counts = (
         f"{read_sessions} session{'' if read_sessions == 1 else 's'} read "
         f"({read_runs} run{'' if read_runs == 1 else 's'}), "
-        f"{len(seen) - read_sessions - len(unread)} unchanged, {len(gone)} gone"
+        f"{len(seen) - read_sessions - len(unread)} unchanged, {len(removed)} gone"
     )
     if unread:
         raise RecordError(
-            f"{len(unread)} sessions cannot be read and stay as they were, the first is {unread[0]}; {told}"
+            f"{len(unread)} sessions cannot be read and stay as they were, the first is {unread[0]}; {counts}"
         )
-    return told
+    return counts
 
 
 def sessions_below(root: Path, hidden: list[Path]) -> Iterator[tuple[Path, str]]:
-    """Folders with records or results in and below one, with a hash of names, sizes and times of their files.
+    """Folders with records or results in and below a root, with a hash of names, sizes and times of their
+    files.
 
-    Folders that cannot be looked into are appended to `hidden`.
+    Folders that cannot be read are appended to `hidden`.
     """
     waiting = [str(root)]
     while waiting:
@@ -159,7 +160,7 @@ def sessions_below(root: Path, hidden: list[Path]) -> Iterator[tuple[Path, str]]
 
 
 def check_archive(archive: Path) -> int:
-    """Read every session again and compare hashes; prints what differs, returns 1 where something does."""
+    """Read every session again and compare hashes; prints differences, returns 1 if there are any, else 0."""
     with reading(archive) as connection:
         stored = connection.execute(f"select {', '.join(_COMPARED)} from every_run order by all").fetchall()
     different, said_s = 0, time.monotonic()
@@ -167,7 +168,7 @@ def check_archive(archive: Path) -> int:
         for line in _differences(Path(folder), [row[1:] for row in rows]):
             print(line)
             different += 1
-        if time.monotonic() - said_s > _WRITTEN_EVERY_S:
+        if time.monotonic() - said_s > _WRITE_INTERVAL_S:
             said_s = time.monotonic()
             say(f"read up to {folder}")
     print(f"{len(stored)} runs read, {different} differences")
@@ -198,19 +199,19 @@ def _differences(folder: Path, rows: Sequence[tuple[Any, ...]]) -> Iterator[str]
 
 
 Level = Literal["swings", "spots", "pixels"]
-_SAID_EVERY = 100
-_WORKER_WITHIN_S = 10
+_PROGRESS_INTERVAL = 100
+_MAX_WORKER_WAIT_S = 10
 _RECORDS = """
 select folder, record, sha256 from every_run
 where ends_with(record, '.mcap') and state not in ('missing', 'unreadable')
   and folder in (select folder from chosen)
 order by folder, began_utc, record
 """
-"""Of the sessions of the runs that are meant."""
+"""Query of all records of the sessions of the chosen runs."""
 
 
-class Task(NamedTuple):
-    """The records of one session, each with its SHA-256, to be fitted again."""
+class RefitTask(NamedTuple):
+    """The records of one session to be fitted again, each with its SHA-256."""
 
     folder: Path
     records: tuple[tuple[Path, str], ...]
@@ -219,12 +220,12 @@ class Task(NamedTuple):
     settings: tuple[str, ...]
 
 
-Work = Callable[[Task], str]
-"""Does a task; returns what hindered it, or nothing."""
+Work = Callable[[RefitTask], str]
+"""Carries out a task; returns why it failed, empty if it succeeded."""
 
 
-def refit(task: Task) -> str:
-    """Fit the records of one session and write a new results file; says what hindered it, or nothing."""
+def refit(task: RefitTask) -> str:
+    """Fit the records of one session and write a new results file; returns why it failed, else empty text."""
     try:
         for record, sha256 in task.records:
             if sha256_of(record) != sha256:
@@ -236,7 +237,7 @@ def refit(task: Task) -> str:
     return ""
 
 
-def _analysed(record: Path, task: Task) -> AnalysedRun:
+def _analysed(record: Path, task: RefitTask) -> AnalysedRun:
     if task.level == "swings":
         run = analyse_record(record, task.settings)
     else:
@@ -258,10 +259,10 @@ def refit_runs(
     processes: int | None = None,
     work: Work = refit,
 ) -> int:
-    """Fit the sessions again whose runs are named or meet a condition (neither: all that have records).
+    """Fit the sessions again whose runs are named or meet a condition (neither: all sessions with records).
 
-    The results of each are a new results file beside its records, as `rig fit` makes it, and the rows of the
-    archive are those of the new ones. Returns the exit status: 1 where a session was left as it was.
+    Each session gets a new results file next to its records, as by `rig fit`, and new rows in the archive.
+    Returns the exit status: 1 if a session could not be fitted, else 0.
 
     Raises ConfigurationError for a law or setting that does not exist, before anything is made.
     """
@@ -269,78 +270,79 @@ def refit_runs(
     if names and where:
         raise ConfigurationError(f"--where {where!r}: has no effect beside {names[0]}; leave out one")
     records = dict[str, list[tuple[Path, str]]]()
-    for folder, record, sha256 in selected(archive, "*", where or meant(archive, names), _RECORDS)[1]:
+    for folder, record, sha256 in selected(archive, "*", where or named_runs(archive, names), _RECORDS)[1]:
         records.setdefault(folder, []).append((Path(folder) / record, sha256))
     recipe = (level, tuple(laws), tuple(settings))
-    tasks = [Task(Path(folder), tuple(inside), *recipe) for folder, inside in records.items()]
+    tasks = [RefitTask(Path(folder), tuple(listed), *recipe) for folder, listed in records.items()]
     if tasks and settings:
-        # one that no configuration has is refused once, not by every session
+        # an unknown setting is refused once, not by every session
         with RecordReader(tasks[0].records[0][0]) as reader:
             recorded_configuration(reader, settings)
-    made, left = list[Path](), 0
+    fitted, failed_count = list[Path](), 0
     try:
-        for task, hindered in (
+        for task, problem in (
             _on_cluster(work, tasks, cluster) if cluster else _in_processes(work, tasks, processes)
         ):
-            if hindered:
-                left += 1
-                say(hindered if str(task.folder) in hindered else f"{task.folder}: {hindered}")
+            if problem:
+                failed_count += 1
+                say(problem if str(task.folder) in problem else f"{task.folder}: {problem}")
             else:
-                made.append(task.folder)
-            if (len(made) + left) % _SAID_EVERY == 0:
-                say(f"{len(made) + left} of {len(tasks)} sessions")
+                fitted.append(task.folder)
+            if (len(fitted) + failed_count) % _PROGRESS_INTERVAL == 0:
+                say(f"{len(fitted) + failed_count} of {len(tasks)} sessions")
     finally:
-        update_below(archive, made)
-    print(f"{len(made)} sessions fitted again, {left} left as they were")
-    return 1 if left else 0
+        update_below(archive, fitted)
+    print(f"{len(fitted)} sessions fitted again, {failed_count} left as they were")
+    return 1 if failed_count else 0
 
 
-def _in_processes(work: Work, tasks: Sequence[Task], processes: int | None) -> Iterator[tuple[Task, str]]:
-    """Do tasks in processes of this machine; yields each with what hindered it.
+def _in_processes(
+    work: Work, tasks: Sequence[RefitTask], processes: int | None
+) -> Iterator[tuple[RefitTask, str]]:
+    """Carry out tasks in processes of this machine; yields each with its problem, empty if it succeeded.
 
-    A process that dies takes what is under way with it; what was not done then is tried again, each in a
-    process of its own.
+    A process that dies breaks the whole pool; unfinished tasks are then tried again, each in its own process.
     """
-    # each process is to use one processor: libraries that read this start no threads of their own
+    # each process is to use one processor: libraries that read this variable start no threads
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # a fork would take the locks of this process's threads with it
-    how, broken = get_context("spawn"), list[Task]()
+    # a fork would copy locks held by threads of this process
+    how, broken = get_context("spawn"), list[RefitTask]()
     with ProcessPoolExecutor(processes, mp_context=how) as pool:
         running = {pool.submit(work, task): task for task in tasks}
         for done in as_completed(running):
             if isinstance(done.exception(), BrokenProcessPool):
                 broken.append(running[done])
             else:
-                yield running[done], _hindered(done)
+                yield running[done], _problem(done)
     for task in broken:
         with ProcessPoolExecutor(1, mp_context=how) as pool:
-            yield task, _hindered(pool.submit(work, task))
+            yield task, _problem(pool.submit(work, task))
 
 
-def _on_cluster(work: Work, tasks: Sequence[Task], address: str) -> Iterator[tuple[Task, str]]:
-    """The same on a Dask cluster that runs already, whose workers see the same files under the same names."""
-    with client_of(address) as client:
+def _on_cluster(work: Work, tasks: Sequence[RefitTask], address: str) -> Iterator[tuple[RefitTask, str]]:
+    """Carry out tasks on a running Dask cluster, whose workers see the same files under the same names."""
+    with cluster_client(address) as client:
         from distributed import as_completed as as_done
 
         running = {client.submit(work, task, pure=False): task for task in tasks}
         for future in as_done(running, loop=client.loop):
-            yield running[future], _hindered(future)
+            yield running[future], _problem(future)
 
 
-def _hindered(done: Any) -> str:
+def _problem(done: Any) -> str:
     error = done.exception()
     if isinstance(error, BrokenProcessPool):
         return "its process was ended, also when it ran alone"
-    # a fault that one session brings to light must not cost the others
+    # an unexpected error in one session must not stop the others
     return str(done.result()) if error is None else f"failed: {error!r}"
 
 
 @contextlib.contextmanager
-def client_of(address: str) -> Iterator[Any]:
-    """A client of the scheduler of a Dask cluster that runs already, and runs the same code.
+def cluster_client(address: str) -> Iterator[Any]:
+    """A client of the scheduler of a running Dask cluster whose workers run the same code.
 
-    Raises ConfigurationError where Dask is not installed, no scheduler answers, no worker is there, or one
-    runs other code.
+    Raises ConfigurationError if Dask is not installed, no scheduler answers, no worker exists, or one runs
+    other code.
     """
     try:
         from distributed import Client
@@ -352,7 +354,7 @@ def client_of(address: str) -> Iterator[Any]:
         raise ConfigurationError(f"--cluster {address}: no Dask scheduler answers there: {error}") from None
     with client:
         try:
-            client.wait_for_workers(1, timeout=_WORKER_WITHIN_S)
+            client.wait_for_workers(1, timeout=_MAX_WORKER_WAIT_S)
         except TimeoutError:
             raise ConfigurationError(
                 f"--cluster {address}: it has no worker; dask worker {address} adds one"

@@ -1,4 +1,4 @@
-"""The command `rig balance`: measures the balance, advises a turn of a weight, learns from it, repeats."""
+"""The loop of `rig balance`: measure the balance, advise a turn of a weight, learn from it, repeat."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -26,7 +26,7 @@ from rig.instrument import (
     advice_for,
     complete,
     configuration_attachments,
-    height_of,
+    mass_centre_height,
     optics_of,
     prepare_kernels,
     session_metadata,
@@ -35,16 +35,16 @@ from rig.presentation import say
 from rig.settings import Configuration
 from rig.view import ScratchHead, ScratchView
 
-_UNSEEN = SpotFlag.LOST | SpotFlag.EDGE
+_BAD_SPOT = SpotFlag.LOST | SpotFlag.EDGE
 _PAUSE_NS = 2_000_000_000
-_SHORTEST_PULSE_S = 0.01
+_MIN_PULSE_S = 0.01
 
 
-class LooksView:
-    """The balancing layout, in which the measurements of a session follow each other in time.
+class BalanceView:
+    """The view in the balancing layout, where measurements follow each other in time; a context manager.
 
-    A context manager. The view is opened at the first frame, if a live view or a Rerun file is wanted.
-    At the end RecordError is raised where that file is not whole.
+    The view is opened at the first frame, if a live view or a Rerun file is wanted. At the end RecordError is
+    raised if that file is not whole.
     """
 
     def __init__(
@@ -99,16 +99,16 @@ class LooksView:
             self._shown_ns = frames[-1].time_ns - self._shift_ns
 
 
-def look(
+def measure(
     config: Configuration,
     devices: Devices,
     show: Callable[[Balance], None],
-    view: LooksView,
+    view: BalanceView,
     swing_arcsec: float = math.inf,
 ) -> BalanceMeasurement:
     """Measure the balance over some periods; `show` is called with each balance.
 
-    A starter or a magnet that starts the runs starts this swing too, the starter with `swing_arcsec` at most.
+    The starter or magnet that starts runs also starts this swing, the starter with at most `swing_arcsec`.
     Raises DataError without frames, DeviceError if the laser goes dark or the camera fails.
     """
     if config.lever is None:
@@ -117,7 +117,7 @@ def look(
     with devices.camera(config) as camera:
         optics = optics_of(config, camera.info.full_scale_dn)
         prepare_kernels(optics.sensor, say)
-        # lit only while frames are taken: then the operator's hands may be at the pendulum
+        # lit only while frames are taken: at other times the operator's hands may be at the pendulum
         ask_leave(devices)
         if lit := devices.light():
             say(lit)
@@ -132,7 +132,7 @@ def look(
             pipeline = optics.pipeline(shape)
             view.begin(first, camera.info)
             lost = taken = 0
-            begin_ns = first.time_ns + nanoseconds(_released_after_s(config, devices, swing_arcsec))
+            begin_ns = first.time_ns + nanoseconds(_start_swing(config, devices, swing_arcsec))
             end_ns = begin_ns + nanoseconds(config.balance.seconds)
             held = begin_ns > first.time_ns
             while not stream.drained:
@@ -148,7 +148,7 @@ def look(
                 block = pipeline.process(frames)
                 view.block(frames, block)
                 taken += len(frames)
-                lost += sum(bool(spot.flags & _UNSEEN) for spot in block.spots)
+                lost += sum(bool(spot.flags & _BAD_SPOT) for spot in block.spots)
                 for balance in block.balances:
                     found = balance
                     show(balance)
@@ -162,12 +162,12 @@ def look(
     return BalanceMeasurement(found, lost / max(taken, 1), shape)
 
 
-def _released_after_s(config: Configuration, devices: Devices, swing_arcsec: float) -> float:
-    """Have the starter push, or the magnet hold, as the runs begin; how long until it must let go."""
+def _start_swing(config: Configuration, devices: Devices, swing_arcsec: float) -> float:
+    """Let the starter push or the magnet hold; returns the time in s after which the magnet must release."""
     start = config.start
     if start.way == "starter":
         part = min(1.0, swing_arcsec / config.session.initial_amplitude_arcsec)
-        pulse_s = max(part * start.starter_pulse_s, _SHORTEST_PULSE_S)
+        pulse_s = max(part * start.starter_pulse_s, _MIN_PULSE_S)
         wait_for_command(devices.required_control("the starter").starter_pulse(pulse_s))
     if start.way != "magnet":
         return 0.0
@@ -175,14 +175,14 @@ def _released_after_s(config: Configuration, devices: Devices, swing_arcsec: flo
     return config.phases.rest_window_s
 
 
-_LOOKS_A_TURN = 5
-_LEAST_SWING_ARCSEC = 10.0
+_MAX_MEASUREMENTS_PER_TURN = 5
+_MIN_SWING_ARCSEC = 10.0
 
 
 class SimulatedOperator:
-    """Turns the weights of the simulated pendulum and lets it swing.
+    """A simulated operator, who turns the weights of the simulated pendulum and lets it swing.
 
-    Its weights deviate at random from their drawings (`seed`) unless `weights` are given.
+    Without given `weights` they deviate at random (`seed`) from their drawings.
     """
 
     def __init__(
@@ -196,11 +196,11 @@ class SimulatedOperator:
             }
             weights = imperfect_weights(nominal, seed)
         self._pendulum = TrimmedPendulum(config.simulation, weights, seed=seed)
-        self._usual_arcsec = self._swing_arcsec = config.simulation.release.amplitude_arcsec
+        self._full_swing_arcsec = self._swing_arcsec = config.simulation.release.amplitude_arcsec
 
     @property
     def simulation(self) -> SimulationSettings:
-        """The simulated rig as it is now."""
+        """Settings of the simulated rig in its present state."""
         settings = self._pendulum.settings
         release = settings.release.model_copy(update={"amplitude_arcsec": self._swing_arcsec})
         return settings.model_copy(update={"release": release})
@@ -209,24 +209,24 @@ class SimulatedOperator:
         """Turn a weight, then let the pendulum swing no more than the advice allows."""
         for part in turn.parts:
             self._pendulum.turn(turn.weight, part)
-        self._swing_arcsec = min(self._usual_arcsec, turn.swing_arcsec)
+        self._swing_arcsec = min(self._full_swing_arcsec, turn.swing_arcsec)
 
     def swing_less(self) -> bool:
-        """Half the amplitude; False if it is small already."""
-        if self._swing_arcsec <= _LEAST_SWING_ARCSEC:
+        """Halve the amplitude; returns False if it is small already."""
+        if self._swing_arcsec <= _MIN_SWING_ARCSEC:
             return False
-        self._swing_arcsec = max(0.5 * self._swing_arcsec, _LEAST_SWING_ARCSEC)
+        self._swing_arcsec = max(0.5 * self._swing_arcsec, _MIN_SWING_ARCSEC)
         return True
 
 
 def history_path(config: Configuration, stated: Path | None) -> Path:
-    """The file in which turns are kept; turns of simulated weights teach nothing of the real ones."""
+    """The file in which turns are stored; simulated turns have their own, because they teach nothing."""
     name = "balance-history-simulated.jsonl" if config.simulated else "balance-history.jsonl"
     return stated or config.session.output / name
 
 
 def show_history(config: Configuration, stated: Path | None, *, forget: bool) -> None:
-    """Print what was learned from earlier turns; with `forget` take the last one back first."""
+    """Print what was learned from earlier turns; with `forget` discard the last turn first."""
     config = complete(config)
     path = history_path(config, stated)
     if forget:
@@ -245,10 +245,9 @@ def balance_rig(
 ) -> int:
     """Measure, advise and ask which weight was turned, until the operator ends it.
 
-    What is stated as turned is turned at the simulated rig, by `operator` if given, else by one whose weights
-    are drawn with `seed`; with `follow` the advice is applied there, for at most so many turns. All
-    measurements are drawn into the configured live view and into `rrd`, and reported by `reporter`, on
-    the terminal by default.
+    With the simulated rig, `operator` makes the stated turns, by default one whose weights are random by
+    `seed`; with `follow` > 0 it follows the advice, for at most that many turns. All measurements are drawn
+    into the configured live view and into `rrd`, and reported by `reporter`, by default on the terminal.
     """
     config = complete(config)
     if follow and not config.simulated:
@@ -264,28 +263,28 @@ def balance_rig(
     def advise(balance: Balance) -> str:
         return advice_for(stated, balance, session.responses, session.room).markdown
 
-    moves = looks = 0
+    turns = measurements = 0
     swing_arcsec = math.inf
     folder = history_path(config, path).parent
     with (
         Devices(config, folder, "rig balance") as devices,
         light_told(devices, folder),
-        LooksView(config, rrd, advise, reporter.way) as view,
+        BalanceView(config, rrd, advise, reporter.way) as view,
     ):
         while True:
             if operator is not None:
                 config = config.model_copy(update={"simulation": operator.simulation})
-            looks += 1
+            measurements += 1
             try:
-                why = session.take(look(config, devices, _shower(config, reporter), view, swing_arcsec))
+                why = session.take(measure(config, devices, _shower(config, reporter), view, swing_arcsec))
             except DataError as error:
                 why = str(error)
             if why:
                 turn = _after_rejection(session, why, reporter)
                 ended = False
-                # what the starter can do of the hint
+                # the starter can follow the hint by itself
                 smaller = 0.5 * min(swing_arcsec, config.session.initial_amplitude_arcsec)
-                swing_arcsec = max(smaller, _LEAST_SWING_ARCSEC)
+                swing_arcsec = max(smaller, _MIN_SWING_ARCSEC)
             else:
                 advice = session.advice()
                 reporter.found(session.faults, session.before, advice)
@@ -299,17 +298,17 @@ def balance_rig(
                     operator.follow(stated_turn)
             elif why and not session.spot_is_gone and operator.swing_less():
                 continue
-            elif turn is None or moves >= follow or looks > _LOOKS_A_TURN * follow:
+            elif turn is None or turns >= follow or measurements > _MAX_MEASUREMENTS_PER_TURN * follow:
                 return 0 if ended else 1
             else:
                 operator.follow(turn)
                 session.turned(turn.weight, turn.parts)
                 devices.audit(AuditEntry.WEIGHT, "as advised", weight=turn.weight, turns=turn.parts)
-                moves += 1
+                turns += 1
 
 
 def _after_rejection(session: LearnedTurns, why: str, reporter: Reporter) -> Turn | None:
-    """Say why a measurement was rejected and what helps; returns the turn back that may."""
+    """Report why a measurement was rejected, and the remedy; returns a turn back that may help."""
     turn = session.way_back()
     hint = ""
     if not session.spot_is_gone:
@@ -320,23 +319,25 @@ def _after_rejection(session: LearnedTurns, why: str, reporter: Reporter) -> Tur
 
 
 def _shower(config: Configuration, reporter: Reporter) -> Callable[[Balance], None]:
-    return lambda balance: reporter.live(find_faults(balance, height_of(config, balance), config.balance))
+    return lambda balance: reporter.live(
+        find_faults(balance, mass_centre_height(config, balance), config.balance)
+    )
 
 
-_MOST_TURNS = 50.0
-"""No weight's thread is longer: more was typed by mistake."""
-_NOTHING = Turn("", 0.0, "")
+_MAX_TURNS = 50.0
+"""Largest number of turns: no thread is longer, so that more is a typing error."""
+_NO_TURN = Turn("", 0.0, "")
 
 
 def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | None:
-    """Ask the operator what was turned: a turn, one without a weight for none; None to end."""
+    """Ask the operator for the turn made; returns a turn without a weight for none, None to end."""
     while True:
         try:
             answer = reporter.ask().split()
         except (EOFError, KeyboardInterrupt):
             return None
         if not answer or answer == ["m"]:
-            return _NOTHING
+            return _NO_TURN
         if answer[0] == "q":
             return None
         if answer[0] == "f":
@@ -344,12 +345,12 @@ def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | 
             continue
         try:
             weight, parts = answer[0].lower(), [float(word) for word in answer[1:]]
-            if weight not in WEIGHTS or not parts or not all(abs(part) <= _MOST_TURNS for part in parts):
+            if weight not in WEIGHTS or not parts or not all(abs(part) <= _MAX_TURNS for part in parts):
                 raise ValueError
         except ValueError:
             reporter.wrong(
                 f"{' '.join(answer)!r}: should be a weight ({', '.join(WEIGHTS)}) and its turns, up to "
-                f"{_MOST_TURNS:g}, with a point, positive clockwise: {WEIGHTS[0]} -0.5"
+                f"{_MAX_TURNS:g}, with a point, positive clockwise: {WEIGHTS[0]} -0.5"
             )
             continue
         session.turned(weight, parts)

@@ -1,4 +1,4 @@
-"""The dialogue of `rig balance --json`, as the desk shows it: what to do now, the numbers, the way."""
+"""Output and input of `rig balance`: on the terminal, as JSON lines, and as the dialogue of the desk."""
 
 import math
 import sys
@@ -20,13 +20,13 @@ from rig.presentation import (
     say,
 )
 
-_WAY_LINES = 40
-_WAY_POINTS = 1000
-_PLAY = "the second turn takes the play out of the screw"
+_MAX_LIVE_PIECES = 40
+_MAX_TRAJECTORY_POINTS = 1000
+_BACKLASH_NOTE = "the second turn takes the play out of the screw"
 
 
 class BalanceStage(StrEnum):
-    """Where the dialogue is."""
+    """The stage of the dialogue."""
 
     IDLE = "idle"
     MEASURING = "measuring"
@@ -37,11 +37,11 @@ class BalanceStage(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BalanceDialogue:
-    """What is to be shown; what was not determined is never "go".
+    """The state of the dialogue as it is shown; an undetermined quantity is never "go".
 
-    `advice` says in few words what to do, `detail` why; `turn` which weight, as the reporter wrote it;
-    `faults` and those `before` the last turn; `x` and `y` are the way of the spot in arcsec;
-    `problem` is an answer that was none.
+    `advice` says in few words what to do, `detail` why; `turn` is the advised turn as the reporter wrote it;
+    `faults` are the present ones, `before` those before the last turn; `x` and `y` are the trajectory of the
+    spot in arcsec; `problem` is the problem of an invalid answer.
     """
 
     stage: BalanceStage
@@ -56,19 +56,19 @@ class BalanceDialogue:
 
     @property
     def asks(self) -> bool:
-        """Whether it waits for an answer."""
+        """Whether the dialogue waits for an answer."""
         return self.stage is BalanceStage.ASKING
 
     @property
     def unknown(self) -> list[str]:
-        """Names of what was not determined."""
+        """Names of the undetermined quantities."""
         return [str(fault["name"]) for fault in self.faults if fault["ok"] is None]
 
 
 def balance_dialogue(
     lines: Sequence[Mapping[str, Any]], said: Sequence[str], *, running: bool, failed: bool
 ) -> BalanceDialogue:
-    """The dialogue from the lines that the command has printed, and its other words.
+    """The dialogue from the JSON lines that the command has printed, and its other output `said`.
 
     Parameters
     ----------
@@ -82,10 +82,10 @@ def balance_dialogue(
         else BalanceStage.FAILED if failed
         else BalanceStage.ENDED
     )  # fmt: skip
-    last = _newest(lines, "found", "rejected")
-    judged = _newest(lines, "live") if stage is BalanceStage.MEASURING else last
-    faults = judged.get("faults") or _newest(lines, "found").get("faults") or []
-    x, y = _way(lines, whole=stage is not BalanceStage.MEASURING)
+    last = _last_line(lines, "found", "rejected")
+    judged = _last_line(lines, "live") if stage is BalanceStage.MEASURING else last
+    faults = judged.get("faults") or _last_line(lines, "found").get("faults") or []
+    x, y = _trajectory(lines, whole=stage is not BalanceStage.MEASURING)
     problem = next((str(one["problem"]) for one in list(lines)[-2:] if one.get("problem")), "")
     turn = None if stage is BalanceStage.MEASURING else last.get("turn")
     advice, detail = _advice(stage, last, turn, said)
@@ -95,7 +95,7 @@ def balance_dialogue(
 def _advice(
     stage: BalanceStage, last: Mapping[str, Any], turn: Mapping[str, Any] | None, said: Sequence[str]
 ) -> tuple[str, str]:
-    """What to do, and why."""
+    """The advice, and its reason."""
     if stage is BalanceStage.MEASURING:
         return "Hands off: measuring", ""
     why, hint, text = (str(last.get(key) or "") for key in ("why", "hint", "text"))
@@ -106,31 +106,33 @@ def _advice(
             f"{abs(part):.2f} turns {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]
         )
         return f"Turn weight {turn['weight']}: {parts}", "; ".join(
-            filter(None, (why, hint, str(turn["why"]), _PLAY if len(turn["parts"]) > 1 else ""))
+            filter(None, (why, hint, str(turn["why"]), _BACKLASH_NOTE if len(turn["parts"]) > 1 else ""))
         )
     if last.get("kind") == "rejected":
         return "Measure again", "; ".join(filter(None, (why, hint)))
     unknown = [str(fault["name"]) for fault in last.get("faults") or () if fault["ok"] is None]
     if unknown:
-        # what nobody has measured is not right because nothing is known against it
+        # an unmeasured quantity may still be wrong
         return "Measure again, with a larger swing", f"not known yet: {', '.join(unknown)}"
     return (text[:1].upper() + text[1:] or "Measure"), ""
 
 
-def _newest(lines: Sequence[Mapping[str, Any]], *kinds: str) -> Mapping[str, Any]:
+def _last_line(lines: Sequence[Mapping[str, Any]], *kinds: str) -> Mapping[str, Any]:
     return next((one for one in reversed(lines) if one["kind"] in kinds), {})
 
 
-def _way(lines: Sequence[Mapping[str, Any]], *, whole: bool) -> tuple[list[float | None], list[float | None]]:
-    """The last seconds of the way, or all of the measurement that was made last, thinned."""
+def _trajectory(
+    lines: Sequence[Mapping[str, Any]], *, whole: bool
+) -> tuple[list[float | None], list[float | None]]:
+    """The last seconds of the trajectory, or all of the last measurement if `whole`, thinned."""
     since = 0
     if whole:
         ends = [k for k, one in enumerate(lines) if one["kind"] in ("found", "rejected")]
         since = ends[-2] if len(ends) > 1 else 0
     pieces = [one for one in lines[since:] if one["kind"] == "way"]
-    pieces = pieces if whole else pieces[-_WAY_LINES:]
+    pieces = pieces if whole else pieces[-_MAX_LIVE_PIECES:]
     x, y = ([value for piece in pieces for value in piece[axis]] for axis in ("x", "y"))
-    step = max(1, len(x) // _WAY_POINTS)
+    step = max(1, len(x) // _MAX_TRAJECTORY_POINTS)
     return x[::step], y[::step]
 
 
@@ -156,38 +158,38 @@ QUESTION = (
     "turned (weight turns, e.g. x 1.5, or x 1.5 -0.75 in sequence; m: measure again;"
     " f: forget the last turn learned; q: end)? "
 )
-_POINTS = 12
+_POINTS_PER_LINE = 12
 
 
 class Reporter(Protocol):
-    """What is said of a look: trajectory, balances, faults with advice or why it is unused; a question."""
+    """Reports the measurements of the balance, and asks the operator for the turn made."""
 
     def way(self, at: Deflections) -> None:
-        """Where the spot was in some frames."""
+        """Report the deflections of some frames."""
 
     def live(self, faults: Sequence[Fault]) -> None:
-        """The balance while it is measured."""
+        """Report the balance while it is measured."""
 
     def found(
         self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
     ) -> None:
-        """A sound measurement, the one before the last turn (or empty), and what to turn."""
+        """Report a sound measurement, the faults before the last turn (or empty), and the advised turn."""
 
     def rejected(self, why: str, hint: str, back: Turn | None) -> None:
-        """A measurement that is not used; `back` may help."""
+        """Report a rejected measurement; the turn `back` may help."""
 
     def ask(self) -> str:
-        """What was turned, as the operator states it; raises EOFError at the end."""
+        """The operator's answer on what was turned; raises EOFError at the end."""
 
     def wrong(self, problem: str) -> None:
-        """An answer that is none."""
+        """Report an invalid answer."""
 
 
 class OnTerminal:
-    """For a person at the terminal."""
+    """Reports to a person at the terminal."""
 
     def way(self, at: Deflections) -> None:
-        """Nothing: the live view shows it."""
+        """Report nothing: the live view shows the trajectory."""
 
     def live(self, faults: Sequence[Fault]) -> None:
         parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in faults[:2] if math.isfinite(f.value)]
@@ -207,7 +209,7 @@ class OnTerminal:
             say(turn_text(back, []))
 
     def ask(self) -> str:
-        # each look lights the laser, and one key must not
+        # a measurement lights the laser, which a single key must not do
         while not (answer := input(QUESTION)).strip():
             say("nothing done: m and Enter measures again, which lights the laser")
         return answer
@@ -217,10 +219,10 @@ class OnTerminal:
 
 
 class InJsonLines:
-    """For a program: one object a line on stdout, answers line by line on stdin."""
+    """Reports to a program: a JSON object on each line of stdout, answers line by line on stdin."""
 
     def way(self, at: Deflections) -> None:
-        step = max(1, len(at) // _POINTS)
+        step = max(1, len(at) // _POINTS_PER_LINE)
         print_json_line("way", {"x": at.shown_x[::step].tolist(), "y": at.shown_y[::step].tolist()})
 
     def live(self, faults: Sequence[Fault]) -> None:

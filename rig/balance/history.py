@@ -1,4 +1,4 @@
-"""The file of turns made and what they did: one line of JSON a measurement, only what was checked."""
+"""The history file of turns and their effects: a line of JSON for each checked measurement."""
 
 import datetime
 import json
@@ -16,8 +16,8 @@ from rig.settings import Configuration
 Floats = NDArray[np.float64]
 
 
-class Pair(NamedTuple):
-    """Turns of one weight in sequence, and the states (arcsec, arcsec, m) before and after them."""
+class TurnEffect(NamedTuple):
+    """Turns of one weight in sequence, and the states (arcsec, arcsec, m) before and after them, with u."""
 
     utc: str
     weight: str
@@ -27,8 +27,8 @@ class Pair(NamedTuple):
     u: Floats
 
 
-def refusal(config: Configuration, responses: WeightResponses, pair: Pair) -> str:
-    """Why nothing can be learned from a pair; empty if it is sound."""
+def refusal(config: Configuration, responses: WeightResponses, pair: TurnEffect) -> str:
+    """Why nothing can be learned from the effect of a turn; empty if it is sound."""
     radius_m = np.nan if config.pendulum is None else config.pendulum.ball_radius_m
     for state in (pair.before, pair.after):
         if why := implausible(state, np.nan_to_num(pair.u), config.balance, radius_m, None):
@@ -52,15 +52,15 @@ def append(path: Path, **entry: object) -> None:
         file.write(json.dumps({"utc": now, **plain}) + "\n")
 
 
-def append_pair(path: Path, pair: Pair) -> None:
-    """Add what a turn did."""
+def append_pair(path: Path, pair: TurnEffect) -> None:
+    """Add the effect of a turn to the file."""
     turns = pair.parts[0] if len(pair.parts) == 1 else list(pair.parts)
     append(path, weight=pair.weight, turns=turns, before=pair.before, after=pair.after, u=pair.u)
 
 
-def read(path: Path) -> list[Pair]:
-    """The pairs that have not been forgotten; lines that cannot be read are named and skipped."""
-    pairs: list[Pair] = []
+def read(path: Path) -> list[TurnEffect]:
+    """The turns that were not forgotten; lines that cannot be read are reported and skipped."""
+    pairs: list[TurnEffect] = []
     if not path.exists():
         return pairs
     text = path.read_text(encoding="utf-8", errors="replace")
@@ -76,15 +76,15 @@ def read(path: Path) -> list[Pair]:
             states = [np.array(entry[key], dtype=np.float64) for key in ("before", "after", "u")]
             if any(state.shape != (3,) for state in states) or not np.all(np.isfinite(parts)):
                 raise ValueError
-            pairs.append(Pair(str(entry.get("utc", "")), entry["weight"], parts, *states))
+            pairs.append(TurnEffect(str(entry.get("utc", "")), entry["weight"], parts, *states))
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
-            # truncated by a power failure or edited by hand; the other lines are still valid
+            # a line truncated by a power failure or edited by hand; the other lines are still valid
             say(f"{path}: line {number} cannot be read and is skipped")
     return pairs
 
 
 def forget_last(path: Path) -> str:
-    """Take back the last pair, with a line in the file that says so; returns what was done."""
+    """Discard the last turn by a line in the file; returns a message."""
     pairs = read(path)
     if not pairs:
         return "nothing learned yet"
@@ -96,7 +96,7 @@ _HEAD = ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used")
 
 
 def show(config: Configuration, path: Path) -> None:
-    """Print what the turns of a history have taught, for a complete configuration, and which teach none."""
+    """Print the turns of a history, which of them are used, and the learned effects of the weights."""
     responses = WeightResponses(nominal_effects(config), config.balance)
     rows, learned = [], []
     for pair in read(path):

@@ -1,4 +1,4 @@
-"""Judges every measurement, learns the effect of turns from those that are sound, and advises."""
+"""Judgement of measurements of the balance, learning of the effect of turns, and advice."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,13 +20,13 @@ from processing.balance import (
     names_with_units,
 )
 from rig.balance import history
-from rig.instrument import height_of, nominal_effects, sensor_room
+from rig.instrument import mass_centre_height, nominal_effects, sensor_room
 from rig.presentation import say
 from rig.settings import Configuration
 
 Floats = NDArray[np.float64]
 
-_GONE = 0.9
+_MIN_GONE_FRACTION = 0.9
 _SMALL_SWING_ARCSEC = 10.0
 _SEARCH = (
     (0.5, "half of the last turn back, to see the spot again"),
@@ -38,8 +38,8 @@ _SEARCH = (
     (-1.0, "further beyond the beginning, to find the spot"),
     (3.0, "further still the other way, to find the spot"),
 )
-"""Places of the search in parts of the last turn, from where it began."""
-_TESTS = {
+"""Positions of the search, in units of the last turn from where it began, with their reasons."""
+_TEST_TURN_TEXTS = {
     Doubt.STUCK: "a test turn: it seems not to move; check that it follows its screw and is not at its stop",
     Doubt.OPEN: "a test turn",
     Doubt.REVERSED: "a test turn: it seems to have been turned the other way; clockwise is as one looks at "
@@ -48,7 +48,7 @@ _TESTS = {
 
 
 class BalanceMeasurement(NamedTuple):
-    """One measurement: the last balance (None: no swing seen), lost and cut spots, (ny, nx) of the sensor."""
+    """One measurement: last balance (None: no swing seen), fraction of bad spots, (ny, nx) of the sensor."""
 
     balance: Balance | None
     lost_fraction: float
@@ -58,7 +58,7 @@ class BalanceMeasurement(NamedTuple):
 class LearnedTurns:
     """States, turns and learned responses; each sound measurement appends a line of JSON to `path`.
 
-    `room` is the sensor's, known from the first look on.
+    `room` is the range of tilts on the sensor, known from the first measurement on.
     """
 
     def __init__(self, config: Configuration, path: Path) -> None:
@@ -72,15 +72,15 @@ class LearnedTurns:
         self._turned: list[tuple[str, tuple[float, ...]]] = []
         self._state: Floats | None = None
         self._doubts: dict[str, list[Doubt]] = {}
-        self._pairs: dict[str, history.Pair] = {}
+        self._pairs: dict[str, history.TurnEffect] = {}
         self._searched, self._lost_after = 0, 0.0
         self._relearn()
 
     def take(self, look: BalanceMeasurement) -> str:
         """Take a measurement; returns why it is rejected, empty if it is sound.
 
-        A sound one sets `faults`, and `before` to those before the last turn (empty at first). After a
-        rejected one the turns made are kept, and learned from at the next sound one.
+        A sound measurement sets `faults`, and `before` to the faults before the last turn (empty at first).
+        After a rejected one the turns made are stored until the next sound one.
         """
         self._lost_fraction = look.lost_fraction
         self.room = sensor_room(self._config, look.sensor_shape)
@@ -92,7 +92,7 @@ class LearnedTurns:
                 f"{100 * look.lost_fraction:.0f} % of the spots were lost or cut: the spot leaves the sensor,"
                 " or something covers it"
             )
-        height_m, u_height_m = height_of(self._config, balance)
+        height_m, u_height_m = mass_centre_height(self._config, balance)
         faults = find_faults(balance, (height_m, u_height_m), self.limits)
         state = np.array([faults[0].value, faults[1].value, height_m])
         u_state = np.array([faults[0].u_value, faults[1].u_value, u_height_m])
@@ -108,8 +108,8 @@ class LearnedTurns:
     def advice(self) -> Turn | Unreachable | None:
         """The next turn after a sound measurement; None if all values are within limits.
 
-        A turn that showed something else than was stated is repeated, which tests whether the weight does not
-        move or was turned the other way. One that twice did not move is left out.
+        A turn with another effect than expected is repeated, to test whether the weight is stuck or was
+        turned the other way. A weight that twice did not move is left out.
         """
         assert self._state is not None
         state, room = self._state, self.room
@@ -128,14 +128,14 @@ class LearnedTurns:
         ]
         if doubted:
             name, doubt = doubted[0]
-            return usable.test_turn(name, state, room, _TESTS[doubt])
+            return usable.test_turn(name, state, room, _TEST_TURN_TEXTS[doubt])
         return advice
 
     def way_back(self) -> Turn | None:
-        """After a look that showed nothing: part of the last turn back; None if there was none.
+        """A turn back after a measurement without a balance: part of the last turn; None if there was none.
 
-        While the spot is gone, a search: half of the turn back, all of it, then as far the other way, as one
-        that was turned the wrong way needs it, and so on in widening steps.
+        While the spot is off the sensor it is a search: half of the turn back, all of it, then as far the
+        other way, in case the turn was made in the wrong direction, and so on in widening steps.
         """
         if not self._turned:
             return None
@@ -155,15 +155,15 @@ class LearnedTurns:
 
     @property
     def spot_is_gone(self) -> bool:
-        """Whether the last look saw next to nothing, after a turn: a smaller swing would not help."""
-        return bool(self._turned) and self._lost_fraction > _GONE
+        """Whether nearly all spots are lost after a turn, when a smaller swing would not help."""
+        return bool(self._turned) and self._lost_fraction > _MIN_GONE_FRACTION
 
     def turned(self, weight: str, parts: Sequence[float]) -> None:
         """Store the turns made, in sequence; their effect is learned from the next sound measurement."""
         self._turned.append((weight, tuple(parts)))
 
     def forget(self) -> None:
-        """Take the last learned turn out of the history."""
+        """Discard the last learned turn."""
         say(history.forget_last(self._path))
         self._relearn()
 
@@ -175,7 +175,7 @@ class LearnedTurns:
             return
         parts = tuple(part for _, turns in self._turned for part in turns)
         weight = next(iter(weights))
-        pair = history.Pair("", weight, parts, self._state, state, np.nan_to_num(u_state))
+        pair = history.TurnEffect("", weight, parts, self._state, state, np.nan_to_num(u_state))
         why = (
             f"weights {' and '.join(sorted(weights))} were turned between two measurements"
             if len(weights) > 1
@@ -192,13 +192,13 @@ class LearnedTurns:
         self._pairs[weight] = pair
         history.append_pair(self._path, pair)
 
-    def _doubts_turn(self, pair: history.Pair) -> bool:
-        """Whether a turn shows something else than was stated, which is said, and not learned from."""
+    def _doubts_turn(self, pair: history.TurnEffect) -> bool:
+        """Whether a turn contradicts what was stated; it is then reported, and not learned from."""
         weight, responses = pair.weight, self.responses
         doubts = self._doubts.setdefault(weight, [])
         doubt = responses.doubt(weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
         if doubt is Doubt.OPEN and self._searched:
-            # a turn that was advised leaves the spot on the sensor, if it is made as advised
+            # an advised turn, made as advised, would have left the spot on the sensor
             doubt = Doubt.REVERSED
         if doubt is None and doubts:
             say(f"weight {weight} now moves as stated: the previous turn was not as stated")
@@ -211,7 +211,7 @@ class LearnedTurns:
         say(f"nothing is learned from this turn: it looks as if weight {weight} {doubt}")
         told = [each for each in (self._pairs.get(weight), pair) if each is not None]
         if doubt is Doubt.REVERSED and (doubts[-1:] == [doubt] or responses.pairs[weight] == 1):
-            # this turn, or what was learned before it
+            # either this turn or the earlier learning is wrong
             say(f"weight {weight} may do the opposite of what was learned; what was learned is discarded")
             seen = [(each.parts, each.before, each.after, np.nan_to_num(each.u)) for each in told]
             responses.relearn(weight, seen if responses.pairs[weight] == 1 else seen[-1:])

@@ -1,4 +1,4 @@
-"""The command `rig calibrate`: makes calibration files from records and tables."""
+"""`rig calibrate`: makes calibration files from records and tables."""
 
 from rig.calibrate.calibration_report import CalibrationReport, filed, numbers_of
 from rig.calibrate.frame_times import (

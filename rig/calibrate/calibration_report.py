@@ -1,4 +1,4 @@
-"""A calibration file as tables and points to draw: its values, its budget, and what the fit left over."""
+"""A calibration file as tables for display: values, budget and residuals."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,19 +10,19 @@ from processing.units import ARCSEC_RAD
 from rig.presentation import Table
 
 _ROUNDING_DN2 = 1.0 / 12.0
-"""Variance of a number that is rounded to integers, uniform over one."""
+"""Variance of the rounding to whole DN."""
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationReport:
-    """A calibration that was made, as it is shown.
+    """A calibration file prepared for display.
 
     Parameters
     ----------
     path, calibration
         The file and its content.
     tables
-        Values, budget and residuals, as far as this kind has them.
+        Values, budget and residuals, as far as its kind has them.
     configuration
         The lines of the configuration that use it.
     """
@@ -34,7 +34,7 @@ class CalibrationReport:
 
 
 def filed(path: Path) -> CalibrationReport:
-    """What to show of a calibration file; raises ConfigurationError for one that cannot be read."""
+    """The report of a calibration file; raises ConfigurationError if it cannot be read."""
     found = read_calibration(path)
     name = toml_value(path.as_posix())
     stated = f"checks = [{name}]" if found.kind == "check" else f"{found.kind} = {name}"
@@ -43,16 +43,16 @@ def filed(path: Path) -> CalibrationReport:
 
 
 def numbers_of(found: CalibrationFile) -> dict[str, bool | str | int | float]:
-    """What a calibration found by name, without tables: its values first, then details."""
-    said: dict[str, bool | str | int | float] = {}
+    """Single values of a calibration by name: its values, then its details."""
+    numbers: dict[str, bool | str | int | float] = {}
     for name, value in (*found.values.items(), *found.details.items()):
-        # of pointing, each axis has numbers of its own
+        # a pointing calibration has values for each axis
         for inner, part in value.items() if isinstance(value, Mapping) else (("", value),):
             if isinstance(part, bool | str | int | float):
-                said[f"{name}.{inner}" if inner else name] = part
+                numbers[f"{name}.{inner}" if inner else name] = part
     if "hot_pixels_xy" in found.details:
-        said["hot_pixels"] = len(found.details["hot_pixels_xy"])
-    return said
+        numbers["hot_pixels"] = len(found.details["hot_pixels_xy"])
+    return numbers
 
 
 def _values(found: CalibrationFile) -> Table:
@@ -70,7 +70,7 @@ def _kind_tables(found: CalibrationFile) -> Iterator[Table]:
     if "signal_dn" in details:
         yield _transfer(found.values, details)
     if found.kind in ("axes", "clock", "shutter", "air"):
-        yield from _left_over(found)
+        yield from _residual_tables(found)
     if jumps := details.get("jumps"):
         rows = [(jump["frame"], 1e6 * jump["step_s"]) for jump in jumps]
         yield _table("jumps", "jumps of the clock", ("from frame", "step, µs"), rows)
@@ -80,7 +80,7 @@ def _kind_tables(found: CalibrationFile) -> Iterator[Table]:
 
 
 def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
-    """What each input adds to the uncertainty of the scale; and by how much it moves it, where one does."""
+    """Table of the contribution of each input to the uncertainty of the scale, and of its effect on it."""
     moved = any(line["effect"] for line in lines)
     head = ["input", "value", "u", *(["effect, %"] if moved else []), "contribution, %"]
     note = "Largest contribution first: standard uncertainty of the scale by that of the input."
@@ -100,8 +100,8 @@ def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
     )
 
 
-def _left_over(found: CalibrationFile) -> Iterator[Table]:
-    """Of axes, clock, shutter and air."""
+def _residual_tables(found: CalibrationFile) -> Iterator[Table]:
+    """Tables of residuals of axes, clock, shutter and air."""
     details = found.details
     for mode in ("slow", "fast"):
         if parts := details.get(f"{mode}_parts"):
@@ -110,8 +110,8 @@ def _left_over(found: CalibrationFile) -> Iterator[Table]:
                 "at, s",
                 "off the mean, mrad",
                 parts["at_s"],
-                _times(1e3, parts["off_rad"]),
-                _times(1e3, parts["u_off_rad"]),
+                _scaled(1e3, parts["off_rad"]),
+                _scaled(1e3, parts["u_off_rad"]),
             )
     if "off_line_s" in details:
         yield _residuals(
@@ -119,8 +119,8 @@ def _left_over(found: CalibrationFile) -> Iterator[Table]:
             "at, s",
             "off the line, µs",
             details["parts_at_s"],
-            _times(1e6, details["off_line_s"]),
-            _times(1e6, details["u_off_line_s"]),
+            _scaled(1e6, details["off_line_s"]),
+            _scaled(1e6, details["u_off_line_s"]),
         )
     if "off_drags_s" in details:
         vanes = "areas_m2" in details
@@ -128,9 +128,9 @@ def _left_over(found: CalibrationFile) -> Iterator[Table]:
             "drag of each run, with the contact of all",
             "area of vanes, cm²" if vanes else "pressure, Pa",
             "off the line, µs",
-            _times(1e4, details["areas_m2"]) if vanes else details["pressures_pa"],
-            _times(1e6, details["off_drags_s"]),
-            _times(1e6, details["u_drags_s"]),
+            _scaled(1e4, details["areas_m2"]) if vanes else details["pressures_pa"],
+            _scaled(1e6, details["off_drags_s"]),
+            _scaled(1e6, details["u_drags_s"]),
         )
     if "of_stretches_s" in details:
         mean_s = details["fitted_row_time_s"]
@@ -139,8 +139,8 @@ def _left_over(found: CalibrationFile) -> Iterator[Table]:
             "at, s",
             "off the mean, µs",
             details["stretches_at_s"],
-            _times(1e6, [value - mean_s for value in details["of_stretches_s"]]),
-            _times(1e6, details["u_of_stretches_s"]),
+            _scaled(1e6, [value - mean_s for value in details["of_stretches_s"]]),
+            _scaled(1e6, details["u_of_stretches_s"]),
         )
     if "rows_px" in details:
         yield _residuals(
@@ -148,32 +148,32 @@ def _left_over(found: CalibrationFile) -> Iterator[Table]:
             "row, px",
             "off the fit, %",
             details["rows_px"],
-            _times(100.0, details["off"]),
-            _times(100.0, details["u_off"]),
+            _scaled(100.0, details["off"]),
+            _scaled(100.0, details["u_off"]),
         )
 
 
 def _residuals(
     title: str, x_name: str, y_name: str, x: Sequence[float], y: Sequence[float], u: Sequence[float]
 ) -> Table:
-    """What a fit leaves over: `y` against `x`, with the standard uncertainty `u` of each (0: not known)."""
+    """Table of the residuals of a fit: `y` against `x`, with standard uncertainties `u` (0: unknown)."""
     return _table("residuals", title, (x_name, y_name, "u"), list(zip(x, y, u, strict=True)))
 
 
-def _times(factor: float, values: Sequence[float]) -> list[float]:
+def _scaled(factor: float, values: Sequence[float]) -> list[float]:
     return [factor * value for value in values]
 
 
 def _steps(details: Mapping[str, Any]) -> Table:
-    """The steps of a ladder: what the line leaves over, and how the scale would change without the step."""
+    """Table of the steps of a ladder: residuals, and change of the scale without each step."""
     unit, size = ("arcsec", ARCSEC_RAD) if details["kind"] == "tilt" else ("mm", 1e-3)
     return _table(
         "residuals",
         "residuals of the steps",
         ("step", f"reference, {unit}", "x, px", "y, px", "scale without it, u"),
         [
-            (number, reference / size, *residual, without)
-            for number, (reference, residual, without) in enumerate(
+            (number, reference / size, *residual, scale_without)
+            for number, (reference, residual, scale_without) in enumerate(
                 zip(details["reference"], details["residual_px"], details["leave_one_out"], strict=True), 1
             )
         ],
@@ -181,7 +181,7 @@ def _steps(details: Mapping[str, Any]) -> Table:
 
 
 def _transfer(values: Mapping[str, Any], details: Mapping[str, Any]) -> Table:
-    """The levels: variance against that of the fitted line, read noise and shot noise."""
+    """Table of the levels: variance, and its deviation from read noise and shot noise."""
     gain = values["gain_e_per_dn"]
     dark_dn2 = (values["read_noise_e"] / gain) ** 2 + _ROUNDING_DN2
     return _table(
@@ -198,7 +198,7 @@ def _transfer(values: Mapping[str, Any], details: Mapping[str, Any]) -> Table:
 
 
 def _allan(axis: str, details: Mapping[str, Any]) -> Table:
-    """Noise against averaging time, each time at least twice the one before."""
+    """Table of Allan deviations, at averaging times that at least double."""
     rows: list[tuple[float, float, float]] = []
     for row in zip(details["allan_tau_s"], details["allan_px"], details["u_allan_px"], strict=True):
         if not rows or row[0] >= 2.0 * rows[-1][0]:

@@ -39,15 +39,15 @@ from rig.presentation import percent
 from rig.settings import Configuration
 
 _SEGMENTS = 16  # the scatter of so many means is known to 18 %
-_SATURATED = 0.1
-"""Largest fraction of saturated spots, which are left out; above it the record is rejected."""
+_MAX_SATURATED_FRACTION = 0.1
+"""Largest fraction of saturated spots (which are left out) before the record is rejected."""
 
 
 def mean_spot(spots: Deflections) -> tuple[float, float, float, float]:
-    """Mean x and y in px, then their standard uncertainties.
+    """Mean x and y in px, and their standard uncertainties.
 
-    The uncertainties are the larger of those stated by the tracker and those from the scatter of the
-    means of segments, which includes a slow drift.
+    Each uncertainty is the larger of the tracker's and that from the scatter of segment means, including slow
+    drift.
     """
     found = []
     for values, u in ((spots.x, spots.u_x), (spots.y, spots.u_y)):
@@ -60,7 +60,7 @@ def mean_spot(spots: Deflections) -> tuple[float, float, float, float]:
 def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
     """Positions of a record's complete, unsaturated spots on the sensor, and the start of the record.
 
-    x and y are in px from the sensor's first pixel, y downward. Raises DataError as `whole_spots`.
+    x and y are in px from the sensor's first pixel, y downward. Raises DataError like `whole_spots`.
     """
     good, began = whole_spots(record)
     x_px, y_px, u_x_px, u_y_px = (good[name].copy() for name in ("x_px", "y_px", "u_x_px", "u_y_px"))
@@ -68,7 +68,7 @@ def spots_of_record(record: Path) -> tuple[Deflections, datetime.datetime]:
 
 
 def binning_of_record(record: Path) -> int:
-    """The camera's binning in a record, twice as many pixels with a colour plane; 1 if it has none."""
+    """The camera's binning in a record, doubled for a colour plane; 1 if it states none."""
     with RecordReader(record) as reader:
         stated = reader.metadata.get("camera_settings", {})
     binning = stated.get("binning", "")
@@ -88,7 +88,7 @@ def whole_spots(record: Path) -> tuple[NDArray[Any], datetime.datetime]:
     saturated = 0.0
     if len(table):
         saturated = float(np.mean((table["flags"].astype(np.int64) & int(SpotFlag.SATURATED)) != 0))
-    if saturated > _SATURATED:
+    if saturated > _MAX_SATURATED_FRACTION:
         raise DataError(f"{record}: {100 * saturated:.0f} % of the spots are saturated; use less light")
     if len(good) < 100:
         raise DataError(
@@ -99,7 +99,7 @@ def whole_spots(record: Path) -> tuple[NDArray[Any], datetime.datetime]:
 
 
 def calibrate_axes(record: Path, filing: Filing, slow_began: Sign | None, fast_began: Sign | None) -> Path:
-    """Directions of both modes from a record in which both swing."""
+    """Calibrate the directions of both modes from a record in which both swing; returns the file."""
     spots, began = spots_of_record(record)
     with RecordReader(record) as reader:
         before = recorded_configuration(reader).axes
@@ -118,7 +118,7 @@ def calibrate_axes(record: Path, filing: Filing, slow_began: Sign | None, fast_b
 
 
 def calibrate_sensor(frames: Path, filing: Filing) -> Path:
-    """Photon transfer from pairs of dark and of uniformly lit frames: see `read_transfer`."""
+    """Calibrate the sensor by photon transfer from dark and uniformly lit frames; returns the file."""
     table = read_transfer(frames)
     place = frames.parent
     levels = {f"level {n}: frames": item.frames for n, item in enumerate(table.level, 1)}
@@ -152,7 +152,7 @@ def calibrate_sensor(frames: Path, filing: Filing) -> Path:
         "read_noise_e": found.read_noise_e,
         "full_scale_dn": float(table.full_scale_dn or full_scale),
         "pedestal_dn": found.dark_level_dn,
-        # an insignificant spread would only make the tracker's weights worse
+        # an insignificant value would only make the tracker's weights worse
         "prnu": found.prnu if found.prnu > 2.0 * found.u_prnu else 0.0,
     }
     details = details_of(
@@ -168,7 +168,7 @@ def calibrate_sensor(frames: Path, filing: Filing) -> Path:
 
 
 def calibrate_pointing(record: Path, filing: Filing) -> Path:
-    """Noise, drift and spectral lines of a spot that should be at rest."""
+    """Measure noise, drift and spectral lines of a spot at rest; returns the calibration file."""
     spots, began = spots_of_record(record)
     require_rest(spots.times_s, spots.x, spots.y, str(record))
     details: dict[str, Any] = {}
@@ -202,15 +202,15 @@ def _stability_details(found: Stability) -> dict[str, Any]:
     }
 
 
-_PARTS = 24
-_FEWEST_IN_PART = 10
-_OF_MEDIAN = math.sqrt(math.pi / 2.0)
-"""Standard uncertainty of a median over that of a mean, of normal deviates."""
+_MAX_PARTS = 24
+_MIN_FRAMES_IN_PART = 10
+_U_MEDIAN_OVER_MEAN = math.sqrt(math.pi / 2.0)
+"""Standard uncertainty of a median over that of a mean, for normal noise."""
 _ROUNDING_S = S_PER_NS / math.sqrt(12.0)
 
 
 def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> Path:
-    """Camera clock against the host's monotonic clock."""
+    """Calibrate the camera's clock against the host's monotonic clock; returns the file."""
     with RecordReader(record) as reader:
         config = recorded_configuration(reader)
         if config.simulated and config.on_demand:
@@ -244,7 +244,7 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
         "drift_ppm": relation.drift_ppm,
         "u_drift_ppm": relation.u_drift_ppm,
         **details_of(relation, "rate", "u_rate", "device_reference_ns", "host_reference_ns"),
-        **off_line(relation, device, table["host_time_ns"].astype(np.int64), table["sequence"]),
+        **arrival_residuals(relation, device, table["host_time_ns"].astype(np.int64), table["sequence"]),
     }
     details["frame_jitter_limit_s"] = FRAME_JITTER_LIMIT_S
     details["ntp"] = ntp.text
@@ -255,47 +255,47 @@ def calibrate_clock(record: Path, filing: Filing, counter_bits: int | None) -> P
 
 
 def u_camera_rate(relation: ClockRelation, u_host_rate: float) -> float:
-    """Relative standard uncertainty of the camera's rate at other times than the record's."""
+    """Relative standard uncertainty of the camera's rate at times other than the record's."""
     return math.hypot(relation.u_rate, u_host_rate, U_QUARTZ)
 
 
-def off_line(
+def arrival_residuals(
     relation: ClockRelation,
     device_ns: NDArray[np.int64],
     host_ns: NDArray[np.int64],
     sequence: NDArray[np.integer],
 ) -> dict[str, list[float]]:
-    """Arrivals minus the line and its jumps: medians over equal parts of the record.
+    """Residuals of arrival times from the line with its jumps, as medians over equal parts of the record.
 
-    Medians, because single frames arrive much later than the others.
+    Medians are used because single frames arrive much later than the others.
     """
     off_s = seconds((host_ns - relation.host_ns(device_ns)).astype(np.float64))
     for jump in relation.jumps:
         off_s[sequence >= jump.frame] -= jump.step_s
     at_s = seconds(device_ns - device_ns[0])
-    count = max(1, min(_PARTS, len(off_s) // _FEWEST_IN_PART))
+    count = max(1, min(_MAX_PARTS, len(off_s) // _MIN_FRAMES_IN_PART))
     rows = []
     for at, off in zip(np.array_split(at_s, count), np.array_split(off_s, count), strict=True):
-        u_s = _OF_MEDIAN * robust_scatter(off) / math.sqrt(len(off))
+        u_s = _U_MEDIAN_OVER_MEAN * robust_scatter(off) / math.sqrt(len(off))
         rows.append((float(at.mean()), float(np.median(off)), max(u_s, _ROUNDING_S)))
     return dict(
         zip(("parts_at_s", "off_line_s", "u_off_line_s"), map(list, zip(*rows, strict=True)), strict=True)
     )
 
 
-_SHORTEST_ROW_S = 0.5e-6
-"""Sensors with a rolling shutter read a row in a microsecond and more."""
-_SIGNIFICANT = 4.0
-"""Standard uncertainties of a row time: noise alone makes a global shutter roll once in 16,000 runs."""
+_MIN_ROW_TIME_S = 0.5e-6
+"""Shortest row time: sensors with a rolling shutter need a microsecond or more for a row."""
+_MIN_SIGNIFICANCE_U = 4.0
+"""Row time in standard uncertainties that shows a rolling shutter: by noise, one run in 16,000 exceeds it."""
 
 
 def calibrate_shutter(record: Path, filing: Filing) -> Path:
-    """Row time and first row, from a run in which the spot swings across the rows.
+    """Calibrate row time and first row from a run in which the spot swings across the rows.
 
     They come from the brightness of the spot in a run with a pulsed laser, otherwise from its times.
     """
     spots, began = whole_spots(record)
-    # the times of the frames, whatever shutter the record was corrected for
+    # the times of frames, without the correction for a shutter in the record
     has_clock = spots["device_time_ns"] >= 0
     frame_times_ns = np.where(has_clock, spots["device_time_ns"], spots["host_time_ns"])
     times_s, y_px = seconds(frame_times_ns - frame_times_ns[0]), spots["y_px"].astype(np.float64)
@@ -315,9 +315,9 @@ def calibrate_shutter(record: Path, filing: Filing) -> Path:
     else:
         found, method = fit_row_time(times_s, y_px), "second harmonic of a swing across the rows"
         row_time_s = abs(found.row_time_s)
-        # a camera's word is taken where the swing says nearly the same, not against the swing
-        is_global = is_global and row_time_s < _SHORTEST_ROW_S
-        rolls = row_time_s > _SIGNIFICANT * found.u_row_time_s and not is_global
+        # the camera's report of a global shutter is believed only if the swing nearly confirms it
+        is_global = is_global and row_time_s < _MIN_ROW_TIME_S
+        rolls = row_time_s > _MIN_SIGNIFICANCE_U * found.u_row_time_s and not is_global
         if rolls:
             notes = [_harmonic_text(found)]
         elif is_global:

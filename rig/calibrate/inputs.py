@@ -1,4 +1,4 @@
-"""Input files (TOML) of a calibration: ladders of known tilts or shifts, and lists of frames."""
+"""Input files (TOML) of calibrations, frames of a source, and the writing of calibration files."""
 
 import datetime
 import getpass
@@ -24,9 +24,9 @@ from rig.settings import read_toml, validated
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 _Model = TypeVar("_Model", bound=BaseModel)
-_MOST_FRAMES = 64
+_MAX_FRAMES = 64
 LADDER_UNITS = {"tilt": ("arcsec", "arcmin", "rad", "mrad", "urad"), "shift": ("mm", "um", "m")}
-"""In which readings of the reference may be, by what it does."""
+"""Units of the readings of the reference, by kind of ladder."""
 _SI = {"tilt": "rad", "shift": "m"}
 
 
@@ -49,10 +49,10 @@ class LadderStep(BaseModel, frozen=True, extra="forbid"):
 class LadderFile(BaseModel, frozen=True, extra="forbid"):
     """A ladder of known tilts or shifts, or the geometry of the lever instead.
 
-    `pixel_pitch_m` is that of the sensor; `binning` is the camera's where spots are stated (records know
-    theirs). Steps are in the order of the measurement. `u_reference` is the standard uncertainty of one
-    setting, in `unit`; `u_reference_relative` that of the scale of the reference. Paths of records are
-    relative to the file.
+    `pixel_pitch_m` is that of the sensor; `binning` is the camera's for stated spots (records state their
+    own). Steps are in the order of the measurement. `u_reference` is the standard uncertainty of one setting,
+    in `unit`; `u_reference_relative` that of the scale of the reference. Paths of records are relative to the
+    file.
     """
 
     kind: Literal["tilt", "shift"] = "tilt"
@@ -78,8 +78,8 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
         """A reading in rad or m."""
         return reading * conversion(self.unit, _SI[self.kind])
 
-    def needed(self, name: Literal["pixel_pitch_m", "arm_m"], path: Path) -> float:
-        """A value that this kind of ladder, of the file `path`, requires; ConfigurationError without it."""
+    def required_value(self, name: Literal["pixel_pitch_m", "arm_m"], path: Path) -> float:
+        """A value that this kind of ladder requires; raises ConfigurationError, with `path`, without it."""
         value: float | None = getattr(self, name)
         if value is None:
             raise ConfigurationError(f"{path}: {name} is missing: a ladder of {self.kind}s needs it")
@@ -94,7 +94,7 @@ class LadderFile(BaseModel, frozen=True, extra="forbid"):
 
 
 class VanesOfRun(BaseModel, frozen=True, extra="forbid"):
-    """One run: its record, and the area of the vanes that were on the pendulum, or the pressure."""
+    """One run: its record, and the area of the vanes on the pendulum, or the pressure."""
 
     record: Path
     area_m2: float | None = Field(default=None, ge=0, lt=10)
@@ -109,7 +109,7 @@ class VanesOfRun(BaseModel, frozen=True, extra="forbid"):
 
     @property
     def exposure(self) -> float:
-        """The area, or the pressure where none is stated."""
+        """The area, or else the pressure."""
         found = self.pressure_pa if self.area_m2 is None else self.area_m2
         assert found is not None
         return found
@@ -118,8 +118,8 @@ class VanesOfRun(BaseModel, frozen=True, extra="forbid"):
 class VaneFile(BaseModel, frozen=True, extra="forbid"):
     """Runs of one contact with vanes of different areas, all at one place, or at different pressures.
 
-    `area_m2` is the sum over all vanes, one face of each, 0 without; it counts as drag does, so that only its
-    ratios enter the drag of the pendulum itself. Paths of records are relative to the file.
+    `area_m2` is the sum over all vanes, one face of each, 0 without vanes; drag is proportional to it, so
+    that only its ratios enter the drag of the pendulum itself. Paths of records are relative to the file.
     """
 
     run: tuple[VanesOfRun, ...]
@@ -139,7 +139,7 @@ class VaneFile(BaseModel, frozen=True, extra="forbid"):
 
 
 class ExposureLevel(BaseModel, frozen=True, extra="forbid"):
-    """Frames of one exposure and one illumination, of which the first two are used."""
+    """Frames of one exposure and illumination; the first two are used."""
 
     frames: Path
     exposure_us: float | None = Field(default=None, gt=0)
@@ -169,20 +169,20 @@ def read_vanes(path: Path) -> VaneFile:
 
 
 def frames_of(path: Path) -> tuple[list[Image], int]:
-    """Whole frames (at most 64) and full scale of a record, a folder of images or a stack.
+    """Whole frames (at most 64) and full scale in DN of a record, a folder of images or a stack.
 
     Raises DataError if there are none, or if they are in colour.
     """
     if path.suffix == ".mcap":
         with RecordReader(path) as reader:
             full_scale = reader.full_scale_dn
-            images = [frame.image for frame, _ in zip(reader.images(), range(_MOST_FRAMES), strict=False)]
+            images = [frame.image for frame, _ in zip(reader.images(), range(_MAX_FRAMES), strict=False)]
         if not images:
             raise DataError(f"{path}: contains no whole frames")
         return images, full_scale
     source = open_source(path)
     try:
-        stored = [source.read(index) for index in range(min(source.count, _MOST_FRAMES))]
+        stored = [source.read(index) for index in range(min(source.count, _MAX_FRAMES))]
     except (UnreadableFrame, OSError) as error:
         raise DataError(f"{path}: {error}") from None
     finally:
@@ -210,7 +210,7 @@ def _read(path: Path, model: type[_Model]) -> _Model:
     return found
 
 
-_SHORTEST_DAYS, _LONGEST_DAYS = 0.01, 36_525.0
+_MIN_DAYS, _MAX_DAYS = 0.01, 36_525.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,10 +222,10 @@ class Filing:
     made_by: str = ""
 
     def __post_init__(self) -> None:
-        # a NaN is in no range
-        if not _SHORTEST_DAYS <= self.valid_days <= _LONGEST_DAYS:
+        # a NaN is in no range, and so refused
+        if not _MIN_DAYS <= self.valid_days <= _MAX_DAYS:
             raise ConfigurationError(
-                f"valid for {self.valid_days:g} days: should be from {_SHORTEST_DAYS:g} to {_LONGEST_DAYS:g}"
+                f"valid for {self.valid_days:g} days: should be from {_MIN_DAYS:g} to {_MAX_DAYS:g}"
             )
 
 
@@ -241,11 +241,11 @@ def file_calibration(
 ) -> Path:
     """Write one calibration, valid from `measured_at` (None: now) on; returns the file.
 
-    `values` fill a section of the configuration, `details` are shown in a report, `sources` are the
-    files used, whose hashes are stored. A detail with the name of a value, and another number, is one that
-    was fitted and is not used: its name begins with ``fitted_``.
+    `values` fill a section of the configuration, `details` are shown in a report, `sources` are the files
+    used, whose hashes are stored. A detail with the name of a value but another number was fitted and is not
+    used; it is stored as ``fitted_NAME``.
     """
-    beside = {
+    stored_details = {
         f"fitted_{name}" if name in values else name: detail
         for name, detail in details.items()
         if name not in values or detail != values[name]
@@ -266,7 +266,7 @@ def file_calibration(
         sources=tuple(used),
         notes=tuple(notes),
         values=dict(values),
-        details=beside,
+        details=stored_details,
     )
     return write_calibration(filing.folder, calibration, atomic_write.write_new)
 

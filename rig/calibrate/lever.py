@@ -1,4 +1,4 @@
-"""Commands `rig calibrate lever`, `check` and `air`."""
+"""`rig calibrate lever`, `check` and `air`."""
 
 import datetime
 from dataclasses import dataclass, replace
@@ -47,12 +47,12 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
         exact = [name for name in ("u_arm_m", "u_pixel_pitch_m") if not getattr(table.geometry, name)]
         notes = [f"{' and '.join(exact)} not stated: counted as exact in every budget"] if exact else []
         return file_calibration("lever", filing, "geometry, traced", values, details, [ladder], notes)
-    fit, sources, began = _climb(ladder, table)
+    fit, sources, began = _fit_of_ladder(ladder, table)
     binning = _binning(ladder, table)
     if table.kind == "tilt":
-        lever = lever_from_tilts(fit, table.needed("pixel_pitch_m", ladder) * binning)
+        lever = lever_from_tilts(fit, table.required_value("pixel_pitch_m", ladder) * binning)
     else:
-        lever = lever_from_shifts(fit, table.needed("arm_m", ladder), table.u_arm_m)
+        lever = lever_from_shifts(fit, table.required_value("arm_m", ladder), table.u_arm_m)
     lever = lever.model_copy(update={"binning": binning})
     details = {**_ladder_details(fit, table), "u_scale_relative": lever.u_scale_relative}
     method = f"ladder of {len(table.step)} {table.kind}s"
@@ -61,12 +61,12 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
 
 
 def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
-    """Compare a calibrated lever with known tilts."""
+    """Compare a calibrated lever with known tilts; returns the file of the check."""
     table = read_ladder(ladder)
     if table.kind != "tilt" or not table.step:
         raise ConfigurationError(f"{ladder}: known tilts are needed for a check (kind = 'tilt')")
     in_use = Lever.model_validate(read_calibration(lever, "lever").values)
-    fit, sources, began = _climb(ladder, table)
+    fit, sources, began = _fit_of_ladder(ladder, table)
     check = check_scale(in_use.at_binning(_binning(ladder, table)), fit)
     details = {**details_of(check), **_ladder_details(fit, table)}
     notes = list(fit.notes)
@@ -78,7 +78,7 @@ def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
     return file_calibration("check", filing, method, {}, details, [*sources, lever], notes, began)
 
 
-def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], datetime.datetime | None]:
+def _fit_of_ladder(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], datetime.datetime | None]:
     """The fit of a ladder, the files used, and the time of the measurement."""
     sources, began = [path], None
     rows = []
@@ -100,7 +100,7 @@ def _climb(path: Path, table: LadderFile) -> tuple[LadderFit, list[Path], dateti
 
 
 def _binning(path: Path, table: LadderFile) -> int:
-    """The camera's binning when the ladder was measured, as its records state it, or the file without one."""
+    """The camera's binning during a ladder, as its records state it, or else the ladder's file."""
     found = {binning_of_record(path.parent / step.record) for step in table.step if step.record is not None}
     if len(found) > 1:
         raise ConfigurationError(f"{path}: its records have different binnings: {sorted(found)}")
@@ -115,15 +115,16 @@ def _ladder_details(fit: LadderFit, table: LadderFile) -> dict[str, Any]:
     }
 
 
-_PART_OF_AIR = 1.0
-"""Drag of the smaller vanes over that expected of the pendulum itself; the larger have twice as much."""
+_VANE_DRAG_RATIO = 1.0
+"""Drag of the smaller vanes over that expected of the pendulum itself; the larger ones have twice as much."""
 
 
 @dataclass(frozen=True, slots=True)
 class VanesToCut:
-    """Vanes that would add the drag that is expected of the pendulum itself, and where they go.
+    """Vanes that add as much drag as is expected of the pendulum itself, and their position.
 
-    `area_m2` is the sum over all vanes, one face of each; `distance_m` that of their middles from the axis.
+    `area_m2` is the sum over all vanes, one face of each; `distance_m` is the distance of their middles from
+    the axis, `drag_s` the drag of the pendulum itself.
     """
 
     area_m2: float
@@ -132,7 +133,7 @@ class VanesToCut:
 
     @property
     def text(self) -> str:
-        """What to cut, and where to put it."""
+        """Instructions to cut and mount the vanes."""
         side_mm = 1e3 * (0.5 * self.area_m2) ** 0.5
         return (
             f"Cut two pairs of thin stiff sheets, {side_mm:.0f} x {side_mm:.0f} mm and {side_mm:.0f} x "
@@ -147,34 +148,34 @@ class VanesToCut:
 
 
 def vanes_to_cut(config: Configuration, period_s: float) -> VanesToCut | None:
-    """What the pendulum of a configuration needs; None without [pendulum]."""
+    """The vanes for the pendulum of a configuration; None without [pendulum]."""
     pendulum = pendulum_on_ball(config)
     if pendulum is None:
         return None
     found = stated_surroundings(config)
-    of_air = expected_drag(found, pendulum, period_s, config)
-    distance_m = 0.5 * of_air.length_m
-    air = humid_air(**_usual(found))
+    bar = expected_drag(found, pendulum, period_s, config)
+    distance_m = 0.5 * bar.length_m
+    air = humid_air(**_with_defaults(found))
     per_area = vane_drag_s_per_m2(air, distance_m, pendulum, period_s)
-    return VanesToCut(_PART_OF_AIR * of_air.drag_s / per_area, distance_m, of_air.drag_s)
+    return VanesToCut(_VANE_DRAG_RATIO * bar.drag_s / per_area, distance_m, bar.drag_s)
 
 
-def _usual(found: AmbientConditions) -> dict[str, float]:
+def _with_defaults(found: AmbientConditions) -> dict[str, float]:
     usual = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
     return {name: found.known().get(name, value) for name, value in usual.items()}
 
 
 def calibrate_air(vanes: Path, filing: Filing) -> Path:
-    """The drag of the air from a list of runs: see `VaneFile`."""
+    """Calibrate the drag of the air from a list of runs (see `VaneFile`); returns the file."""
     table = read_vanes(vanes)
-    for listed in table.run:
-        if not (vanes.parent / listed.record).is_file():
-            raise ConfigurationError(f"{vanes}: {vanes.parent / listed.record}: no such record")
+    for listed_run in table.run:
+        if not (vanes.parent / listed_run.record).is_file():
+            raise ConfigurationError(f"{vanes}: {vanes.parent / listed_run.record}: no such record")
     runs, sources, rows, pendulums = [], [vanes], [], []
     began: datetime.datetime | None = None
     shown: dict[str, Any] = {}
-    for number, listed in enumerate(table.run, 1):
-        record = vanes.parent / listed.record
+    for number, listed_run in enumerate(table.run, 1):
+        record = vanes.parent / listed_run.record
         run = analyse_record(record, air_known=False)
         fit, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
         if fit is None or pendulum is None:
@@ -187,17 +188,17 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
         with RecordReader(record) as reader:
             config, at = recorded_configuration(reader), reader.utc(int(reader.spots()["time_ns"][0]))
         began = at if began is None else max(began, at)
-        shown = shown or _shown(run.surroundings, pendulum, config, fit.mean_period_s.value)
-        exposure = listed.exposure
+        shown = shown or _air_details(run.surroundings, pendulum, config, fit.mean_period_s.value)
+        exposure = listed_run.exposure
         if table.by_pressure:
             exposure = _drag_at(exposure, pendulum, config, fit.mean_period_s.value)
-        runs.append(VanedRun(run.points, fit, exposure, listed.u_area_m2))
+        runs.append(VanedRun(run.points, fit, exposure, listed_run.u_area_m2))
         pendulums.append(pendulum)
-        rows.append(listed.exposure)
+        rows.append(listed_run.exposure)
         sources.append(record)
     by_ratio = table.by_pressure
     if by_ratio:
-        # the drag that is wanted is that at the highest pressure, which is the room's
+        # exposures relative to the highest pressure, the room's, for which the drag is wanted
         most = max(run.exposure for run in runs)
         runs = [replace(run, exposure=run.exposure / most) for run in runs]
     if len(set(pendulums)) > 1:
@@ -215,22 +216,22 @@ def calibrate_air(vanes: Path, filing: Filing) -> Path:
     return file_calibration("air", filing, method, values, details, sources, _notes(found, table), began)
 
 
-def _shown(
+def _air_details(
     air: AmbientConditions | None, pendulum: PendulumOnBall, config: Configuration, period_s: float
 ) -> dict[str, Any]:
-    """The air of the first run, and what it was expected to exert."""
+    """The air of the first run, and the drag expected of it."""
     known = AmbientConditions() if air is None else air
     return {**known.known(), "expected_drag_s": expected_drag(known, pendulum, period_s, config).drag_s}
 
 
 def _drag_at(pressure_pa: float, pendulum: PendulumOnBall, config: Configuration, period_s: float) -> float:
-    """What air of this pressure gives a bar in the pendulum's place; its ratios are used."""
+    """Drag of a bar in the pendulum's place in air of this pressure; only ratios are used."""
     stated = stated_surroundings(config).known() | {"pressure_pa": pressure_pa}
     return expected_drag(AmbientConditions(**stated), pendulum, period_s, config).drag_s
 
 
 def _details(found: MeasuredAir, exposures: list[float], by_ratio: bool) -> dict[str, Any]:
-    of_contact = {
+    contact_details = {
         key: value
         for name, (one, u) in found.contact.items()
         for key, value in ((name, one), (f"u_{name}", u))
@@ -242,7 +243,7 @@ def _details(found: MeasuredAir, exposures: list[float], by_ratio: bool) -> dict
         "degrees_of_freedom": found.dof,
         "chance": found.chance,
         "enlarged": found.enlarged,
-        **of_contact,
+        **contact_details,
         "pressures_pa" if by_ratio else "areas_m2": exposures,
         "drags_s": [one.value for one in found.of_runs_s],
         "u_drags_s": [one.standard_uncertainty for one in found.of_runs_s],

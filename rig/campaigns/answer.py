@@ -1,4 +1,4 @@
-"""From found runs and what is stated to the answer of a campaign."""
+"""The fit of a campaign: from runs and the stated campaign to its results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from processing.series import (
 )
 from processing.units import ARCSEC_RAD
 from rig.analysis import SURFACE_ENERGY, RunResults
-from rig.campaigns.campaign_file import StatedCampaign, StatedEffect, model_of
+from rig.campaigns.campaign_file import StatedCampaign, StatedEffect, stated_model
 from rig.campaigns.likelihoods import (
     CampaignDifference,
     CampaignEffect,
@@ -39,22 +39,22 @@ from rig.campaigns.likelihoods import (
     CampaignValue,
     FoundRun,
     SamplerFindings,
-    compressed,
+    compress,
     likelihood_tree,
 )
 from rig.presentation import quantity
 
-_BAD = 0.5
-_FEW = 0.05
-"""Part of the draws that must count."""
-_NOTHING = 20.0
-"""Width of a 68 % band over its middle from which on nothing is known."""
+_MIN_BAD_PROBABILITY = 0.5
+_MIN_EFFECTIVE_FRACTION = 0.05
+"""Fraction of the draws that must be effective."""
+_MAX_RELATIVE_WIDTH = 20.0
+"""Width of a 68 % band, relative to its median, above which a quantity is not determined."""
 _SEED = 8
 
 
 @dataclass(frozen=True, repr=False)
 class Campaign:
-    """The answer, and what figures and tables are drawn from beside it."""
+    """The results of a campaign, with its posterior and the stated campaign for figures and tables."""
 
     results: CampaignResults
     posterior: SeriesPosterior
@@ -71,42 +71,42 @@ class Campaign:
         return "\n".join(lines)
 
 
-def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False) -> Campaign:
-    """The answer of a campaign; with `sample` the posterior is a sampler's.
+def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False) -> Campaign:
+    """Fit one model to all runs of a campaign; with `sample` the posterior is sampled by emcee.
 
-    Raises DataError: no run can enter, or nothing is known of what is asked for; ConfigurationError: a
-    parameter is stated that there is not.
+    Raises DataError if no run can enter, or the data hold no covariate asked for; ConfigurationError if an
+    unknown parameter is stated.
     """
     reference_rad = stated.reference_arcsec * ARCSEC_RAD
-    tried = [(one, *compressed(one, reference_rad, stated.u)) for one in found]
+    tried = [(one, *compress(one, reference_rad, stated.u)) for one in found]
     entered = [(one, run) for one, run, _ in tried if run is not None]
     left_out = tuple(problem for _, run, problem in tried if run is None)
     if not entered:
         raise DataError(f"no run can enter the campaign: {'; '.join(left_out)}")
     runs = [run for _, run in entered]
-    model = model_of(stated, reference_rad, runs)
+    model = stated_model(stated, reference_rad, runs)
 
     def fit(of: SeriesModel) -> SeriesPosterior:
         return fit_series(runs, of, draws=stated.draws, seed=stated.seed)
 
     sampled = sample_series(runs, model, seed=stated.seed) if sample else None
     posterior = fit(model) if sampled is None else sampled.posterior
-    alone = fit(model.without_priors())
-    effects = tuple(_effect(one, posterior, alone, stated) for one in stated.effect)
-    candidates, nothing = [], 1.0
+    without_priors = fit(model.without_priors())
+    effects = tuple(_effect(one, posterior, without_priors, stated) for one in stated.effect)
+    candidates, no_effect = [], 1.0
     if stated.candidate:
-        gains, shares, nothing = compare_forms(runs, model, [one.effect() for one in stated.candidate])
+        gains, shares, no_effect = compare_forms(runs, model, [one.effect() for one in stated.candidate])
         for one, gain, share in zip(stated.candidate, gains.tolist(), shares.tolist(), strict=True):
             shown = _effect(one, fit(model.with_effects(one.effect())), None, stated)
             candidates.append(replace(shown, log_bayes_factor=gain, probability=share))
-    of_contact: dict[str, list[RunResults]] = {}
+    runs_of_contact: dict[str, list[RunResults]] = {}
     for source, run in entered:
-        of_contact.setdefault(run.contact, []).append(source.run)
+        runs_of_contact.setdefault(run.contact, []).append(source.run)
     contacts = {
-        contact: _contact(contact, (posterior, alone), own, reference_rad)
-        for contact, own in of_contact.items()
+        contact: _contact(contact, (posterior, without_priors), own, reference_rad)
+        for contact, own in runs_of_contact.items()
     }
-    warnings = [*_unknown(stated, runs), *_warnings(posterior, alone)]
+    warnings = [*_covariate_warnings(stated, runs), *_warnings(posterior, without_priors)]
     sampler = None
     if sampled is not None:
         worst = max(sampled.r_hat.values())
@@ -125,7 +125,7 @@ def answer_of(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool
         between_contacts=_estimates(posterior, posterior.hyper, "between contacts"),
         effects=effects,
         candidates=tuple(candidates),
-        nothing=nothing,
+        nothing=no_effect,
         changes=tuple(find_change(runs, model, name) for name in stated.change_points),
         shared=_estimates(posterior, posterior.levels, "shared"),
         budgets={
@@ -148,7 +148,7 @@ def _estimates(found: SeriesPosterior, levels: Sequence[LatentNumber], kind: str
 
 
 def _effect(
-    one: StatedEffect, found: SeriesPosterior, alone: SeriesPosterior | None, stated: StatedCampaign
+    one: StatedEffect, found: SeriesPosterior, without_priors: SeriesPosterior | None, stated: StatedCampaign
 ) -> CampaignEffect:
     effect = one.effect()
     level = LatentNumber("effect", effect.label)
@@ -163,12 +163,12 @@ def _effect(
         form=str(effect.form),
         reference=effect.reference,
         slope=Estimate(value, u),
-        slope_without_priors=NOT_DETERMINED if alone is None else alone.estimate(level),
+        slope_without_priors=NOT_DETERMINED if without_priors is None else without_priors.estimate(level),
         lower_95=low,
         upper_95=high,
         over_span=Estimate(value * span, u * span),
         chance=by_chance,
-        # less than one draw lies on the other side of zero
+        # true if less than one effective draw lies on the other side of zero
         chance_is_limit=by_chance <= 1 / found.effective,
         seen=by_chance * max(tried, 1) < SEEN,
         margin=one.margin,
@@ -177,7 +177,7 @@ def _effect(
 
 
 def _differences(found: SeriesPosterior, contacts: Sequence[str]) -> tuple[CampaignDifference, ...]:
-    """Every contact less every later one, coordinate by coordinate."""
+    """Differences of all pairs of contacts, coordinate by coordinate."""
     names, out = found.model.names, []
     pairs = list(combinations(contacts, 2))
     levels = {contact: found.level_draws(contact) for contact in contacts}
@@ -201,15 +201,15 @@ def _contact(
     runs: Sequence[RunResults],
     reference_rad: float,
 ) -> dict[str, CampaignValue]:
-    """Quantities of a contact by key, where all effects are zero; the second posterior is without priors."""
+    """Quantities of a contact by key, at zero effects; the second posterior is without priors."""
     drawn = [_quantities(one, contact, runs, reference_rad) for one in posteriors]
     out = {}
     for name, draws in drawn[0].items():
         low, high = posteriors[0].quantiles(draws, (0.025, 0.975))
-        value, u = _middle(posteriors[0], draws)
+        value, u = _median_and_u(posteriors[0], draws)
         out[name] = CampaignValue(
             value=value, standard_uncertainty=u, lower_95=low, upper_95=high,
-            without_priors=_middle(posteriors[1], drawn[1][name]),
+            without_priors=_median_and_u(posteriors[1], drawn[1][name]),
         )  # fmt: skip
     return out
 
@@ -217,27 +217,26 @@ def _contact(
 def _quantities(
     found: SeriesPosterior, contact: str, runs: Sequence[RunResults], reference_rad: float
 ) -> dict[str, Floats]:
-    """Draws of all quantities of a contact by key, those of the catalogue."""
+    """Draws of all quantities of a contact, by key."""
     names = found.model.names
     out = dict(zip(names, parameters(names, found.level_draws(contact), reference_rad).T, strict=True))
     energy = _energy(found, out["c"], runs) if "c" in out else None
     return out if energy is None else {**out, SURFACE_ENERGY: energy}
 
 
-def _middle(found: SeriesPosterior, draws: Floats) -> Estimate:
-    """Median and half of the 68 % band, which a few far draws of a logarithm do not move; NaN where it is
-    so wide that nothing is known."""
+def _median_and_u(found: SeriesPosterior, draws: Floats) -> Estimate:
+    """Median and half of the 68 % band, robust against outlying draws; NaN if the band is too wide."""
     low, value, high = found.quantiles(draws, (0.1587, 0.5, 0.8413))
-    if not isfinite(high - low) or high - low > _NOTHING * abs(value):
+    if not isfinite(high - low) or high - low > _MAX_RELATIVE_WIDTH * abs(value):
         return NOT_DETERMINED
     return Estimate(value, 0.5 * (high - low))
 
 
 def _energy(found: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -> Floats | None:
-    """Draws of the surface energy (Table 2's form); None where no run has its budget.
+    """Draws of the surface energy (Table 2's form); None if no run has a budget of it.
 
-    It is c times what is known of the apparatus. Inputs that runs share have their own draws, those that do
-    not move any fitted parameter get new ones; each enters once, however many runs there are.
+    It is c times a factor of the apparatus. Inputs shared by runs use their draws of the posterior, inputs
+    that move no fitted parameter get new draws; each enters once, however many runs there are.
     """
     ratios: list[float] = []
     moved: dict[str, float] = {}
@@ -268,7 +267,7 @@ def _runs(
     together, u_together = found.run_values
     names, out = found.model.names, []
     values = parameters(names, together, reference_rad)
-    # of b and gamma at a known exponent: that of the coordinate, at the reference amplitude
+    # u of b and gamma is that at a known exponent: the coordinate's, at the reference amplitude
     u_values = np.where([name in POSITIVE for name in names], np.abs(values), 1.0) * u_together
     for row, (source, run) in enumerate(entered):
         fit, own = source.run.fits[FitMethod.EXACT], [name for name in names if name in run.names]
@@ -296,54 +295,54 @@ def _listed(labels: Sequence[str]) -> str:
     return f"{', '.join(labels[:3])}{' ...' if len(labels) > 3 else ''}"
 
 
-def _unknown(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> list[str]:
-    """Covariates that some runs lack, or have in another unit: an answer that rests on a guess says so."""
-    said: list[str] = []
+def _covariate_warnings(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> list[str]:
+    """Warnings of covariates that some runs lack or seem to have in another unit."""
+    texts: list[str] = []
     for covariate in sorted(stated.covariates - {"", ORDER}):
         known = {run.label: run.covariates[covariate].value for run in runs if covariate in run.covariates}
-        said += filter(None, [in_other_unit(covariate, known)])
+        texts += filter(None, [in_other_unit(covariate, known)])
         without = [run.label for run in runs if covariate not in run.covariates]
         if without:
-            said.append(
+            texts.append(
                 f"{covariate} is not known of {len(without)} of {len(runs)} runs ({_listed(without)}): it is "
                 "taken to be as in the others, by their mean and scatter"
             )
-    return said
+    return texts
 
 
-def _warnings(found: SeriesPosterior, alone: SeriesPosterior) -> list[str]:
-    said: list[str] = []
+def _warnings(found: SeriesPosterior, without_priors: SeriesPosterior) -> list[str]:
+    texts: list[str] = []
     blind = [run.label for run in found.runs if run.by_growth is None]
     if blind and any(effect.bends_decays for effect in found.model.effects):
-        said.append(
+        texts.append(
             f"{_listed(blind)}: their results do not say how growing friction changes the decay, so it is "
             "ignored; rig fit --set fit.u_ageing=0.01 adds it"
         )
-    said += [
+    texts += [
         f"{run.label} is a bad run with probability {100 * bad:.0f} % and counts for little"
         for run, bad in zip(found.runs, found.bad, strict=True)
-        if bad > _BAD
+        if bad > _MIN_BAD_PROBABILITY
     ]
-    said += [
+    texts += [
         f"{what} is not well described: {one.effective:.0f} of {len(one.h)} draws count; ask for more draws, "
         "or for the sampler"
-        for one, what in ((found, "the posterior"), (alone, "the answer without priors"))
-        if one.effective < _FEW * len(one.h)
+        for one, what in ((found, "the posterior"), (without_priors, "the answer without priors"))
+        if one.effective < _MIN_EFFECTIVE_FRACTION * len(one.h)
     ]
     between = _estimates(found, found.hyper, "between runs")
     if wide := [name for name, one in between.items() if one.value > found.model.size(name)]:
-        said.append(
+        texts.append(
             f"runs scatter in {', '.join(wide)} more than is usual: look for what differs between them, "
             "or state a larger size"
         )
-    return said
+    return texts
 
 
 def _budget(found: SeriesPosterior, name: str, contact: str) -> tuple[CampaignSource, ...]:
-    """Parts of a contact's level of a coordinate, largest first.
+    """Parts of the variance of a contact's level of a coordinate, largest first.
 
-    Parts of shared inputs and of effects are what would go if each were known. The rest is the runs': their
-    own uncertainties, and how they scatter, which more runs make smaller.
+    The part of a shared input or an effect is the variance that would vanish if it were known. The rest
+    belongs to the runs: their own uncertainties and their scatter, which more runs reduce.
     """
     draws = found.level_draws(contact)[:, found.model.names.index(name)]
     centred = draws - found.weight @ draws

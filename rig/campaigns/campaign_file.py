@@ -1,4 +1,4 @@
-"""What is stated of a campaign: campaign.toml."""
+"""The file campaign.toml, which states a campaign, and the model made of it."""
 
 from collections.abc import Sequence
 from math import log
@@ -16,13 +16,13 @@ from processing.series import EXPONENT_OF, FRICTION, ORDER, POSITIVE, Compressed
 from rig.settings import read_toml, validated
 
 SURROUNDING_COVARIATES: Final = ("humidity_percent", "temperature_c", "pressure_pa", "dwell_s", "age_s")
-"""Covariates that are quantities of the surroundings."""
+"""Covariates that are ambient conditions."""
 COVARIATES: Final = (*SURROUNDING_COVARIATES, "first_amplitude_rad", "load_n", ORDER)
-"""All that a parameter may depend on."""
+"""All covariates, on which a parameter may depend."""
 
 
 class StatedEffect(BaseModel, frozen=True, extra="forbid"):
-    """A parameter that depends on what a run was measured under."""
+    """A parameter that depends on a covariate, a condition of each run."""
 
     parameter: str = Field(description="b, p, c, n, period0_s, gamma_pa, drag_s, or friction: b and c alike")
     form: Form
@@ -48,19 +48,19 @@ class StatedEffect(BaseModel, frozen=True, extra="forbid"):
         return self
 
     def effect(self) -> Effect:
-        """As the model takes it."""
+        """The effect as a term of the model."""
         return Effect(**self.model_dump(exclude={"margin"}))
 
 
 class StatedLevel(BaseModel, frozen=True, extra="forbid"):
-    """What is known of a parameter beside the runs: a normal distribution."""
+    """Prior knowledge of a parameter: a normal distribution."""
 
     value: float
     u: float = Field(gt=0)
 
 
 class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
-    """The whole file."""
+    """The contents of campaign.toml."""
 
     parameters: tuple[str, ...] = Field(
         default=(), description="that are modelled; default: all that runs determine"
@@ -106,7 +106,7 @@ class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
 
     @property
     def covariates(self) -> set[str]:
-        """All that something may depend on."""
+        """All covariates of effects and candidates."""
         return {one.covariate for one in (*self.effect, *self.candidate)}
 
 
@@ -116,15 +116,15 @@ def _refuse_unknown(covariate: str) -> None:
 
 
 def read_campaign(path: Path) -> StatedCampaign:
-    """The file's content. Raises ConfigurationError with one line for all of its faults."""
+    """Read campaign.toml; raises ConfigurationError with one line for all of its faults."""
     found, faults = validated(StatedCampaign, read_toml(path, "campaign"))
     if found is None:
         raise ConfigurationError(f"{path}: {'; '.join(fault.line for fault in faults)}")
     return found
 
 
-def model_of(stated: StatedCampaign, reference_rad: float, runs: Sequence[CompressedRun]) -> SeriesModel:
-    """What is stated, as the model takes it. Raises ConfigurationError for what there is not."""
+def stated_model(stated: StatedCampaign, reference_rad: float, runs: Sequence[CompressedRun]) -> SeriesModel:
+    """The model of a stated campaign; raises ConfigurationError for unknown parameters and contacts."""
     known, contacts = (*DEFAULT_LAW.names(), DRAG.key), list(dict.fromkeys(run.contact for run in runs))
     if unknown := [name for name in stated.parameters if name not in known]:
         raise ConfigurationError(f"parameters: there is no {unknown[0]!r}; a campaign has {', '.join(known)}")
@@ -149,7 +149,7 @@ def model_of(stated: StatedCampaign, reference_rad: float, runs: Sequence[Compre
                 raise ConfigurationError(f"prior.{name}.value = {value:g}: should be above 0")
             value, u = log(value), u / value
         if name in EXPONENT_OF:
-            # beside the middle of what the runs say of the exponent
+            # the coordinate is taken at the median of the runs' exponents
             exponent, less = EXPONENT_OF[name]
             middle = np.median([r.values[r.names.index(exponent)] for r in runs if exponent in r.names])
             value += (float(middle) - less) * log(reference_rad)

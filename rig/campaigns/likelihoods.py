@@ -1,7 +1,7 @@
-"""The likelihood of each run, compressed from its results.
+"""The likelihood of each run, compressed from its results, and the results of a campaign.
 
-It is made of results.json alone: parameters with their correlation, what inputs the budget says they share,
-how uneven the profiles are, which values are only bounded.
+A likelihood is made of results.json alone: parameters with their correlation, inputs shared by the budget,
+asymmetry of profiles, and bounds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,20 +32,21 @@ from rig.campaigns.campaign_file import SURROUNDING_COVARIATES
 
 _AIR, _MISFIT = "air", "misfit"
 _OWN = ("period_drift", "drag_drift", "plane_of_swing_rad")
-"""Sources that every run has for itself."""
-_MOST_SHARED = 0.9999
-"""Of a variance: what is left is the run's own."""
-_WELL = 0.5
-"""Relative standard uncertainty from which on a positive parameter without a verdict is only bounded."""
-_UNEVEN = 0.1
-"""Asymmetry of a profile from which on it counts."""
-_MOST_UNEVEN = 0.8
+"""Sources of uncertainty that are independent from run to run."""
+_MAX_SHARED = 0.9999
+"""Largest fraction of a variance that is shared; the rest is the run's own."""
+_MAX_U = 0.5
+"""Relative standard uncertainty above which a positive parameter without a verdict is only bounded."""
+_MIN_ASYMMETRY = 0.1
+"""Asymmetry of a profile below which it is ignored."""
+_MAX_ASYMMETRY = 0.8
 _SOFT = 0.3
+"""Softness of a bound: width of its edge in the coordinate."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundRun:
-    """A run as it was found: where, under which hash of its results, and its contact."""
+    """The results of a run that may enter a campaign, with its label, its contact and the results' hash."""
 
     label: str
     contact: str
@@ -53,10 +54,10 @@ class FoundRun:
     run: RunResults
 
 
-def compressed(
+def compress(
     found: FoundRun, reference_rad: float, u_covariates: Mapping[str, float]
 ) -> tuple[CompressedRun | None, str]:
-    """The run's likelihood; or None, and in a line why it cannot enter."""
+    """The likelihood of a run; or None, and why the run cannot enter, in a line."""
     run, fit = found.run, found.run.fits.get(FitMethod.EXACT)
     if fit is None:
         return None, f"{found.label}: left out: {run.problem or 'it has no exact fit'}"
@@ -71,27 +72,29 @@ def compressed(
             bounds[name] = bound
         elif 0 < u < inf and _is_determined(row):
             names.append(name)
-    # b and gamma are independent of their exponents only beside them
+    # b and gamma need their exponents, without which their coordinates are not independent
     names = [name for name in names if EXPONENT_OF.get(name, (name, 0.0))[0] in names]
     if not names:
         return None, f"{found.label}: left out: its data determine no parameter"
-    values, to = to_coordinates(names, np.array([fit.estimate(name).value for name in names]), reference_rad)
+    values, jacobian = to_coordinates(
+        names, np.array([fit.estimate(name).value for name in names]), reference_rad
+    )
     covariance = _covariance(fit, names)
-    moved, u_of = _sources(run, names, to)
-    # a budget corrects the values for an input: seen ones move the other way
+    moved, u_of = _sources(run, names, jacobian)
+    # the budget gives corrections of the values; the observed values move the other way
     shared = {source: -by for source, by in moved.items() if source not in GROWTH + _OWN and np.any(by)}
     grown = {source: moved[source] for source in GROWTH if u_of.get(source, 0.0) > 0}
     shared |= grown
-    own, of_law = _less_misfit(run, names, to @ covariance @ to.T)
-    of_air = _u_of_air(run, fit)
-    if of_air > 0 and DRAG.key in names:
-        # what is known of the drag moves all parameters along the drag's own column
+    own, law_shared = _without_model_discrepancy(run, names, jacobian @ covariance @ jacobian.T)
+    u_air = _u_air(run, fit)
+    if u_air > 0 and DRAG.key in names:
+        # the prior knowledge of the drag moves all parameters along the drag's column of the covariance
         drag = names.index(DRAG.key)
-        part = to @ covariance[:, drag] * (of_air / covariance[drag, drag])
+        part = jacobian @ covariance[:, drag] * (u_air / covariance[drag, drag])
         share = float(part @ np.linalg.solve(own, part))
-        shared[_AIR] = part = part * min(1.0, (_MOST_SHARED / share) ** 0.5) if share > 0 else part
+        shared[_AIR] = part = part * min(1.0, (_MAX_SHARED / share) ** 0.5) if share > 0 else part
         own = own - np.outer(part, part)
-    shared |= of_law
+    shared |= law_shared
     for source in _OWN:
         if source in moved:
             own = own + np.outer(moved[source], moved[source])
@@ -121,22 +124,21 @@ def _is_determined(row: ResultRow | None) -> bool:
 
 
 def _bound(name: str, value: float, u: float, row: ResultRow | None) -> Bound | None:
-    """The limit of a positive parameter that a run only bounds, in its coordinate; not of b and gamma,
-    whose coordinates hold other parameters."""
+    """The bound of a positive parameter that a run does not determine, in its coordinate; only of c."""
     if name != "c":
         return None
     if row is not None and row.verdict is Determinacy.LOWER_BOUND and row.lower > 0:
         return Bound(log(row.lower), EndSide.LOWER, _SOFT)
     upper = row.upper if row is not None and isfinite(row.upper) else value + 2 * u
-    only = not _is_determined(row) or value <= 0 or (row is None and u > _WELL * value)
-    if not only or not 0 < upper < inf:
+    bounded = not _is_determined(row) or value <= 0 or (row is None and u > _MAX_U * value)
+    if not bounded or not 0 < upper < inf:
         return None
-    # the likelihood falls from one u below the limit on: its half is at the value plus one u
+    # the likelihood falls from one u below the limit on, and is half at the value plus one u
     return Bound(log(upper) - _SOFT, EndSide.UPPER, _SOFT)
 
 
 def _covariance(fit: Fit, names: Sequence[str]) -> Floats:
-    """Of the parameters, from their uncertainties and correlations."""
+    """Covariance of the parameters, from their uncertainties and correlations."""
     u = np.array([fit.estimate(name).standard_uncertainty for name in names])
     known, matrix = fit.correlation.names, np.array(fit.correlation.matrix)
     correlation = np.eye(len(names))
@@ -145,54 +147,62 @@ def _covariance(fit: Fit, names: Sequence[str]) -> Floats:
             if i != j and first in known and second in known:
                 correlation[i, j] = matrix[known.index(first), known.index(second)]
     correlation = np.nan_to_num(correlation)
-    # rounding in the file must not make it singular
+    # rounding in the file must not make the matrix singular
     values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
     correlation = (vectors * np.maximum(values, 1e-9)) @ vectors.T
     return np.asarray(correlation * np.outer(u, u), dtype=np.float64)
 
 
-def _lines(run: RunResults, name: str) -> Sequence[BudgetSource]:
+def _budget_sources(run: RunResults, name: str) -> Sequence[BudgetSource]:
     budget = run.budget.get(name)
     return () if budget is None else budget.sources
 
 
-def _sources(run: RunResults, names: Sequence[str], to: Floats) -> tuple[dict[str, Floats], dict[str, float]]:
-    """By source, what one standard uncertainty of it does to the coordinates, and that uncertainty."""
+def _sources(
+    run: RunResults, names: Sequence[str], jacobian: Floats
+) -> tuple[dict[str, Floats], dict[str, float]]:
+    """By source: the shift of the coordinates by one standard uncertainty, and that uncertainty."""
     moved: dict[str, Floats] = {}
     u: dict[str, float] = {}
     for place, name in enumerate(names):
-        for one in _lines(run, name):
+        for one in _budget_sources(run, name):
             if isfinite(one.sensitivity):
                 by = moved.setdefault(one.source, np.zeros(len(names)))
-                by += to[:, place] * (one.sensitivity * one.u_source)
+                by += jacobian[:, place] * (one.sensitivity * one.u_source)
                 u[one.source] = one.u_source
     return moved, u
 
 
-def _u_of_air(run: RunResults, fit: Fit) -> float:
-    """Part of the drag's standard uncertainty that is what is known of the air."""
-    shares = {one.source: one.share for one in _lines(run, DRAG.key) if one.type == "A" or one.source == _AIR}
+def _u_air(run: RunResults, fit: Fit) -> float:
+    """The part of the drag's standard uncertainty that comes from the properties of the air."""
+    shares = {
+        one.source: one.share
+        for one in _budget_sources(run, DRAG.key)
+        if one.type == "A" or one.source == _AIR
+    }
     if not shares.get(_AIR, 0.0) > 0:
         return 0.0
     return fit.estimate(DRAG.key).standard_uncertainty * sqrt(shares[_AIR] / sum(shares.values()))
 
 
-def _less_misfit(run: RunResults, names: Sequence[str], own: Floats) -> tuple[Floats, dict[str, Floats]]:
-    """A law that is wrong is so in all runs alike: that part of each variance is shared, by coordinate."""
+def _without_model_discrepancy(
+    run: RunResults, names: Sequence[str], own: Floats
+) -> tuple[Floats, dict[str, Floats]]:
+    """The covariance without model discrepancy, and its shifts: all runs share it, by coordinate."""
     keep, shared = np.ones(len(names)), {}
     for place, name in enumerate(names):
-        sources = _lines(run, name)
+        sources = _budget_sources(run, name)
         part = sum(one.share for one in sources if one.source == _MISFIT)
         whole = sum(one.share for one in sources if one.type == "A" or one.source == _AIR)
         if part > 0 and isfinite(whole):
-            share = min(part / whole, _MOST_SHARED)
+            share = min(part / whole, _MAX_SHARED)
             keep[place] = (1 - share) ** 0.5
             shared[f"{_MISFIT} of {name}"] = (share * own[place, place]) ** 0.5 * np.eye(len(names))[place]
     return own * np.outer(keep, keep), shared
 
 
 def _asymmetry(fit: Fit, names: Sequence[str], rows: Mapping[str, ResultRow]) -> dict[str, float]:
-    """Of profiles whose ends lie unevenly about the value, in coordinates that are the parameter's own."""
+    """Asymmetry of profiles by parameter, for parameters that are their own coordinates."""
     found = {}
     for name in names:
         row = rows.get(name)
@@ -203,8 +213,8 @@ def _asymmetry(fit: Fit, names: Sequence[str], rows: Mapping[str, ResultRow]) ->
             continue
         low, high = np.diff(np.log(ends) if name in POSITIVE else ends)
         uneven = float((high - low) / (high + low)) if low > 0 and high > 0 else 0.0
-        if abs(uneven) > _UNEVEN:
-            found[name] = float(np.clip(uneven, -_MOST_UNEVEN, _MOST_UNEVEN))
+        if abs(uneven) > _MIN_ASYMMETRY:
+            found[name] = float(np.clip(uneven, -_MAX_ASYMMETRY, _MAX_ASYMMETRY))
     return found
 
 
@@ -213,7 +223,7 @@ def _covariates(run: RunResults, fit: Fit, u: Mapping[str, float], duration_s: f
     found = {name: float(known[name]) for name in SURROUNDING_COVARIATES if isfinite(known.get(name, inf))}
     for name in ("dwell_s", "age_s"):
         if name in found:
-            # parameters are those of the middle of the run
+            # parameters refer to the middle of the run
             found[name] += 0.5 * duration_s
     first = fit.estimate(AMPLITUDE.key).value
     if isfinite(first):
@@ -233,9 +243,9 @@ SCHEMA = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignValue:
-    """A quantity of a contact where all effects are zero.
+    """A quantity of a contact at zero effects; ends are those of the 95 % band.
 
-    `without_priors` is the answer of the data alone. Ends are of the 95 % band.
+    `without_priors` is the result of the data alone.
     """
 
     value: Annotated[float, PART]
@@ -251,7 +261,7 @@ class CampaignValue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignSource:
-    """What one source adds to the uncertainty of a contact's quantity, and its share of the variance."""
+    """The contribution of one source to the uncertainty of a contact's quantity, and its share."""
 
     source: str
     contribution: float
@@ -262,11 +272,11 @@ class CampaignSource:
 class CampaignEffect:
     """One effect: slope in its coordinate (of b, c and gamma the logarithm) per unit of its form.
 
-    `over_span` is what it moves over the campaign. `chance` is that of one as large where there is none
-    (`chance_is_limit`: at most, because there are no more draws), `seen` whether that is below 5 % shared by
-    all that were tried. `log_bayes_factor` is that of the form against none, `probability` after it, with the
-    choice among those that were tried charged; `margin` is what would not matter, `equivalent` the
-    probability that the effect over the span is smaller.
+    `over_span` is the change over the campaign's span. `chance` is the probability of an effect as large if
+    there is none (`chance_is_limit`: an upper limit, by the number of draws), `seen` whether it is below the
+    5 % level, which all tried effects share. `log_bayes_factor` compares the form with no effect,
+    `probability` follows from it, allowing for the choice among the tried forms; `margin` is the stated
+    negligible size, `equivalent` the probability that the effect over the span is smaller.
     """
 
     label: str
@@ -290,11 +300,11 @@ class CampaignEffect:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignDifference:
-    """Two contacts where all effects are zero: the first's coordinate less the second's, with the ends of its
-    95 % band. The coordinate of b, c and gamma is the logarithm, of b and gamma at the reference amplitude.
+    """Difference of two contacts at zero effects: first minus second coordinate, with its 95 % band.
 
-    What runs share cancels. `chance` is that of a difference as large where there is none, `seen` whether it
-    is below 5 %, shared by all differences of the campaign.
+    The coordinate of b, c and gamma is the logarithm, of b and gamma at the reference amplitude. Shared
+    inputs cancel. `chance` is the probability of a difference as large if there is none, `seen` whether it is
+    below the 5 % level, which all differences share.
     """
 
     first: str
@@ -309,10 +319,10 @@ class CampaignDifference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignRun:
-    """One run: what it says alone, what the campaign says of it, and how likely it is a bad one.
+    """One run: its parameters alone and together with the campaign, and its probability of being bad.
 
-    `likelihood` is what entered, in coordinates; `results_sha256` the hash of the results it was made of.
-    `residuals` are deviations from the model over what run and scatter leave.
+    `likelihood` is the input of the model, in coordinates, made of the results with hash `results_sha256`.
+    `residuals` are deviations from the model in units of the uncertainty of run and scatter.
     """
 
     label: str
@@ -329,7 +339,7 @@ class CampaignRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SamplerFindings:
-    """What the sampler's chains say of themselves: the worst R-hat, the fewest independent draws."""
+    """Convergence of the sampler's chains: the worst R-hat, the fewest independent draws, the verdict."""
 
     worst_r_hat: float
     fewest_draws: float
@@ -338,13 +348,13 @@ class SamplerFindings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignResults:
-    """campaign.json.
+    """The contents of campaign.json.
 
     `between_runs` and `between_contacts` are standard deviations, of b, c and gamma as fractions. `shared`
-    are inputs that runs have in common, in their standard uncertainties: what the runs say of them.
-    `nothing` is the probability that no candidate holds. `draws_that_count` says how well Laplace's method
-    describes the posterior, `predictive_p` how probable it is
-    that runs of the model scatter as much as the real ones. `stated` is what the configuration states.
+    are posteriors of inputs that runs have in common, in their standard uncertainties. `nothing` is the
+    probability that no candidate holds. `draws_that_count` (effective draws) tells how well Laplace's method
+    describes the posterior, `predictive_p` is the probability that runs of the model scatter as much as the
+    real ones. `stated` is the contents of campaign.toml.
     """
 
     schema: int = SCHEMA
@@ -372,7 +382,7 @@ class CampaignResults:
 
 
 def likelihood_tree(run: CompressedRun) -> JsonObject:
-    """What entered of a run, as it stands in the file."""
+    """The likelihood of a run as a tree for the file."""
     return {
         "names": list(run.names),
         "values": run.values.tolist(),

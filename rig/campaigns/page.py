@@ -1,4 +1,4 @@
-"""What a campaign leaves in its folder: campaign.json, page, figures, CSV, LaTeX."""
+"""The files of a campaign: campaign.json, page, figures, CSV, LaTeX."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -19,12 +19,12 @@ from rig.presentation import Table, latex_table, palette, plain_values, quantity
 from rig.report import INK, ReportFigure, canvas, html, save_figures, save_tables, styled, three_columns
 
 _POINTS = 60
-_BAD = 0.5
+_MIN_BAD_PROBABILITY = 0.5
 _BANDS = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 
 def _title(axes: Axes, name: str, reference_arcsec: float) -> None:
-    """What the axis of a coordinate shows: of b, c and gamma the change as a fraction."""
+    """Set the title of a coordinate's axis; b, c and gamma are shown as relative changes."""
     label = scaled(name)[0]
     if name in POSITIVE:
         at = f" at {reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
@@ -37,7 +37,7 @@ def _shown(name: str, values: Floats, middle: float) -> Floats:
 
 
 def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
-    """Each coordinate with an effect over its covariate: runs, and the model's 68 and 95 % bands."""
+    """Figure of each coordinate with an effect against its covariate: runs, and 68 and 95 % bands."""
     found, results = campaign.posterior, campaign.results
     wanted = [
         (effect, name)
@@ -103,7 +103,7 @@ def _covariate(run: CompressedRun, runs: Sequence[CompressedRun], effect: Effect
 
 
 def _residual_figure(campaign: Campaign) -> ReportFigure:
-    """Deviations of the runs from the model, by run; bad runs are ringed."""
+    """Figure of the deviations of the runs from the model; bad runs are shaded."""
     results = campaign.results
     names = results.parameters
     figure = canvas(2.6)
@@ -119,7 +119,7 @@ def _residual_figure(campaign: Campaign) -> ReportFigure:
             color=palette.SEQUENCE[place % len(palette.SEQUENCE)],
         )  # fmt: skip
     for at, run in zip(x.tolist(), results.runs, strict=True):
-        if run.bad > _BAD:
+        if run.bad > _MIN_BAD_PROBABILITY:
             axes.axvspan(at - 0.4, at + 0.4, color=palette.VERMILLION, alpha=0.25, lw=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel="run", ylabel="deviation / u")
@@ -136,9 +136,9 @@ _NAME = "campaign.json"
 
 
 def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
-    """Write all files of a campaign into a folder, which is made; returns the first ones to look at.
+    """Write all files of a campaign into a folder, which is made; returns campaign.json and the page.
 
-    Raises ConfigurationError where one exists, RecordError where one cannot be written.
+    Raises ConfigurationError if a file exists, RecordError if one cannot be written.
     """
     files, path, target = folder / "campaign", folder / _NAME, folder / "campaign.html"
     with written(folder):

@@ -1,4 +1,4 @@
-"""The runs of a campaign: of folders, or of an archive's rows that meet a condition."""
+"""The runs of a campaign, from folders or from an archive."""
 
 import json
 from collections.abc import Sequence
@@ -11,21 +11,21 @@ from rig.analysis import read_results, results_path
 from rig.campaigns.likelihoods import FoundRun
 
 _SESSION = "session.json"
-_IN_ORDER = """
+_ORDERED_RUNS_SQL = """
 with numbered as (
   select *, coalesce(try_cast(regexp_extract(run, '[0-9]+$') as bigint), 0) as number from chosen
 )
 select sha256, run, sample, folder, results from numbered where results is not null
 order by max(began_utc) over (partition by folder order by number, run) nulls last, folder, number, run
 """
-"""Runs of one session follow each other by their numbers, also where the clock was set back between them."""
+"""Query of runs in order; runs of one session are ordered by number, even if the clock was set back."""
 
 
 @dataclass(frozen=True)
 class NamedRuns:
-    """Runs as a command names them: folders, or those of an archive that meet a condition.
+    """The runs that a command names, by folders or by a condition on an archive.
 
-    Raises ConfigurationError for what excludes each other, or has no effect.
+    Raises ConfigurationError for options that exclude one another or have no effect.
     """
 
     folders: Sequence[Path] = ()
@@ -46,19 +46,19 @@ class NamedRuns:
             )
 
     def found(self) -> list[FoundRun]:
-        """The runs; none where nothing is named."""
+        """The runs; empty if nothing is named."""
         if self.archive is None:
             return runs_of_folders(self.folders, by_sample=self.by_sample)
         return _runs_of_archive(self.archive, self.where)
 
 
 def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list[FoundRun]:
-    """All runs of sessions, in the order in which they are named; each folder is a contact, with `by_sample`
-    each sample is one. Of a folder of several series, which has no results of its own, all series that have
-    some are taken, as one contact.
+    """All runs of sessions, in the order of the folders; each folder is a contact, or with `by_sample` each
+    sample.
 
-    Raises ConfigurationError where a run or a folder is there twice, or a folder does not tell its sample,
-    RecordError where one cannot be read.
+    A folder without results of its own stands for all series in its subfolders, as one contact.
+
+    Raises ConfigurationError for a run or folder that occurs twice, or no stated sample, and RecordError.
     """
     names = [folder.resolve().name if folder.is_dir() else folder.resolve().parent.name for folder in folders]
     found: list[FoundRun] = []
@@ -70,17 +70,17 @@ def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list
             own = label if session == folder else f"{label}/{session.name}"
             contact = _sample(session) if by_sample else label
             found += _runs(results_path(session), own, contact)
-    return _different(found)
+    return _without_duplicates(found)
 
 
 def _sample(folder: Path) -> str:
-    """The sample that the configuration of a session, or of a table's fit, states."""
+    """The sample stated in the configuration of a session or of a table's fit."""
     runs = read_results(results_path(folder)).runs
-    of_table = [run.decay.session for run in runs if run.decay is not None]
+    stated = [run.decay.session for run in runs if run.decay is not None]
     place = folder if folder.is_dir() else folder.parent
-    path = results_path(folder) if of_table else place / _SESSION
+    path = results_path(folder) if stated else place / _SESSION
     try:
-        session = of_table[0] if of_table else json.loads(path.read_bytes())["configuration"]["session"]
+        session = stated[0] if stated else json.loads(path.read_bytes())["configuration"]["session"]
         sample = session.get("sample", "")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigurationError(
@@ -93,11 +93,11 @@ def _sample(folder: Path) -> str:
 
 
 def _runs_of_archive(archive: Path, where: str) -> list[FoundRun]:
-    """The runs of an archive that meet a condition, by their beginnings; a sample is a contact."""
+    """The runs of an archive that meet a condition, in order of their beginnings; a sample is a contact."""
     from rig.archive import selected
 
     found: list[FoundRun] = []
-    for sha256, run, sample, folder, results in selected(archive, "*", where, _IN_ORDER)[1]:
+    for sha256, run, sample, folder, results in selected(archive, "*", where, _ORDERED_RUNS_SQL)[1]:
         path = Path(folder) / results
         own = [one for one in _runs(path, "", sample or path.parent.name) if one.run.sha256 == sha256]
         if not own:
@@ -107,7 +107,7 @@ def _runs_of_archive(archive: Path, where: str) -> list[FoundRun]:
         raise ConfigurationError(
             f"condition {where!r}: no run with results meets it; rig archive list shows all"
         )
-    return _different(found)
+    return _without_duplicates(found)
 
 
 def _runs(path: Path, folder: str, contact: str) -> list[FoundRun]:
@@ -121,8 +121,8 @@ def _runs(path: Path, folder: str, contact: str) -> list[FoundRun]:
     ]  # fmt: skip
 
 
-def _different(runs: list[FoundRun]) -> list[FoundRun]:
-    """The runs, of which none may be there twice: it counts once."""
+def _without_duplicates(runs: list[FoundRun]) -> list[FoundRun]:
+    """The runs unchanged; raises ConfigurationError if a run occurs twice."""
     seen: dict[str, str] = {}
     for one in runs:
         before = seen.get(one.run.sha256)

@@ -10,17 +10,17 @@ from rig.campaigns.answer import Campaign
 from rig.campaigns.likelihoods import CampaignEffect, CampaignResults
 from rig.presentation import SOURCES, Cell, Table, TableRow, plain, quantity, with_uncertainty
 
-_LARGEST = 4
-_OTHERS: Final = {
+_MAX_SHOWN_SOURCES = 4
+_OTHER_COVARIATES: Final = {
     "order": ("order of the runs", "run", 1.0),
     "first_amplitude_rad": ("first amplitude", "first amplitude / arcsec", 1 / ARCSEC_RAD),
     "load_n": ("load", "load / N", 1.0),
 }
-"""Covariates that are no quantities of the surroundings: words, label, factor."""
+"""Covariates that are not ambient conditions: words, label, factor."""
 
 
 def scaled(name: str) -> tuple[str, float]:
-    """Label of a coordinate's changes and the factor to the unit shown: of b, c and gamma a fraction."""
+    """Label and display factor of a coordinate's changes; those of b, c and gamma are relative."""
     of = quantity(name)
     return (f"ln {of.symbol}", 1.0) if name in POSITIVE else (of.label, of.factor)
 
@@ -30,7 +30,7 @@ def _text(found: Estimate, factor: float = 1.0) -> str:
 
 
 def contacts_table(results: CampaignResults) -> Table:
-    """One row a quantity of a contact, with the answer without priors beside it."""
+    """Table with a row for each quantity of a contact, with and without priors."""
     rows = []
     for contact, values in results.contacts.items():
         for place, (name, found) in enumerate(values.items()):
@@ -55,7 +55,7 @@ def contacts_table(results: CampaignResults) -> Table:
 
 
 def _differences_table(results: CampaignResults) -> Table | None:
-    """Pairs of contacts that differ; all of them in the file. None for a single contact."""
+    """Table of pairs of contacts that differ, all pairs in the CSV; None for a single contact."""
     if not results.differences:
         return None
     rows = []
@@ -83,7 +83,7 @@ def _differences_table(results: CampaignResults) -> Table | None:
 
 
 def effects_table(results: CampaignResults) -> Table | None:
-    """One row an effect or a form that was tried; None where there is none."""
+    """Table with a row for each effect and each tried form; None without any."""
     both = [*((one, "model") for one in results.effects), *((one, "tried") for one in results.candidates)]
     if not both:
         return None
@@ -97,7 +97,7 @@ def effects_table(results: CampaignResults) -> Table | None:
             [
                 _effect_words(one), with_uncertainty(*one.over_span, signed=True),
                 f"{'< ' if one.chance_is_limit else ''}{plain(one.chance, 2)}",
-                _judged(one), plain(one.probability, 2), _text(one.slope_without_priors),
+                _verdict_text(one), plain(one.probability, 2), _text(one.slope_without_priors),
             ],
         )
         for one, kind in both
@@ -119,7 +119,7 @@ def effects_table(results: CampaignResults) -> Table | None:
     )  # fmt: skip
 
 
-def _judged(one: CampaignEffect) -> str:
+def _verdict_text(one: CampaignEffect) -> str:
     if one.seen:
         return "seen"
     if isfinite(one.equivalent) and one.equivalent >= ALIKE:
@@ -128,7 +128,7 @@ def _judged(one: CampaignEffect) -> str:
 
 
 def _effect_words(one: CampaignEffect) -> str:
-    """What depends on what, with symbols."""
+    """The parameter, the covariate and the form of an effect, in words."""
     symbol = "friction" if one.parameter == "friction" else quantity(one.parameter).symbol
     if one.form == "during":
         return f"{symbol}, growing during every run"
@@ -136,15 +136,15 @@ def _effect_words(one: CampaignEffect) -> str:
 
 
 def covariate_words(name: str) -> tuple[str, str, float]:
-    """A covariate in words, the label of its axis, and the factor from its stored value to the one shown."""
-    if name in _OTHERS:
-        return _OTHERS[name]
+    """Name of a covariate, label of its axis, and factor from stored to shown values."""
+    if name in _OTHER_COVARIATES:
+        return _OTHER_COVARIATES[name]
     of = quantity(name)
     return of.name, of.label, of.factor
 
 
 def _runs_table(results: CampaignResults) -> Table:
-    """One row a run: how far it lies off, and how likely it is a bad one; its values in the file."""
+    """Table with a row for each run: residuals and probability of being bad; values in the CSV."""
     names, none, rows = results.parameters, (nan, nan), []
     columns = "run contact sha256 results_sha256 bad"
     for name in names:
@@ -164,13 +164,13 @@ def _runs_table(results: CampaignResults) -> Table:
 
 
 def _budget_table(results: CampaignResults) -> Table:
-    """What limits every level now: the largest parts of its variance."""
+    """Table of the largest parts of the variance of every level."""
     rows = []
     for contact, budgets in results.budgets.items():
         for place, (name, parts) in enumerate(budgets.items()):
             words = "; ".join(
                 f"{source_words(one.source)} {100 * one.share:.0f} %"
-                for one in parts[:_LARGEST]
+                for one in parts[:_MAX_SHOWN_SOURCES]
                 if one.share > 0.005
             )
             shown = [contact if not place else "", quantity(name).symbol, words]
@@ -193,7 +193,7 @@ def source_words(source: str) -> str:
 
 
 def _changes_table(results: CampaignResults) -> Table | None:
-    """Changes that were looked for; None where nobody asked."""
+    """Table of the change points that were looked for; None if none were stated."""
     if not results.changes:
         return None
     rows, labels = [], [run.label for run in results.runs]
@@ -215,7 +215,7 @@ def _changes_table(results: CampaignResults) -> Table | None:
 
 
 def _priors_table(campaign: Campaign) -> Table:
-    """What was believed beforehand beside what is believed now."""
+    """Table of prior and posterior."""
     results, model, rows = campaign.results, campaign.posterior.model, []
     for name in model.names:
         size, now = model.size(name), results.between_runs.get(name)
@@ -235,7 +235,7 @@ def _priors_table(campaign: Campaign) -> Table:
 
 
 def campaign_tables(campaign: Campaign) -> list[Table]:
-    """All of them, as terminal and page have them."""
+    """All tables of a campaign, in order."""
     results = campaign.results
     found = [
         contacts_table(results), _differences_table(results), effects_table(results), _changes_table(results),

@@ -1,1 +1,1 @@
-"""The commands, grouped by what they are for. They parse, call and print; they calculate nothing."""
+"""The commands, grouped by purpose. They parse, call and print; they calculate nothing."""

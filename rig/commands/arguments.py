@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share: what is read, and where may be written."""
+"""Arguments and options that several commands share, with checks of the paths to read and to write."""
 
 import functools
 import inspect
@@ -14,11 +14,11 @@ from processing.errors import ConfigurationError
 
 _Given = TypeVar("_Given", Path, list[Path], Path | None, list[Path] | None)
 _KINDS = {"": "file or folder", ".mcap": "record", ".toml": "file", ".rrd": "Rerun file"}
-_MOST_NAMED = 5
+_MAX_LISTED = 5
 
 
 def there(given: _Given) -> _Given:
-    """For files and folders that must be there; whether they are what is wanted, their readers say."""
+    """Check that files and folders exist; their readers check the contents."""
     for path in _paths(given):
         try:
             path.stat()
@@ -30,11 +30,11 @@ def there(given: _Given) -> _Given:
             kind = _KINDS.get(path.suffix.lower(), "file")
             raise ConfigurationError(f"{path}: no such {kind}{_instead_of(path)}") from None
         except (OSError, ValueError):
-            continue  # not to be seen, or no name at all: the reader's own words are better
+            continue  # inaccessible, or not a valid name: the reader's message is better
     return given
 
 
-_OF_RECORDS = {
+_INSTEAD = {
     "balance": "rig view {} --layout balancing shows its balance",
     "run": "rig replay {0} processes it again, rig fit {0} fits it",
     "desk": "rig view {} shows it",
@@ -42,11 +42,11 @@ _OF_RECORDS = {
 
 
 def configuration(ctx: typer.Context, given: _Given) -> _Given:
-    """The same, for a configuration; a record, or its folder, is taken by other commands."""
+    """Check that a configuration exists; refuse a record or its folder, naming the command for it."""
     for path in _paths(there(given)):
         if path.suffix.lower() == ".mcap" or (path.is_dir() and any(path.glob("*.mcap"))):
             kind = "is a folder with records" if path.is_dir() else "is a record"
-            instead = _OF_RECORDS.get(ctx.command.name or "", "rig record info {} says how it was made")
+            instead = _INSTEAD.get(ctx.command.name or "", "rig record info {} says how it was made")
             if path.is_dir() and ctx.command.name == "run":
                 instead = "rig run --resume {} continues its session"
             raise ConfigurationError(
@@ -56,14 +56,14 @@ def configuration(ctx: typer.Context, given: _Given) -> _Given:
 
 
 def recorded(given: _Given) -> _Given:
-    """The same, for records and folders that must hold one."""
+    """Check that records exist; a folder must hold one."""
     for path in _paths(there(given)):
         records_in(path)
     return given
 
 
 def to_be_fitted(given: _Given) -> _Given:
-    """The same, for what `rig fit` takes: records, a table, a film, folders of them."""
+    """Check the input of `rig fit`: records, a table, a film, or folders of them exist."""
     for path in _paths(there(given)):
         if kind_of(path) == "records":
             records_in(path)
@@ -71,16 +71,16 @@ def to_be_fitted(given: _Given) -> _Given:
 
 
 def kind_of(path: Path) -> Literal["records", "table", "film"]:
-    """What a file or folder is to `rig fit`, by its name and, of an array, by its dimensions.
+    """The kind of input that a path is for `rig fit`, by its name, and for an array by its dimensions.
 
-    A folder without records, images or films counts as one of records, of which none is there.
+    A folder without records, images or films counts as a folder of records.
     """
     suffix = path.suffix.lower()
     if suffix in (".mcap", ".csv", ".txt", ".toml", ".json"):
         return "records" if suffix == ".mcap" else "table"
     if path.is_dir() and (records_of(path) or any(path.glob("results*.json"))):
         return "records"
-    # the readers of films take a second
+    # imported here: the readers of films take a second
     from rig.intake import is_filmed
 
     if path.is_dir():
@@ -89,7 +89,7 @@ def kind_of(path: Path) -> Literal["records", "table", "film"]:
 
 
 def recorded_or_fitted(given: _Given) -> _Given:
-    """The same; a folder, or results.json, that rig fit made of a table or a film, is taken too."""
+    """Check that records exist, or results that rig fit made of a table or a film."""
     for path in _paths(there(given)):
         if not is_of_table(path):
             records_in(path)
@@ -97,7 +97,7 @@ def recorded_or_fitted(given: _Given) -> _Given:
 
 
 def is_of_table(path: Path) -> bool:
-    """Whether it is what rig fit leaves of a table or a film, beside which there is no record."""
+    """Whether a path holds results of a table or a film: there are results and no record."""
     folder = path if path.is_dir() else path.parent
     return (
         (path.is_dir() or path.suffix.lower() == ".json")
@@ -107,9 +107,9 @@ def is_of_table(path: Path) -> bool:
 
 
 def with_results(given: _Given) -> _Given:
-    """The same, for folders of sessions, or of several, which must hold results, and for files."""
+    """Check that files exist, and that folders of sessions, or of several sessions, hold results."""
     for path in _paths(there(given)):
-        # the folder of a list has those of its sessions
+        # the folder of a list of sessions has results in its subfolders
         if path.is_dir() and not (any(path.glob("results*.json")) or any(path.glob("*/results*.json"))):
             raise ConfigurationError(
                 f"{path}: holds no results.json; rig run makes one, and rig fit from records"
@@ -137,7 +137,7 @@ def _paths(given: Path | list[Path] | None) -> Sequence[Path]:
 
 
 def _instead_of(path: Path) -> str:
-    """What the folder of a missing file has of its kind, and how such a file is made."""
+    """Words on a missing file: others of its kind in the folder, and how such a file is made."""
     how = {
         "": "; put a name with spaces in quotes",
         ".toml": "; rig init writes a configuration",
@@ -155,7 +155,7 @@ def _instead_of(path: Path) -> str:
     except OSError:
         return how
     names = sorted(other.name for other in beside if path.suffix or other.is_dir())
-    shown = ", ".join([*names[:_MOST_NAMED], *(["..."] if len(names) > _MOST_NAMED else [])])
+    shown = ", ".join([*names[:_MAX_LISTED], *(["..."] if len(names) > _MAX_LISTED else [])])
     return (f"; {path.parent} has {shown}" if names else "") + how
 
 
@@ -163,14 +163,14 @@ Check = Callable[[Path | None], Path | None]
 
 
 def output_option(help_: str, check: Check | None = None, *, show_default: bool = True) -> Any:
-    """The option that says where a command writes."""
+    """The option for the path to which a command writes."""
     return typer.Option("-o", "--output", help=help_, show_default=show_default, callback=check)
 
 
 def new_file(*suffixes: str, makes_folders: bool = False) -> Check:
-    """For a file that must not exist, with one of these suffixes if there are any.
+    """A check for a new file, with one of these suffixes if any are given.
 
-    Its folder must be there, unless the command makes folders.
+    Its folder must exist, unless the command makes folders.
     """
 
     def check(path: Path | None) -> Path | None:
@@ -190,7 +190,7 @@ def new_file(*suffixes: str, makes_folders: bool = False) -> Check:
 
 
 def new_page(path: Path | None) -> Path | None:
-    """For an HTML page that must not exist, nor the folder of its name for figures and tables."""
+    """Check that an HTML page, and the folder of its name for figures and tables, do not exist."""
     new_file(".html", ".htm", makes_folders=True)(path)
     if path is not None and path.with_suffix("").is_dir() and any(path.with_suffix("").iterdir()):
         raise ConfigurationError(
@@ -200,14 +200,14 @@ def new_page(path: Path | None) -> Path | None:
 
 
 def page_or_campaign(path: Path | None) -> Path | None:
-    """For an HTML page that must not exist, or the folder of a campaign, in which none may be."""
+    """Check that an HTML page does not exist, or that a folder holds no campaign."""
     if path is not None and path.suffix.lower() in (".html", ".htm"):
         return new_page(path)
     return folder_without("campaign.json", "campaign.html")(path)
 
 
 def folder_without(*patterns: str) -> Check:
-    """For a folder, which is made where it is missing, in which nothing may be of these names."""
+    """A check for a folder without files of these names; a missing folder will be made."""
 
     def check(path: Path | None) -> Path | None:
         if path is None:
@@ -224,14 +224,14 @@ def folder_without(*patterns: str) -> Check:
 
 
 def folder_or_record(path: Path | None) -> Path | None:
-    """For the folder of a session, in which no run may be, or a record that must not exist (MCAP file)."""
+    """Check that a folder holds no run, or that a record (MCAP file) does not exist."""
     if path is not None and path.suffix.lower() == ".mcap":
         return new_file(".mcap", makes_folders=True)(path)
     return folder_without("run-*.mcap", "results.json")(path)
 
 
 def new_folder(path: Path | None) -> Path | None:
-    """For a folder that must not exist."""
+    """Check that a folder does not exist."""
     if path is not None:
         _refuse_existing(path)
         _refuse_unwritable(path)
@@ -239,7 +239,7 @@ def new_folder(path: Path | None) -> Path | None:
 
 
 def old_folder(path: Path | None) -> Path | None:
-    """For a folder that must exist."""
+    """Check that a folder exists."""
     if path is not None and not path.is_dir():
         what = "is a file" if path.exists() else "no such folder"
         raise ConfigurationError(f"{path}: {what}; name a folder that is there")
@@ -249,7 +249,7 @@ def old_folder(path: Path | None) -> Path | None:
 
 
 def appended_file(path: Path | None) -> Path | None:
-    """For a file to which lines are added; it is made, with its folders, where it is missing."""
+    """Check that a file can be appended to; a missing file is made with its folders."""
     if path is not None and path.is_dir():
         raise ConfigurationError(f"{path}: is a folder; name a file in it")
     if path is not None:
@@ -263,7 +263,7 @@ def _refuse_existing(path: Path, what: str = "name") -> None:
 
 
 def _refuse_unwritable(path: Path) -> None:
-    """Raise ConfigurationError where the path, or the folder in which it would be made, is read-only."""
+    """Raise ConfigurationError if the path, or the folder in which it would be made, is read-only."""
     place = path.absolute()
     while not os.path.lexists(place) and place != place.parent:
         place = place.parent
@@ -318,7 +318,7 @@ _AsJson = Annotated[
 
 
 def in_json(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with ``--json``, which prints what it hands to `rig.presentation.answer`."""
+    """The command with the option ``--json``, which prints the values given to `rig.presentation.answer`."""
 
     @functools.wraps(command)
     def with_option(*words: Any, as_json: bool = False, **named: Any) -> None:

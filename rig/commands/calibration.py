@@ -31,9 +31,8 @@ Side = Annotated[
     typer.Option(help="Sign of this mode's deflection in the first frame of the record."),
 ]
 Made = Callable[..., Path | None]
-"""What makes a calibration of a file or record, of a `Filing` and of options of its own, in the order of the
-command's help; its docstring is that help.
-"""
+"""A function that makes a calibration from a file or record, a `Filing` and options of its own, in the order
+of the command's help; its docstring is that help."""
 
 
 def register(app: typer.Typer) -> None:

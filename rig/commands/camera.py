@@ -40,7 +40,7 @@ def register(app: typer.Typer) -> None:
 def _opened_camera(
     config: Path, set_: list[str] | None
 ) -> Iterator[tuple["Camera", "CameraInfo", "CameraSettings"]]:
-    """The configured camera, who it is, and the settings that hold; those that differ are said on stderr."""
+    """The configured camera, its identity and its settings; settings that differ are printed on stderr."""
     from rig.instrument import camera_settings, check_full_scale, make_camera, setting_differences
     from rig.settings import load_configuration
 
@@ -176,7 +176,7 @@ def snap(
         print_line(_figures_line(figures))
         optics = optics_of(loaded, info.full_scale_dn)
         tracker, reference = optics.tracker(), optics.reference()
-        # each spot is judged in the part of the frame that is its own
+        # each spot is judged in its own part of the frame
         row = len(image) if reference is None else min(len(image), reference[1])
         spot = tracker.track(image[:row])
         limits = loaded.preflight

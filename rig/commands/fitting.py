@@ -13,7 +13,7 @@ from rig.commands.arguments import ResultsFolder, Set, in_json, kind_of, there, 
 
 if TYPE_CHECKING:
     from rig.analysis import AnalysedTable, SeismometerSource
-    from rig.intake import FilmAsked
+    from rig.intake import FilmOptions
 
 
 def register(app: typer.Typer) -> None:
@@ -146,10 +146,10 @@ def fit(
     if rate is not None and not rate > 0:
         raise ConfigurationError(f"--rate {rate:g}: the number of rows or frames per second must be above 0")
     if kind == "film":
-        from rig.intake import FilmAsked
+        from rig.intake import FilmOptions
 
         _refuse("on a film", columns, {"--witness": witness})
-        asked = FilmAsked(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
+        asked = FilmOptions(rate_hz=rate, force=force_rate, dark=dark, size=pixel, begin_s=begin, end_s=end)
         raise typer.Exit(fit_film(files[0], asked, output, config, run, set_ or [], law or []))
     if files[0].suffix.lower() in (".json", ".toml"):
         raise ConfigurationError(
@@ -175,7 +175,7 @@ def fit(
 
 
 def _refuse(where: str, *options: Mapping[str, object]) -> None:
-    """Raise ConfigurationError for the first stated option of those that have no effect there."""
+    """Raise ConfigurationError for the first stated option without effect; `where` names the input."""
     for name, value in (pair for stated in options for pair in stated.items()):
         if value:
             raise ConfigurationError(f"{name}: has no effect {where}; leave it out")
@@ -244,7 +244,7 @@ def fit_records(
 
 def fit_film(
     film: Path,
-    asked: "FilmAsked",
+    asked: "FilmOptions",
     output: Path | None,
     config: Path | None,
     run: str,
@@ -275,7 +275,7 @@ def fit_film(
 
 
 def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:
-    """The film itself, or those of a folder, of which `run` names one."""
+    """The film itself, or the films of a folder, or only the one that `run` names."""
     if len(inside) < 2 and run:
         raise ConfigurationError(f"--run {run}: {film} holds one film; leave the option out")
     by_number = [inside[int(run) - 1]] if run.isdecimal() and 0 < int(run) <= len(inside) else []
@@ -287,7 +287,7 @@ def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:
 
 
 def table_report(table: "AnalysedTable", folder: Path) -> Sequence[tuple[str, Path]]:
-    """Draw what was found in a table or a film; imported where it is needed, as figures take a second."""
+    """Draw the results of a table or a film; imported here, because figures take a second."""
     from rig.report import make_table_report
 
     return make_table_report(table, folder)

@@ -64,7 +64,7 @@ def init(
     from rig.settings import refuse_existing, write_configuration
 
     refuse_existing(file)
-    # the first thing that is said is the first question
+    # nothing is printed before the first question
     cameras, _ = find_cameras()
     stated = ask(cameras, [(port.device, port.description) for port in list_serial_ports()])
     config = write_configuration(file, stated)
@@ -100,7 +100,7 @@ def _write_example(name: str, file: Path | None) -> None:
 
 
 def _next_steps(file: Path, stated: Mapping[str, Any], *, lit: bool) -> list[str]:
-    """What to do with a new configuration."""
+    """The next steps with a new configuration."""
     simulated = stated["camera.driver"] == "simulated"
     edited = "[pendulum] (mass, radius, materials)" + (" and the limits of [laser]" if lit else "")
     steps = [f"edit {file}: {edited}", f"rig doctor {file}: is everything there"]
@@ -114,7 +114,7 @@ def _next_steps(file: Path, stated: Mapping[str, Any], *, lit: bool) -> list[str
 Keys = Mapping[str, Any]
 """Values by dotted key of the configuration."""
 _FRAMES = {"camera.exposure_us": 100.0, "camera.frame_rate_hz": 100.0, "camera.pixel_format": "mono8"}
-"""To begin with; a Video4Linux camera keeps its own, as most know neither such rates nor such exposures."""
+"""First settings of a camera; Video4Linux cameras keep theirs, because most lack such rates and exposures."""
 _LATER = {
     "usb3vision": "a USB3 Vision camera, plugged in later",
     "pylon": "a Basler camera through the vendor's pypylon, plugged in later",
@@ -202,7 +202,7 @@ def questions(
 
 
 def _camera(cameras: Sequence["PluggedCamera"]) -> Question:
-    """Cameras that are there are chosen by their number; of one driver there may be several."""
+    """The choice of a camera; plugged-in cameras are chosen by number, several may have one driver."""
     from acquisition.cameras.drivers import DRIVERS
 
     choices, keys = [], {}
@@ -235,7 +235,7 @@ def _identity(camera: "PluggedCamera", *, several: bool) -> dict[str, Any]:
 
 
 def _ports(ports: Sequence[tuple[str, str]], stated: Keys) -> Iterator[Question]:
-    """Controller and laser: which of them this program switches, and where they are plugged in."""
+    """Questions on controller and laser: which of them this program switches, and their ports."""
     from rig.control import LASERS
 
     yield Question(
@@ -266,7 +266,7 @@ def _ports(ports: Sequence[tuple[str, str]], stated: Keys) -> Iterator[Question]
 
 
 def _lever(stated: Keys) -> Iterator[Question]:
-    """Both lengths of the light lever; without them amplitudes are in px."""
+    """Questions on both lengths of the light lever; without them amplitudes are in px."""
     yield Question(
         "Distance from mirror to sensor along the beam, in m (1 m ± 1 mm; Enter: not measured yet):",
         _length("lever.arm_m"),
@@ -280,7 +280,7 @@ def _lever(stated: Keys) -> Iterator[Question]:
 
 
 def _length(key: str) -> Callable[[str], Keys]:
-    """Reads a number with its standard uncertainty, a key of its own; nothing for an empty answer."""
+    """A reader of a number with its standard uncertainty, which has its own key; no keys for no answer."""
     from processing.units import unit_of_name
     from rig.settings import quantity
 
@@ -299,7 +299,7 @@ def _text(key: str) -> Callable[[str], Keys]:
 
 
 def _checked(keys: Keys, *, whole: str = "") -> Keys:
-    """The keys, if the models take them; raises ConfigurationError with their own line if not.
+    """The keys, if the models accept them; raises ConfigurationError with the models' message if not.
 
     `whole` names a section of which all is stated, so that what holds between its keys is checked, too.
     """

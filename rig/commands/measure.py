@@ -155,7 +155,7 @@ def run(
 
     (config,) = named
     loaded = load_configuration(config, overrides)
-    # after the faults of the configuration, as it takes a second
+    # imported after the configuration is checked, because it takes a second
     from rig.measure import measure_session, simulate_record
 
     if record_only:
@@ -167,7 +167,7 @@ def run(
 def _refuse_all_but_a_record(
     configs: list[Path], output: Path | None, runs: int | None, *others: object
 ) -> None:
-    """Raise where what is stated beside `--record-only` is not one configuration and one new record."""
+    """Raise ConfigurationError if `--record-only` is not with one configuration and one new record."""
     if len(configs) != 1 or output is None or runs is not None or any(others):
         raise typer.BadParameter(
             "--record-only takes CONFIG, -o NAME.mcap and --set alone: it records one run"
@@ -252,7 +252,7 @@ def view(
             f"{made[0]}: is a Rerun file already, --rrd makes one of records; leave it out"
         )
     if not follow:
-        # one that is followed may not be there yet
+        # a followed record may not exist yet
         recorded(records)
     found = [record for path in records for record in ([path] if follow else records_in(path))]
     mode: Literal["spawn", "web"] = "web" if view == "web" else "spawn"

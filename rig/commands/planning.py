@@ -97,23 +97,23 @@ def plan(
     from rig.presentation import print_tables, say
     from rig.report import (
         ageing_table,
-        expected_of_run,
-        expected_of_table,
-        plan_expected,
+        make_plan,
         plan_table,
-        planned_expectation,
+        planned_contact_of_file,
+        planned_contact_of_run,
+        planned_contact_of_table,
         save_plan,
     )
 
     if source.suffix.lower() == ".toml":
-        expected = planned_expectation(source, set_ or [], noise, contact)
+        expected = planned_contact_of_file(source, set_ or [], noise, contact)
     elif is_of_table(source):
         if noise is not None or contact is not None or set_:
             raise ConfigurationError(
                 f"{source}: a table's results have their own noise, contact and configuration; leave out "
                 "--noise, --contact and --set"
             )
-        expected = expected_of_table(source)
+        expected = planned_contact_of_table(source)
         say("without the waveform of the swings, which results do not hold: uncertainties are upper limits")
     else:
         from rig.analysis import analyse_record, refuse_unread
@@ -123,9 +123,9 @@ def plan(
                 f"{source}: a record has its own noise and contact; leave out --noise and --contact"
             )
         run = analyse_record(one_record(source), set_ or [])
-        expected = expected_of_run(run)
+        expected = planned_contact_of_run(run)
         refuse_unread([run])
-    planned = plan_expected(expected, firsts, lasts, ground, counts, witness)
+    planned = make_plan(expected, firsts, lasts, ground, counts, witness)
     waits_s = [60.0 * minutes for minutes in ([0.0, 60.0] if wait is None else wait)]
     ageing = ageing_table(planned, waits_s)
     print_tables([plan_table(planned), ageing])

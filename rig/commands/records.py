@@ -33,7 +33,7 @@ def info(record: Record) -> None:
 
 
 def _print_info(path: Path) -> None:
-    """Print what a record tells of its decay, the result beside it, and what it contains."""
+    """Print the decay in a record, the result next to it, and the contents."""
     from acquisition.record.digest import RecordedCamera, utc_text
     from acquisition.record.reader import RecordReader
     from processing.units import seconds
@@ -104,7 +104,7 @@ def _print_info(path: Path) -> None:
 
 
 def _result(path: Path) -> str:
-    """The first line of the results that lie beside a record."""
+    """The first line of the results next to a record."""
     from rig.analysis import read_results, results_path, whole_result
 
     source = results_path(path.parent)
@@ -140,7 +140,7 @@ def check(
 
 
 def _print_check(path: Path, results: Path | None) -> int:
-    """Print one line for each finding; returns the exit status, 1 where something is wrong."""
+    """Print one line for each finding; returns the exit status, 1 if there is an error."""
     from acquisition.record.check import check_record
     from rig.presentation import answer, print_line
 

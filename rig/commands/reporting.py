@@ -176,7 +176,7 @@ def compare(
 
 
 DEFAULT = "default"
-"""In place of a file: the model with nothing stated."""
+"""Word in place of a file for the default model."""
 
 
 def model_runs(
@@ -189,15 +189,15 @@ def model_runs(
     by_sample: bool,
     sample: bool,
 ) -> None:
-    """Fit the model to the runs, print its tables and save what it found in `output`."""
+    """Fit the model to the runs, print its tables and save the results in `output`."""
     if archive is None and not folders:
         raise ConfigurationError("rig compare --model needs runs: name folders of sessions, or --archive")
     from rig.analysis import encoded
     from rig.campaigns import (
         NamedRuns,
         StatedCampaign,
-        answer_of,
         campaign_tables,
+        fit_model,
         read_campaign,
         save_campaign,
     )
@@ -205,7 +205,7 @@ def model_runs(
 
     stated = StatedCampaign() if model == DEFAULT else read_campaign(there(Path(model)))
     runs = NamedRuns(list(folders), archive, where, by_sample=by_sample).found()
-    found = answer_of(runs, stated, sample=sample)
+    found = fit_model(runs, stated, sample=sample)
     answer(campaign=encoded(found.results))
     print_tables(campaign_tables(found))
     for line in (*found.results.left_out, *found.results.warnings):

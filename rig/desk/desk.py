@@ -91,8 +91,8 @@ class Desk:
         try:
             self.checked({key: value})
         except FaultyConfiguration as error:
-            own = [line for place, line in error.of_overrides if place.startswith(key)]
-            others = [line for _, line in error.of_overrides] or str(error).splitlines()
+            own = [line for place, line in error.override_faults if place.startswith(key)]
+            others = [line for _, line in error.override_faults] or str(error).splitlines()
             return (own or others)[0]
         except ConfigurationError as error:
             return str(error).splitlines()[0]

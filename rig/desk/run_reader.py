@@ -16,7 +16,7 @@ from processing.deflections import Deflections
 from processing.errors import RecordError
 from processing.units import ARCSEC_RAD, NS_PER_S, seconds
 from rig.devices import PATH_S, thinned_path
-from rig.instrument import advice_for, balance_failures, recorded_configuration, told_in
+from rig.instrument import advice_for, balance_failures, piece_contents, recorded_configuration
 from rig.settings import Configuration
 
 _LOOK_S = 0.1
@@ -108,7 +108,7 @@ class RecordFollower:
                 return
             self._start_ns = int(reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
         start_ns, size = self._start_ns, reader.deflection_unit.shown_size
-        told = told_in(reader, piece, start_ns, start_ns)
+        told = piece_contents(reader, piece, start_ns, start_ns)
         if told.balances and self.config is not None:
             self.balance = _told(self.config, told.balances[-1])
         with self._lock:

@@ -30,7 +30,7 @@ from rig.desk.panels.live_picture import picture_now
 from rig.desk.sessions import SERVED, served_file
 from rig.devices import check_wiring
 from rig.presentation import say
-from rig.terminal import LOOPBACK, told_of_hang_up
+from rig.terminal import LOOPBACK, call_on_hang_up
 
 _NAMES = (LOOPBACK, "localhost")
 _POLICY = (
@@ -194,7 +194,7 @@ def _serve(desk: Desk, port: int, *, browser: bool) -> int:
         server.should_exit = True
 
     try:
-        with contextlib.suppress(KeyboardInterrupt), told_of_hang_up(hung_up):
+        with contextlib.suppress(KeyboardInterrupt), call_on_hang_up(hung_up):
             server.run(sockets=[listening])
     finally:
         switch.should_exit = True

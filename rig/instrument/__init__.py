@@ -1,4 +1,4 @@
-"""The configured instrument: calibration, pipeline from frames to swings, provenance, state of a run."""
+"""The configured instrument: calibration, pipeline from frames to half-cycles, provenance, run state."""
 
 from rig.instrument.balance import (
     BALANCE_CONDITIONS,
@@ -10,7 +10,7 @@ from rig.instrument.balance import (
     balance_verdicts,
     balls,
     check_materials,
-    height_of,
+    mass_centre_height,
     material,
     nominal_effects,
     pendulum_on_ball,
@@ -18,7 +18,7 @@ from rig.instrument.balance import (
     sensor_room,
     turn_text,
 )
-from rig.instrument.beam_verdict import LESS_BEAM, NO_STRAY_LIGHT, BeamCorrection, beam_quality
+from rig.instrument.beam_verdict import BEAM_CORRECTED, NO_STRAY_LIGHT, BeamCorrection, beam_quality
 from rig.instrument.calibration import fill_from_files, judge_calibration
 from rig.instrument.configured_camera import (
     ObserverGuard,
@@ -53,6 +53,6 @@ from rig.instrument.run_now import (
     Phase,
     RecordContents,
     RunNow,
+    piece_contents,
     rate_text,
-    told_in,
 )

@@ -1,4 +1,4 @@
-"""Applies the configuration to a measured balance: effects of the weights, height, advice to the operator."""
+"""A measured balance judged by the configuration: verdicts, effects of the weights, height, advice."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -32,11 +32,11 @@ from rig.settings import Configuration
 
 
 def pendulum_on_ball(config: Configuration) -> PendulumOnBall | None:
-    """Mass, ball and contact radius (from Hertz's theory if not stated); None without [pendulum]."""
+    """Mass, ball and contact radius (by Hertz's theory if not stated); None without [pendulum]."""
     pendulum = config.pendulum
     if pendulum is None:
         return None
-    # the load of one ball, so that moments and energies are those of one contact
+    # the mass that one ball carries, so that moments and energies are those of one contact
     mass_kg = pendulum.mass_kg / balls(config)
     if pendulum.contact_radius_m is not None:
         return PendulumOnBall(
@@ -71,9 +71,9 @@ def check_materials(config: Configuration) -> None:
 
 
 PLANE_OF_SWING: Final = "plane of swing"
-"""Name of the condition of the rotation."""
-_SURELY: Final = 2.0
-"""Standard uncertainties beyond a limit, where one period alone is judged."""
+"""Name of the condition that the plane of swing must not turn."""
+_MIN_EXCESS_U: Final = 2.0
+"""Excess over a limit, in standard uncertainties, from which on a single period fails its condition."""
 
 
 class _Condition(NamedTuple):
@@ -84,7 +84,7 @@ class _Condition(NamedTuple):
     remedy: str
 
 
-_OF_FAULTS: Final[Mapping[str, _Condition]] = {
+_CONDITION_OF_FAULT: Final[Mapping[str, _Condition]] = {
     "transverse motion": _Condition(
         "transverse motion", "the start pushed it sideways", "release along Y; rig balance"
     ),
@@ -99,19 +99,19 @@ _OF_FAULTS: Final[Mapping[str, _Condition]] = {
     "rest position X": _Condition("tilt at rest, X", "it rests askew", "set the balance with rig balance"),
     "rest position Y": _Condition("tilt at rest, Y", "it rests askew", "set the balance with rig balance"),
 }
-"""Faults of a balance that are conditions of a run. The direction of the line is the camera's."""
+"""Faults of a balance that are conditions of a run; not the direction of the line, which is the camera's."""
 
-BALANCE_CONDITIONS: Final = frozenset(one.name for one in _OF_FAULTS.values())
+BALANCE_CONDITIONS: Final = frozenset(one.name for one in _CONDITION_OF_FAULT.values())
 """Names of the conditions of a run that its balance decides."""
 
 
 def balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Verdict]:
-    """One verdict for each quantity that is known, which has a limit in the unit of the deflections."""
+    """One verdict for each quantity of the balance that is known and limited; empty without a balance."""
     return [] if balance is None else _verdicts(balance, limits, 0.0)
 
 
 def run_balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list[Verdict]:
-    """Those of a whole run, with a warning where its plane of swing is not known: it may have turned."""
+    """The verdicts of a whole run, with a warning if it is unknown whether the plane of swing turned."""
     found = balance_verdicts(balance, limits)
     if any(one.name == PLANE_OF_SWING for one in found):
         return found
@@ -120,10 +120,10 @@ def run_balance_verdicts(balance: Balance | None, limits: BalanceLimits) -> list
 
 
 def balance_failures(balance: Balance, limits: BalanceLimits) -> list[str]:
-    """Name, value and limit of each condition that the balance of one moment surely does not meet."""
+    """Name, value and limit of each condition that the balance of one period certainly fails."""
     return [
         f"{one.name} {one.measured}, limit {one.limit}"
-        for one in _verdicts(balance, limits, _SURELY)
+        for one in _verdicts(balance, limits, _MIN_EXCESS_U)
         if not one.ok
     ]
 
@@ -133,9 +133,9 @@ def _verdicts(balance: Balance, limits: BalanceLimits, beyond_u: float) -> list[
         # ratios and angles need no lever; the limits of the rest position are in arcsec
         balance = replace(balance, unit=DeflectionUnit.RAD, rest_x=math.nan, rest_y=math.nan)
     return [
-        _verdict(_OF_FAULTS[fault.name], fault, beyond_u)
+        _verdict(_CONDITION_OF_FAULT[fault.name], fault, beyond_u)
         for fault in find_faults(balance, (math.nan, math.nan), limits)
-        if fault.is_known and fault.name in _OF_FAULTS
+        if fault.is_known and fault.name in _CONDITION_OF_FAULT
     ]
 
 
@@ -158,8 +158,9 @@ def _verdict(condition: _Condition, fault: Fault, beyond_u: float) -> Verdict:
 
 Floats = NDArray[np.float64]
 _U_ACROSS = 0.3
-"""Doubt of a weight's effect out of its plane, relative to that in it."""
+"""Standard uncertainty of a weight's effect out of its plane, relative to its effect in the plane."""
 _EDGE_PX = 24
+"""Distance of a resting spot from the sensor's edges: about its width."""
 WEIGHTS = ("x", "y", "height")
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "height": (0.0, 0.0, 1.0)}
 
@@ -168,7 +169,7 @@ def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | 
     """Expected effect of one turn of each weight, from its mass and thread, with standard uncertainty.
 
     An effect is (tilt in x in arcsec, tilt in y in arcsec, height of the mass centre in m); None: unknown.
-    Its uncertainty is `balance.u_effect` in the plane of the weight's axis, and a part of it across.
+    Its relative uncertainty is `balance.u_effect` in the plane of its axis, a fraction of that across.
     """
     pendulum = config.pendulum
     effects: dict[str, tuple[Floats, Floats] | None] = {}
@@ -188,7 +189,7 @@ def nominal_effects(config: Configuration) -> dict[str, tuple[Floats, Floats] | 
 
 
 def elastic_drop(config: Configuration, amplitude_rad: float) -> float:
-    """Relative reduction of the frequency by the elasticity of the contact at an amplitude (Eq. 6)."""
+    """Relative reduction of the frequency at an amplitude by the elasticity of the contact (Eq. 6)."""
     pendulum = pendulum_on_ball(config)
     if pendulum is None or config.balance.gamma_pa == 0:
         return 0.0
@@ -197,7 +198,7 @@ def elastic_drop(config: Configuration, amplitude_rad: float) -> float:
     return float(frequency_drop(amplitude_rad, config.balance.n, kappa, rho))
 
 
-def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
+def mass_centre_height(config: Configuration, balance: Balance) -> tuple[float, float]:
     """Excess height of the mass centre in m, from the period, and its uncertainty; NaN if unknown.
 
     `balance` must be in rad, because the period depends on the angle.
@@ -205,7 +206,7 @@ def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
     pendulum, inertia = config.pendulum, config.balance.inertia_kg_m2
     if pendulum is None or inertia is None:
         return math.nan, math.nan
-    # elasticity takes part of the stiffness, twice that of the frequency; the difference is 3 um on steel
+    # elasticity lowers the stiffness, relatively by twice as much as the frequency: 3 um of height on steel
     period0_s = balance.period_s * math.sqrt(1.0 - 2.0 * elastic_drop(config, balance.amplitude))
     height_m = mass_centre_height_m(
         period0_s, inertia, pendulum.mass_kg, pendulum.ball_radius_m, pendulum.gravity_m_per_s2
@@ -214,7 +215,7 @@ def height_of(config: Configuration, balance: Balance) -> tuple[float, float]:
 
 
 def sensor_room(config: Configuration, sensor_shape: tuple[int, int]) -> Room | None:
-    """Where the spot may rest to be on the sensor of (ny, nx) pixels, with the width of a spot to spare."""
+    """Tilts with the resting spot on a sensor of (ny, nx) pixels, off its edges; None without a lever."""
     if config.lever is None:
         return None
     ny, nx = sensor_shape
@@ -262,7 +263,7 @@ def _faults_line(faults: Sequence[Fault]) -> str:
 
 
 class Advice(NamedTuple):
-    """What is to be done next, and what is wrong, a line for each fault; empty where nothing can be said."""
+    """The next step, and one line for each fault; empty if there is no advice."""
 
     next_step: str = ""
     faults: tuple[str, ...] = ()
@@ -280,14 +281,14 @@ def advice_for(
     learned: WeightResponses | None = None,
     room: Room | None = None,
 ) -> Advice:
-    """Faults of a balance and the weight to turn.
+    """The faults of a balance and the weight to turn.
 
-    Uses the effects `learned` by `rig balance` if given, else the expected ones. Empty for a balance in px,
-    because the limits are in arcsec, and for a recorded one without the rest position.
+    Uses the effects `learned` by `rig balance` if given, else the nominal effects. Empty for a balance in px,
+    because the limits are in arcsec, and for a recorded balance without rest position.
     """
     if balance.unit is not DeflectionUnit.RAD or math.isnan(balance.rest_x):
         return Advice()
-    height_m = height_of(config, balance)
+    height_m = mass_centre_height(config, balance)
     faults = find_faults(balance, height_m, config.balance)
     state = np.array([faults[0].value, faults[1].value, height_m[0]])
     effects = {name: effect for name, effect in nominal_effects(config).items() if effect is not None}

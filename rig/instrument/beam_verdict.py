@@ -1,4 +1,4 @@
-"""The verdict on the beam: go, caution or no-go, from its spots and its shape."""
+"""The verdict on the beam by its spots and its shape, and the live correction of the beam's motion."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -13,19 +13,19 @@ from processing.reference_spot import CausalReference
 from processing.spot import BeamShape, FixedLight, Spot, SpotFlag, SpotModel, beam_shape
 from processing.swing import HalfCycle, TurningPointDetector
 from processing.units import seconds
-from rig.instrument.pipeline import BesideThread, Block, Deflector
+from rig.instrument.pipeline import Block, Deflector, EstimateThread
 from rig.presentation import Verdict, percent
 from rig.settings import PreflightSettings
 
 NAME = "beam quality"
-_DEPARTURE = 0.03
-"""Of the peak: what differs more from a Gaussian is named."""
-_CUT = 0.1
-"""Of the peak: so much light is missing in the flank of a beam that something cuts."""
-_LOPSIDED = 2.0
-_BAD_CHI2 = 4.0
-"""Uncertainties are doubled then, and what no model fits moves with the spot in ways they do not know."""
-_PICTURES = 16
+_MAX_DEPARTURE = 0.03
+"""Fraction of the peak by which a beam may differ from a Gaussian without a remark."""
+_MAX_CUT = 0.1
+"""Fraction of the peak that may be missing in the flank of a beam before the verdict is no-go."""
+_MAX_LOPSIDED = 2.0
+_MAX_CHI2 = 4.0
+"""Chi2 per degree of freedom of a no-go: u is doubled then, and a misfit moving with the spot is worse."""
+_MAX_PICTURES = 16
 _CLEAN = "clean laser window, lenses and mirrors; a spatial filter"
 NO_STRAY_LIGHT = "block it, or tilt what reflects: window, filter, cover glass"
 _MIDDLE_SIGMAS, _FLANK_SIGMAS = 0.5, 1.3
@@ -47,27 +47,27 @@ def beam_quality(
     noise_is_known: bool = True,
     light: FixedLight | None = None,
 ) -> Verdict:
-    """Judge the beam.
+    """The verdict on the beam: go, caution (a reason, but ok) or no-go.
 
     Parameters
     ----------
     images
         The newest whole frames; the last of them belongs to the last of `spots`.
     spots
-        Those of consecutive frames, at rest or in motion.
+        Spots of consecutive frames, at rest or in motion.
     model
-        What the tracker has chosen; None while it has not.
+        The tracker's model of the beam; None before it is chosen.
     noise_is_known
-        The sensor's noise is stated, not assumed.
+        Whether the sensor's noise is stated, not assumed.
     light
-        What stays where it is while the spot swings past it.
+        Light that stays in place while the spot moves past it.
     """
     found = [spot for spot in spots if not spot.flags & SpotFlag.LOST]
     if not found:
         return Verdict(NAME, False, "there is nothing to judge", "find the spot first", measured="no spot")
-    count = min(len(images), len(spots), _PICTURES)
+    count = min(len(images), len(spots), _MAX_PICTURES)
     shape = beam_shape(images[len(images) - count :], spots[len(spots) - count :], full_scale_dn)
-    # those before the choice were fitted with another model
+    # only spots fitted with the present model: before its choice another one was used
     learned = found[-1].flags & SpotFlag.LEARNED
     same = [spot for spot in found if spot.flags & SpotFlag.LEARNED == learned]
     poor = float(np.mean([bool(spot.flags & SpotFlag.POOR_FIT) for spot in same]))
@@ -84,7 +84,7 @@ def beam_quality(
         *([] if is_cut else _other_shapes(shape)),
         *([] if light is None else [_Fault(True, light.text, NO_STRAY_LIGHT)]),
     ]
-    # the worst first; what is seen of the shape is the likely cause of a bad fit
+    # the worst first; a fault of the shape is the likely cause of a bad fit
     faults.sort(key=lambda fault: fault.ok)
     return Verdict(
         NAME,
@@ -92,7 +92,7 @@ def beam_quality(
         "; ".join(fault.reason for fault in faults),
         "; ".join(dict.fromkeys(fault.remedy for fault in faults)),
         measured=words,
-        limit=f"POOR_FIT in {100 * limits.max_poor_fit_fraction:g} %, off by {100 * _DEPARTURE:g} %",
+        limit=f"POOR_FIT in {100 * limits.max_poor_fit_fraction:g} %, off by {100 * _MAX_DEPARTURE:g} %",
     )
 
 
@@ -106,15 +106,15 @@ def _cuts(at_edge: bool, is_cut: bool, shape: BeamShape | None) -> list[_Fault]:
         if shape is None:
             return [_Fault(False, "something cuts it", free)]
         reason = f"something cuts it: {percent(shape.departure)} of its peak are missing, at a sharp edge"
-        return [_Fault(shape.departure < _CUT, reason, free)]
+        return [_Fault(shape.departure < _MAX_CUT, reason, free)]
     if shape is None or _is_ghost(shape):
         return []
-    if shape.lopsided > _LOPSIDED:
+    if shape.lopsided > _MAX_LOPSIDED:
         reason = f"something cuts it: one side falls {shape.lopsided:.1f} times as steeply as the other"
         return [_Fault(False, reason, free)]
-    if not shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS and shape.departure > _DEPARTURE:
+    if not shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS and shape.departure > _MAX_DEPARTURE:
         reason = f"something cuts it: {percent(shape.departure)} are missing {shape.away_px:.0f} px off"
-        return [_Fault(shape.departure < _CUT, reason, free)]
+        return [_Fault(shape.departure < _MAX_CUT, reason, free)]
     return []
 
 
@@ -125,13 +125,13 @@ def _bad_fit(poor: bool, chi2: float, model: SpotModel | None, *, noise_is_known
         reason = "one Gaussian does not fit; its own profile is learned from the first frames of the run"
         return [_Fault(True, reason, _CLEAN)]
     if not noise_is_known:
-        return [_Fault(chi2 < _BAD_CHI2, "no model fits to the assumed noise", "rig calibrate sensor")]
+        return [_Fault(chi2 < _MAX_CHI2, "no model fits to the assumed noise", "rig calibrate sensor")]
     remedy = f"{_CLEAN}; let the laser warm up; rig calibrate sensor"
-    return [_Fault(chi2 < _BAD_CHI2, "no model fits", remedy)]
+    return [_Fault(chi2 < _MAX_CHI2, "no model fits", remedy)]
 
 
 def _other_shapes(shape: BeamShape | None) -> list[_Fault]:
-    if shape is None or shape.departure <= _DEPARTURE:
+    if shape is None or shape.departure <= _MAX_DEPARTURE:
         return []
     part = percent(shape.departure)
     if _is_ghost(shape):
@@ -149,37 +149,37 @@ def _is_ghost(shape: BeamShape) -> bool:
     return shape.extra_light and shape.away_sigmas > _FLANK_SIGMAS
 
 
-_LOST_S = 0.5
-"""Without the reference for longer, it is said; a fit goes by the same time."""
-LESS_BEAM = (
+_MIN_LOST_S = 0.5
+"""Shortest loss of the reference spot that is reported; the fit uses the same time."""
+BEAM_CORRECTED = (
     "the beam's motion, from the reference spot, is subtracted from live numbers but not in the record"
 )
 
 
 class BeamCorrection:
-    """Takes blocks as the pipeline makes them and gives those that watchers are shown.
+    """Subtracts the beam's motion, which the reference spot shows, from the blocks of the pipeline.
 
-    `beside`: half-cycles are found in a thread of their own and come with a later block, as the pipeline's.
+    `threaded`: half-cycles are found in a thread of their own and come with a later block, as the pipeline's.
     """
 
-    def __init__(self, deflector: Deflector, gain: Estimate, *, beside: bool) -> None:
+    def __init__(self, deflector: Deflector, gain: Estimate, *, threaded: bool) -> None:
         self._deflector = deflector
         self._reference = CausalReference(gain)
         self._detector = TurningPointDetector()
-        self._beside = BesideThread(self._swings_in, "live swings") if beside else None
+        self._beside = EstimateThread(self._swings_in, "live swings") if threaded else None
         self._detect: Callable[[Deflections], list[HalfCycle]] = (
             self._swings_in if self._beside is None else self._beside.update
         )
         self._found_ns: int | None = None
         self._lost = False
-        self._news: list[str] = [LESS_BEAM]
+        self._news: list[str] = [BEAM_CORRECTED]
 
     def shown(self, frame_times_ns: Sequence[int], block: Block) -> Block:
-        """The block with the beam's motion taken off, of frames at these times."""
+        """The block with the beam's motion subtracted; `frame_times_ns` are the times of its frames."""
         if not block.references:
             return block
-        place, u = _table(block.references)
-        moved, variance = self._reference.take(place, u)
+        position_px, u_px = _table(block.references)
+        moved, variance = self._reference.take(position_px, u_px)
         times_ns = np.array(frame_times_ns, dtype=np.int64)
         spots = [
             spot._replace(
@@ -192,7 +192,7 @@ class BeamCorrection:
                 block.spots, moved.tolist(), np.sqrt(variance).tolist(), strict=True
             )
         ]
-        # when the rows were exposed on which the spot was seen
+        # keep the times of exposure of the rows on which the spot was seen
         deflections = self._deflector(times_ns, spots)
         deflections = Deflections(
             block.deflections.times_ns,
@@ -202,7 +202,7 @@ class BeamCorrection:
             deflections.u_y,
             deflections.unit,
         )
-        self._watch(times_ns, np.isfinite(place[:, 0]).tolist())
+        self._watch(times_ns, np.isfinite(position_px[:, 0]).tolist())
         return block._replace(deflections=deflections, swings=self._detect(deflections))
 
     def finish(self) -> list[HalfCycle]:
@@ -211,7 +211,7 @@ class BeamCorrection:
         return waiting + self._detector.finish()
 
     def take_news(self) -> list[str]:
-        """What is to be said of it since the last call."""
+        """Texts for the log since the last call."""
         news, self._news = self._news, []
         return news
 
@@ -228,7 +228,7 @@ class BeamCorrection:
                 continue
             if self._found_ns is None:
                 self._found_ns = time_ns
-            if not self._lost and seconds(time_ns - self._found_ns) > _LOST_S:
+            if not self._lost and seconds(time_ns - self._found_ns) > _MIN_LOST_S:
                 self._lost = True
                 self._news.append(
                     "reference spot lost: live numbers include the beam's motion until it is found again"
@@ -236,7 +236,7 @@ class BeamCorrection:
 
 
 def _table(references: Sequence[Spot]) -> tuple[Floats, Floats]:
-    """Places and uncertainties (n, 2) in px; NaN where lost."""
+    """Positions and standard uncertainties (n, 2) in px; NaN where the spot is lost."""
     table = np.array([spot[:4] for spot in references], dtype=np.float64)
     table[[bool(spot.flags & SpotFlag.LOST) for spot in references]] = np.nan
     return table[:, :2], table[:, 2:]

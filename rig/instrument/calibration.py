@@ -1,4 +1,4 @@
-"""Calibration files: fill the configuration, are attached to the record and checked for validity."""
+"""Calibration files: they fill the configuration, are attached to records and judged for validity."""
 
 import datetime
 import hashlib
@@ -24,8 +24,8 @@ _SECTIONS: Mapping[Kind, str] = {
 def fill_from_files(config: Configuration) -> Configuration:
     """The configuration with the sections given by its calibration files.
 
-    Raises ConfigurationError for a file that is missing, of another kind or not a calibration, and for
-    a section that is also stated with different values. An expired file is used; the results report it.
+    Raises ConfigurationError for a file that is missing, of another kind or not a calibration, and for a
+    section that is also stated with different values. An expired file is used, and the results report it.
     """
     update: dict[str, Any] = {}
     for kind, section in _SECTIONS.items():
@@ -47,7 +47,7 @@ def fill_from_files(config: Configuration) -> Configuration:
     air = config.calibration.air
     if air is not None:
         found = parse_calibration(_read(air, "air"), str(air), "air")
-        # open and vacuum are asked for by name, and hold
+        # a stated "open" or "vacuum" takes precedence over the file
         if config.fit.drag == "air":
             update["fit"] = _with_measured_drag(config, found, air)
     if config.calibration.pointing is not None:
@@ -58,7 +58,7 @@ def fill_from_files(config: Configuration) -> Configuration:
 
 
 def _with_measured_drag(config: Configuration, found: CalibrationFile, path: Path) -> FitSettings:
-    """The fit with the drag of a calibration; raises ConfigurationError where another one is stated."""
+    """Fit settings with the drag of a calibration; raises ConfigurationError if another is stated."""
     stated = config.fit
     tree = {"camera": {"driver": config.camera.driver}, "fit": stated.model_dump() | found.values}
     filled = validate_configuration(tree, str(path)).fit
@@ -71,13 +71,13 @@ def _with_measured_drag(config: Configuration, found: CalibrationFile, path: Pat
 
 
 def _section_values(found: CalibrationFile) -> dict[str, Any]:
-    """What fills the section: the values, and for a sensor the map of its hot pixels from the details."""
+    """Values of the section: those of the file, and for a sensor its hot pixels from the details."""
     hot = found.details.get("hot_pixels_xy") if found.kind == "sensor" else None
     return {**found.values, **({"hot_pixels_xy": hot} if hot else {})}
 
 
 def calibration_attachments(config: Configuration) -> dict[str, bytes]:
-    """Contents of the calibration files in use, by their names in a record."""
+    """Contents of the calibration files in use, by attachment name."""
     paths = {kind: getattr(config.calibration, kind) for kind in (*_SECTIONS, "air", "pointing")}
     found = {f"{PREFIX}{kind}.toml": _read(path) for kind, path in paths.items() if path is not None}
     for number, path in enumerate(config.calibration.checks, 1):
@@ -96,8 +96,8 @@ def judge_calibration(
     Parameters
     ----------
     config, attachments
-        Those of the record. Checks named in `config` but missing in the record are read from their
-        files, because the check after a series is made when its records are already closed.
+        Those of the record. Checks named in `config` but missing in the record are read from their files,
+        because a check after a series is made when its records are already closed.
     began, ended
         Start and end of the run.
     """
@@ -108,8 +108,8 @@ def judge_calibration(
         data = attachments.get(f"{PREFIX}{kind}.toml")
         if data is not None:
             found = parse_calibration(data, f"{PREFIX}{kind}.toml", kind)
-            tree[kind] = _entry(found, data, began)
-            warnings += _age(kind, found, began)
+            tree[kind] = _result_entry(found, data, began)
+            warnings += _expiry_warning(kind, found, began)
         elif kind == "shutter" and config.shutter is None:
             continue  # a global shutter needs no calibration
         elif config.simulated:
@@ -132,16 +132,16 @@ def judge_calibration(
         data = attachments.get(f"{PREFIX}{kind}.toml")
         if data is not None:
             measured = parse_calibration(data, f"{kind}.toml", kind)
-            tree[kind] = _entry(measured, data, began)
-            warnings += _age(kind, measured, began)
+            tree[kind] = _result_entry(measured, data, began)
+            warnings += _expiry_warning(kind, measured, began)
     checks, lines = _checks(config, attachments, began, ended)
     if checks:
         tree["checks"] = checks
     return tree, [*warnings, *lines]
 
 
-def _age(kind: str, found: CalibrationFile, at: datetime.datetime) -> list[str]:
-    """That a calibration was too old, and how old; nothing if it was not."""
+def _expiry_warning(kind: str, found: CalibrationFile, at: datetime.datetime) -> list[str]:
+    """The warning that a calibration had expired before the run; empty if it had not."""
     if not found.expired(at):
         return []
     days = (at - found.measured_at).total_seconds() / 86400
@@ -149,7 +149,7 @@ def _age(kind: str, found: CalibrationFile, at: datetime.datetime) -> list[str]:
     return [f"the calibration of the {kind} had expired on {found.valid_until:%Y-%m-%d}: {since}"]
 
 
-def _entry(found: CalibrationFile, data: bytes, at: datetime.datetime) -> dict[str, Any]:
+def _result_entry(found: CalibrationFile, data: bytes, at: datetime.datetime) -> dict[str, Any]:
     return {
         "validity": "expired" if found.expired(at) else "valid",
         "text": f"{found.method}; by {found.made_by or '?'}, valid until {found.valid_until:%Y-%m-%d}",
@@ -167,7 +167,7 @@ def _checks(
     began: datetime.datetime,
     ended: datetime.datetime,
 ) -> tuple[list[dict[str, Any]], list[str]]:
-    """Known-angle checks before and after the run, in order of time; warns of a changed scale."""
+    """Known-angle checks in order of time, and warnings of a lever's scale that is wrong or has changed."""
     raw = [data for name, data in sorted(attachments.items()) if name.startswith(f"{PREFIX}check-")]
     raw += [_read(path) for path in config.calibration.checks if path.is_file()]
     found = [(parse_calibration(data, "check", "check"), data) for data in dict.fromkeys(raw)]
@@ -197,7 +197,7 @@ def _checks(
                 f"the lever's scale moved by {signed_percent(change, 3)} (u = {percent(u_change)}) between "
                 "the checks before and after this run"
             )
-    return [_entry(check, data, began) | {"found": check.details} for check, data in found], warnings
+    return [_result_entry(check, data, began) | {"found": check.details} for check, data in found], warnings
 
 
 def _read(path: Path, key: str = "") -> bytes:

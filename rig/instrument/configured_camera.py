@@ -1,4 +1,4 @@
-"""The configured camera: its settings against the requested ones, and when it collects light."""
+"""The configured camera: settings, times of its light, simulated calibration; and the observer guard."""
 
 import logging
 import math
@@ -34,15 +34,15 @@ def camera_settings(config: Configuration) -> CameraSettings:
     return CameraSettings(**{name: getattr(config.camera, name) for name in CameraSettings.model_fields})
 
 
-_OF_THE_IMAGE = (
+_IMAGE_SETTINGS = (
     "exposure_us", "gain_db", "frame_rate_hz", "pixel_format",
     "width_px", "height_px", "offset_x_px", "offset_y_px",
 )  # fmt: skip
 
 
 def with_read_back(asked: CameraSettings, applied: CameraSettings) -> CameraSettings:
-    """The settings that make the same images again: where nothing was asked for, what the camera has."""
-    unasked = [name for name in _OF_THE_IMAGE if getattr(asked, name) is None]
+    """The settings that reproduce the images: as requested, or else as read back from the camera."""
+    unasked = [name for name in _IMAGE_SETTINGS if getattr(asked, name) is None]
     return asked.model_copy(update={name: getattr(applied, name) for name in unasked})
 
 
@@ -75,7 +75,7 @@ def setting_differences(asked: CameraSettings, applied: CameraSettings) -> list[
 
 def check_full_scale(config: Configuration, info: CameraInfo, applied: CameraSettings) -> None:
     """Raise ConfigurationError if [sensor] states more than a pixel of this camera can hold."""
-    # what a camera says when it is opened may be of the format before
+    # the full scale that a camera reports when opened may belong to its previous pixel format
     bits = re.search(r"\d+$", applied.pixel_format or "")
     most_dn = max(info.full_scale_dn, 2 ** int(bits[0]) - 1 if bits else 0)
     if config.sensor is not None and config.sensor.full_scale_dn > most_dn:
@@ -86,20 +86,20 @@ def check_full_scale(config: Configuration, info: CameraInfo, applied: CameraSet
 
 
 def frame_policy(config: Configuration) -> Policy:
-    """Policy for a full queue: sources on demand wait and lose no frame; a real camera cannot wait."""
+    """Policy for a full queue: sources on demand wait and lose no frame, which a real camera cannot."""
     return "wait" if config.on_demand else "every"
 
 
 def shutter_of(config: Configuration) -> Shutter:
-    """The shutter as far as it matters: with a pulsed laser all rows see the light at one time."""
+    """The effective shutter: global with a pulsed laser, because all rows see the light at the same time."""
     return GLOBAL if config.laser.pulse_us else config.shutter or GLOBAL
 
 
 def shift_to_light_ns(config: Configuration, info: CameraInfo, applied: CameraSettings) -> int:
-    """What is added to the camera's timestamps so that they mark the middle of the light.
+    """Shift of the camera's timestamps to the middle of the light, to be added to them.
 
-    That is the middle of the laser's pulse, otherwise of the first row's exposure. 0 for a camera without a
-    clock, or whose exposure is not known and matters.
+    The middle of the light is that of the laser's pulse, or else of the first row's exposure. 0 for a camera
+    without a clock, and if the shift depends on an exposure that is unknown.
     """
     stamped = config.camera.stamped or info.stamped
     exposure_us = applied.exposure_us
@@ -118,7 +118,7 @@ def shift_to_light_ns(config: Configuration, info: CameraInfo, applied: CameraSe
 
 
 def pulse_faults(config: Configuration, info: CameraInfo, applied: CameraSettings) -> list[str]:
-    """What is wrong with the laser's pulses: they must lie where all rows are exposed together."""
+    """Faults of the laser's pulses, which must lie in the time in which all rows are exposed."""
     laser = config.laser
     if not laser.pulse_us:
         return []
@@ -139,7 +139,7 @@ def pulse_faults(config: Configuration, info: CameraInfo, applied: CameraSetting
 
 
 def _readout_s(config: Configuration, info: CameraInfo, applied: CameraSettings) -> float:
-    """From the first row to the last one."""
+    """Time between the exposures of the first and the last row."""
     rows = applied.height_px or info.height_px
     return (config.shutter or GLOBAL).row_time_s * (rows - 1)
 
@@ -229,7 +229,7 @@ def _pendulum(truth: SimulationSettings) -> PendulumSettings:
 
 
 def _balance(truth: SimulationSettings, balance: BalanceSettings) -> BalanceSettings:
-    """Add the inertia about the contact that gives the stated period, and the elasticity of the contact."""
+    """Add the inertia about the contact that gives the true period, and the elasticity of the contact."""
     if balance.inertia_kg_m2 is not None:
         return balance
     contact = truth.contact
@@ -274,16 +274,16 @@ def _binned(config: Configuration) -> Configuration:
 _log = logging.getLogger(__name__)
 
 Arguments = ParamSpec("Arguments")
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
-_MOST = 10
-"""After so many failures in a row it is left out: what fails each time costs time each time."""
+_MAX_FAILURES_IN_A_ROW = 10
+"""Failures in a row after which an observer is not called any more, because each failure costs time."""
 
 
 class ObserverGuard:
-    """Calls what only watches: display, view, notices, forecast, live fit, balance.
+    """Calls observers (display, view, notices, forecast, live fit, balance) so that their errors end no run.
 
-    It may be used from several threads. `failures` counts by name.
+    It may be used from several threads. `failures` counts failures by the observer's name.
     """
 
     def __init__(self) -> None:
@@ -291,16 +291,16 @@ class ObserverGuard:
         self._in_a_row: Counter[str] = Counter()
         self._news: list[str] = []
 
-    def past(
+    def call(
         self,
         name: str,
-        otherwise: Found,
-        call: Callable[Arguments, Found],
+        otherwise: Result,
+        call: Callable[Arguments, Result],
         *args: Arguments.args,
         **words: Arguments.kwargs,
-    ) -> Found:
-        """What the call returns; `otherwise` where it raises an Exception, and where it is left out."""
-        if self._in_a_row[name] >= _MOST:
+    ) -> Result:
+        """The value of a call; `otherwise` if it raises an Exception, or is not made any more."""
+        if self._in_a_row[name] >= _MAX_FAILURES_IN_A_ROW:
             return otherwise
         try:
             found = call(*args, **words)
@@ -311,18 +311,18 @@ class ObserverGuard:
             if self.failures[name] == 1:
                 _log.exception("%s has failed, the run goes on", name)
                 self._news.append(f"{name} has failed, the run goes on: {why}")
-            if self._in_a_row[name] == _MOST:
-                self._news.append(f"{name} is left out after {_MOST} failures in a row")
+            if self._in_a_row[name] == _MAX_FAILURES_IN_A_ROW:
+                self._news.append(f"{name} is left out after {_MAX_FAILURES_IN_A_ROW} failures in a row")
             return otherwise
         self._in_a_row[name] = 0
         return found
 
     def take_news(self) -> list[str]:
-        """What is to be said since the last call."""
+        """Texts for the log since the last call."""
         news, self._news = self._news, []
         return news
 
     @property
     def text(self) -> str:
-        """How often what has failed; empty where nothing has."""
+        """How often each observer has failed; empty without failures."""
         return ", ".join(f"{name} {count} times" for name, count in sorted(self.failures.items()))

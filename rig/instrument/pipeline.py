@@ -1,4 +1,4 @@
-"""The optics, and the pipeline from frames to spots, deflections and swings, live and in replay."""
+"""The optics, and the pipeline from frames to spots, deflections and half-cycles, live and in replay."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -19,58 +19,57 @@ from processing.swing import HalfCycle, TurningPointDetector
 from rig.instrument.configured_camera import ObserverGuard, shutter_of
 from rig.settings import Configuration
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
-_MOST_WAITING = 4096
+_MAX_WAITING_CALLS = 4096
 _GATHERED_NS = 50_000_000
-"""Samples that are handed to another thread together: at 1000 frames/s each frame would wake two threads."""
+"""Time span of samples that are handed to a thread together: at 1000 frames/s each frame would wake two."""
 _BALANCE = "the estimate of the balance"
 
 
-class BesideThread(Generic[Found]):
-    """Calls `estimate` in a thread of its own, in order, and gives out its estimates when they are ready.
+class EstimateThread(Generic[Result]):
+    """A thread that calls `estimate` on samples in order, while frames go on; estimates come when ready.
 
-    Beside the frames, because one estimate takes as long as many of them. They are the same estimates as
-    without the thread. `estimate` is the `update` of a detector or estimator, whose estimates do not depend
-    on how the samples are divided; an error in it is raised by a later call. Only when thousands of calls
-    wait does `update` wait too.
+    One estimate takes as long as many frames. The estimates are the same as without the thread: `estimate` is
+    the `update` of a detector or estimator, which does not depend on how samples are divided. An error in it
+    is raised by a later call. `update` waits only while thousands of calls are pending.
     """
 
-    def __init__(self, estimate: Callable[[Deflections], list[Found]], name: str) -> None:
+    def __init__(self, estimate: Callable[[Deflections], list[Result]], name: str) -> None:
         self._estimate = estimate
         self._executor = ThreadPoolExecutor(1, thread_name_prefix=name)
         self._gathered: list[Deflections] = []
-        self._asked: deque[Future[list[Found]]] = deque()
+        self._pending: deque[Future[list[Result]]] = deque()
 
-    def update(self, samples: Deflections) -> list[Found]:
+    def update(self, samples: Deflections) -> list[Result]:
         """Add samples; returns the estimates that have become ready since the last call."""
         if len(samples):
             self._gathered.append(samples)
             if samples.times_ns[-1] - self._gathered[0].times_ns[0] >= _GATHERED_NS:
                 self._hand_over()
-        found: list[Found] = []
-        while self._asked and (self._asked[0].done() or len(self._asked) > _MOST_WAITING):
-            found += self._asked.popleft().result()
+        found: list[Result] = []
+        while self._pending and (self._pending[0].done() or len(self._pending) > _MAX_WAITING_CALLS):
+            found += self._pending.popleft().result()
         return found
 
-    def finish(self) -> list[Found]:
+    def finish(self) -> list[Result]:
         """Wait for the estimates that are still being made, and return them."""
         self._hand_over()
-        found = [one for asked in self._asked for one in asked.result()]
-        self._asked.clear()
+        found = [one for pending in self._pending for one in pending.result()]
+        self._pending.clear()
         return found
 
     def _hand_over(self) -> None:
         if self._gathered:
             samples, self._gathered = joined(self._gathered, self._gathered[0].unit), []
-            self._asked.append(self._executor.submit(self._estimate, samples))
+            self._pending.append(self._executor.submit(self._estimate, samples))
 
 
 class Block(NamedTuple):
     """Results of some consecutive frames: one spot and one deflection per frame.
 
-    `references` are the reference's spots, where the frames have one.
-    `swings` and `balances` are those completed by this block; they may have begun in earlier blocks.
+    `references` are the reference spots, if there are any. `swings` and `balances` are completed by this
+    block; they may have begun in earlier blocks.
     """
 
     spots: list[Spot]
@@ -81,14 +80,14 @@ class Block(NamedTuple):
 
 
 class BothSpots:
-    """Follows the pendulum's spot, and the reference's in the part of the frames that is its own.
+    """Trackers of the pendulum's spot and of the reference spot, each in its own part of the frames.
 
     Parameters
     ----------
     tracker
-        Follows the pendulum's spot.
+        The tracker of the pendulum's spot.
     reference
-        Follows the reference spot, and the row from which on the frames are its own.
+        The tracker of the reference spot, and the first row of its part of the frames; None without one.
     """
 
     def __init__(self, tracker: SpotTracker, reference: tuple[SpotTracker, int] | None) -> None:
@@ -96,7 +95,7 @@ class BothSpots:
         self._reference = reference
 
     def in_frames(self, frames: Sequence[Frame]) -> tuple[list[Spot], list[Spot]]:
-        """The spots of consecutive frames, and the reference's; none without one."""
+        """The pendulum's spots in consecutive frames, and the reference spots, empty without a reference."""
         if self._reference is None:
             return [self.tracker.track(frame.image) for frame in frames], []
         tracker, row = self._reference
@@ -105,27 +104,26 @@ class BothSpots:
         return spots, [spot._replace(y_px=spot.y_px + row) for spot in seen]
 
     def tracked(self, shape: tuple[int, int]) -> tuple[int, int]:
-        """Of frames of a shape (ny, nx), that of the part in which the pendulum's spot is."""
+        """Shape (ny, nx) of the part of a frame of this shape that contains the pendulum's spot."""
         return shape if self._reference is None else (min(shape[0], self._reference[1]), shape[1])
 
 
 class Pipeline:
-    """Tracks the spot, computes deflections and detects swings, frame by frame.
+    """Tracks the spot, computes deflections and detects half-cycles, frame by frame.
 
     The result depends only on the frames and their timestamps, not on their division into blocks.
 
     Parameters
     ----------
     optics
-        Calibration; each deflection gets the time of the rows that its spot lies on.
+        Calibration; each deflection gets the time of exposure of the rows that its spot lies on.
     sensor_shape
         (ny, nx) of the whole sensor; its centre is the reference if the lever states none.
     beside
-        Fit the swings, and estimate the balance, in threads of their own. Their results are the same, but
-        come with a later block than the one that completes them, the last ones with `finish` and
-        `finish_balance`.
-    wall
-        Behind which the balance is estimated.
+        Fit half-cycles, and estimate the balance, in threads of their own. The results are the same, but come
+        with a later block than the one that completes them, the last ones with `finish` and `finish_balance`.
+    guard
+        Catches errors of the estimate of the balance.
     """
 
     def __init__(
@@ -133,19 +131,19 @@ class Pipeline:
         optics: "Optics",
         sensor_shape: tuple[int, int],
         *,
-        beside: bool = False,
-        wall: ObserverGuard | None = None,
+        threaded: bool = False,
+        guard: ObserverGuard | None = None,
     ) -> None:
         self._spots = optics.both_spots()
         self.tracker = self._spots.tracker
         self._deflector = optics.deflector(sensor_shape)
         self._detector = TurningPointDetector()
         estimator = BalanceEstimator()
-        self._swings = BesideThread(self._swings_in, "swings") if beside else None
-        self._balances = BesideThread(estimator.update, "balance") if beside else None
+        self._swings = EstimateThread(self._swings_in, "swings") if threaded else None
+        self._balances = EstimateThread(estimator.update, "balance") if threaded else None
         self._detect = self._swings_in if self._swings is None else self._swings.update
         self._balance = (self._balances or estimator).update
-        self._wall = wall or ObserverGuard()
+        self._guard = guard or ObserverGuard()
 
     def process(self, frames: Sequence[Frame]) -> Block:
         """Track the spot in some consecutive frames, and continue with `measure`."""
@@ -154,38 +152,38 @@ class Pipeline:
         return self.measure(times_ns, spots)._replace(references=references)
 
     def tracked(self, shape: tuple[int, int]) -> tuple[int, int]:
-        """Of frames of a shape (ny, nx), that of the part in which the pendulum's spot is."""
+        """Shape (ny, nx) of the part of a frame of this shape that contains the pendulum's spot."""
         return self._spots.tracked(shape)
 
     def measure(self, times_ns: NDArray[np.int64], spots: list[Spot]) -> Block:
-        """Deflections, swings and balances from spots that were tracked before, in frames at these times."""
+        """Deflections, half-cycles and balances from spots of frames at these times."""
         return self.detect(spots, self._deflector(times_ns, spots))
 
     def detect(self, spots: list[Spot], deflections: Deflections) -> Block:
-        """Swings and balances from known deflections (replay without tracking)."""
+        """Half-cycles and balances from known deflections (replay without tracking)."""
         swings = self._detect(deflections)
-        balances: list[Balance] = self._wall.past(_BALANCE, [], self._balance, deflections)
+        balances: list[Balance] = self._guard.call(_BALANCE, [], self._balance, deflections)
         return Block(spots, deflections, swings, balances)
 
     def _swings_in(self, samples: Deflections) -> list[HalfCycle]:
         return self._detector.update(samples.times_ns, samples.y, samples.u_y)
 
     def finish(self) -> list[HalfCycle]:
-        """Swings that are completed by the end of the samples."""
+        """Half-cycles that are completed by the end of the samples."""
         waiting = [] if self._swings is None else self._swings.finish()
         return waiting + self._detector.finish()
 
     def finish_balance(self) -> list[Balance]:
         """Wait for the balances that are still being estimated, and return them."""
-        return [] if self._balances is None else self._wall.past(_BALANCE, [], self._balances.finish)
+        return [] if self._balances is None else self._guard.call(_BALANCE, [], self._balances.finish)
 
 
 class Deflector:
     """Converts spots to deflections: tilts along the pendulum's axes, in rad.
 
-    Without a lever they are displacements along the same axes in px; where none are stated these are the
-    sensor's (x to the right, y upward).
-    `reference_px` is the position (x, y) of the spot at zero tilt, `unit` the unit of the deflections.
+    Without a lever they are displacements along the same axes in px; without stated axes along those of the
+    sensor (x to the right, y upward). `reference_px` is the position (x, y) of the spot at zero tilt, `unit`
+    the unit of the deflections.
     """
 
     def __init__(
@@ -205,7 +203,7 @@ class Deflector:
             )
 
     def __call__(self, times_ns: NDArray[np.int64], spots: Sequence[Spot]) -> Deflections:
-        """Deflections of spots measured in frames at these times."""
+        """Deflections of the spots of frames at these times."""
         table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4)
         x_px, y_px, u_x_px, u_y_px = table.T
         times_ns = self._shutter.times_ns(times_ns, y_px, self._rows)
@@ -220,7 +218,7 @@ class Deflector:
 class Optics:
     """Calibrated values of the optical path; without a `lever` deflections are in px.
 
-    From `reference_row` on the frames are the reference spot's.
+    Rows from `reference_row` on belong to the reference spot.
     """
 
     sensor: SensorModel
@@ -229,29 +227,29 @@ class Optics:
     shutter: Shutter = GLOBAL
     reference_row: int | None = None
     reference_gain: Estimate | None = None
-    """As it is stated."""
+    """Gain of the reference's correction as stated; None if a fit determines it."""
 
     def tracker(self) -> SpotTracker:
         """A new tracker."""
         return SpotTracker(self.sensor)
 
     def reference(self) -> tuple[SpotTracker, int] | None:
-        """A new tracker of the reference's spot, and the row from which on frames are its own."""
+        """A new tracker of the reference spot, and the first row of its part of the frames."""
         return None if self.reference_row is None else (self.tracker(), self.reference_row)
 
     def both_spots(self) -> BothSpots:
-        """New trackers of the pendulum's spot and the reference's."""
+        """New trackers of the pendulum's spot and the reference spot."""
         return BothSpots(self.tracker(), self.reference())
 
     def deflector(self, sensor_shape: tuple[int, int]) -> Deflector:
-        """Converts spots to deflections, on a sensor of (ny, nx) pixels."""
+        """The conversion of spots to deflections on a sensor of (ny, nx) pixels."""
         return Deflector(self.lever, self.axes, sensor_shape, self.shutter)
 
     def pipeline(
-        self, sensor_shape: tuple[int, int], *, beside: bool = False, wall: ObserverGuard | None = None
+        self, sensor_shape: tuple[int, int], *, threaded: bool = False, guard: ObserverGuard | None = None
     ) -> Pipeline:
         """A new pipeline from frames to deflections and half-cycles."""
-        return Pipeline(self, sensor_shape, beside=beside, wall=wall)
+        return Pipeline(self, sensor_shape, threaded=threaded, guard=guard)
 
     @property
     def unit(self) -> DeflectionUnit:

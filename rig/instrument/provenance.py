@@ -1,4 +1,4 @@
-"""Provenance of a record (configuration, software versions, host), written to it and read back."""
+"""Provenance of a record (configuration, software versions, host), and compilation of the kernels."""
 
 import functools
 import hashlib
@@ -41,8 +41,8 @@ SOURCE_NAME = "configuration.toml"
 RECORD_DESCRIPTION = "record.md"
 _INPUTS = ("configuration.", "calibration/")
 _ROOT = Path(__file__).resolve().parents[2]
-_OF_NUMBERS = ("numpy", "scipy", "numba", "opencv-python-headless")
-_PACKAGES = ("optical-pendulum-rig", *_OF_NUMBERS, "mcap", "rerun-sdk")
+_NUMERICAL_PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless")
+_PACKAGES = ("optical-pendulum-rig", *_NUMERICAL_PACKAGES, "mcap", "rerun-sdk")
 
 
 def versions() -> dict[str, str]:
@@ -58,23 +58,24 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def code_identity() -> str:
-    """For example `0.1.0 (394556fc) 5f1c0e9d0a7b3c24`; equal where the same sources would run.
+    """Identity of the sources that run, for example `0.1.0 (394556fc) 5f1c0e9d0a7b3c24`.
 
-    The commit alone does not say it: a checkout may be changed, an installation has none.
+    The commit alone does not identify them: a checkout may be changed, and an installation has none.
     """
     digest = hashlib.sha256()
     for package in ("rig", "acquisition", "calibration", "processing"):
         for path in sorted((_ROOT / package).rglob("*.py")):
             digest.update(f"{path.relative_to(_ROOT).as_posix()}\0".encode() + path.read_bytes())
     known = versions()
-    digest.update("".join(f"{name} {known[name]}\n" for name in _OF_NUMBERS).encode())
+    digest.update("".join(f"{name} {known[name]}\n" for name in _NUMERICAL_PACKAGES).encode())
     return f"{known[_PACKAGES[0]]} ({known['commit'][:8]}) {digest.hexdigest()[:16]}"
 
 
 @functools.cache
 def code_commit() -> str:
-    """The commit of this code: of the checkout it runs from, with "changed" where files differ from it, or
-    of what was installed; "unknown" otherwise.
+    """The commit of this code, from the checkout it runs from or the installed package; else "unknown".
+
+    A checkout whose files differ from the commit gets the addition "changed".
     """
     try:
         done = subprocess.run(
@@ -110,7 +111,7 @@ def code_commit() -> str:
 
 
 def record_description() -> bytes:
-    """How a record is to be read, for who has nothing else; empty where the installation lacks it."""
+    """Description of the format, for readers without this program; empty if the installation lacks it."""
     for path in (_ROOT / "docs" / "reference" / RECORD_DESCRIPTION, _ROOT / "rig" / RECORD_DESCRIPTION):
         if path.is_file():
             return path.read_bytes()
@@ -160,7 +161,7 @@ def _stored(config: Configuration) -> bytes:
 
 
 def inputs_sha256(reader: RecordReader) -> dict[str, str]:
-    """SHA-256 of the configuration and of every calibration in a record, by name, as read and verified."""
+    """SHA-256 of the configuration and of every calibration in a record, by attachment name."""
     inputs = {name: data for name, data in reader.attachments.items() if name.startswith(_INPUTS)}
     return {name: hashlib.sha256(data).hexdigest() for name, data in sorted(inputs.items())}
 
@@ -198,7 +199,7 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
     tree = config.model_dump(mode="json", exclude_none=True)
     changed = {text.partition("=")[0].strip() for text in overrides}
     if "fit.drag" in changed and "fit.drag_s" not in changed:
-        # open or vacuum by name is in the place of a value that was measured
+        # a drag by name, open or vacuum, replaces the measured value
         for key in ("drag_s", "u_drag_s"):
             tree["fit"].pop(key, None)
     apply_overrides(tree, overrides)
@@ -207,20 +208,20 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
 
 _SIDE_PX, _SIGMA_PX = 64, 4.0
 _COMPILING = "compiling the numerical kernels (half a minute on an idle machine"
-STILL_S = 20.0
+REMINDER_INTERVAL_S = 20.0
 
 
 def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
-    """Track a synthetic spot and detect synthetic swings once, which compiles the kernels.
+    """Compile the kernels by tracking a synthetic spot and detecting synthetic half-cycles once.
 
-    This takes half a minute after an installation, when a second process compiles those of the swings, and
-    less than a second afterwards (from the cache). `say` is called with a line if something is compiled, and
-    with another whenever it goes on for `STILL_S`.
+    This takes half a minute after an installation, when a second process compiles the kernels of half-cycles,
+    and less than a second afterwards (from the cache). `say` is called with a line if something is compiled,
+    and again every `REMINDER_INTERVAL_S`.
     """
     with ExitStack() as until_all_is_done, ExitStack() as until_both_have_ended:
 
         def announce(kept: bool) -> None:
-            until_all_is_done.enter_context(_going_on(say))
+            until_all_is_done.enter_context(_reminders(say))
             if kept:
                 say(f"{_COMPILING}, only once after an installation)")
                 until_both_have_ended.enter_context(_compiling_swings())
@@ -234,9 +235,9 @@ def prepare_kernels(sensor: SensorModel, say: Callable[[str], None]) -> None:
 
 
 def compile_tracker(sensor: SensorModel) -> None:
-    """Compile, or load from the cache, what follows a spot on this sensor and records it.
+    """Compile, or load from the cache, the kernels that track and record a spot of this sensor.
 
-    Two frames of the camera's pixel type are tracked, the first searched, the second followed; one encoded.
+    Two frames of the camera's pixel type are tracked, one by searching, one by following; one is encoded.
     """
     y, x = np.mgrid[0:_SIDE_PX, 0:_SIDE_PX] - 0.5 * (_SIDE_PX - 1)
     spot = 0.5 * sensor.full_scale_dn * np.exp(-0.5 * (x**2 + y**2) / _SIGMA_PX**2)
@@ -250,7 +251,7 @@ def compile_tracker(sensor: SensorModel) -> None:
 
 @contextmanager
 def _compiling_swings() -> Iterator[None]:
-    """A process that fills the cache; what it could not compile is compiled by the one that waits for it."""
+    """A second process that fills the cache; this process compiles the kernels that it fails to compile."""
     program = "from processing.swing import compile_kernels; compile_kernels()"
     quiet = subprocess.DEVNULL
     process = subprocess.Popen([sys.executable, "-c", program], stdin=quiet, stdout=quiet, stderr=quiet)
@@ -263,12 +264,12 @@ def _compiling_swings() -> Iterator[None]:
 
 
 @contextmanager
-def _going_on(say: Callable[[str], None]) -> Iterator[None]:
-    """Says again and again that it still goes on."""
+def _reminders(say: Callable[[str], None]) -> Iterator[None]:
+    """Calls `say` at intervals while the block runs."""
     begun_s, ended = time.monotonic(), threading.Event()
 
     def tell() -> None:
-        while not ended.wait(STILL_S):
+        while not ended.wait(REMINDER_INTERVAL_S):
             say(f"still compiling, {time.monotonic() - begun_s:.0f} s so far")
 
     thread = threading.Thread(target=tell, name="compilation", daemon=True)

@@ -1,4 +1,4 @@
-"""The state of a run at one moment: what the messages of its record add up to, growing or whole."""
+"""The state of a run at one moment, accumulated from the messages of its record, growing or complete."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,16 +30,16 @@ from processing.estimate import Estimate
 from processing.swing import HalfCycle
 from processing.units import seconds
 
-_TELLS_PPM = 100.0
-"""Any quartz is right within so much: a rate that is known no better says nothing."""
+_MAX_KNOWN_U_PPM = 100.0
+"""Largest u of a known rate: any quartz is right within this, so that a rate known no better says nothing."""
 
 
 U_FREE_RUNNING: Final = 50e-6
 """Relative standard uncertainty of a computer's free-running quartz oscillator."""
 U_SYNCHRONISED: Final = 1e-6
-"""Of one that follows a time server which states no better."""
+"""Relative standard uncertainty of a clock that follows a time server without a stated uncertainty."""
 U_QUARTZ: Final = 0.7e-6
-"""Of a quartz that follows the room, 1 ppm up and down in an hour: no record of minutes shows it."""
+"""Relative standard uncertainty of a quartz by room temperature: 1 ppm up and down within an hour."""
 
 
 def rate_text(drift_ppm: float, u_drift_ppm: float) -> str:
@@ -50,9 +50,9 @@ def rate_text(drift_ppm: float, u_drift_ppm: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class CameraClock:
-    """Rate of the camera's clock against the computer's, less 1, and the steps that were taken off its times.
+    """Rate of the camera's clock against the computer's, minus 1, and the steps subtracted from its times.
 
-    NaN where it is not known: a camera without a clock, or frames made on demand.
+    NaN if unknown: a camera without a clock, or frames made on demand.
     """
 
     drift_ppm: float = math.nan
@@ -62,8 +62,8 @@ class CameraClock:
 
     @property
     def known(self) -> bool:
-        """Whether the rate says anything."""
-        return self.u_drift_ppm <= _TELLS_PPM
+        """Whether the rate is known better than that of any quartz."""
+        return self.u_drift_ppm <= _MAX_KNOWN_U_PPM
 
     @property
     def text(self) -> str:
@@ -82,7 +82,7 @@ _STATES: Final[tuple[type[TimedMessage], ...]] = (
     *(RecordedPhase, RecordedLight, RecordedClockStep, RecordedLosses, Environment),
     *(RecordedHealth, RecordedEstimate),
 )
-"""Values that change the state of a run, in the order in which those of one piece do."""
+"""Kinds of messages that change the state of a run, in the order in which those of one piece are applied."""
 
 
 class Phase(StrEnum):
@@ -102,10 +102,10 @@ _PHASES: Final = {phase.value: phase for phase in Phase}
 
 
 class RecordContents(NamedTuple):
-    """What a record was told of its run in one piece: half-cycles, balances, events, the session's messages.
+    """One piece of a record: half-cycles, balances, events, and messages of the session.
 
-    `start_ns` is the time of the record's first frame, `last_ns` that of the last one so far; both are 0
-    before the record.
+    `start_ns` is the time of the record's first frame, `last_ns` that of its last frame so far; both are 0
+    before it.
     """
 
     start_ns: int = 0
@@ -115,7 +115,7 @@ class RecordContents(NamedTuple):
     events: Sequence[Event] = ()
     messages: Sequence[TimedMessage] = ()
 
-    def of(self, kind: type[_Value]) -> list[_Value]:
+    def messages_of_kind(self, kind: type[_Value]) -> list[_Value]:
         """The messages of one kind."""
         return [one for one in self.messages if isinstance(one, kind)]
 
@@ -125,8 +125,8 @@ class RecordContents(NamedTuple):
         return seconds(self.last_ns - self.start_ns)
 
 
-def told_in(reader: RecordReader, piece: Piece, start_ns: int, last_ns: int) -> RecordContents:
-    """What a piece of a record tells; notes are among the events."""
+def piece_contents(reader: RecordReader, piece: Piece, start_ns: int, last_ns: int) -> RecordContents:
+    """The contents of a piece of a record; notes are among the events."""
     notes = reader.values(RecordedNote, piece.get(KIND_OF[RecordedNote].topic, ()))
     return RecordContents(
         start_ns,
@@ -148,13 +148,13 @@ class RunNow:
 
     `progress` says how far the phase is. `frame_age_s` is the time between the arrival of the oldest frame of
     the last block and the start of its processing; it grows if processing is too slow. `losses` are the
-    dropped frames by cause, as counted by the camera. `instruction` is a request to the operator, `light`
-    and `interlock` what is known of them, `trip` the trip that waits for an acknowledgement, `controller` the
-    state of laser and controller in words, `beam` what is fitted to the spot, `clock` the camera's against
-    the computer's, `alarm` what is wrong with light or disk, empty if nothing is, `disk_silent_s` how long a
-    write has hung that takes longer than usual. Amplitude and period are those of the last half-cycle without
-    a flag. `estimates` are the contact's parameters by key, from the first `estimated_from` half-cycles;
-    empty before there are enough.
+    dropped frames by cause, as counted by the camera. `instruction` is a request to the operator, `light` and
+    `interlock` are their states in words, `trip` is the trip that waits for an acknowledgement, `controller`
+    the state of laser and controller in words, `beam` the model fitted to the spot, `clock` the rate of the
+    camera's clock against the computer's, `alarm` a fault of light or disk, empty without one,
+    `disk_silent_s` the time for which a write has hung. Amplitude and period are those of the last half-cycle
+    without a flag. `estimates` are the contact's parameters by key, from the first `estimated_from`
+    half-cycles; empty before the first fit.
     """
 
     phase: Phase = Phase.WAITING
@@ -199,31 +199,31 @@ class RunNow:
         """Whether nothing is recorded yet."""
         return self.phase in (Phase.REST, Phase.WARM_UP, Phase.PREFLIGHT, Phase.RELEASE)
 
-    def begun_again(self) -> "RunNow":
-        """The state when a record begins: without what belongs to that of a rejected start."""
+    def for_new_record(self) -> "RunNow":
+        """The state at the beginning of a record, without values of the record of a rejected start."""
         of_rig = ("phase", "temperature_c", "humidity_percent", "pressure_pa")
         of_light = ("light", "interlock", "trip", "darkness", "controller", "alarm")
         return RunNow(**{name: getattr(self, name) for name in (*of_rig, *of_light)})
 
-    def after(self, told: RecordContents, unit: DeflectionUnit) -> "RunNow":
-        """The state after what was told; amplitudes are in `unit`."""
+    def after(self, contents: RecordContents, unit: DeflectionUnit) -> "RunNow":
+        """The state after a piece of the record; deflections are in `unit`."""
         changes: dict[str, Any] = {}
-        for message in told.messages:
+        for message in contents.messages:
             changes |= self._changed_by(message, changes)
-        if told.last_ns:
-            changes["elapsed_s"] = told.elapsed_s
-        if told.swings:
-            changes["half_cycles"] = self.half_cycles + len(told.swings)
-        if good := [swing for swing in told.swings if not swing.flags]:
+        if contents.last_ns:
+            changes["elapsed_s"] = contents.elapsed_s
+        if contents.swings:
+            changes["half_cycles"] = self.half_cycles + len(contents.swings)
+        if good := [swing for swing in contents.swings if not swing.flags]:
             changes["amplitude"] = good[-1].amplitude / unit.shown_size
         if periods_s := [2.0 * one.half_period_s for one in good if math.isfinite(one.half_period_s)]:
             changes["period_s"] = periods_s[-1]
-        if told.balances:
-            changes["balance"] = told.balances[-1]
+        if contents.balances:
+            changes["balance"] = contents.balances[-1]
         return replace(self, **changes) if changes else self
 
     def _changed_by(self, message: TimedMessage, before: Mapping[str, Any]) -> dict[str, Any]:
-        """What a message of the session changes, after the changes `before` it."""
+        """The changes made by a message of the session, after the changes `before` it."""
         clock: CameraClock = before.get("clock", self.clock)
         match message:
             case RecordedPhase():
@@ -243,7 +243,7 @@ class RunNow:
                 return changed
             case RecordedLosses():
                 losses = FrameLosses(*message[1:])
-                # those after the last frame have no gap in its numbers
+                # frames lost after the last one leave no gap in the numbers
                 dropped = max(before.get("dropped_frames", self.dropped_frames), losses.total)
                 return {"losses": losses, "dropped_frames": dropped}
             case Environment():

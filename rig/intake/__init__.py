@@ -1,16 +1,16 @@
-"""Tables and films of other instruments become positions against time, with what is to be doubted of them."""
+"""Tables and films of other instruments, read as positions against time, and doubts about them."""
 
 from rig.intake.doubts import (
-    changes_in,
-    cut_off,
+    clipping_warnings,
+    decay_warnings,
     judge_sign,
     judge_time_unit,
+    missing_for_laws,
     strange_amplitudes,
-    why_no_laws,
 )
-from rig.intake.film import FilmAsked, film_trajectory, films_in, is_filmed
+from rig.intake.film import FilmOptions, film_trajectory, films_in, is_filmed
 from rig.intake.table import TableColumns, read_columns
-from rig.intake.times import fast_oscillation, fast_part, second_frequency
+from rig.intake.times import fast_mode_ratio, fast_oscillation, second_frequency
 from rig.intake.trajectory import (
     Trajectory,
     along_and_across,

@@ -1,6 +1,6 @@
-"""The text of a cell as a number, a date or a time of day: decimal marks, thousands marks, units behind it.
+"""The text of a cell as a number, a date or a time of day, with its decimal mark and its unit.
 
-One way of writing holds for a whole table. Where its numbers leave two ways open, nothing is guessed.
+One number format holds for a whole table; if its numbers fit two formats, nothing is guessed.
 """
 
 import re
@@ -17,39 +17,39 @@ _SPACES: Final = "  ’'"
 _POINT: Final = re.compile(rf"[+-]?(?:\d+\.\d*|\.\d+){_EXPONENT}")
 _COMMA: Final = re.compile(rf"[+-]?(?:\d+,\d*|,\d+){_EXPONENT}")
 _WHOLE: Final = re.compile(rf"[+-]?\d+{_EXPONENT}")
-_POINTED: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
-_COMMAED: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
-_SPACED: Final = re.compile(rf"[+-]?\d{{1,3}}(?:[{_SPACES} ]\d{{3}})+(?:[.,]\d+)?")
+_BY_POINT: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
+_BY_COMMA: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
+_BY_SPACE: Final = re.compile(rf"[+-]?\d{{1,3}}(?:[{_SPACES} ]\d{{3}})+(?:[.,]\d+)?")
 _MINUS: Final = "\u2212\u2013"
-_NOT: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|--?|)", re.IGNORECASE)
-_EASY: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
+_NONE: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|--?|)", re.IGNORECASE)
+_PLAIN_NUMBER: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
 _WITH_UNIT: Final = re.compile(r"(?P<number>[+\u2212\u2013-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
 _COUNT: Final = re.compile(r'"?\d{1,15}"?')
-_FEWEST_COUNTED: Final = 8
+_MIN_COUNTED_ROWS: Final = 8
 MOMENT: Final = re.compile(
     r"(?P<date>\d{4}-\d\d-\d\d|\d{4}/\d\d/\d\d|\d\d\.\d\d\.\d{4})?(?:(?<=\d)[T ])?"
     r"(?P<clock>(?(date)\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?"
     r"|(?:\d{1,2}:\d\d:\d\d(?:[.,]\d+)?|\d{1,3}:\d\d(?:[.,]\d+)?)))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
-"""A date, a time of day or both. Without a date the time may be one of minutes and seconds, ``75:30.5``."""
+"""A date, a time of day or both; a time without a date may have minutes and seconds alone, ``75:30.5``."""
 
 
-class Writing(NamedTuple):
-    """The decimal mark of a table, and the marks between thousands that are taken out."""
+class NumberFormat(NamedTuple):
+    """The number format of a table: the decimal mark, and the mark between thousands, which is removed."""
 
     decimal: str = "."
     thousands: str = ""
 
     def plain(self, cell: str) -> str:
-        """The cell as Python writes numbers; one that is no number is left as it is."""
-        if self.decimal == "." and _EASY.fullmatch(cell):
+        """The cell in Python's number format; unchanged if it is no number."""
+        if self.decimal == "." and _PLAIN_NUMBER.fullmatch(cell):
             return cell
         text = _with_ascii_minus(cell).strip(f" \t{_SPACES}")
-        if _SPACED.fullmatch(text):
+        if _BY_SPACE.fullmatch(text):
             text = re.sub(rf"[{_SPACES} ]", "", text)
         if self.thousands and self.thousands in text:
-            pattern = _POINTED if self.thousands == "." else _COMMAED
-            # a mark elsewhere is a slip of the pen: not a number
+            pattern = _BY_POINT if self.thousands == "." else _BY_COMMA
+            # a thousands mark elsewhere is a typing error: the cell is not a number
             text = text.replace(self.thousands, "") if pattern.fullmatch(text) else f"?{text}"
         if self.decimal == "," and _COMMA.fullmatch(text):
             text = text.replace(",", ".")
@@ -57,31 +57,33 @@ class Writing(NamedTuple):
 
 
 def _with_ascii_minus(cell: str) -> str:
-    """Typesetters' minus and en dash before a number, as Julia, matplotlib and word processors write it."""
+    """The cell with a minus sign or en dash (of Julia, matplotlib, word processors) replaced by a hyphen."""
     return f"-{cell[1:]}" if cell[:1] in _MINUS and cell[1:2] not in ("", *_MINUS) else cell
 
 
 def is_missing(cell: str) -> bool:
-    """Whether a cell stands for a number that there is not: empty, or a word for none."""
-    return bool(_NOT.fullmatch(cell.strip()))
+    """Whether a cell stands for a missing number: empty, or a word for none."""
+    return bool(_NONE.fullmatch(cell.strip()))
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number in any way of writing, or stands for a missing one."""
-    if _EASY.fullmatch(cell):
+    """Whether a cell is a number in any format, or stands for a missing number."""
+    if _PLAIN_NUMBER.fullmatch(cell):
         return True
     cell = _with_ascii_minus(cell)
-    return any(kind.fullmatch(cell) for kind in (_WHOLE, _POINT, _COMMA, _COMMAED, _POINTED, _SPACED, _NOT))
+    return any(
+        kind.fullmatch(cell) for kind in (_WHOLE, _POINT, _COMMA, _BY_COMMA, _BY_POINT, _BY_SPACE, _NONE)
+    )
 
 
 def is_moment(cell: str) -> bool:
     """Whether a cell is a date, a time of day, or both."""
-    found = None if _EASY.fullmatch(cell) else MOMENT.fullmatch(cell)
+    found = None if _PLAIN_NUMBER.fullmatch(cell) else MOMENT.fullmatch(cell)
     return found is not None and bool(found["date"] or found["clock"])
 
 
 def is_value(cell: str) -> bool:
-    """A number, a moment, or a number with a unit behind it."""
+    """Whether a cell is a number, a moment, or a number followed by a unit."""
     if is_number(cell) or is_moment(cell):
         return True
     found = _WITH_UNIT.fullmatch(cell)
@@ -89,59 +91,59 @@ def is_value(cell: str) -> bool:
 
 
 def counts_rows(column: Sequence[str]) -> bool:
-    """Whether a column counts the rows: whole numbers, each one more than the one before."""
-    if len(column) < _FEWEST_COUNTED or not all(map(_COUNT.fullmatch, column)):
+    """Whether a column counts the rows: whole numbers that increase by 1."""
+    if len(column) < _MIN_COUNTED_ROWS or not all(map(_COUNT.fullmatch, column)):
         return False
     return all(int(b.strip('"')) - int(a.strip('"')) == 1 for a, b in pairwise(column))
 
 
-def writing_of(cells: Iterable[str], stated: str, where: str) -> Writing:
-    """The one way in which all these numbers can be written; `stated` is the decimal mark, or empty.
+def number_format(cells: Iterable[str], stated: str, where: str) -> NumberFormat:
+    """The only number format that fits all these cells; `stated` is the decimal mark, or empty.
 
     Raises
     ------
     ConfigurationError
-        Points and commas that both are decimal marks, or commas that may be one or the other.
+        Points and commas are both decimal marks, or commas may be decimal or thousands marks.
     """
-    point, comma, either, pointed = "", "", "", False
+    point, comma, ambiguous, pointed = "", "", "", False
     mixed = {".": "", ",": ""}
     for cell in map(_with_ascii_minus, cells):
         if "." in cell and "," in cell:
             decimal = max(".,", key=cell.rindex)
-            if (_POINTED if decimal == "," else _COMMAED).fullmatch(cell):
+            if (_BY_POINT if decimal == "," else _BY_COMMA).fullmatch(cell):
                 mixed[decimal] = cell
         elif "," in cell and _COMMA.fullmatch(cell):
-            if _COMMAED.fullmatch(cell):
-                either = either or cell
+            if _BY_COMMA.fullmatch(cell):
+                ambiguous = ambiguous or cell
             else:
                 comma = comma or cell
         elif "." in cell and _POINT.fullmatch(cell):
-            pointed |= bool(_POINTED.fullmatch(cell))
-            if not _POINTED.fullmatch(cell):
+            pointed |= bool(_BY_POINT.fullmatch(cell))
+            if not _BY_POINT.fullmatch(cell):
                 point = point or cell
     comma, point = comma or mixed[","], point or mixed["."]
     if stated:
-        return Writing(stated, {".": ",", ",": "."}[stated])
+        return NumberFormat(stated, {".": ",", ",": "."}[stated])
     if comma and point:
         raise ConfigurationError(
             f"{where}: {comma!r} has a decimal comma and {point!r} a decimal point; write one of them "
             "everywhere, or state --decimal"
         )
     if comma:
-        return Writing(",", ".")
+        return NumberFormat(",", ".")
     if point:
-        return Writing(".", ",")
-    if either and not pointed:
+        return NumberFormat(".", ",")
+    if ambiguous and not pointed:
         raise ConfigurationError(
-            f"{where}: {either!r} may be a number with a decimal comma or one with a mark for thousands; "
+            f"{where}: {ambiguous!r} may be a number with a decimal comma or one with a mark for thousands; "
             "state "
             "--decimal , or --decimal ."
         )
-    return Writing(",", ".") if either else Writing()
+    return NumberFormat(",", ".") if ambiguous else NumberFormat()
 
 
-def unit_behind(column: Sequence[str]) -> tuple[str, list[str]]:
-    """The unit that stands behind the numbers of a column (``12.5°``), and the numbers without it."""
+def split_unit(column: Sequence[str]) -> tuple[str, list[str]]:
+    """The unit that follows the numbers of a column (``12.5°``), and the numbers without it."""
     found = [None if is_number(cell) or is_moment(cell) else _WITH_UNIT.fullmatch(cell) for cell in column]
     found = [match if match is not None and is_number(match["number"]) else None for match in found]
     units = Counter(match["unit"].strip() for match in found if match is not None)
@@ -161,12 +163,10 @@ _DAY_1970: Final = date(1970, 1, 1).toordinal()
 
 
 def moments_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[int | None]:
-    """Times in ns since 1970, or since midnight where no date stands; None for a cell that is no moment.
+    """Times in ns since 1970, or since midnight without a date; None for a cell that is no moment.
 
-    Of two fields, ``12:30``, the first is the hour, or the minute with `minutes_first`.
-
-    Times of day without a date go on over midnight: where one falls by more than half a day, a day has
-    passed.
+    In a time of two fields, ``12:30``, the first is the hour, or the minute with `minutes_first`. Times of
+    day without a date continue over midnight: a decrease by more than half a day means that a day has passed.
     """
     found: list[int | None] = []
     days, before = 0, None
@@ -197,7 +197,7 @@ def moments_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[int
 
 
 def _clock_ns(text: str, minutes_first: bool) -> int | None:
-    """None for what no clock shows: 12:75, 25:61:00. Hours and leading minutes may go on counting."""
+    """A time of day in ns; None for an impossible one (12:75). Hours and leading minutes may exceed a day."""
     fields = text.replace(",", ".").split(":")
     if len(fields) == 2:
         # only seconds have a fraction
@@ -212,7 +212,7 @@ def _clock_ns(text: str, minutes_first: bool) -> int | None:
 
 
 def _day(text: str | None) -> int | None:
-    """None for a day that there is not, the 30th of February."""
+    """Days since 1970 of a date; None without one, and for an impossible one (the 30th of February)."""
     if not text:
         return None
     try:

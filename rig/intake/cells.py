@@ -1,4 +1,4 @@
-"""A table's file as a header and rows of cells, and what was left out of it, with the lines."""
+"""A table's file as a header and rows of cells, with the lines that were left out."""
 
 import csv
 import re
@@ -10,28 +10,30 @@ from pathlib import Path
 from typing import Final
 
 from processing.errors import DataError
-from rig.intake.cell_text import Writing, counts_rows, is_moment, is_value, unit_behind, writing_of
-from rig.intake.files import bytes_of, rows_of, text_of
+from rig.intake.cell_text import NumberFormat, counts_rows, is_moment, is_value, number_format, split_unit
+from rig.intake.files import binary_rows, decode, read_bytes_of
 from rig.intake.units import TIME_NAME, is_time, known_unit, named_unit
 
 _COMMENTS: Final = ("#", "%", "//", "!")
 _SEPARATORS: Final = {"tabs": "\t", "semicolons": ";", "bars": "|", "commas": ","}
-# A sentence has commas and blanks, too, and may stand above the rows.
-_IN_NO_SENTENCE: Final = ("tabs", "semicolons")
+# A sentence above the rows contains commas and blanks, too, but not these marks.
+_SURE_MARKS: Final = ("tabs", "semicolons")
 _NO_UNIT: Final = ("", "-", "--", "n/a", "none", "ts", "rn")
-"""In a line of units; the last two are those of a time and of a number in Campbell's loggers."""
+"""Cells without a unit in a line of units; the last two are Campbell loggers', for times and row numbers."""
 _BRACKETED: Final = re.compile(r"\s*[\[({<].*[\])}>]\s*")
-_LOOKED_AT: Final = 2000
+_MAX_SAMPLED_LINES: Final = 2000
 _BLANKS: Final = re.compile(r"[ \t]+")
-_ANY: Final = re.compile(r"\s*[;,|\t ]\s*")
+_ANY_MARK: Final = re.compile(r"\s*[;,|\t ]\s*")
 
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Names of the columns (empty where there are none), their units where a line of their own or the cells
-    state them, and the rows with the numbers of their lines. `left_out` are lines with another number of
-    columns. `blocks` number what blank lines or comments part, or the header written again, for each row.
-    `said` are lines on how the file was read.
+    """The cells of a table: names and units of the columns, and rows with the numbers of their lines.
+
+    `names` is empty without a header; `units` are those stated in a line of their own or in the cells.
+    `left_out` are the numbers of lines with another number of columns. `blocks` holds, for each row, the
+    number of its block; blocks are separated by blank lines, comments or a repeated header. `said` are
+    remarks on the reading.
     """
 
     names: Sequence[str]
@@ -41,27 +43,27 @@ class Cells:
     left_out: Sequence[int]
     blocks: Sequence[int]
     separator: str
-    writing: Writing
+    number_format: NumberFormat
     said: Sequence[str] = ()
 
 
 def read_cells(path: Path, decimal: str = "") -> Cells:
-    """Read a file; `decimal` is the decimal mark where it has to be stated.
+    """Read a file; `decimal` is the decimal mark if it has to be stated.
 
     Raises
     ------
     DataError
-        A file that holds no rows of numbers, or cannot be read.
+        The file holds no rows of numbers, or cannot be read.
     ConfigurationError
-        Numbers that can be read in two ways.
+        The numbers fit two formats.
     """
-    raw = bytes_of(path)
-    given = rows_of(path, raw)
+    raw = read_bytes_of(path)
+    given = binary_rows(path, raw)
     if given is not None:
         filled = [(number, cells) for number, cells in enumerate(given.rows, 1) if any(cells)]
         return replace(_cells(path, filled, [], "", decimal), said=given.said)
     numbered = [
-        (number, line) for number, line in enumerate(text_of(raw).splitlines(), 1) if line.strip(" \t;,|")
+        (number, line) for number, line in enumerate(decode(raw).splitlines(), 1) if line.strip(" \t;,|")
     ]
     plain = [item for item in numbered if not item[1].lstrip().startswith(_COMMENTS)]
     name, split = _separator([line for _, line in plain])
@@ -72,16 +74,18 @@ def read_cells(path: Path, decimal: str = "") -> Cells:
 
 
 def _separator(lines: Sequence[str]) -> tuple[str, Callable[[str], list[str]]]:
-    """What the columns are separated by: what makes most lines into equally many numbers."""
-    step = max(len(lines) // _LOOKED_AT, 1)
+    """The separator, by name and as a function: the one that splits most lines into equally many numbers."""
+    step = max(len(lines) // _MAX_SAMPLED_LINES, 1)
     sample = lines[::step]
-    ways: dict[str, Callable[[str], list[str]]] = {name: _by(mark) for name, mark in _SEPARATORS.items()}
-    ways |= {"blanks": lambda line: _BLANKS.split(line.strip()), "mixed marks": _by_any}
+    ways: dict[str, Callable[[str], list[str]]] = {
+        name: _splitter(mark) for name, mark in _SEPARATORS.items()
+    }
+    ways |= {"blanks": lambda line: _BLANKS.split(line.strip()), "mixed marks": _split_at_any_mark}
     found: tuple[str, Callable[[str], list[str]]] = ("", lambda line: [line.strip().strip('"')])
     best = (0, 0)
     for name, split in ways.items():
         whole: Counter[int] = Counter()
-        # beside words, too
+        # lines that also contain words
         partly: Counter[int] = Counter()
         for line in sample:
             cells = split(line)
@@ -95,7 +99,7 @@ def _separator(lines: Sequence[str]) -> tuple[str, Callable[[str], list[str]]]:
     return found
 
 
-def _by(mark: str) -> Callable[[str], list[str]]:
+def _splitter(mark: str) -> Callable[[str], list[str]]:
     def split(line: str) -> list[str]:
         if '"' in line:
             try:
@@ -109,8 +113,8 @@ def _by(mark: str) -> Callable[[str], list[str]]:
     return split
 
 
-def _by_any(line: str) -> list[str]:
-    return [cell.strip('"') for cell in _ANY.split(line.strip()) if cell]
+def _split_at_any_mark(line: str) -> list[str]:
+    return [cell.strip('"') for cell in _ANY_MARK.split(line.strip()) if cell]
 
 
 def _cells(
@@ -122,7 +126,7 @@ def _cells(
     ]
     widths = Counter(wide for wide, filled, values in counts if filled == values > 0)
     if not widths:
-        # a column of words beside the numbers
+        # no line holds only numbers: there is a column of words
         widths = Counter(wide for wide, _, values in counts if values > 1)
     width, count = widths.most_common(1)[0] if widths else (0, 0)
     if count < 2:
@@ -132,7 +136,7 @@ def _cells(
         )
     fewest = min(2, width)
     numbers_in = [values if wide == width else 0 for wide, _, values in counts]
-    # a line above the names may hold numbers, too, but fewer
+    # a line above the names may also hold numbers, but fewer
     usual = Counter(values for values in numbers_in if values >= fewest).most_common(1)
     first = next(
         (k for k, values in enumerate(numbers_in) if usual and values >= max(fewest, usual[0][0] / 2)), None
@@ -143,29 +147,29 @@ def _cells(
             "rows: --rate HZ"
         )
     header = [cells for _, cells in numbered[:first]]
-    again = {number for number, cells in numbered[first:] if any(cells) and cells in header}
-    body = [(n, cells) for n, cells in numbered[first:] if len(cells) == width and n not in again]
-    left_out = [n for n, cells in numbered[first:] if len(cells) != width and n not in again]
+    repeated_headers = {number for number, cells in numbered[first:] if any(cells) and cells in header}
+    body = [(n, cells) for n, cells in numbered[first:] if len(cells) == width and n not in repeated_headers]
+    left_out = [n for n, cells in numbered[first:] if len(cells) != width and n not in repeated_headers]
     columns = [list(column) for column in zip(*(cells for _, cells in body), strict=True)]
     names, units = _header(header or comments, columns, separator)
-    # of columns that are empty throughout, a separator at the end of every line makes one
+    # drop empty columns: a separator at the end of every line makes one
     kept = [k for k in range(width) if any(columns[k])]
     columns, names = [columns[k] for k in kept], [names[k] for k in kept] if names else []
     units = [units[k] for k in kept] if units else [""] * len(kept)
     columns, names, units = _joined_moments(columns, names, units)
     for k, column in enumerate(columns):
-        behind, columns[k] = unit_behind(column)
+        behind, columns[k] = split_unit(column)
         units[k] = units[k] or behind
     numbers = (cell for column in columns for cell in column if not is_moment(cell))
-    writing = writing_of(numbers, decimal, str(path))
-    columns = [[cell if is_moment(cell) else writing.plain(cell) for cell in column] for column in columns]
+    form = number_format(numbers, decimal, str(path))
+    columns = [[cell if is_moment(cell) else form.plain(cell) for cell in column] for column in columns]
     rows = list(zip(*columns, strict=True))
     lines = [number for number, _ in body]
-    return Cells(names, units, rows, lines, left_out, _blocks(lines, left_out), separator, writing)
+    return Cells(names, units, rows, lines, left_out, _blocks(lines, left_out), separator, form)
 
 
 def _blocks(lines: Sequence[int], left_out: Sequence[int]) -> list[int]:
-    """The block of each row: a new one begins behind lines that hold no row, not even a spoilt one."""
+    """The block of each row: a new one begins after lines that hold neither a row nor a spoilt row."""
     spoilt, block, found = set(left_out), 0, [0]
     for before, line in pairwise(lines):
         block += any(between not in spoilt for between in range(before + 1, line))
@@ -174,56 +178,56 @@ def _blocks(lines: Sequence[int], left_out: Sequence[int]) -> list[int]:
 
 
 def _header(lines: list[list[str]], columns: list[list[str]], separator: str) -> tuple[list[str], list[str]]:
-    """Names, and units that have a line of their own; both empty where there are none.
+    """Names, and units from a line of their own; both empty if missing.
 
-    Lines of comments may stand below them, as Origin and Campbell's loggers write them.
+    A line of comments may follow them, as in files of Origin and Campbell's loggers.
     """
     width = len(columns)
-    # a line of numbers is no header, nor is one of several words that of a single column
+    # neither a line of numbers, nor one of several words above a single column is a header
     fitting = [
         cells
         for number, line in enumerate(lines, 1 - len(lines))
-        if (cells := _as_wide(line, columns, separator if not number else ""))
+        if (cells := _fitted_to_columns(line, columns, separator if not number else ""))
         and any(any(map(str.isalpha, cell)) for cell in cells)
         and (width > 1 or not set(cells[0]) & set(",;\t"))
     ]
-    of_units = [k for k in range(len(fitting)) if len(fitting) > 1 and _is_of_units(fitting, k)]
-    if of_units:
-        above, units = fitting[: of_units[-1]], [cell.strip("()[]{}<> ") for cell in fitting[of_units[-1]]]
-        names = _names(above) if above else fitting[of_units[-1] + 1]
+    units_at = [k for k in range(len(fitting)) if len(fitting) > 1 and _is_unit_line(fitting, k)]
+    if units_at:
+        above, units = (fitting[: units_at[-1]], [cell.strip("()[]{}<> ") for cell in fitting[units_at[-1]]])
+        names = _names(above) if above else fitting[units_at[-1] + 1]
         return names, ["" if unit.lower() in _NO_UNIT else unit for unit in units]
     return (_names(fitting) if fitting else []), []
 
 
-def _as_wide(cells: list[str], columns: list[list[str]], separator: str) -> list[str]:
-    """A line of the header with a cell for each column; empty where it is none. `separator`: of the last."""
+def _fitted_to_columns(cells: list[str], columns: list[list[str]], separator: str) -> list[str]:
+    """A header line with a cell for each column; empty if it does not fit. `separator`: of the last line."""
     width = len(columns)
     if len(cells) > width > 1 and not any(cells[width:]):
         cells = cells[:width]
     if len(cells) > width > 1 and separator and all(any(map(str.isalpha, cell)) for cell in cells[:width]):
-        # LabVIEW names a column of comments, which the rows do not have
-        cells = cells[:width] if separator in _IN_NO_SENTENCE or any(map(_tells, cells[:width])) else cells
+        # LabVIEW writes the name of a column of comments, which the rows lack
+        cells = cells[:width] if separator in _SURE_MARKS or any(map(_is_name, cells[:width])) else cells
     if 1 < len(cells) < width and not any(map(any, columns[len(cells) :])):
         cells = [*cells, *[""] * (width - len(cells))]
     if 1 < len(cells) == width - 1 and counts_rows(columns[0]):
-        # R writes the numbers of the rows without a name
+        # R writes a column of row numbers without a name
         cells = ["row", *cells]
     return cells if len(cells) == width else []
 
 
-def _tells(name: str) -> bool:
-    """Whether it is a column's name by what it says: a time, or a unit."""
+def _is_name(name: str) -> bool:
+    """Whether a cell is clearly a column's name: it contains a time or a unit."""
     return bool(TIME_NAME.fullmatch(name) or named_unit(name).unit)
 
 
 def _names(lines: list[list[str]]) -> list[str]:
-    """The last line that names a time or a unit, else the last one."""
+    """The names: the last line that contains a time or a unit, else the last line."""
     words = [cells for cells in lines if all(any(map(str.isalpha, cell)) for cell in cells if cell)]
-    return next((cells for cells in reversed(words) if any(map(_tells, cells))), lines[-1])
+    return next((cells for cells in reversed(words) if any(map(_is_name, cells))), lines[-1])
 
 
-def _is_of_units(lines: list[list[str]], k: int) -> bool:
-    """Whether a line holds units: all of its cells are, or the one under a time, or most have brackets."""
+def _is_unit_line(lines: list[list[str]], k: int) -> bool:
+    """Whether a line holds units: all cells are units, or the cell below a time is, or most have brackets."""
     filled = [cell for cell in lines[k] if cell.lower() not in _NO_UNIT]
     known = [known_unit(cell.strip("()[]{}<> ")) for cell in lines[k]]
     if not filled or not any(known):
@@ -241,7 +245,7 @@ def _is_of_units(lines: list[list[str]], k: int) -> bool:
 def _joined_moments(
     columns: list[list[str]], names: list[str], units: list[str]
 ) -> tuple[list[list[str]], list[str], list[str]]:
-    """Dates in one column and times of day in the next are one column of moments."""
+    """Columns, names and units with a column of dates and a column of times of day joined into moments."""
     for k in range(len(columns) - 1):
         date, clock = columns[k], columns[k + 1]
         if all(is_moment(cell) and ":" not in cell for cell in date) and all(

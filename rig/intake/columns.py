@@ -1,4 +1,4 @@
-"""Which columns of a table hold time, positions and the number of the run, and which rows are of one run."""
+"""The columns of a table that hold time, positions and run number, and the rows of each run."""
 
 import math
 import re
@@ -20,15 +20,15 @@ _RUN_NAME: Final = re.compile(
     r"wiederholung|sweep)(?:[\W_]*(?:no|nr|num|number|nummer|id|index))?\W*",
     re.I,
 )
-_LOOKED_AT: Final = 50
+_MAX_SAMPLED_ROWS: Final = 50
 _OTHER_DIRECTION: Final = re.compile(r"(?<![^\W_])[xyXY](?![^\W_])")
 _DIRECTIONS: Final = {"x": "y", "y": "x", "X": "Y", "Y": "X"}
-_MOST_ROWS: Final = 0.95
-"""Of a second direction, that have to be numbers."""
+_MIN_NUMBER_FRACTION: Final = 0.95
+"""Fraction of the cells of a second direction that must be numbers."""
 
 
 class HeaderColumns:
-    """The columns of a table, as its header names them or by number, and the unit that each states."""
+    """The columns of a table by name or number, and the unit that each name states."""
 
     def __init__(self, path: Path, cells: Cells) -> None:
         self._path, self._cells = path, cells
@@ -38,7 +38,7 @@ class HeaderColumns:
         self.named: Final = [self._unit_of(k) for k in range(self.width)]
 
     def time(self, asked: str | None, rate_hz: float | None, time_unit: str = "") -> int | None:
-        """The column of times; None where a rate stands for them."""
+        """The column of times; None if a rate replaces it."""
         if rate_hz is not None:
             if asked is not None or time_unit:
                 raise ConfigurationError(
@@ -56,10 +56,10 @@ class HeaderColumns:
             k
             for k, named in enumerate(self.named)
             if (self._cells.names and (TIME_NAME.fullmatch(named.name) or is_time(named.unit)))
-            or all(is_moment(row[k]) for row in self._cells.rows[:_LOOKED_AT])
+            or all(is_moment(row[k]) for row in self._cells.rows[:_MAX_SAMPLED_ROWS])
         ]
-        # a date alone is the same in all rows
-        first = self._cells.rows[:_LOOKED_AT]
+        # leave out a date, which is the same in all rows
+        first = self._cells.rows[:_MAX_SAMPLED_ROWS]
         like_time = [k for k in like_time if len({row[k] for row in first}) > 1] or like_time
         return like_time[0] if like_time else 1 if self.run() == 0 else 0
 
@@ -75,18 +75,16 @@ class HeaderColumns:
                 f"{self._path}: has {self.width} columns; name the position with --position"
             )
         if len(others) > 1:
-            # neither numbers of the rows nor other times are a position
+            # neither row numbers nor other times are positions
             left = [k for k in others if not is_time(self.named[k].unit)]
             others = [k for k in left if not counts_rows([row[k] for row in self._cells.rows])] or others
-        behind = [k for k in others if t_column is None or k > t_column]
-        first = [*behind, *others, 0][0]
-        second = self._beside(first, others)
+        following = [k for k in others if t_column is None or k > t_column]
+        first = [*following, *others, 0][0]
+        second = self._other_direction(first, others)
         return [first] if second is None else [first, second]
 
-    def _beside(self, column: int, others: Sequence[int]) -> int | None:
-        """The column of the other direction, named and measured as this one is: y beside x; None: there is
-        none, or it has few numbers.
-        """
+    def _other_direction(self, column: int, others: Sequence[int]) -> int | None:
+        """The column of the other direction with a like name and unit, as y for x; None without one."""
         if not self._cells.names:
             return None
         here = self.named[column]
@@ -95,17 +93,17 @@ class HeaderColumns:
             if k == column or self.named[k] != here._replace(name=other) or other == here.name:
                 continue
             cells = [row[k] for row in self._cells.rows]
-            if sum(math.isfinite(number(cell)) for cell in cells) >= _MOST_ROWS * len(cells):
+            if sum(math.isfinite(number(cell)) for cell in cells) >= _MIN_NUMBER_FRACTION * len(cells):
                 return k
         return None
 
     def run(self) -> int | None:
-        """The column that says which run a row is of, where one is named so."""
+        """The column with the run of each row, by its name; None without one."""
         found = [k for k, named in enumerate(self.named) if _RUN_NAME.fullmatch(named.name.strip())]
         return found[0] if self._cells.names and found else None
 
     def place(self, name: str) -> int:
-        """The column of a name or number. Raises ConfigurationError where there is none."""
+        """The column of a name or number; raises ConfigurationError if there is none."""
         for among in (self.names if self._cells.names else [], [named.name for named in self.named]):
             if name in among:
                 return list(among).index(name)
@@ -127,32 +125,32 @@ class HeaderColumns:
         return ColumnName(named.name, unit or named.unit, "" if unit or named.unit else beside)
 
 
-_FEWEST_ROWS: Final = 8
-"""Of a run; shorter blocks are part of the one before. A column that numbers each row numbers no runs."""
+_MIN_ROWS_OF_RUN: Final = 8
+"""Fewest rows of a run: shorter blocks belong to the previous one; a column of row numbers counts no runs."""
 _MISSING: Final = ("", "nan")
 
 
 class RowsOfRun(NamedTuple):
-    """One run: its name, its rows, and what tells the runs apart."""
+    """One run: its name, its rows, and the feature that separates the runs of the table, in words."""
 
     name: str
     cells: Cells
-    told_by: str = ""
+    separator: str = ""
 
 
-def runs_of(cells: Cells, columns: HeaderColumns, t_column: int | None) -> list[RowsOfRun]:
-    """The runs of a table; one without a name where there is only one."""
+def separate_runs(cells: Cells, columns: HeaderColumns, t_column: int | None) -> list[RowsOfRun]:
+    """The runs of a table; a single one has no name."""
     numbered = columns.run()
     if numbered is not None and numbered != t_column:
         labels = [_label(row[numbered]) for row in cells.rows]
         counts = Counter(label for label in labels if label.lower() not in _MISSING)
-        if len(counts) > 1 and len(labels) >= _FEWEST_ROWS * len(counts):
-            told_by = f"the column {columns.names[numbered]}"
-            return [RowsOfRun(name, _part(cells, labels, name), told_by) for name in counts]
+        if len(counts) > 1 and len(labels) >= _MIN_ROWS_OF_RUN * len(counts):
+            separator = f"the column {columns.names[numbered]}"
+            return [RowsOfRun(name, _rows(cells, labels, name), separator) for name in counts]
     blocks = _blocks(cells, t_column)
     if len(set(blocks)) > 1:
-        told_by = "blank lines between them" if t_column is None else "times that begin again"
-        return [RowsOfRun(name, _part(cells, blocks, name), told_by) for name in dict.fromkeys(blocks)]
+        separator = "blank lines between them" if t_column is None else "times that begin again"
+        return [RowsOfRun(name, _rows(cells, blocks, name), separator) for name in dict.fromkeys(blocks)]
     return [RowsOfRun("", cells)]
 
 
@@ -162,17 +160,17 @@ def _label(cell: str) -> str:
 
 
 def _blocks(cells: Cells, t_column: int | None) -> list[str]:
-    """For each row the number of its run: by lines without rows behind which the times begin again."""
+    """The number of the run for each row: a run begins after lines without rows, where times begin again."""
     between = cells.blocks if t_column is None else [line - k for k, line in enumerate(cells.lines)]
     borders = [k for k, (a, b) in enumerate(pairwise(between), 1) if a != b]
     starts = [0]
     for border in borders:
-        if border - starts[-1] < _FEWEST_ROWS or len(cells.rows) - border < _FEWEST_ROWS:
+        if border - starts[-1] < _MIN_ROWS_OF_RUN or len(cells.rows) - border < _MIN_ROWS_OF_RUN:
             continue
         if t_column is None or _begins_again(cells.rows, t_column, starts[-1], border):
             starts.append(border)
     if t_column is None and len(starts) <= len(borders):
-        # blank lines elsewhere, too: they part nothing
+        # blank lines also occur elsewhere, so they do not separate runs
         return ["1"] * len(cells.rows)
     marks = set(starts)
     run, found = 0, []
@@ -183,7 +181,7 @@ def _blocks(cells: Cells, t_column: int | None) -> list[str]:
 
 
 def _begins_again(rows: Sequence[Sequence[str]], t_column: int, start: int, border: int) -> bool:
-    """Whether the first time behind a border is not later than the last one before it."""
+    """Whether the first time after a border is not later than the last one before it."""
     before = _first_time(row[t_column] for row in reversed(rows[start:border]))
     after = _first_time(row[t_column] for row in rows[border:])
     return before is not None and after is not None and after <= before
@@ -200,8 +198,8 @@ def _time(cell: str) -> float | None:
     return value if value == value else None
 
 
-def _part(cells: Cells, labels: Sequence[str], name: str) -> Cells:
-    """The rows of one run, and the lines left out that follow one of them."""
+def _rows(cells: Cells, labels: Sequence[str], name: str) -> Cells:
+    """The cells of one run, with the left-out lines that follow its rows."""
     kept = [k for k, label in enumerate(labels) if label == name]
     of_line = dict(zip(cells.lines, labels, strict=True))
     left_out, at, label = [], 0, labels[0]

@@ -1,4 +1,4 @@
-"""What a table holds that can be read, but is hardly what it was read as: refused, with what to state."""
+"""Doubts about a readable table: implausible units, sizes, times and signs, refused with a remedy."""
 
 import math
 from collections.abc import Sequence
@@ -22,38 +22,38 @@ from rig.presentation import plain
 from rig.settings import Configuration
 
 _LARGEST_RAD: Final = 1.1 * math.pi
-"""No pendulum swings further from its middle and comes back; a tenth for where the middle is taken to be."""
-_MOST_WORDS: Final = 0.25
-"""Of a column of positions that may be words; single ones are of an instrument that lost its signal."""
-_LARGEST: Final = 1e60
-"""Positions beyond it, or below its inverse, are no measurement, and squares leave the range of floats."""
-_DAYS: Final = (30_000.0, 60_000.0)
-"""Days since 1899-12-30, as spreadsheets count, from 1982 to 2064."""
+"""Largest amplitude of a pendulum that swings and returns, with a tenth for the uncertainty of its middle."""
+_MAX_WORD_FRACTION: Final = 0.25
+"""Fraction of a column of positions that may be words, as of an instrument that lost its signal."""
+_MAX_POSITION: Final = 1e60
+"""Larger positions, or smaller than its inverse, are no measurement, and their squares overflow."""
+_SPREADSHEET_DAYS: Final = (30_000.0, 60_000.0)
+"""Range of days since 1899-12-30, from which spreadsheets count: 1982 to 2064."""
 _DAY_NS: Final = 86_400_000_000_000
 SPREADSHEET_ZERO_NS: Final = 25_569 * _DAY_NS
-"""1970 on the clock of a spreadsheet."""
+"""The beginning of 1970 in the time of spreadsheets."""
 _HOUR_S: Final = 3600.0
-_JUMP: Final = 0.7
-"""Of the range of a position, that no swing goes from one sample to the next while others are far smaller."""
-_FEWEST_JUMPS: Final = 4
-_FEWEST_CUT: Final = 3
-"""Rows that stay at the largest value where a sensor cuts it off."""
-_COUNTED_DAYS: Final = 1e7
-"""Since any day from which days are counted; a number beyond is one of seconds."""
-_LAST_S: Final = 253_402_300_800.0
-"""The end of the year 9999."""
+_MIN_JUMP: Final = 0.7
+"""Step between samples, in units of the position's range, that no swing makes among far smaller steps."""
+_MIN_JUMPS: Final = 4
+_MIN_CUT_ROWS: Final = 3
+"""Fewest rows in succession at the largest value that show a sensor's limit."""
+_MAX_COUNTED_DAYS: Final = 1e7
+"""Largest number of days since any date from which days are counted; a larger number is one of seconds."""
+_MAX_TIME_S: Final = 253_402_300_800.0
+"""The end of the year 9999, in s since 1970."""
 _YEAR_S: Final = 31_556_952.0
 
 
 def is_spreadsheet_time(first_ns: int) -> bool:
-    """Whether a time in days is likely one of a spreadsheet; since 1970, it would be after 2052."""
-    return _DAYS[0] * _DAY_NS < first_ns < _DAYS[1] * _DAY_NS
+    """Whether a time in days is likely one of a spreadsheet: if counted from 1970, it would be after 2052."""
+    return _SPREADSHEET_DAYS[0] * _DAY_NS < first_ns < _SPREADSHEET_DAYS[1] * _DAY_NS
 
 
 def judge_words(path: Path, name: str, cells: Sequence[str], lines: Sequence[int]) -> None:
-    """Refuse a column of which much is written so that it is not read: what is left would be no swing."""
+    """Refuse a column with many cells that are not numbers: the rest would show no swing."""
     words = [n for n, cell in enumerate(cells) if math.isnan(number(cell)) and not is_missing(cell)]
-    if len(words) > _MOST_WORDS * len(cells):
+    if len(words) > _MAX_WORD_FRACTION * len(cells):
         raise DataError(
             f"{path}: {len(words)} of {len(cells)} values of {name} are no numbers, first "
             f"{cells[words[0]]!r} (line {lines[words[0]]}); write them as numbers, or name another column "
@@ -62,11 +62,11 @@ def judge_words(path: Path, name: str, cells: Sequence[str], lines: Sequence[int
 
 
 def judge_size(path: Path, unit: str, table: NDArray[np.float64]) -> None:
-    """Refuse an angle that no pendulum swings by, and what no instrument measures in any unit."""
+    """Refuse an angle larger than any swing, and positions of a size that no instrument measures."""
     sizes = np.abs(table[np.isfinite(table) & (table != 0)])
     if not len(sizes):
         return
-    if not (sizes.max() < _LARGEST and np.median(sizes) > 1.0 / _LARGEST):
+    if not (sizes.max() < _MAX_POSITION and np.median(sizes) > 1.0 / _MAX_POSITION):
         raise DataError(
             f"{path}: the position is of the order of {np.median(sizes):.3g} {unit}, up to "
             f"{sizes.max():.3g}, which no instrument measures; is it the right column (--position), and are "
@@ -85,9 +85,9 @@ def judge_size(path: Path, unit: str, table: NDArray[np.float64]) -> None:
 def unwrapped(
     path: Path, name: str, unit: str, values: NDArray[np.float64], lines: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], int]:
-    """An angle that was counted round a turn without its jumps, and how many there were.
+    """An angle with its jumps by whole turns removed, and the number of jumps.
 
-    Raises ConfigurationError for jumps of another size against the motion, as a turn in another unit has.
+    Raises ConfigurationError for jumps of another size against the motion, as by a turn in another unit.
     """
     known = np.flatnonzero(np.isfinite(values))
     steps = np.diff(values[known])
@@ -97,12 +97,12 @@ def unwrapped(
         found = values.copy()
         found[known] = np.unwrap(values[known], period=turn)
         return found, count
-    jumps = np.flatnonzero(np.abs(steps[1:-1]) > _JUMP * span) + 1
+    jumps = np.flatnonzero(np.abs(steps[1:-1]) > _MIN_JUMP * span) + 1
     others = np.delete(steps, jumps)
     against = steps[jumps] * (steps[jumps - 1] + steps[jumps + 1]) < 0.0
-    # there and back, unlike a wheel
-    both_ways = len(jumps) >= _FEWEST_JUMPS and abs(np.sign(steps[jumps]).sum()) <= 1.0
-    if both_ways and np.abs(others).max() < (1.0 - _JUMP) * span and np.mean(against) > 0.8:
+    # jumps in both directions, unlike those of a turning wheel
+    both_ways = len(jumps) >= _MIN_JUMPS and abs(np.sign(steps[jumps]).sum()) <= 1.0
+    if both_ways and np.abs(others).max() < (1.0 - _MIN_JUMP) * span and np.mean(against) > 0.8:
         raise ConfigurationError(
             f"{path}: {name} jumps by {np.median(np.abs(steps[jumps])):.4g} {unit} against its motion, "
             f"{len(jumps)} times, first after line {lines[known[jumps[0]]]}, as an angle does that is "
@@ -114,15 +114,15 @@ def unwrapped(
 def judge_begin(
     path: Path, title: str, unit: str, source: str, first_ns: int, times_ns: NDArray[np.int64]
 ) -> None:
-    """Refuse what no header calls seconds and looks like days of a calendar, and a time in no calendar."""
+    """Refuse times without a stated unit that look like calendar days, and times beyond the year 9999."""
     first_s, span_s = seconds(first_ns), float(seconds(times_ns[-1]))
     first = first_s / conversion(unit, "s")
-    if source == NOT_STATED_TIME and _DAYS[0] < first_s < _COUNTED_DAYS and span_s < 1.0:
+    if source == NOT_STATED_TIME and _SPREADSHEET_DAYS[0] < first_s < _MAX_COUNTED_DAYS and span_s < 1.0:
         raise ConfigurationError(
             f"{path}: {title!r} begins at {first:.10g} and goes over {span_s:.3g}: a calendar's days, or "
             "seconds? State --time-unit d, or --time-unit s"
         )
-    if abs(first_s) > _LAST_S:
+    if abs(first_s) > _MAX_TIME_S:
         remedy = {NOT_STATED_TIME: "state --time-unit", "--time-unit": "state another:"}.get(
             source, "correct the header:"
         )
@@ -133,9 +133,9 @@ def judge_begin(
 
 
 def judge_clock_digits(path: Path, title: str, times: NDArray[np.float64]) -> None:
-    """Refuse the digits of a clock that are read as one number: 235959.95 (HHMMSS), 59.5995 (MM.SS).
+    """Refuse the digits of a clock written as one number: 235959.95 (HHMMSS), 59.5995 (MM.SS).
 
-    `times` are as the column holds them, shape (n,). At the end of each minute such a number jumps by 40.
+    `times` (n,) are the numbers in the column. At the end of each minute such a number jumps by 40.
     """
     for minute, form in ((100.0, "HHMMSS"), (1.0, "MM.SS")):
         whole, part = np.divmod(times / minute, 1.0)
@@ -153,7 +153,7 @@ def judge_clock_digits(path: Path, title: str, times: NDArray[np.float64]) -> No
 
 
 def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -> None:
-    """Refuse moments of which some have a zone, and a local clock that is put forward an hour."""
+    """Refuse moments of which only some have a time zone, and a local clock that is set to summer time."""
     found = [match for cell in cells if (match := MOMENT.fullmatch(cell.strip())) and match["date"]]
     with_zone = [match[0] for match in found if match["zone"]]
     without = [match[0] for match in found if not match["zone"]]
@@ -173,13 +173,13 @@ def judge_zones(path: Path, cells: Sequence[str], times_ns: NDArray[np.int64]) -
         )
 
 
-_ONE_WAY = 0.5
-"""Of all steps of a position, the part that is left of them at its end; a swing comes back."""
-_SLOW_STEP_S = 1.0
+_MAX_PART_LEFT = 0.5
+"""Largest ratio of a position's whole change to the sum of its steps; a swing comes back, at nearly 0."""
+_MIN_SLOW_STEP_S = 1.0
 _USUAL_PERIOD_S = (0.2, 100.0)
-"""Of times of which nothing states that they are s; a pendulum of 0.2 s is 1 cm long."""
-_TOO_LARGE = 3.0
-"""Times the first amplitude of a session; 1 arcsec is 5 urad."""
+"""Range of plausible periods in s of times without a stated unit; a pendulum of 0.2 s is 1 cm long."""
+_MAX_RATIO = 3.0
+"""Largest plausible ratio of an amplitude to the first amplitude of a session; 1 arcsec is 5 urad."""
 
 
 def judge_sign(path: Path, trajectory: Trajectory) -> None:
@@ -187,7 +187,7 @@ def judge_sign(path: Path, trajectory: Trajectory) -> None:
     if len(trajectory.positions) > 1:
         return
     values = trajectory.positions[0][np.isfinite(trajectory.positions[0])]
-    if len(values) > 1 and abs(values[-1] - values[0]) > _ONE_WAY * np.abs(np.diff(values)).sum():
+    if len(values) > 1 and abs(values[-1] - values[0]) > _MAX_PART_LEFT * np.abs(np.diff(values)).sum():
         raise DataError(
             f"{path}: {trajectory.names[0]} goes from {values[0]:.4g} to {values[-1]:.4g} and hardly ever "
             "back: no position of a swing does; name the column of the position (--position), or give "
@@ -203,11 +203,11 @@ def judge_sign(path: Path, trajectory: Trajectory) -> None:
 
 
 def judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequence[HalfCycle]] = ()) -> None:
-    """Refuse times that are hardly s where nothing states it: ms, numbers of rows, parts of a day."""
+    """Refuse times without a stated unit that are hardly in s: ms, row numbers, fractions of a day."""
     step_s = float(np.median(np.diff(seconds(trajectory.times_ns))))
     periods_s = [summarise_decay(turning_points(part)).period_s.value for part in decays]
     longest_s = max(periods_s, default=_USUAL_PERIOD_S[0])
-    usual = step_s < _SLOW_STEP_S and _USUAL_PERIOD_S[0] <= longest_s < _USUAL_PERIOD_S[1]
+    usual = step_s < _MIN_SLOW_STEP_S and _USUAL_PERIOD_S[0] <= longest_s < _USUAL_PERIOD_S[1]
     if usual or not trajectory.time_is_assumed:
         return
     lasts = f", a period {longest_s:.4g} s" if periods_s else ""
@@ -221,10 +221,10 @@ def judge_time_unit(path: Path, trajectory: Trajectory, decays: Sequence[Sequenc
 def strange_amplitudes(
     amplitude_arcsec: NDArray[np.float64], trajectory: Trajectory, config: Configuration
 ) -> list[str]:
-    """What is to be said of amplitudes that the rig does not have, as of angles in another unit."""
+    """A warning of amplitudes that do not fit the rig, as of angles in another unit; else empty."""
     first, last = config.session.initial_amplitude_arcsec, config.session.final_amplitude_arcsec
     is_rig = trajectory.scale_rad is not None and config.instrument.kind == "single_ball"
-    if not is_rig or (np.median(amplitude_arcsec) >= last and amplitude_arcsec[0] <= _TOO_LARGE * first):
+    if not is_rig or (np.median(amplitude_arcsec) >= last and amplitude_arcsec[0] <= _MAX_RATIO * first):
         return []
     return [
         (
@@ -235,8 +235,8 @@ def strange_amplitudes(
     ]
 
 
-def changes_in(summary: DecaySummary) -> list[str]:
-    """What a mean does not describe."""
+def decay_warnings(summary: DecaySummary) -> list[str]:
+    """Warnings of a decay that grows, or whose period or decrement is not constant."""
     said = []
     if summary.grows:
         said.append(
@@ -261,11 +261,11 @@ def changes_in(summary: DecaySummary) -> list[str]:
     return said
 
 
-def cut_off(name: str, values: NDArray[np.float64]) -> list[str]:
-    """What is to be said of a position, shape (n,), of which a sensor has cut off the largest values.
+def clipping_warnings(name: str, values: NDArray[np.float64]) -> list[str]:
+    """Warnings of a position (n,) whose largest values the sensor has cut off.
 
-    It stays at one value for so many rows that a swing which turned there would be larger by more than two
-    steps of its digits.
+    It stays at one value for so many rows that an uncut swing would be larger by over two steps of its
+    digits.
     """
     values = values[np.isfinite(values)]
     middle, steps = float(np.median(values)), np.diff(np.unique(values))
@@ -273,13 +273,13 @@ def cut_off(name: str, values: NDArray[np.float64]) -> list[str]:
     for extreme, what in ((values.max(), "largest"), (values.min(), "smallest")):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], values == extreme, [0]]).astype(np.int8)))
         begins, rows = edges[::2], np.diff(edges)[::2]
-        stays = rows >= _FEWEST_CUT
-        if np.count_nonzero(stays) < _FEWEST_JUMPS:
+        stays = rows >= _MIN_CUT_ROWS
+        if np.count_nonzero(stays) < _MIN_JUMPS:
             continue
         period = float(np.median(np.diff(begins[stays])))
         level, phase = abs(extreme - middle), math.pi * float(np.median(rows[stays])) / period
         is_longer = phase < 0.5 * math.pi and level / math.cos(phase) - level > 2.0 * steps.min()
-        # no swing stays in one step of its digits for half of its period
+        # no swing stays within one step of its digits for half of its period
         if is_longer or (phase >= 0.5 * math.pi and np.ptp(values) > 4.0 * steps.min()):
             said.append(
                 f"{name} stays at its {what} value, {extreme:.6g}, for up to {rows.max()} rows, "
@@ -289,8 +289,8 @@ def cut_off(name: str, values: NDArray[np.float64]) -> list[str]:
     return said
 
 
-def why_no_laws(trajectory: Trajectory, config: Configuration | None) -> str:
-    """What a fit of the contact's laws lacks; empty: nothing."""
+def missing_for_laws(trajectory: Trajectory, config: Configuration | None) -> str:
+    """What is missing for a fit of the contact's laws, in words; empty if nothing is."""
     if trajectory.scale_rad is None:
         if trajectory.unit == NOT_STATED:
             return f"the unit of the position is not stated; --unit takes {', '.join(ANGLES)}, or any word"

@@ -1,4 +1,4 @@
-"""Bytes of a table's file as text or as rows of cells: text in any encoding, .gz, .xlsx, .npy, .mat."""
+"""A table's file read as text or as rows of cells: text in any encoding, .gz, .xlsx, .npy, .mat."""
 
 import gzip
 import io
@@ -15,7 +15,7 @@ import numpy as np
 from processing.errors import DataError, MissingPackage
 from rig.intake.cell_text import is_missing, is_moment, is_number
 
-_LARGEST_BYTES: Final = 1024 * 1024 * 1024
+_MAX_BYTES: Final = 1024 * 1024 * 1024
 _BINARY: Final = (
     (b"PAR1", "a Parquet file"),
     (b"ARROW1", "a Feather or Arrow file"),
@@ -34,30 +34,30 @@ _MARKS: Final = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\x
 
 
 class Sheet(NamedTuple):
-    """Rows of one sheet as text, and lines on what a person who sees the workbook would not expect."""
+    """Rows of one sheet as text, and remarks on what a user of the workbook would not expect."""
 
     rows: list[list[str]]
     said: tuple[str, ...] = ()
 
 
-def bytes_of(path: Path) -> bytes:
-    """The file, unpacked. Raises DataError in one line where it cannot be had."""
+def read_bytes_of(path: Path) -> bytes:
+    """The bytes of a file, unpacked; raises DataError if it cannot be read."""
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-            raw = file.read(_LARGEST_BYTES + 1)
+            raw = file.read(_MAX_BYTES + 1)
     except FileNotFoundError:
         raise DataError(f"{path}: no such file") from None
     except (OSError, EOFError, zlib.error) as error:
         raise DataError(f"{path}: cannot be read: {error}") from None
     except ValueError as error:
         raise DataError(f"{str(path)!r}: is not the name of a file ({error})") from None
-    if len(raw) > _LARGEST_BYTES:
-        raise DataError(f"{path}: is longer than {_LARGEST_BYTES >> 20} MiB; take fewer rows")
+    if len(raw) > _MAX_BYTES:
+        raise DataError(f"{path}: is longer than {_MAX_BYTES >> 20} MiB; take fewer rows")
     return raw
 
 
 def refuse_binary(path: Path, raw: bytes) -> None:
-    """Raise DataError for what is no text, by the first bytes: separators and digits occur there, too."""
+    """Raise DataError for a file that is no text, by its first bytes."""
     remedy = "save the table as text (CSV), or as .xlsx, .npy or .mat"
     for mark, what in _BINARY:
         if raw.startswith(mark):
@@ -78,13 +78,13 @@ def refuse_binary(path: Path, raw: bytes) -> None:
         raise DataError(f"{path}: is JSON, which is not read; {remedy}")
 
 
-def text_of(raw: bytes) -> str:
-    """Text in UTF-8, UTF-16 with or without its mark, or Windows' Western alphabet."""
+def decode(raw: bytes) -> str:
+    """Text from UTF-8, from UTF-16 with or without its mark, or from Windows-1252."""
     for mark, encoding in _MARKS:
         if raw.startswith(mark):
             return raw.decode(encoding, errors="replace")
     head = raw[:4000]
-    # of digits and separators, UTF-16 makes every second byte zero
+    # in UTF-16 every second byte of digits and separators is zero
     if len(head) > 3 and head.count(0) > len(head) // 3:
         little = head[1::2].count(0) > head[::2].count(0)
         return raw.decode("utf-16-le" if little else "utf-16-be", errors="replace")
@@ -94,8 +94,8 @@ def text_of(raw: bytes) -> str:
         return raw.decode("cp1252", errors="replace")
 
 
-def rows_of(path: Path, raw: bytes) -> Sheet | None:
-    """Rows of cells of a file that is no text, a header first where it has names; None for a text."""
+def binary_rows(path: Path, raw: bytes) -> Sheet | None:
+    """Rows of a file that is no text, after a header if it has names; None for a text."""
     name = path.name.lower().removesuffix(".gz")
     if name.endswith(".npy"):
         return Sheet(_rows_of_array(path, raw))
@@ -103,7 +103,7 @@ def rows_of(path: Path, raw: bytes) -> Sheet | None:
         return Sheet(_rows_of_matlab(path, raw))
     if name.endswith((".xlsx", ".xlsm")):
         try:
-            return rows_of_workbook(raw, path)
+            return workbook_rows(raw, path)
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError) as error:
             raise DataError(f"{path}: cannot be read as a workbook: {error}") from None
     if name.endswith((".xls", ".ods")):
@@ -115,7 +115,7 @@ def rows_of(path: Path, raw: bytes) -> Sheet | None:
 def _rows_of_array(path: Path, raw: bytes) -> list[list[str]]:
     try:
         array = np.load(io.BytesIO(raw), allow_pickle=False)
-    # whatever Python's own parser raises at a changed header
+    # any exception, because Python's parser may raise many kinds for a damaged header
     except Exception as error:
         raise DataError(f"{path}: cannot be read as a .npy array: {error}") from None
     if not isinstance(array, np.ndarray):
@@ -132,7 +132,7 @@ def _rows_of_matlab(path: Path, raw: bytes) -> list[list[str]]:
         found = loadmat(io.BytesIO(raw), squeeze_me=True)  # type: ignore[arg-type]
     except NotImplementedError:
         found = _variables_of_hdf5(path, raw)
-    # as above
+    # any exception, as above
     except Exception as error:
         raise DataError(f"{path}: cannot be read as a .mat file: {error}") from None
     numbers = {
@@ -175,10 +175,10 @@ def _variables_of_hdf5(path: Path, raw: bytes) -> dict[str, Any]:
             return {
                 name: np.squeeze(np.asarray(item).T)
                 for name, item in datasets.items()
-                # characters are whole numbers, too, and of an empty array its size is stored
+                # characters are also stored as whole numbers, and an empty array as its size
                 if _matlab_class(item) != "char" and "MATLAB_empty" not in item.attrs
             }
-    # whatever HDF5 raises at a damaged file
+    # any exception, because HDF5 raises many kinds for a damaged file
     except Exception as error:
         raise DataError(f"{path}: cannot be read as a .mat file: {str(error).splitlines()[0]}") from None
 
@@ -194,7 +194,7 @@ def _rows_of_matrix(path: Path, name: str, array: Any) -> list[list[str]]:
             f"{path}: {name} has shape {array.shape} and type {array.dtype}; columns of numbers are needed"
         )
     columns = array[:, None] if array.ndim == 1 else array
-    # few rows of many values are columns that lie on their side
+    # few rows of many values are transposed columns
     if columns.shape[0] <= 4 < columns.shape[1]:
         columns = columns.T
     return [[repr(value) for value in row] for row in columns.tolist()]
@@ -209,7 +209,7 @@ def _with_names(columns: dict[str, Any], path: Path) -> list[list[str]]:
 
 
 def _texts(column: Any) -> list[str]:
-    """Numbers with all their digits, and moments as ISO 8601 writes them."""
+    """Cells of a column as text: numbers with all digits, moments in ISO 8601."""
     values = np.asarray(column)
     if values.dtype.kind == "M":
         return list(map(str, np.datetime_as_string(values)))
@@ -218,20 +218,20 @@ def _texts(column: Any) -> list[str]:
 
 _FIRST_DAY: Final = datetime(1899, 12, 30)
 _FIRST_DAY_1904: Final = datetime(1904, 1, 1)
-"""Day 0 of workbooks that began on a Mac."""
+"""Day 0 of workbooks made on a Mac."""
 _BETWEEN: Final = datetime(1902, 1, 1)
 _HIDDEN: Final = re.compile(rb'<(?:row|col)\b[^>]*\bhidden="(?:1|true)"')
 _FAR: Final = re.compile(rb'<c\b[^>]*\br="([A-Z]{3,}\d+)"[^>]*(?<!/)>')
-"""A cell with a value in column AAA, the 703rd, or beyond: there is room for all cells before it."""
-_SHARE: Final = 0.25
-"""Of the rows of the longest table, that another sheet must have to be one too."""
+"""A cell with a value in column AAA, the 703rd, or beyond, which needs memory for all cells before it."""
+_MIN_SHEET_FRACTION: Final = 0.25
+"""Fewest rows of a sheet with a table, as a fraction of the rows of the longest table."""
 
 
-def rows_of_workbook(raw: bytes, path: Path) -> Sheet:
-    """The first sheet, of those that are seen before those that are hidden, that holds a table of numbers.
+def workbook_rows(raw: bytes, path: Path) -> Sheet:
+    """The first sheet that holds a table of numbers; visible sheets come before hidden ones.
 
-    Raises ValueError where there is none, or where the file is damaged, and MissingPackage, which names the
-    file `path`, where nothing reads workbooks.
+    Raises ValueError if there is none or the file is damaged, and MissingPackage, which names the file
+    `path`, if no reader of workbooks is installed.
     """
     try:
         from python_calamine import CalamineError, SheetTypeEnum, SheetVisibleEnum, load_workbook
@@ -257,8 +257,8 @@ def rows_of_workbook(raw: bytes, path: Path) -> Sheet:
     except CalamineError as error:
         raise ValueError(str(error)) from None
     counts = {title: _numeric_rows(rows) for title, rows in read.items()}
-    # a few constants above the table, on a sheet of their own, are not the table
-    least = max(2, math.ceil(_SHARE * max(counts.values(), default=0)))
+    # a sheet with a few constants is not the table
+    least = max(2, math.ceil(_MIN_SHEET_FRACTION * max(counts.values(), default=0)))
     holding = [title for title, count in counts.items() if count >= least]
     holding = [title for title in holding if seen[title]] or holding
     if not holding:
@@ -277,9 +277,10 @@ def rows_of_workbook(raw: bytes, path: Path) -> Sheet:
 
 
 def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:
-    """The workbook with dates as the days that it stores, and whether it hides rows or columns.
+    """The workbook without styles, so that dates are read as numbers of days, and whether it hides rows or
+    columns.
 
-    What is shown as a date calamine rounds to 1 ms; what it cannot hold in memory ends the whole program.
+    calamine rounds dates to 1 ms, and ends the whole program if it runs out of memory.
     """
     plain, hides = io.BytesIO(), False
     with zipfile.ZipFile(io.BytesIO(raw)) as before, zipfile.ZipFile(plain, "w") as after:
@@ -296,7 +297,7 @@ def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:
 
 
 def _numeric_rows(rows: list[list[str]]) -> int:
-    """Rows that may be of a table: two numbers, or nothing else."""
+    """Number of rows that may belong to a table: they hold two numbers, or one and nothing else."""
     values = ([_is_value(cell) for cell in row if cell] for row in rows)
     return sum(sum(row) > 1 or (len(row) == 1 and all(row)) for row in values)
 
@@ -306,7 +307,7 @@ def _is_value(cell: str) -> bool:
 
 
 def _rows(shown: list[list[Any]], stored: list[list[Any]]) -> list[list[str]]:
-    """Cells as text, from what they show and from what is stored: days where a date or a time is shown."""
+    """Cells as text from shown and stored values; dates and times are computed from the stored days."""
     cells = [list(zip(*rows, strict=True)) for rows in zip(shown, stored, strict=True)]
     since_1904 = any(
         isinstance(moment, datetime) and _is_number(days) and moment - timedelta(days=days) > _BETWEEN
@@ -319,7 +320,7 @@ def _rows(shown: list[list[Any]], stored: list[list[Any]]) -> list[list[str]]:
 
 def _text(shown: Any, stored: Any, first_day: datetime) -> str:
     if isinstance(shown, date | time | timedelta) and _is_number(stored):
-        # a double of days keeps microseconds, not more
+        # a number of days in double precision resolves microseconds
         moment = first_day + timedelta(microseconds=round(stored * 86_400_000_000))
         return moment.isoformat(sep=" ")
     if isinstance(stored, bool) or (isinstance(stored, float) and stored.is_integer()):

@@ -1,4 +1,4 @@
-"""Tables of other instruments: time and positions in their units, and the rows that are usable."""
+"""Tables of other instruments: time and positions with their units, from the usable rows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.units import conversion, seconds
 from rig.intake.cell_text import is_moment, moments_ns
 from rig.intake.cells import Cells, read_cells
-from rig.intake.columns import HeaderColumns, RowsOfRun, runs_of
+from rig.intake.columns import HeaderColumns, RowsOfRun, separate_runs
 from rig.intake.doubts import (
     SPREADSHEET_ZERO_NS,
     is_spreadsheet_time,
@@ -24,7 +24,7 @@ from rig.intake.doubts import (
     judge_zones,
     unwrapped,
 )
-from rig.intake.times import M_SS, SORT, clock_form, number, placed, read_times, rising
+from rig.intake.times import M_SS, SORT, check_increasing, clock_form, lines_text, number, read_times
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.intake.units import NOT_STATED_TIME, unit_of_positions, unit_of_time
 
@@ -36,12 +36,12 @@ _NO_COMMAS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class TableColumns:
-    """Which columns of a table hold what, in which units, and which stretch of it is used.
+    """Options for reading a table: columns, units, stretch and run.
 
-    `time` and `positions` are columns by name or number from 1; None and empty: the first column that is
-    named like a time, else the first, and the one behind it. `rate_hz`: the table has no time, but so many
-    rows a second. `begin_s` and `end_s` are in seconds since the first row. `decimal` is the decimal mark,
-    where the numbers leave that open. `run` is one of several runs in the file; empty: all.
+    `time` and `positions` are columns by name or number from 1; by default time is the first column with a
+    name like a time, else the first column, and the position follows it. `rate_hz` is the number of rows a
+    second of a table without times. `begin_s` and `end_s` are in seconds since the first row. `decimal` is
+    the decimal mark, if the numbers do not decide it. `run` is one of several runs in the file; empty: all.
     """
 
     time: str | None = None
@@ -55,54 +55,54 @@ class TableColumns:
     run: str = ""
 
     def read(self, path: Path) -> Trajectory:
-        """The table, or the one run that is asked for.
+        """Read the table, or the chosen run of it.
 
         Raises
         ------
         DataError
-            No such file, no numbers, times that do not increase.
+            The file does not exist, has no numbers, or times do not increase.
         ConfigurationError
-            A column that there is not, a unit that is not known, or two that contradict one another; several
-            runs of which none is chosen.
+            A column does not exist, a unit is unknown, two units contradict, or none of several runs is
+            chosen.
         """
-        cells, chosen, every = self._runs(path)
+        cells, chosen, all_runs = self._runs(path)
         if len(chosen) > 1:
-            raise ConfigurationError(f"{path}: {_listed(every)}; choose one with --run")
-        return self._trajectory(path, cells, chosen[0], every)
+            raise ConfigurationError(f"{path}: {_listed(all_runs)}; choose one with --run")
+        return self._trajectory(path, cells, chosen[0], all_runs)
 
     def read_runs(self, path: Path) -> list[Trajectory]:
-        """Each run of the table, of which `run` may choose one; raises as `read` does."""
-        cells, chosen, every = self._runs(path)
-        return [self._trajectory(path, cells, run, every) for run in chosen]
+        """Read each run of the table, or only `run`; raises like `read`."""
+        cells, chosen, all_runs = self._runs(path)
+        return [self._trajectory(path, cells, run, all_runs) for run in chosen]
 
     def _runs(self, path: Path) -> tuple[Cells, list[RowsOfRun], list[RowsOfRun]]:
-        """The whole table, the runs that are asked for, and all of them."""
+        """The whole table, the chosen runs, and all runs."""
         cells = read_cells(path, self.decimal)
         columns = HeaderColumns(path, cells)
-        every = runs_of(cells, columns, columns.time(self.time, self.rate_hz, self.time_unit))
-        chosen = [run for run in every if self.run in ("", run.name)]
+        all_runs = separate_runs(cells, columns, columns.time(self.time, self.rate_hz, self.time_unit))
+        chosen = [run for run in all_runs if self.run in ("", run.name)]
         if not chosen:
-            known = _listed(every) if len(every) > 1 else "holds one run; leave the option out"
+            known = _listed(all_runs) if len(all_runs) > 1 else "holds one run; leave the option out"
             raise ConfigurationError(f"{path}: --run {self.run}: is not there; {known}")
-        return cells, chosen, every
+        return cells, chosen, all_runs
 
-    def _trajectory(self, path: Path, whole: Cells, run: RowsOfRun, every: list[RowsOfRun]) -> Trajectory:
-        said = [f"{_listed(every)}; this is {run.name}"] if len(every) > 1 else []
-        without = len(whole.rows) - sum(len(one.cells.rows) for one in every)
+    def _trajectory(self, path: Path, whole: Cells, run: RowsOfRun, all_runs: list[RowsOfRun]) -> Trajectory:
+        said = [f"{_listed(all_runs)}; this is {run.name}"] if len(all_runs) > 1 else []
+        without = len(whole.rows) - sum(len(one.cells.rows) for one in all_runs)
         said += [f"left out: {without} rows that are of no run"] if without else []
-        return _Reading(path, self, run, said).trajectory()
+        return _TableReader(path, self, run, said).trajectory()
 
 
 def _listed(runs: Sequence[RowsOfRun]) -> str:
     named = ", ".join(f"{run.name} ({len(run.cells.rows)} rows)" for run in runs)
-    return f"{len(runs)} runs, told apart by {runs[0].told_by}: {named}"
+    return f"{len(runs)} runs, told apart by {runs[0].separator}: {named}"
 
 
-class _Reading:
-    """One reading of one run of a table."""
+class _TableReader:
+    """Reads one run of a table."""
 
-    def __init__(self, path: Path, asked: TableColumns, run: RowsOfRun, said: Sequence[str] = ()) -> None:
-        self._path, self._asked, self._run = path, asked, run.name
+    def __init__(self, path: Path, options: TableColumns, run: RowsOfRun, said: Sequence[str] = ()) -> None:
+        self._path, self._options, self._run = path, options, run.name
         self._cells: Cells = run.cells
         self._columns = HeaderColumns(path, run.cells)
         self._names = self._columns.names
@@ -110,15 +110,15 @@ class _Reading:
         self._time_is_assumed = False
 
     def trajectory(self) -> Trajectory:
-        rows, asked = self._cells.rows, self._asked
-        t_column = self._columns.time(asked.time, asked.rate_hz, asked.time_unit)
-        p_columns = self._columns.positions(asked.positions, t_column)
+        rows, options = self._cells.rows, self._options
+        t_column = self._columns.time(options.time, options.rate_hz, options.time_unit)
+        p_columns = self._columns.positions(options.positions, t_column)
         table = np.array([[number(row[k]) for k in p_columns] for row in rows], dtype=np.float64)
         if t_column is None:
-            assert asked.rate_hz is not None
-            times_ns = np.round(np.arange(len(rows)) * (1e9 / asked.rate_hz)).astype(np.int64)
+            assert options.rate_hz is not None
+            times_ns = np.round(np.arange(len(rows)) * (1e9 / options.rate_hz)).astype(np.int64)
             good, time_unit, first_ns = np.ones(len(rows), bool), "s", 0
-            self._said.append(f"time: {asked.rate_hz:g} rows a second, as --rate says")
+            self._said.append(f"time: {options.rate_hz:g} rows a second, as --rate says")
         else:
             times_ns, good, time_unit, first_ns = self._times(t_column)
         unit = self._position_unit(p_columns)
@@ -138,20 +138,20 @@ class _Reading:
                 self._said.append(f"position: {self._names[k]} jumps by a turn {turns} times: unwrapped")
         judge_size(self._path, unit, table)
         names = [self._names[k] for k in p_columns]
-        return self._made(t_column, times_ns, time_unit, first_ns, table, names, unit)
+        return self._trajectory_of_columns(t_column, times_ns, time_unit, first_ns, table, names, unit)
 
     def columns(self) -> Trajectory:
-        """Time and any number of columns, whatever their units; all but the time where none is named."""
-        t_column = self._columns.time(self._asked.time, None, self._asked.time_unit)
+        """Time and any number of columns in any units; all columns but the time if none is named."""
+        t_column = self._columns.time(self._options.time, None, self._options.time_unit)
         assert t_column is not None
-        chosen = [self._columns.place(name) for name in self._asked.positions] or [
+        chosen = [self._columns.place(name) for name in self._options.positions] or [
             k for k in range(len(self._names)) if k != t_column
         ]
         times_ns, good, time_unit, first_ns = self._times(t_column)
         table = np.array([[number(row[k]) for k in chosen] for row in self._cells.rows], dtype=np.float64)
         table = table[good]
         empty: NDArray[np.bool_] = np.all(np.isnan(table), axis=0)
-        if self._asked.positions and empty.any():
+        if self._options.positions and empty.any():
             raise self._without_numbers(chosen[int(np.argmax(empty))])
         if empty.all():
             raise DataError(f"{self._path}: no column beside {self._names[t_column]!r} has numbers")
@@ -163,9 +163,9 @@ class _Reading:
             self._said.append(f"left out: columns without numbers: {without}")
         table = table[:, ~empty]
         self._left_out(good, np.asarray(self._cells.lines)[good], table, kept)
-        return self._made(t_column, times_ns, time_unit, first_ns, table, kept, NOT_STATED)
+        return self._trajectory_of_columns(t_column, times_ns, time_unit, first_ns, table, kept, NOT_STATED)
 
-    def _made(
+    def _trajectory_of_columns(
         self,
         t_column: int | None,
         times_ns: NDArray[np.int64],
@@ -193,21 +193,21 @@ class _Reading:
         cells = [row[column] for row in self._cells.rows]
         if sum(map(is_moment, cells[:50])) > 0.5 * len(cells[:50]):
             form, source = clock_form(
-                self._path, self._names[column], self._columns.named[column], self._asked.time_unit, cells
+                self._path, self._names[column], self._columns.named[column], self._options.time_unit, cells
             )
             found = moments_ns(cells, minutes_first=form == M_SS)
             good = np.array([one is not None for one in found])
             kept = [one for one in found if one is not None]
             times_ns = np.array([one - kept[0] for one in kept], dtype=np.int64)
             read = [cell for cell, yes in zip(cells, good, strict=True) if yes]
-            rising(self._path, times_ns, read, SORT)
+            check_increasing(self._path, times_ns, read, SORT)
             judge_zones(self._path, read, times_ns)
             self._said.append(
                 f"time: {self._names[column]}, " + (f"as {form} ({source})" if form else "moments")
             )
             return times_ns, good, "s", kept[0]
         named = self._columns.named[column]
-        unit, source = unit_of_time(self._path, self._names[column], named, self._asked.time_unit)
+        unit, source = unit_of_time(self._path, self._names[column], named, self._options.time_unit)
         remedy = SORT if not self._split_at_decimal_commas() else _NO_COMMAS
         times_ns, good, first_ns = read_times(self._path, cells, unit, remedy)
         self._time_is_assumed = source == NOT_STATED_TIME
@@ -222,7 +222,7 @@ class _Reading:
 
     def _position_unit(self, columns: Sequence[int]) -> str:
         titles, named = [self._names[k] for k in columns], [self._columns.named[k] for k in columns]
-        unit, source = unit_of_positions(self._path, titles, named, self._asked.unit)
+        unit, source = unit_of_positions(self._path, titles, named, self._options.unit)
         self._said.append(
             f"position: {', '.join(titles)}"
             + (f", in {unit} ({source})" if unit != NOT_STATED else f" ({source})")
@@ -230,10 +230,10 @@ class _Reading:
         return unit
 
     def _stretch(self, times_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        asked = self._asked
+        options = self._options
         since_s = seconds(times_ns - times_ns[0])
-        begin_s = since_s[0] if asked.begin_s is None else asked.begin_s
-        end_s = since_s[-1] if asked.end_s is None else asked.end_s
+        begin_s = since_s[0] if options.begin_s is None else options.begin_s
+        end_s = since_s[-1] if options.end_s is None else options.end_s
         inside = (since_s >= begin_s) & (since_s <= end_s)
         if np.count_nonzero(inside) < 2:
             raise ConfigurationError(
@@ -261,18 +261,18 @@ class _Reading:
         table: NDArray[np.float64],
         names: Sequence[str],
     ) -> None:
-        every = np.asarray(self._cells.lines)
+        all_runs = np.asarray(self._cells.lines)
         for what, which in (
             ("rows without the right number of columns", list(self._cells.left_out)),
-            ("rows without a readable time", every[~good].tolist()),
+            ("rows without a readable time", all_runs[~good].tolist()),
         ):
             if which:
-                self._said.append(f"left out: {len(which)} {what} ({placed(which)})")
+                self._said.append(f"left out: {len(which)} {what} ({lines_text(which)})")
         for name, values in zip(names, table.T, strict=True):
             if (missing := np.isnan(values)).any():
                 self._said.append(
                     f"missing from the fit: {int(missing.sum())} values of {name} that are not "
-                    f"numbers ({placed(lines[missing].tolist())})"
+                    f"numbers ({lines_text(lines[missing].tolist())})"
                 )
 
     def _how_written(self) -> str:
@@ -280,14 +280,14 @@ class _Reading:
         separated = (
             f"columns separated by {cells.separator}" if cells.separator else f"{len(self._names)} columns"
         )
-        mark = {".": "points", ",": "commas"}[cells.writing.decimal]
+        mark = {".": "points", ",": "commas"}[cells.number_format.decimal]
         names = f"names: {', '.join(self._names)}" if cells.names else "no names"
         return f"{separated}, decimal {mark}; {names}"
 
     def _split_at_decimal_commas(self) -> bool:
-        """Whether the table is likely one whose numbers were split at their decimal commas.
+        """Whether the numbers of the table were likely split at their decimal commas.
 
-        Then it has two columns for each name, so that no header fits, and nowhere a decimal point.
+        The table then has two columns for each name, so that no header fits, and no decimal point.
         """
         rows = self._cells.rows
         return (
@@ -299,8 +299,8 @@ class _Reading:
 
 
 def read_columns(path: Path, columns: Sequence[str], time_unit: str = "") -> Trajectory:
-    """Time and any number of columns of a table, all but the time without names; see `TableColumns`."""
-    asked = TableColumns(None, tuple(columns), time_unit=time_unit)
-    found = _Reading(path, asked, RowsOfRun("", read_cells(path))).columns()
+    """Read time and any number of columns of a table; all but the time if none is named."""
+    options = TableColumns(None, tuple(columns), time_unit=time_unit)
+    found = _TableReader(path, options, RowsOfRun("", read_cells(path))).columns()
     judge_time_unit(path, found)
     return found

@@ -1,4 +1,4 @@
-"""Positions against time, of a table or a film, in one unit; the direction of the swing in two of them."""
+"""Positions against time from a table or a film, and the direction of the swing in two of them."""
 
 import csv
 import io
@@ -16,12 +16,12 @@ from rig.presentation import written
 
 ANGLES: Final = ("rad", "mrad", "urad", "nrad", "arcsec", "arcmin", "deg")
 NOT_STATED: Final = "unit"
-"""Stands for the unit of positions where none is stated."""
+"""Placeholder for the unit of positions if none is stated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """One or two positions against time, as a table or a film holds them."""
+    """One or two positions against time, read from a table or a film."""
 
     times_ns: NDArray[np.int64]
     """Times (n,) since the first sample."""
@@ -31,40 +31,39 @@ class Trajectory:
     """The column of each position."""
     unit: str
     scale_rad: float | None
-    """The unit in rad. None where it is no angle (volts, px, mm): then period and decay are found, and no
-    parameters of the contact."""
+    """Size of the unit in rad; None if it is no angle (volts, px, mm): then without contact parameters."""
     time_unit: str = "s"
     """The unit of the times in the file."""
     time_name: str = ""
     """The column of the times."""
     time_is_assumed: bool = False
-    """Whether nothing in the file states the unit of the times."""
+    """Whether the unit of the times is assumed, because the file does not state it."""
     understood: tuple[str, ...] = ()
-    """Lines that say what the file was taken for, and which rows were left out."""
+    """Lines on how the file was read, and which rows were left out."""
     first_ns: int = 0
-    """The first time as it stands in the file."""
+    """The first time of the file, in ns."""
     u_common_in_noises: float = 0.0
     """Standard uncertainty of an error that all amplitudes share, in units of the noise of one position."""
     remedy: str = ""
-    """What the user can do where no decay is found."""
+    """What the user can do if no decay is found."""
     run: str = ""
-    """The name of the run, where the file holds several."""
+    """The name of the run, if the file holds several."""
 
 
 Array = NDArray[np.float64]
-_FAR = 5.0
-"""Distances from rest, in the median one, beyond which a position counts by its direction alone."""
-_ROUNDS = 3
-_DEGREE = 3
-"""Of the drift of the rest position in time that is taken off."""
-_SHORTENED = 1e-3
-"""Of the amplitude, from which on another direction is said."""
-_CLEARLY = 5.0
-"""Standard uncertainties of a direction."""
+_OUTLIER_DISTANCE = 5.0
+"""Distance from rest, in median distances, beyond which a position counts by its direction alone."""
+_ITERATIONS = 3
+_DRIFT_DEGREE = 3
+"""Degree of the polynomial drift of the rest position that is subtracted."""
+_MIN_SHORTENING = 1e-3
+"""Relative loss of amplitude from which on another direction is reported."""
+_MIN_DEVIATION_U = 5.0
+"""Least deviation of a direction that counts, in standard uncertainties."""
 
 
 def along_and_across(positions: tuple[Array, ...]) -> tuple[Array, Array]:
-    """Positions (n,) along the motion and across it; a single one unchanged, and NaN.
+    """Positions (n,) along the motion and across it; a single position unchanged, with NaN across.
 
     Raises DataError if there is no sample with both positions.
     """
@@ -80,26 +79,26 @@ def along_and_across(positions: tuple[Array, ...]) -> tuple[Array, Array]:
 
 
 def direction_warning(positions: tuple[Array, ...], inside: NDArray[np.bool_]) -> str:
-    """What is to be said of the direction in which the samples `inside` one decay swing; empty: nothing.
+    """A warning if the samples `inside` one decay swing in another direction than all; else empty.
 
-    Those of their first and of their last third are compared with that of all positions, along which
+    The directions of their first and last third are compared with the direction of all positions, along which
     amplitudes are measured.
     """
     both = np.column_stack(positions)
     good = np.isfinite(both).all(axis=1)
     third = np.count_nonzero(good & inside) // 3
-    if both.shape[1] < 2 or third < 2 * _DEGREE:
+    if both.shape[1] < 2 or third < 2 * _DRIFT_DEGREE:
         return ""
     used, _ = _angle(both[good])
-    of_decay = both[good & inside]
+    decay_positions = both[good & inside]
     off = []
-    for part in (of_decay[:third], of_decay[-third:]):
+    for part in (decay_positions[:third], decay_positions[-third:]):
         angle, u = _angle(part)
         # a direction is defined modulo pi
         away = (angle - used + 0.5 * pi) % pi - 0.5 * pi
-        off.append(away if abs(away) > _CLEARLY * u else 0.0)
+        off.append(away if abs(away) > _MIN_DEVIATION_U * u else 0.0)
     shortened = 1.0 - cos(max(map(abs, off)))
-    if shortened < _SHORTENED:
+    if shortened < _MIN_SHORTENING:
         return ""
     first, last = (f"{degrees(one):.2g}".replace("-", "−") for one in off)
     return (
@@ -111,25 +110,25 @@ def direction_warning(positions: tuple[Array, ...], inside: NDArray[np.bool_]) -
 
 
 def _angle(both: Array) -> tuple[float, float]:
-    """Direction of the motion and its standard uncertainty by the scatter across it, rad."""
+    """Direction of the motion and its standard uncertainty by the scatter across it, in rad."""
     (along, _), sizes = _directions(both)
     return atan2(along[0], along[1]), float(sizes[1] / sizes[0]) / len(both) ** 0.5
 
 
 def _directions(both: Array) -> tuple[Array, Array]:
-    """Unit vectors along and across the motion (n, 2), and the root mean squares in them.
+    """Unit vectors along and across the motion (n, 2), and the root mean squares in these directions.
 
-    A filter of time leaves the direction of a swing as it is; a drift of the rest position goes. A value that
-    stands for none, or a wrong one, is far from the rest, and counts as one sample.
+    Subtracting a drift of the rest position does not change the direction of the swing. A wrong value, or one
+    that marks a missing value, is far from the rest and counts as one sample.
     """
     time = np.linspace(-1.0, 1.0, len(both))
-    trend = np.polynomial.legendre.legvander(time, min(_DEGREE, max(len(both) // 8, 0)))
+    trend = np.polynomial.legendre.legvander(time, min(_DRIFT_DEGREE, max(len(both) // 8, 0)))
     middle, weights = np.median(both, axis=0), np.ones(len(both))
     moved = both - middle
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         distance = np.hypot(*moved.T)
         usual = float(np.median(distance)) or 1.0
-        weights = np.minimum(1.0, _FAR * usual / np.maximum(distance, 1e-300))
+        weights = np.minimum(1.0, _OUTLIER_DISTANCE * usual / np.maximum(distance, 1e-300))
         fit, *_ = np.linalg.lstsq(weights[:, None] * trend, weights[:, None] * (both - middle), rcond=None)
         moved = both - middle - trend @ fit
     _, sizes, axes = np.linalg.svd(weights[:, None] * moved, full_matrices=False)
@@ -153,7 +152,7 @@ def write_positions(trajectory: Trajectory, folder: Path) -> Path:
 
 
 def read_positions(folder: Path) -> tuple[NDArray[np.float64], tuple[NDArray[np.float64], ...]]:
-    """Time in s, and the one or two positions; NaN where there is none. Raises RecordError."""
+    """Read time in s and one or two positions, NaN where missing; raises RecordError."""
     path = folder / POSITIONS_NAME
     try:
         table = np.genfromtxt(path, delimiter=",", skip_header=1, encoding="utf-8", ndmin=2)

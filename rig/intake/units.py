@@ -1,6 +1,4 @@
-"""The unit of a column: what its name states (``t [ms]``, ``phi / arcsec``), and what is asked for, never one
-against the other.
-"""
+"""Units of columns, from names (``t [ms]``, ``phi / arcsec``) and options; contradictions are refused."""
 
 import re
 from collections.abc import Sequence
@@ -39,40 +37,42 @@ _WORDS: Final = {
     for part, prefix in _MULTIPLES.items()
 } | {word: unit for unit, words in _SHORT.items() for word in words.split()}
 _CAPITALS: Final = ("s", "ms", "us", "ns", "min", "deg", "rad", "mrad", "px", "mm", "arcsec")
-_ALONE: Final = ("m", "s", "g", "a", "v", "n", "j", "w", "d", "h", "e", "1", "min", "t")
-"""Letters that are names of columns as well as units."""
-_CLEAR: Final = {
+_NOT_ALONE: Final = ("m", "s", "g", "a", "v", "n", "j", "w", "d", "h", "e", "1", "min", "t")
+"""Short words that are names of columns as well as units."""
+_CLEAR_UNITS: Final = {
     *_WORDS, "ms", "us", "µs", "μs", "ns", "deg", "rad", "mrad", "urad", "nrad", "arcsec", "mm", "cm",
 } - {
     "s", "second", "minute", "hour", "day", "tag", "tage", "grad", "degree", "db", "meter", "'", '"',
 }  # fmt: skip
-"""What is a unit anywhere in a name, and hardly another word."""
-_OF_TIMES: Final = ("s", "min", "h")
-"""The same in a name of times."""
+"""Words that are units anywhere in a name, because they are hardly other words."""
+_CLEAR_IN_TIMES: Final = ("s", "min", "h")
+"""Words that are units in the name of a time."""
 _COUNTS: Final = re.compile(
     r"[^\W_]+[\W_]+(?:ticks?|frames?|samples?|counts?|cycles?|jiffies|steps?|index)\W*|.*\sin\s+\S+",
     re.IGNORECASE,
 )
 _BRACKETS: Final = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)|\{([^{}]*)\}|<([^<>]*)>")
-_SURE: Final = re.compile(r"\s*[/,:;]\s*|\s+in\s+|_", re.IGNORECASE)
-_MARKS: Final = re.compile(rf"{_SURE.pattern}|[\s.#*–-]+|(?-i:(?<=[a-zß-ÿ])(?=[A-Z]))", re.IGNORECASE)
+_SURE_MARKS: Final = re.compile(r"\s*[/,:;]\s*|\s+in\s+|_", re.IGNORECASE)
+_MARKS: Final = re.compile(rf"{_SURE_MARKS.pattern}|[\s.#*–-]+|(?-i:(?<=[a-zß-ÿ])(?=[A-Z]))", re.IGNORECASE)
 
 
-_APART: Final = re.compile(r"\b(milli|mili|micro|mikro|nano|centi|deci)[\s-]+(?=[a-z])", re.IGNORECASE)
-"""A prefix that is written apart from its unit."""
+_SEPARATE_PREFIX: Final = re.compile(
+    r"\b(milli|mili|micro|mikro|nano|centi|deci)[\s-]+(?=[a-z])", re.IGNORECASE
+)
+"""A prefix that is separated from its unit."""
 _FACTOR: Final = re.compile(
     r"(?:\s*[*×·]|(?<=[\s)\]_])x)\s*(?:10+(?:\^|\*\*)?[+-]?\d*|0\.0*1|1e[+-]?\d+)(?![\w.])|"
     r"\w*(?:tenth|hundredth|thousandth|millionth|zehntel|hundertstel|tausendstel|dixi[èe]me|[cm](?:ent|ill)i[èe]me|"
     r"d[ée]cim[ao]|cent[ée]sim[ao]|mil[ée]sim[ao]|mill[ée]sim[ao])s?(?:\s+\w+)*",
     re.IGNORECASE,
 )
-"""What makes the unit beside it another one: ``* 1000``, tenths of a second."""
+"""A factor that changes the unit: ``* 1000``, tenths of a second."""
 
 
 class ColumnName(NamedTuple):
-    """A column's name without the unit, and the unit as written here (``us``); empty where it states none.
+    """A column's name without the unit, and the unit in this program's spelling (``us``); empty without one.
 
-    `strange`: what stands in the unit's place and is none that is known.
+    `strange` is text in the unit's place that is no known unit.
     """
 
     name: str
@@ -81,36 +81,36 @@ class ColumnName(NamedTuple):
 
 
 def known_unit(text: str) -> str:
-    """The unit as it is written here (``µsec``: us, ``Grad``: deg); empty for what is none."""
+    """The unit in this program's spelling (``µsec``: us, ``Grad``: deg); empty for other text."""
     text = text.strip().strip(".")
     unit = _WORDS.get(text.lower(), text).replace("µ", "u").replace("μ", "u")
     if unit in ("Ms", "Gs", "Mrad", "Mm"):
-        # ms, or truly 11 days
+        # probably ms, not really 11 days: left unknown
         return ""
     try:
         size(unit)
     except ConfigurationError:
         lower = unit.lower()
-        # some instruments write everything in capitals; none of these is another unit then
+        # some instruments write all in capitals; these units are not ambiguous then
         return known_unit(lower) if lower != unit and lower in _CAPITALS else ""
     return unit
 
 
 def is_time(unit: str) -> bool:
-    """Whether it is a unit of time."""
+    """Whether a unit is one of time."""
     return bool(unit) and dict(size(unit).powers) == dict(size("s").powers)
 
 
 def named_unit(name: str) -> ColumnName:
-    """Take a column's name apart."""
-    text = _APART.sub(r"\1", name.strip())
+    """Split a column's name into name and unit."""
+    text = _SEPARATE_PREFIX.sub(r"\1", name.strip())
     if factor := _FACTOR.search(text):
         return ColumnName(text, "", factor[0].strip())
     bracketed = [
         (each.span(), next(filter(None, each.groups()), "").strip()) for each in _BRACKETS.finditer(text)
     ]
     units = [(span, unit) for span, inside in bracketed if (unit := _bracketed_unit(inside))]
-    # behind the unit a letter is the channel or the run
+    # a single letter after the unit is the channel or the run
     units = [item for k, item in enumerate(units) if not k or len(item[1]) > 1]
     if len({unit for _, unit in units}) > 1:
         return ColumnName(text, "", " and ".join(text[a:b] for (a, b), _ in units))
@@ -124,7 +124,7 @@ def named_unit(name: str) -> ColumnName:
     strange = [
         inside
         for (_, end), inside in bracketed
-        # a unit has to be known where it is one: at the end, and of times, of which none is assumed
+        # text in the unit's place must be a known unit: at the end of a name, and anywhere in that of a time
         if inside and not inside.isdecimal() and (of_time or end == len(text))
     ]
     before, slash, behind = (part.strip() for part in plain.rpartition("/"))
@@ -140,44 +140,44 @@ def _unit(text: str) -> str:
 
 
 def _bracketed_unit(text: str) -> str:
-    """``ms``, and that of ``ms, relative`` or ``in ms``, but none of ``100 ns``."""
+    """The unit in brackets: of ``ms``, ``ms, relative`` or ``in ms``, but none of ``100 ns``."""
     words = [] if re.search(r"\d", text) else re.split(r"[\s,;()]+", text)
-    words = [word for k, word in enumerate(words) if len(word) > 1 or not k or word in _ALONE]
+    words = [word for k, word in enumerate(words) if len(word) > 1 or not k or word in _NOT_ALONE]
     return _unit(text) or next((unit for word in words if (unit := known_unit(word))), "")
 
 
 def _without_brackets(text: str) -> tuple[str, str] | None:
-    """A name's rest and its unit, where one stands behind a mark, or anywhere if it is clearly one."""
-    if text.lower() not in _ALONE and (unit := _unit(text)):
+    """Name and unit, if a unit follows a mark, or stands anywhere if it is clearly one; else None."""
+    if text.lower() not in _NOT_ALONE and (unit := _unit(text)):
         return text, unit
     if "_per_" in text and (unit := unit_of_name(text.lower())):
         return text, unit
     for mark in () if " per " in text else (None, *_MARKS.finditer(text)):
         begin, end = (0, 0) if mark is None else mark.span()
         rest = text[end:]
-        sure = mark is not None and _SURE.fullmatch(mark[0])
+        sure = mark is not None and _SURE_MARKS.fullmatch(mark[0])
         if not sure and text[:begin].endswith(tuple("0123456789")):
-            # every 50 ms
+            # a number before the unit, as in "every 50 ms"
             continue
         if sure and (unit := _unit(rest)):
             return text[:begin], unit
         for part in (rest.split(" ")[0], _MARKS.split(rest)[0]):
             word = part.lower()
-            is_clear = word in _CLEAR or ("/" in part and word.split("/")[0] in _CLEAR | {"m"})
-            if (is_clear or (mark and word in _OF_TIMES and TIME_NAME.fullmatch(text))) and (
-                unit := known_unit(word if word in _CLEAR else part)
+            is_clear = word in _CLEAR_UNITS or ("/" in part and word.split("/")[0] in _CLEAR_UNITS | {"m"})
+            if (is_clear or (mark and word in _CLEAR_IN_TIMES and TIME_NAME.fullmatch(text))) and (
+                unit := known_unit(word if word in _CLEAR_UNITS else part)
             ):
                 return text, unit
     return None
 
 
 NOT_STATED_TIME: Final = "nothing states another"
-"""Who says that a time is in s."""
+"""Source of the unit of times that are assumed to be in s."""
 TIME_UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
 
 
 def unit_of_time(path: Path, title: str, named: ColumnName, asked: str) -> tuple[str, str]:
-    """The unit of a column of times, and who says so. Raises ConfigurationError for another, or for two."""
+    """The unit of a column of times, and its source; raises ConfigurationError if it is invalid."""
     if asked and not is_time(known_unit(asked)):
         raise ConfigurationError(
             f"--time-unit {asked!r} is not a unit of time; use one of {', '.join(TIME_UNITS)}"
@@ -206,7 +206,7 @@ def unit_of_time(path: Path, title: str, named: ColumnName, asked: str) -> tuple
 def unit_of_positions(
     path: Path, titles: Sequence[str], named: Sequence[ColumnName], asked: str
 ) -> tuple[str, str]:
-    """The unit that one or two columns of positions share, and who says so. Raises ConfigurationError."""
+    """The common unit of one or two columns of positions, and its source; raises ConfigurationError."""
     stated = known_unit(asked) or asked
     for title, each in zip(titles, named, strict=True):
         if each.strange and not stated:

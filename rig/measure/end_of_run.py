@@ -23,43 +23,41 @@ from rig.settings import StopCondition
 
 _log = logging.getLogger(__name__)
 BELOW_IN_A_ROW = 3  # one disturbed half-cycle, or two, do not end a long measurement
-HELD_FITS = 4
-"""Fits in a row, each of 4 % more half-cycles, in which conditions must hold: a value and a drive that are
-estimated anew each time dip below a limit by luck, and a run that ended there would not hold it."""
+CONSECUTIVE_FITS = 4
+"""Number of fits in a row, each of 4 % more half-cycles, in which the stop conditions must hold. An estimated
+uncertainty dips below a limit by chance; after a run that ended there it would be above it again."""
 
 
 @dataclass(frozen=True, slots=True)
 class EndLimits:
-    """A run ends below an amplitude (in the unit of the deflections; 0: no limit) and after a time.
-
-    It ends, too, when all of `known_enough` have held for a while.
-    """
+    """Limits at which a run ends; any one of them suffices."""
 
     final_amplitude: float
+    """In the unit of the deflections; the run ends below it. 0: no limit."""
     max_duration_s: float
     known_enough: tuple[StopCondition, ...] = ()
+    """The run ends when all of these conditions on parameters hold in `CONSECUTIVE_FITS` fits in a row."""
 
 
 class EndOfRun:
-    """Checks the limits of one run.
+    """Decides whether one run has reached one of its limits.
 
     The amplitude must stay below its limit for three consecutive half-cycles, so that one disturbed
-    half-cycle does not end a long measurement; and what is known enough must be so in `HELD_FITS` fits in a
-    row.
+    half-cycle does not end a long measurement.
     """
 
     def __init__(self, limits: EndLimits) -> None:
         self._limits = limits
         self._below = 0
-        self._held = 0
-        self._judged: Mapping[str, Estimate] | None = None
+        self._fits_in_a_row = 0
+        self._last_estimates: Mapping[str, Estimate] | None = None
 
     def reason(
         self, swings: Sequence[HalfCycle], elapsed_s: float, estimates: Mapping[str, Estimate] | None = None
     ) -> str | None:
         """Why the run must end, as text for the record; None while it continues.
 
-        `estimates` are the parameters as the half-cycles so far tell them, an object of its own for each fit.
+        `estimates` are the parameters fitted to the half-cycles so far; each fit brings a new object.
         """
         for swing in swings:
             self._below = self._below + 1 if swing.amplitude < self._limits.final_amplitude else 0
@@ -68,21 +66,21 @@ class EndOfRun:
         if elapsed_s >= self._limits.max_duration_s:
             return f"time limit of {self._limits.max_duration_s:g} s reached"
         known, enough = estimates, self._limits.known_enough
-        if enough and known and known is not self._judged:
-            self._judged = known
+        if enough and known and known is not self._last_estimates:
+            self._last_estimates = known
             holds = all(condition.relative(known) < condition.limit for condition in enough)
-            self._held = self._held + 1 if holds else 0
-        if enough and known and self._held >= HELD_FITS:
+            self._fits_in_a_row = self._fits_in_a_row + 1 if holds else 0
+        if enough and known and self._fits_in_a_row >= CONSECUTIVE_FITS:
             return f"known well enough: {', '.join(condition.text(known) for condition in enough)}"
         return None
 
 
 class StopRequest:
-    """Whether the run is to end, and why; the first reason given is recorded.
+    """The request to end a run, with its reason; the first reason given is recorded.
 
-    `failure` is the first error, if an error ended the run; `early` is STOPPED or FAILED where it was ended
-    before its end. With `skip_waiting` (after Ctrl-C) frames
-    that a source on demand has still to deliver are not processed. May be used from any thread.
+    `failure` is the first error, if an error ended the run; `early` is ENDED_EARLY or FAILED if the run was
+    ended before its limits. With `skip_waiting` (after Ctrl-C) frames that a source on demand has still to
+    deliver are not processed. May be used from any thread.
     """
 
     def __init__(self, stream: FrameStream) -> None:
@@ -124,28 +122,36 @@ class StopRequest:
 
 @dataclass(frozen=True, slots=True)
 class HandOver:
-    """Of one session. `ended` is None while no run was made; `went` says in words how it stands.
+    """Summary of an ended session for the person who takes it over.
 
-    `headline` is the result with its uncertainty, `of` whether that is the whole budget or the swings alone;
-    `limits` what makes the most of it, `next_steps` what to do. Empty where there are no results.
+    Texts on results are empty if there are none.
     """
 
     folder: Path
     ended: RunState | None
+    """State of the session; None while no run was made."""
     went: str
+    """Number of complete runs, and why the last run ended, in words."""
     headline: str = ""
+    """The result with its uncertainty."""
     of: str = ""
+    """What that uncertainty covers: the whole budget, or the half-cycles alone."""
     limits: Sequence[Limit] = ()
+    """The largest parts of the uncertainty."""
     next_steps: Sequence[str] = ()
+    """What to do next."""
     others: Sequence[tuple[str, str]] = ()
+    """Further results of the last run, as (label, text)."""
     report: Path | None = None
+    """The newest HTML report."""
     remarks: Sequence[str] = field(default_factory=tuple)
+    """Warnings, and conditions that were not met."""
 
 
 def state_of(session: SessionState) -> RunState | None:
-    """How a session that does not run has ended: complete, stopped, failed, interrupted; None without a run.
+    """State in which a session has ended: complete, stopped, failed or interrupted; None without a run.
 
-    One that was killed is interrupted: a run of it is still noted as being recorded, or its next run did not
+    A session that was killed is interrupted: a run is still noted as being recorded, or the next run did not
     begin.
     """
     if len(session.complete) >= session.runs_wanted:
@@ -158,9 +164,9 @@ def state_of(session: SessionState) -> RunState | None:
 
 
 def hand_over(folder: Path) -> HandOver:
-    """What a session's folder holds; reads results, takes a moment.
+    """The summary of the session in a folder; it reads the results, which takes a moment.
 
-    Raises RigError if there is no session in it.
+    Raises RigError if the folder holds no session.
     """
     session = read_session(folder)
     ended = state_of(session)
@@ -176,10 +182,10 @@ def hand_over(folder: Path) -> HandOver:
     except RigError as error:
         return HandOver(folder, ended, went, next_steps=[*steps, str(error)], report=report)
     run = results.runs[-1]
-    found = whole_result(run, results.series)
-    headline, of = found.text, found.of
-    against = [f"{one.name}: {one.said}" for one in run.conditions if not one.ok or one.remedy]
-    remarks = [*run.warnings, *against]
+    whole = whole_result(run, results.series)
+    headline, of = whole.text, whole.of
+    unmet = [f"{one.name}: {one.said}" for one in run.conditions if not one.ok or one.remedy]
+    remarks = [*run.warnings, *unmet]
     if run.problem:
         headline, of = "", ""
         remarks.insert(0, f"no fit: {run.problem}")
@@ -189,8 +195,8 @@ def hand_over(folder: Path) -> HandOver:
         went,
         headline,
         of,
-        found.limits,
-        [*steps, *found.next_steps],
+        whole.limits,
+        [*steps, *whole.next_steps],
         _others(run),
         report,
         remarks,

@@ -1,4 +1,4 @@
-"""Tells people who are not there of an alarm, the end or the failure of a session, by a command."""
+"""Notifies absent people of an alarm, the end or the failure of a session, by calling a command."""
 
 import datetime
 import subprocess
@@ -18,45 +18,45 @@ from rig.presentation import say
 from rig.settings import Configuration, PreflightSettings, SessionSettings
 from rig.terminal import reason_of
 
-_CALL_S = 20.0
+_MAX_CALL_S = 20.0
 _LAST_WAIT_S = 10.0
-_MOST_ALARMS = 20
-"""Of one session; a contact that bounces must not call somebody a thousand times."""
+_MAX_ALARMS = 20
+"""Alarms that one session sends at most: a contact that bounces must not call somebody a thousand times."""
 
 
 class Notices:
-    """Calls `session.notify_command` with the kind, the text and the folder as its last arguments.
+    """Sends notices: calls `session.notify_command` with kind, text and folder as its last arguments.
 
-    Each call has a thread of its own, so that one that hangs delays nothing. As a watcher of runs it tells
-    of events at error level. `against` collects the causes that a failure states.
+    Each call has a thread of its own, so that one that hangs delays nothing. As a watcher of runs it sends
+    events at the level of an alarm or a trip. `failures` holds the causes that a notice of failure states.
     """
 
     def __init__(self, settings: SessionSettings, folder: Path) -> None:
         self._command = settings.notify_command
         self._folder = folder
         self.calls: list[threading.Thread] = []
-        self._heard = threading.Event()
-        self.against: list[str] = []
+        self._delivered = threading.Event()
+        self.failures: list[str] = []
         self._alarms = 0
 
     @property
-    def last_was_heard(self) -> bool:
-        """Whether what was told last has reached the command for certain."""
-        return self._heard.is_set()
+    def last_was_delivered(self) -> bool:
+        """Whether the command has surely taken the last notice."""
+        return self._delivered.is_set()
 
     def tell(self, kind: Literal["alarm", "end", "failure"], text: str) -> None:
-        """Tell it; returns at once."""
-        # of this message: what was told before, and answers later, does not count for it
-        heard = self._heard = threading.Event()
+        """Send a notice; returns at once."""
+        # an event of this notice alone: an earlier one whose command answers late does not count for it
+        delivered = self._delivered = threading.Event()
         if self._command:
             words = (kind, text, str(self._folder.absolute()))
             name = f"session.notify_command: {self._command[0]}"
-            thread = threading.Thread(target=self._run, args=(words, heard), name=name, daemon=True)
+            thread = threading.Thread(target=self._run, args=(words, delivered), name=name, daemon=True)
             thread.start()
             self.calls.append(thread)
 
     def wait(self) -> None:
-        """Until all is sent, or for some seconds: the program is about to end."""
+        """Wait until all notices are sent, at most `_LAST_WAIT_S`: the program is about to end."""
         end_s = time.monotonic() + _LAST_WAIT_S
         for thread in self.calls:
             thread.join(max(0.0, end_s - time.monotonic()))
@@ -67,36 +67,36 @@ class Notices:
             )
 
     def take(self, told: RecordContents) -> None:
-        """Events of a run whose level is an alarm's."""
+        """Send the events of a run whose level is an alarm or a trip."""
         for event in told.events:
-            if event.level in (Severity.TRIP, Severity.ALARM) and self._alarms < _MOST_ALARMS:
+            if event.level in (Severity.TRIP, Severity.ALARM) and self._alarms < _MAX_ALARMS:
                 self._alarms += 1
                 self.tell("alarm", event.line)
 
-    def _run(self, words: tuple[str, ...], heard: threading.Event) -> None:
+    def _run(self, words: tuple[str, ...], delivered: threading.Event) -> None:
         try:
             done = subprocess.run(
                 [*self._command, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                timeout=_CALL_S,
+                timeout=_MAX_CALL_S,
                 check=False,
             )
         except subprocess.TimeoutExpired:
-            say(f"session.notify_command: {self._command[0]} was ended after {_CALL_S:g} s", error=True)
+            say(f"session.notify_command: {self._command[0]} was ended after {_MAX_CALL_S:g} s", error=True)
         except (OSError, ValueError) as error:
             say(f"session.notify_command: {error}", error=True)
         else:
             if done.returncode:
                 say(f"session.notify_command: {self._command[0]} ended with {done.returncode}", error=True)
             else:
-                heard.set()
+                delivered.set()
 
 
 @dataclass
 class Outcome:
-    """How a session ended, set in the block of `announced`, and what reports it."""
+    """Exit status of a session, set in the block of `announced`, and the notices that report it."""
 
     notices: Notices
     status: int = 1
@@ -104,10 +104,10 @@ class Outcome:
 
 @contextmanager
 def announced(settings: SessionSettings, folder: Path, file: SessionFile | None = None) -> Iterator[Outcome]:
-    """Report the end or the failure of what is done in the block, as its exit status or its error says.
+    """Send a notice of the end or the failure of the block, by its exit status or its error.
 
-    A session that goes on, and has nothing to make, ends as it did: that is not told twice, unless it has
-    reached nobody. `file` is the session's, where it is open already.
+    A resumed session without a missing run ends as it ended before: that notice is not sent twice, unless the
+    first was not delivered. `file` is the session's file if it is open already.
     """
     outcome, told = Outcome(Notices(settings, folder)), ""
     try:
@@ -115,7 +115,7 @@ def announced(settings: SessionSettings, folder: Path, file: SessionFile | None 
     except BaseException as error:
         why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
         outcome.notices.tell("failure", why or type(error).__name__)
-        _note_told(folder, file, outcome.notices, "")
+        _note_reported_end(folder, file, outcome.notices, "")
         raise
     else:
         kind: Literal["end", "failure"] = "end"
@@ -123,36 +123,36 @@ def announced(settings: SessionSettings, folder: Path, file: SessionFile | None 
         if outcome.status:
             kind = "failure"
             text = "not every run was measured and fitted under its conditions"
-            text = ": ".join([text, *filter(None, ["; ".join(outcome.notices.against)])])
-        if _told(folder) != f"{kind}: {text}":
+            text = ": ".join([text, *filter(None, ["; ".join(outcome.notices.failures)])])
+        if _reported_end(folder) != f"{kind}: {text}":
             outcome.notices.tell(kind, text)
             told = f"{kind}: {text}"
     finally:
         outcome.notices.wait()
-        if told and outcome.notices.last_was_heard:
-            _note_told(folder, file, outcome.notices, told)
+        if told and outcome.notices.last_was_delivered:
+            _note_reported_end(folder, file, outcome.notices, told)
 
 
-def _told(folder: Path) -> str:
+def _reported_end(folder: Path) -> str:
     with suppress(RigError):
         return read_session(folder).told
     return ""
 
 
-def _note_told(folder: Path, file: SessionFile | None, notices: Notices, words: str) -> None:
-    """Note in the session's file what its end was told as, if anybody was told; it may not have begun."""
-    if notices.calls and _told(folder) != words:
+def _note_reported_end(folder: Path, file: SessionFile | None, notices: Notices, words: str) -> None:
+    """Save the notice of the session's end in its file, if one was sent; the file may not exist yet."""
+    if notices.calls and _reported_end(folder) != words:
         with suppress(RigError), nullcontext(file) if file else closing(SessionFile.opened(folder)) as held:
-            held.note_told(words)
+            held.note_reported_end(words)
 
 
 Sleep = Callable[[float], None]
-_LONG_ENOUGH_S = 60.0
-"""Look at rest that holds the eight periods which the ground's drive needs."""
+_MIN_GROUND_S = 60.0
+"""Shortest look at the resting pendulum that holds the eight periods which the ground's drive needs."""
 
 
-class Waiting:
-    """Waits after a no-go as `[preflight]` states; `over` once a run may not be tried any more."""
+class PreflightWait:
+    """Waits after a no-go of the preflight as `[preflight]` states; `over` once `wait_max_s` is used up."""
 
     def __init__(
         self,
@@ -162,67 +162,67 @@ class Waiting:
         sleep: Sleep = time.sleep,
     ) -> None:
         self._name, self._now_s, self._sleep = name, now_s, sleep
-        self._every_s, self._longest_s = preflight.try_every_s, preflight.wait_max_s
-        self._waited_s = self._this_s = 0.0
+        self._interval_s, self._max_s = preflight.try_every_s, preflight.wait_max_s
+        self._waited_s = self._run_waited_s = 0.0
         self._since = self._last = ""
         self._refused = False
         self.over = False
 
     def __call__(self, why: str) -> bool:
-        """Whether to try again, after a time, what was refused for this reason."""
-        left_s = self._longest_s - self._waited_s
+        """Wait before the next try of a run refused for the reason `why`; returns whether to try again."""
+        left_s = self._max_s - self._waited_s
         if left_s <= 0:
             self.over = True
-            if self._longest_s:
-                say(f"{self._name}: not ready within {self._longest_s:g} s: {why}", error=True)
+            if self._max_s:
+                say(f"{self._name}: not ready within {self._max_s:g} s: {why}", error=True)
             return False
         if not self._since:
             self._since = f"{datetime.datetime.now().astimezone():%H:%M}"
         self._last, self._refused = why, True
         say(f"{self._name}: waiting since {self._since}: {why}")
         begun_s = self._now_s()
-        self._sleep(min(self._every_s, left_s))
+        self._sleep(min(self._interval_s, left_s))
         lasted_s = self._now_s() - begun_s
         self._waited_s += lasted_s
-        self._this_s += lasted_s
+        self._run_waited_s += lasted_s
         return True
 
-    def said(self) -> list[str]:
-        """What the run that is tried now has waited for; asked at every try."""
+    def texts(self) -> list[str]:
+        """What the next try of a run has waited for, for its record; must be called at every try."""
         if not self._refused:
-            # the run before was made
-            self._since, self._this_s = "", 0.0
+            # no try was refused since the last call: this is a new run
+            self._since, self._run_waited_s = "", 0.0
         self._refused = False
         if not self._since:
             return []
-        return [f"waited from {self._since} for {self._this_s / 60:.0f} min: {self._last}"]
+        return [f"waited from {self._since} for {self._run_waited_s / 60:.0f} min: {self._last}"]
 
 
 def check_waiting(config: Configuration) -> None:
-    """Raise ConfigurationError where a session shall wait for conditions that its rig cannot see."""
-    asked, usual = config.preflight, PreflightSettings()
-    if not asked.wait_max_s:
+    """Raise ConfigurationError if a session shall wait for conditions that its rig cannot measure."""
+    preflight, defaults = config.preflight, PreflightSettings()
+    if not preflight.wait_max_s:
         return
 
     def stated(*names: str) -> str:
-        return next((name for name in names if getattr(asked, name) != getattr(usual, name)), "")
+        return next((name for name in names if getattr(preflight, name) != getattr(defaults, name)), "")
 
-    who = f"preflight.wait_max_s = {asked.wait_max_s:g}"
-    if asked.when == "never":
+    who = f"preflight.wait_max_s = {preflight.wait_max_s:g}"
+    if preflight.when == "never":
         raise ConfigurationError(f'{who}: has no effect with preflight.when = "never"')
-    of_air = stated("min_humidity_percent", "max_humidity_percent", "min_temperature_c", "max_temperature_c")
-    if of_air and config.environment_sensor.kind == "none":
+    air_key = stated("min_humidity_percent", "max_humidity_percent", "min_temperature_c", "max_temperature_c")
+    if air_key and config.environment_sensor.kind == "none":
         raise ConfigurationError(
-            f"{who}: preflight.{of_air} needs a sensor of the air: see [environment_sensor]"
+            f"{who}: preflight.{air_key} needs a sensor of the air: see [environment_sensor]"
         )
-    of_rest = stated("max_ground_rad_per_s2_rthz", "max_vibration_arcsec")
-    if of_rest and (config.start.way == "at once" or config.lever is None):
+    rest_key = stated("max_ground_rad_per_s2_rthz", "max_vibration_arcsec")
+    if rest_key and (config.start.way == "at once" or config.lever is None):
         raise ConfigurationError(
-            f"{who}: preflight.{of_rest} needs a pendulum at rest and [lever]:"
+            f"{who}: preflight.{rest_key} needs a pendulum at rest and [lever]:"
             " set start.way to 'by hand', 'magnet' or 'starter'"
         )
-    if asked.max_ground_rad_per_s2_rthz is not None and asked.duration_s < _LONG_ENOUGH_S:
+    if preflight.max_ground_rad_per_s2_rthz is not None and preflight.duration_s < _MIN_GROUND_S:
         raise ConfigurationError(
             f"{who}: preflight.max_ground_rad_per_s2_rthz needs eight periods at rest: set "
-            f"preflight.duration_s to {_LONG_ENOUGH_S:g} or more, it is {asked.duration_s:g}"
+            f"preflight.duration_s to {_MIN_GROUND_S:g} or more, it is {preflight.duration_s:g}"
         )

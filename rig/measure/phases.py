@@ -24,27 +24,29 @@ from rig.presentation import Verdict, failures
 from rig.settings import Configuration
 
 _AT_ONCE_FRAMES = 100
+"""Number of frames that the preflight of a run without a rest phase looks at."""
 _RESTING_FRAMES = 110
-"""Some more than noise and spectrum need."""
+"""Number of frames that the preflight at rest looks at, at least; a few more than noise and spectrum need."""
 _BRAKE_AGAIN_NS = 2_000_000_000
+"""Shortest time between two commands that close the brake."""
 _RESTING_NOISES = 6.0
-"""Limit of half the range at rest in standard deviations of one frame; noise alone stays below it."""
+"""Limit of half the range at rest, in standard deviations of one frame; noise alone stays below it."""
 
 
 class NoGo(DataError):
-    """Preflight says no-go, for the reasons `against`: later it may say otherwise."""
+    """The preflight says no-go, for the reasons `failed_checks`; a later try may succeed."""
 
-    def __init__(self, against: str) -> None:
-        super().__init__(f"preflight says no-go ({against}); --force overrides it")
-        self.against = against
+    def __init__(self, failed_checks: str) -> None:
+        super().__init__(f"preflight says no-go ({failed_checks}); --force overrides it")
+        self.failed_checks = failed_checks
 
 
 class PhasesBeforeRecord:
-    """The phases before the record of a run; `run` is called for every attempt at a start.
+    """Runs the phases before the record of a run; `run` is called for every attempt at a start.
 
-    `verdicts` is the preflight table, `starter_pulse_s` the pulse of the next attempt. With `force` a
-    failed preflight is recorded and the run continues. `folder` is the folder of the record, whose free
-    disk space is checked. `watch` is shown the frames meanwhile.
+    `verdicts` is the preflight table, `starter_pulse_s` the pulse of the next attempt. With `force` a failed
+    preflight is recorded and the run continues. `folder` is the folder of the record, whose free disk space
+    is checked. `watch` receives the frames meanwhile.
     """
 
     def __init__(
@@ -73,33 +75,33 @@ class PhasesBeforeRecord:
         self._attempt = 0
         self._warm = False
         if config.start.by_controller:
-            # hours of warm-up and rest are in vain without it
+            # checked now: hours of warm-up and rest would be in vain without a controller
             devices.required_control(f"start.way = {config.start.way!r}")
 
     def run(
         self, stream: FrameStream, report: Callable[[RecordedPhase], None], stop: StopRequest
     ) -> tuple[list[Frame], list[Event]]:
-        """Go through the phases; returns the frames with which the record begins, and the events so far.
+        """Run the phases; returns the frames with which the record begins, and the events so far.
 
         There are no frames if the run was stopped or the source has ended. Raises RigError with the
         reason if the run must not begin.
         """
         config = self._config
         window_s = max(config.phases.rest_window_s, config.phases.warm_up_window_s, _preflight_s(config))
-        # the preflight needs whole frames too
+        # the preflight needs whole frames, not deflections alone
         kept_s = max(config.start.pretrigger_s, _preflight_s(config))
         frames = RecentFrames(stream, self._optics, kept_s, window_s, self._watch)
         self._wait = PhaseWait(frames, report, stop)
         self._attempt += 1
         try:
             if config.start.way == "at once":
-                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.seen >= _AT_ONCE_FRAMES)
+                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _AT_ONCE_FRAMES)
                 self._check(resting=False)
                 return frames.frames, self._wait.events
             self._come_to_rest()
             self._warm_up()
             if self._attempt == 1:
-                self._look()
+                self._preflight_at_rest()
             self._release()
         except WaitStopped:
             return [], self._wait.events
@@ -111,20 +113,20 @@ class PhasesBeforeRecord:
     def check_alone(
         self, stream: FrameStream, report: Callable[[RecordedPhase], None], stop: StopRequest
     ) -> list[Verdict]:
-        """The preflight table of a pendulum as it is, without a run; empty if it was stopped."""
+        """The preflight table of the pendulum as it hangs or swings, without a run; empty if stopped."""
         seconds = _preflight_s(self._config)
         frames = RecentFrames(stream, self._optics, seconds, seconds)
         self._wait = PhaseWait(frames, report, stop)
         with suppress(NoGo, WaitStopped):
             if self._config.start.way == "at once":
-                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.seen >= _AT_ONCE_FRAMES)
+                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _AT_ONCE_FRAMES)
                 self._check(resting=False)
             else:
-                self._look()
+                self._preflight_at_rest()
         return self.verdicts
 
     def correct_starter(self, first_amplitude: float) -> None:
-        """Scale the next starter pulse by the amplitude that the last one gave; not if that is in px."""
+        """Scale the next starter pulse by the amplitude that the last gave; unchanged if that is in px."""
         wanted_rad = self._config.session.initial_amplitude_arcsec * ARCSEC_RAD
         wanted_rad *= 0.5 * (self._config.start.lowest_amplitude + self._config.start.highest_amplitude)
         if first_amplitude > 0 and self._unit is DeflectionUnit.RAD:
@@ -167,7 +169,7 @@ class PhasesBeforeRecord:
         self._brake(False)
 
     def _warm_up(self) -> None:
-        """Wait until the drift of the resting spot is small; only if this program switches the laser on."""
+        """Wait until the drift of the resting spot is small, if this program switches the laser on."""
         laser, phases = self._config.laser, self._config.phases
         if laser.kind == "none" or self._warm:
             return
@@ -185,17 +187,17 @@ class PhasesBeforeRecord:
                 _drift_per_min(recent.times_s, recent.shown_x), _drift_per_min(recent.times_s, recent.shown_y)
             )
             limit = phases.warm_up_drift_arcsec_per_min
-            seen = f"drift {drift:.2f} {self._unit.shown}/min" if math.isfinite(drift) else "no spot is seen"
+            text = f"drift {drift:.2f} {self._unit.shown}/min" if math.isfinite(drift) else "no spot is seen"
             if self._unit is DeflectionUnit.PX:
-                self._wait.progress = f"{seen}, not checked: {rest_checks.NO_LEVER}"
+                self._wait.progress = f"{text}, not checked: {rest_checks.NO_LEVER}"
                 return True
-            self._wait.progress = f"{seen} (limit {limit:.3g})"
+            self._wait.progress = f"{text} (limit {limit:.3g})"
             return drift <= limit
 
         self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)
         self._warm = True
 
-    def _look(self) -> None:
+    def _preflight_at_rest(self) -> None:
         if not preflight_wanted(self._config):
             return
         frames = self._wait.frames
@@ -204,7 +206,7 @@ class PhasesBeforeRecord:
 
         def long_enough() -> bool:
             nonlocal begun_ns
-            # 0 before the first frame
+            # `now_ns` is 0 before the first frame
             begun_ns = begun_ns or frames.now_ns
             looked_ns = frames.now_ns - begun_ns
             self._wait.progress = f"{looked_ns / NS_PER_S:.0f} of {duration_ns / NS_PER_S:g} s"
@@ -214,9 +216,9 @@ class PhasesBeforeRecord:
         self._check(resting=True)
 
     def _check(self, resting: bool) -> None:
-        """Make the preflight table; raises DataError if a check fails, unless forced.
+        """Make the preflight table; raises NoGo if a check fails, unless forced.
 
-        Frames of a laser that has gone dark say nothing about exposure and beam: then DeviceError says so.
+        Raises DeviceError instead if the laser has gone dark, whose frames show neither exposure nor beam.
         """
         if not preflight_wanted(self._config):
             return
@@ -237,7 +239,7 @@ class PhasesBeforeRecord:
             ),
             frame_checks.controller(self._devices.now(), config.controller.kind != "none"),
             frame_checks.laser(self._devices.laser_now(), through_controller(config.laser)),
-            self._witness(look),
+            self._seismometer_verdict(look),
             vault_checks.reference(look, config.reference, limits),
             frame_checks.air(
                 self._devices.environment(),
@@ -246,23 +248,23 @@ class PhasesBeforeRecord:
                 optional=config.environment_sensor.kind == "controller",
             ),
         ]
-        against = failures(self.verdicts)
-        if against:
-            self._unless_dark()
+        failed_checks = failures(self.verdicts)
+        if failed_checks:
+            self._raise_if_dark()
         self._show_table(self.verdicts)
-        self._wait.note(EventKind.PREFLIGHT, f"no-go: {against}" if against else "go")
-        if against and not self._force:
-            raise NoGo(against)
-        if against:
-            self._devices.audit(AuditEntry.FORCE, f"preflight said no-go: {against}")
+        self._wait.note(EventKind.PREFLIGHT, f"no-go: {failed_checks}" if failed_checks else "go")
+        if failed_checks and not self._force:
+            raise NoGo(failed_checks)
+        if failed_checks:
+            self._devices.audit(AuditEntry.FORCE, f"preflight said no-go: {failed_checks}")
 
-    def _unless_dark(self) -> None:
-        """Raises DeviceError if the laser that this program has lit is dark: that is the cause."""
+    def _raise_if_dark(self) -> None:
+        """Raise DeviceError if the laser that this program has lit is dark: the cause of a failed check."""
         if self._devices.permit.begun and (why := self._devices.darkness_heard()):
             raise DeviceError(f"the laser is dark: {why}; nothing was recorded")
 
-    def _witness(self, look: TrialFrames) -> Verdict:
-        """The witness beside these frames."""
+    def _seismometer_verdict(self, look: TrialFrames) -> Verdict:
+        """The verdict on the auxiliary seismometer during these frames."""
         witness, stated = self._devices.witness, self._config.witness
         samples = []
         if witness is not None and look.frames:
@@ -276,12 +278,12 @@ class PhasesBeforeRecord:
         who = f"start.way = {start.way!r}"
         wait = self._wait
         instruction = ""
-        rest, threshold = self._place()
+        rest, threshold = self._rest_position()
         if start.way == "magnet":
             wait_for_command(self._devices.required_control(who).hold())
             self._come_to_rest()
             free = rest
-            rest, threshold = self._place()
+            rest, threshold = self._rest_position()
             held = math.hypot(rest[0] - free[0], rest[1] - free[1])
             distance = f"{held / self._unit.shown_size:.1f} {self._unit.shown}"
             if not held > threshold:
@@ -307,12 +309,12 @@ class PhasesBeforeRecord:
 
         wait.until_reached(Phase.RELEASE, self._config.phases.release_max_s, moved, instruction)
 
-    def _place(self) -> tuple[tuple[float, float], float]:
-        """Median position in the last second, and the smallest distance from it that is not noise."""
+    def _rest_position(self) -> tuple[tuple[float, float], float]:
+        """Median deflection (x, y) of the last second, and the smallest distance from it above noise."""
         recent = self._wait.frames.since(self._wait.frames.now_ns - 1_000_000_000)
         recent = recent[recent.found]
         if not len(recent):
-            self._unless_dark()
+            self._raise_if_dark()
             raise DataError("release: no spot was found for a second; check the laser and the beam path")
         threshold = 8.0 * max(
             robust_scatter(recent.x), robust_scatter(recent.y), float(np.median(recent.u_y))
@@ -367,7 +369,7 @@ def _frame_noise(values: np.ndarray) -> float:
 
 
 def free_bytes(folder: Path) -> int:
-    """Raises RecordError where the folder has gone while the session runs."""
+    """Free disk space of a folder in bytes; raises RecordError if the folder no longer exists."""
     try:
         return shutil.disk_usage(folder).free
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A record, or a preflight, without a session."""
+"""Work on the rig without a session: a plain record, a preflight, frames, light, trips, the audit log."""
 
 import math
 import queue
@@ -48,25 +48,25 @@ from rig.presentation import (
 )
 from rig.settings import Configuration
 
-_NO_END = 1e-9
-"""Amplitude in arcsec at which a record would end: a clamped pendulum has none."""
+_NEVER_ARCSEC = 1e-9
+"""Final amplitude in arcsec that no record reaches, not even that of a clamped pendulum."""
 
 
 def record_plainly(config: Configuration, source: Path, record: Path, seconds: float) -> Path:
-    """Record the spot for a time, whatever it does; returns the record.
+    """Record the spot for a time in s, whether it moves or not; returns the path of the record.
 
-    Meanwhile its folder's order socket tells how it looks. One that goes dark ends.
+    The order socket of the folder shows the picture meanwhile. The record ends if the laser goes dark.
 
-    Raises RigError where that fails, KeyboardInterrupt after Ctrl-C, which leaves a closed record.
+    Raises RigError if the recording fails, KeyboardInterrupt after Ctrl-C, which leaves a closed record.
     """
     updates = {
         "session": config.session.model_copy(
-            update={"max_duration_s": seconds, "final_amplitude_arcsec": _NO_END, "stop_when": ()}
+            update={"max_duration_s": seconds, "final_amplitude_arcsec": _NEVER_ARCSEC, "stop_when": ()}
         ),
         "view": config.view.model_copy(update={"mode": "none", "file": False}),
         "preflight": config.preflight.model_copy(update={"when": "never"}),
         "start": config.start.model_copy(update={"way": "at once"}),
-        # a person who looks at the picture gives no leave to go on
+        # a person who only looks at the picture acknowledges no trip
         "laser": config.laser.model_copy(update={"when_dark": "end"}),
     }
     record.parent.mkdir(parents=True, exist_ok=True)
@@ -131,25 +131,25 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
         devices.camera(config) as camera,
     ):
         optics = optics_of(config, camera.info.full_scale_dn)
-        phases = PhasesBeforeRecord(config, devices, camera, optics, _place(config))
+        phases = PhasesBeforeRecord(config, devices, camera, optics, _existing_output_folder(config))
         stream = devices.stream(config, camera)
         prepare_kernels(optics.sensor, say)
         ask_leave(devices)
         if lit := devices.light():
             say(lit)
         light = LightWatch(devices)
-        before = ("", "")
+        last_state = ("", "")
         states: queue.SimpleQueue[RecordedPhase | None] = queue.SimpleQueue()
 
         def report(phase: RecordedPhase) -> None:
-            nonlocal before
+            nonlocal last_state
             light.look()
             if light.alarm:
                 raise DeviceError(light.alarm)
             doing = phase.phase, phase.progress
-            if doing != before:
+            if doing != last_state:
                 states.put(phase)
-            before = doing
+            last_state = doing
 
         def look(stop: StopRequest) -> list[Verdict]:
             try:
@@ -162,7 +162,7 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
                 stream.close()
                 states.put(None)
 
-        # in a thread of its own: what is printed may wait for a reader, and frames may not
+        # in a thread of its own: printing may wait for a slow reader, and frames may not
         stop = StopRequest(stream)
         with ThreadPoolExecutor(1, "preflight") as looking:
             found = looking.submit(look, stop)
@@ -184,8 +184,8 @@ def preflight_rig(config: Configuration, *, json_lines: bool = False) -> int:
     return 1 if against or not verdicts else 0
 
 
-def _place(config: Configuration) -> Path:
-    """Where a record would be written, as far as it exists."""
+def _existing_output_folder(config: Configuration) -> Path:
+    """The nearest existing folder on the path to which a record would be written."""
     place = config.session.output.absolute()
     while not place.exists():
         place = place.parent
@@ -216,7 +216,7 @@ def show_light(config: Configuration) -> int:
 
 
 def acknowledge_trip(config: Configuration, number: int) -> int:
-    """Acknowledge a trip, in the session that has the rig or with the devices opened here; lights nothing."""
+    """Acknowledge a trip, in the session that runs or with the devices opened here; lights nothing."""
     for folder in _sessions(config):
         with suppress(NoSession), OrderConnection(folder) as line:
             said = line.order(f"acknowledge {number} rig light acknowledge")
@@ -251,7 +251,7 @@ def check_audit(folder: Path, config: Configuration | None) -> int:
 
 
 def _sessions(config: Configuration) -> Iterator[Path]:
-    """Folders where a session may run: that of the program which has the rig, and those of the output."""
+    """Folders where a session may run: that of the program that holds the rig, then those in the output."""
     held = SafetyState(rig_state_path(config.laser, config.controller)).folder_of_holder
     if held is not None:
         yield held
@@ -266,7 +266,7 @@ def _session_state(config: Configuration) -> SafetyNow | None:
 
 
 def _device_state(config: Configuration) -> SafetyNow:
-    """With the devices opened, which lights nothing; what the file says where another program has them."""
+    """The state read from the devices, unlit; from the state file if another program has them."""
     try:
         with Devices(config, None, "rig light show") as devices:
             devices.wait_until_heard()

@@ -1,4 +1,4 @@
-"""Parameters and uncertainties while a run is measured, from a process of its own that reads the record."""
+"""Live parameters and uncertainties of a run, fitted by a process of its own that reads the record."""
 
 import pickle
 import subprocess
@@ -11,54 +11,54 @@ from queue import Empty, SimpleQueue
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.swing import HalfCycle
-from rig.measure.posterior_worker import FIRST_HALF_CYCLES, Posterior, following
+from rig.measure.posterior_worker import FIRST_HALF_CYCLES, Posterior, next_fit_half_cycles
 from rig.settings import Configuration
 from rig.terminal import start_python
 
 _PROGRAM = "from rig.measure.posterior_worker import main; main()"
-# one thread: those of linear algebra would wait for one another, busily, on few columns
+# one thread: on few columns the threads of linear algebra would mostly wait for one another, busily
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-_WAITING_S = 1.0
+_CALL_INTERVAL_S = 1.0
 
 
 class LivePosterior:
     """Fits of a run while it is measured, by a process that reads its record.
 
-    A process, because a fit in a thread would hold the interpreter's lock, for which the frames would wait.
-    It begins with the first half-cycles that are worth a fit. Its answers come through a pipe that a thread
-    of its own reads, so that a process that is stopped in the middle of one holds up nothing else. All
-    methods are called by the thread that processes the frames, `close` by any. A process that dies ends the
-    fits, and `take_remark` says so.
+    It is a process, because a fit in a thread would hold the interpreter's lock, for which the frames would
+    wait. It starts once there are enough half-cycles for a fit. A thread reads its answers from a pipe, so
+    that a process that is stopped in the middle of an answer delays nothing else. All methods are called by
+    the thread that processes the frames, `close` by any thread. If the process dies, fits end and
+    `take_remark` says so.
 
     Parameters
     ----------
     in_step
         Frames are made on demand: `take` waits for every fit that is due, whatever its share of a core, so
-        that a run that ends by what it knows repeats exactly.
+        that a run which ends by `session.stop_when` repeats exactly.
     """
 
     def __init__(self, *, in_step: bool = False) -> None:
         self._in_step = in_step
-        self._over = False
+        self._ended = False
         self._remark = ""
         self._process: subprocess.Popen[bytes] | None = None
-        self._listening: threading.Thread | None = None
+        self._reader: threading.Thread | None = None
         self.begin(Path())
 
     @property
     def latest(self) -> Posterior:
-        """What is known now."""
+        """The newest fit."""
         while not self._answers.empty():
             self._note(self._answers.get())
         return self._latest
 
     @property
     def worker_pid(self) -> int | None:
-        """Process number of the process that fits; None before the first fit."""
+        """Process identifier of the fitting process; None before it is started."""
         return None if self._process is None else self._process.pid
 
     def begin(self, record: Path) -> None:
-        """Forget what is known: a run begins, or is begun again, with this record."""
+        """Discard all fits: a run begins, or begins again, with this record."""
         self.close()
         self._process = None
         self._record = record
@@ -72,12 +72,12 @@ class LivePosterior:
         flush: Callable[[], None] = lambda: None,
         waiting: Callable[[], None] = lambda: None,
     ) -> None:
-        """Half-cycles that have been recorded, or, once `flush` is called, will have been.
+        """Count half-cycles that are in the record, at the latest once `flush` is called, and fit when due.
 
-        `waiting` is called every second while frames on demand wait for a fit, which is no stall.
+        `waiting` is called every second while frames on demand wait for a fit, so that the wait is no stall.
         """
         self._half_cycles += sum(not swing.flags for swing in swings)
-        if self._over or self._half_cycles < self._due_half_cycles:
+        if self._ended or self._half_cycles < self._due_half_cycles:
             return
         if self._process is None:
             self._process = self._started()
@@ -89,20 +89,20 @@ class LivePosterior:
     ) -> None:
         waiting()
         flush()
-        # a broken pipe: the process has died, which the end of its answers tells
+        # an error here is a broken pipe: the process has died, which the end of its answers shows
         with suppress(OSError):
             if process.stdin is not None:
                 process.stdin.write(b"\n")
                 process.stdin.flush()
-        self._due_half_cycles = following(self._half_cycles)
+        self._due_half_cycles = next_fit_half_cycles(self._half_cycles)
         while True:
             with suppress(Empty):
-                self._note(self._answers.get(timeout=_WAITING_S))
+                self._note(self._answers.get(timeout=_CALL_INTERVAL_S))
                 return
             waiting()
 
     def take_remark(self) -> str:
-        """Why there are no fits any more; once, else an empty text."""
+        """Why fits have ended, at the first call after that; else an empty text."""
         remark, self._remark = self._remark, ""
         return remark
 
@@ -114,9 +114,9 @@ class LivePosterior:
         with suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.close()
-        if self._listening is not None:
-            # not longer: one that reads from a disk that hangs ends with that
-            self._listening.join(_WAITING_S)
+        if self._reader is not None:
+            # no longer: a thread that waits for a disk that hangs ends only with that disk
+            self._reader.join(_CALL_INTERVAL_S)
 
     def _started(self) -> "subprocess.Popen[bytes] | None":
         words, pipe = [str(self._record), *(["in step"] if self._in_step else [])], subprocess.PIPE
@@ -127,10 +127,10 @@ class LivePosterior:
         except OSError as error:
             self._end(f"the process that fits cannot be started ({error})")
             return None
-        self._listening = threading.Thread(
-            target=_listen, args=(process, self._answers), name="posterior", daemon=True
+        self._reader = threading.Thread(
+            target=_read_answers, args=(process, self._answers), name="posterior", daemon=True
         )
-        self._listening.start()
+        self._reader.start()
         return process
 
     def _note(self, answer: Posterior | None) -> None:
@@ -140,35 +140,36 @@ class LivePosterior:
             self._latest = answer
 
     def _end(self, why: str) -> None:
-        self._over = True
+        self._ended = True
         self._remark = f"{why}: the run continues; its results follow at the end"
 
 
-def _listen(process: "subprocess.Popen[bytes]", found: "SimpleQueue[Posterior | None]") -> None:
-    """Read the answers of a process, and None once they end; then wait for the process, however long."""
+def _read_answers(process: "subprocess.Popen[bytes]", queue: "SimpleQueue[Posterior | None]") -> None:
+    """Put the answers of a process into the queue, then None; then wait for the process, however long."""
     if process.stdout is not None:
         with process.stdout as answers, suppress(EOFError, OSError, ValueError, pickle.UnpicklingError):
             while True:
-                found.put(pickle.load(answers))
-    found.put(None)
+                queue.put(pickle.load(answers))
+    queue.put(None)
     process.wait()
 
 
 def live_posterior(config: Configuration) -> LivePosterior | None:
-    """What fits the half-cycles of a run as its final analysis will; None where that fits no contact."""
-    if _why_not(config):
+    """The live fit of a run by the model of its final analysis; None if that fits no contact."""
+    if _no_fit_reason(config):
         return None
-    # frames on demand wait for what decides over the end, so that such a run repeats exactly
+    # frames on demand wait for the fits that decide when the run ends, so that such a run repeats exactly
     return LivePosterior(in_step=config.on_demand and bool(config.session.stop_when))
 
 
 def check_stop_when(config: Configuration) -> None:
     """Raise ConfigurationError if `session.stop_when` asks for parameters that this rig does not fit."""
-    if config.session.stop_when and (why := _why_not(config)):
+    if config.session.stop_when and (why := _no_fit_reason(config)):
         raise ConfigurationError(f"session.stop_when needs the contact's parameters: {why}")
 
 
-def _why_not(config: Configuration) -> str:
+def _no_fit_reason(config: Configuration) -> str:
+    """Why no contact is fitted, with the remedy; empty if it is."""
     if config.instrument.description().report != "contact":
         return f"instrument.kind = {config.instrument.kind!r} reports none; leave stop_when out"
     if config.deflection_unit is not DeflectionUnit.RAD:

@@ -1,6 +1,6 @@
-"""The process that fits: it follows the record of a run, and parameters go out on its standard output.
+"""The program of the live fit: it follows the record of a run and writes parameters to its standard output.
 
-It ends with the record, or with the process that writes that.
+It ends with the record, or with the process that writes the record.
 """
 
 import math
@@ -57,26 +57,27 @@ from rig.instrument import (
 from rig.settings import Configuration
 
 FIRST_HALF_CYCLES = 40
-"""Fewer determine nothing: u of b and c is then larger than their values for every pair of the paper."""
+"""Half-cycles before the first fit: with fewer, u of b and c exceeds b and c for every pair of the paper."""
 _GROWTH = 1.04
-"""So many times more half-cycles are worth another fit: u falls by a tenth where it falls fastest."""
-_SHARE = 0.02
-"""Largest part of a core that fits may have."""
-_LOOK_S = 0.5
+"""Growth of the number of half-cycles from fit to fit: u falls by a tenth where it falls fastest."""
+_MAX_CORE_FRACTION = 0.02
+"""Largest fraction of the time of a core that fits may take."""
+_LOOK_INTERVAL_S = 0.5
 _EARLY_NS = 120_000_000_000
-"""Deflections that are kept until the first half-cycles are found in them."""
+"""Time span of the deflections that are kept before the first half-cycles are found."""
 
 
-def following(half_cycles: int) -> int:
-    """How many half-cycles are worth a fit after one of so many."""
+def next_fit_half_cycles(half_cycles: int) -> int:
+    """Number of half-cycles of the fit that follows a fit of `half_cycles`."""
     return max(half_cycles + 1, round(_GROWTH * half_cycles))
 
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Parameters by key, from the first `half_cycles` unflagged ones of a run; none where they have no fit.
+    """Parameters by key, fitted to the first `half_cycles` unflagged half-cycles; empty if no fit was
+    possible.
 
-    `points` are these beside the fit.
+    `points` compare the measured half-cycles with the fit.
     """
 
     half_cycles: int = 0
@@ -84,158 +85,162 @@ class Posterior:
     points: Sequence[RecordedFittedPoint] = ()
 
 
-_MOST = 300
-"""Half-cycles that are told: more than a chart has pixels for are no news."""
+_MAX_POINTS = 300
+"""Largest number of points in a posterior: a chart has no pixels for more."""
 
 
 def fitted_points(
     swings: Sequence[HalfCycle], points: TurningPoints, fit: FitResult, pendulum: PendulumOnBall
 ) -> list[RecordedFittedPoint]:
-    """The exact fit beside its data: `points` are the unflagged `swings` in true time.
+    """The points that compare the exact fit with its data: `points` are the unflagged `swings` in true time.
 
-    Times of the fit are 0.
+    The time of the fit itself is left 0; the recorder sets it.
     """
     times_ns = [swing.turn_time_ns for swing in swings if not swing.flags]
     index = points.index - points.index[0]
     start = fit.estimate(AMPLITUDE.key).value
     amplitude, time_s = turning_points_of(fit.parameters, pendulum, start, int(index[-1]))
     fitted, time_s = amplitude[index], time_s[index] + fit.estimate(TIME.key).value
-    left = (points.amplitude - fitted) / points.u_amplitude
+    residual = (points.amplitude - fitted) / points.u_amplitude
     periods = full_periods(points)
-    at = periods.where
-    period_s, left_of_period = np.full((2, len(index)), np.nan)
-    period_s[at] = time_s[at + 1] - time_s[at - 1]
-    left_of_period[at] = (periods.period_s - period_s[at]) / periods.u_period_s
-    # where the law says that friction holds it, it says nothing of the motion
-    known = np.flatnonzero(np.isfinite(left))
-    table = np.column_stack((fitted, left, period_s, left_of_period)).tolist()
-    return [RecordedFittedPoint(0, times_ns[k], *table[k]) for k in known[:: -(-len(known) // _MOST) or 1]]
+    turning = periods.where
+    period_s, period_residual = np.full((2, len(index)), np.nan)
+    period_s[turning] = time_s[turning + 1] - time_s[turning - 1]
+    period_residual[turning] = (periods.period_s - period_s[turning]) / periods.u_period_s
+    # NaN where the fitted law says that friction stops the pendulum: there is no amplitude to compare
+    known = np.flatnonzero(np.isfinite(residual))
+    table = np.column_stack((fitted, residual, period_s, period_residual)).tolist()
+    return [
+        RecordedFittedPoint(0, times_ns[k], *table[k]) for k in known[:: -(-len(known) // _MAX_POINTS) or 1]
+    ]
 
 
 MOST_SAMPLES = 1 << 22
-"""Deflections that are kept, 160 MB: 2.3 hours of 500 frames/s."""
+"""Largest number of deflections that are kept, 160 MB: 2.3 hours of 500 frames/s."""
 _BEFORE = 4
-"""Half-cycles before the first one of which deflections are kept: so many are found together."""
+"""Half-cycles kept before the first one that is refined: neighbours are fitted together."""
 
 
 class MeasuredRun:
-    """All half-cycles so far; fitted, measured again and fitted as the final analysis does.
+    """All half-cycles of a run so far; fitted, refined and fitted again as the final analysis does.
 
-    Where there would be more than `most` deflections, the older half of the half-cycles stays as measured
-    last: the motion is then known from thousands of them.
+    Once there are more than `most` deflections, the older half of the half-cycles is not refined any more:
+    the motion is then known from thousands of them.
     """
 
     def __init__(self, most: int = MOST_SAMPLES, axes: Axes | None = None) -> None:
         self._most = most
         self._axes = axes
-        self._making: PlaneBalances | None = None
+        self._plane_balances: PlaneBalances | None = None
         self._balances: list[Balance] = []
-        self._stand: list[HalfCycle] = []
-        self._open: list[HalfCycle] = []
+        self._fixed: list[HalfCycle] = []
+        self._refinable: list[HalfCycle] = []
         self._blocks: list[Deflections] = []
-        self._near: FitResult | None = None
+        self._last_fit: FitResult | None = None
 
     @property
     def samples(self) -> int:
-        """Deflections that are kept."""
+        """Number of deflections that are kept."""
         return sum(map(len, self._blocks))
 
     def take(self, swings: Sequence[HalfCycle], deflections: Deflections) -> None:
-        """Half-cycles and deflections that follow."""
-        self._open += swings
+        """Add the next half-cycles and deflections."""
+        self._refinable += swings
         if not len(deflections):
             return
         self._blocks.append(deflections)
-        if self._making is None and len(self._open) > 1:
-            self._making = PlaneBalances(self._axes, mean_period(turning_points(self._open)))
-            self._balances = [one for block in self._blocks[:-1] for one in self._making.of(block)]
-        if self._making is not None:
-            self._balances += self._making.of(deflections)
+        if self._plane_balances is None and len(self._refinable) > 1:
+            self._plane_balances = PlaneBalances(self._axes, mean_period(turning_points(self._refinable)))
+            self._balances = [one for block in self._blocks[:-1] for one in self._plane_balances.of(block)]
+        if self._plane_balances is not None:
+            self._balances += self._plane_balances.of(deflections)
 
     def fitted(self, fit: FitOfSwings) -> tuple[Sequence[HalfCycle], FitResult]:
-        """All of them as they stand, and the fit to them; raises DataError where there is none.
+        """All half-cycles, refined, and the fit to them; raises DataError if there is no fit.
 
-        Where the plane of swing turns, they are those in it.
+        If the plane of swing turns, the half-cycles are those of the motion in that plane.
         """
-        swings, blocks = self._in_plane()
-        found, self._near = fitted_twice(swings, blocks, fit, self._near, self._stand)
-        if found.exact is not None and self.samples > self._most:
-            self._let_go(found.swings)
-        return found.swings, with_misfit(LinearisedFit.of(fit.points(found.swings), fit.pendulum, self._near))
+        swings, blocks = self._half_cycles_in_plane()
+        refined, self._last_fit = fitted_twice(swings, blocks, fit, self._last_fit, self._fixed)
+        if refined.exact is not None and self.samples > self._most:
+            self._fix_older_half(refined.swings)
+        return refined.swings, with_misfit(
+            LinearisedFit.of(fit.points(refined.swings), fit.pendulum, self._last_fit)
+        )
 
-    def _in_plane(self) -> tuple[Sequence[HalfCycle], Iterable[Deflections]]:
-        """The half-cycles that do not stand yet and their deflections, turned into the plane of swing."""
+    def _half_cycles_in_plane(self) -> tuple[Sequence[HalfCycle], Iterable[Deflections]]:
+        """The half-cycles that are still refined and their deflections, turned into the plane of swing."""
         whole = PassingDeflections(self._blocks, DeflectionUnit.RAD)
-        plane = follow_plane([*self._stand, *self._open], whole, self._axes, balances=self._balances)
+        plane = follow_plane([*self._fixed, *self._refinable], whole, self._axes, balances=self._balances)
         if plane.problem:
             raise DataError(plane.problem)
         if not plane.is_turned:
-            return self._open, self._blocks
-        # numbered from where the deflections begin
-        first = self._open[0]
+            return self._refinable, self._blocks
+        # the plane's half-cycles are numbered from the first deflection kept
+        first = self._refinable[0]
         nearest = min(plane.swings, key=lambda one: abs(one.turn_time_ns - first.turn_time_ns))
-        known, shift = {one.index for one in self._open}, first.index - nearest.index
+        known, shift = {one.index for one in self._refinable}, first.index - nearest.index
         numbered = [replace(one, index=one.index + shift) for one in plane.swings if not one.flags]
         return [one for one in numbered if one.index in known], plane.deflections
 
-    def _let_go(self, swings: Sequence[HalfCycle]) -> None:
-        half = len(self._open) // 2
+    def _fix_older_half(self, swings: Sequence[HalfCycle]) -> None:
+        half = len(self._refinable) // 2
         if half < _BEFORE:
             return
-        from_ns = self._open[half - _BEFORE].turn_time_ns
-        self._open = self._open[half:]
-        self._stand = [one for one in swings if one.index < self._open[0].index]
+        from_ns = self._refinable[half - _BEFORE].turn_time_ns
+        self._refinable = self._refinable[half:]
+        self._fixed = [one for one in swings if one.index < self._refinable[0].index]
         self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]
 
 
 class FollowedMotion:
-    """Deflections and half-cycles as a record tells them, in rad.
+    """Deflections and half-cycles read from a growing record, in rad.
 
-    The beam's motion is subtracted where the record has a reference spot, as it is from what a run shows.
+    If the record has a reference spot, the beam's motion is subtracted, as in the live numbers of a run.
     """
 
     def __init__(self, reader: RecordReader, config: Configuration) -> None:
         self._reader = reader
         optics = optics_of(config, reader.full_scale_dn)
-        self._less: BeamCorrection | None = None
+        self._beam_correction: BeamCorrection | None = None
         if optics.reference_gain is not None:
             deflector = optics.deflector(frame_shape(reader))
-            self._less = BeamCorrection(deflector, optics.reference_gain, beside=False)
-        # of frames whose other spot was not flushed with them
+            self._beam_correction = BeamCorrection(deflector, optics.reference_gain, threaded=False)
+        # rows of frames of which only one of the two spots is flushed yet
         self._spots, self._references = (reader.rows(kind.topic, ()) for kind in (SPOT, REFERENCE))
 
     def unread(self) -> Iterator[tuple[Sequence[HalfCycle], Deflections]]:
-        """What was flushed since the last call, piece by piece: half-cycles, and deflections up to them."""
+        """Half-cycles, and deflections up to them, that were flushed since the last call, piece by piece."""
         for piece in self._reader.unread():
             spots = self._reader.rows(SPOT.topic, piece.get(SPOT.topic, ()))
-            if self._less is None:
+            if self._beam_correction is None:
                 swings = self._reader.swings(piece.get(SWING.topic, ()))
                 yield swings, self._reader.deflections(spots)
             else:
-                yield self._corrected(self._less, spots, piece)
+                yield self._corrected(self._beam_correction, spots, piece)
 
     def _corrected(
-        self, less: BeamCorrection, spots: NDArray[Any], piece: Piece
+        self, correction: BeamCorrection, spots: NDArray[Any], piece: Piece
     ) -> tuple[Sequence[HalfCycle], Deflections]:
         new = self._reader.rows(REFERENCE.topic, piece.get(REFERENCE.topic, ()))
         spots, references = np.append(self._spots, spots), np.append(self._references, new)
         both = min(len(spots), len(references))
         self._spots, self._references = spots[both:], references[both:]
         deflections = self._reader.deflections(spots[:both])
-        block = Block(_places(spots[:both]), deflections, [], [], _places(references[:both]))
-        shown = less.shown(deflections.times_ns.tolist(), block)
+        block = Block(_located_spots(spots[:both]), deflections, [], [], _located_spots(references[:both]))
+        shown = correction.shown(deflections.times_ns.tolist(), block)
         return shown.swings, shown.deflections
 
 
-def _places(rows: NDArray[Any]) -> list[Spot]:
-    """Spots of which place and flags are known, from rows of either topic of spots."""
+def _located_spots(rows: NDArray[Any]) -> list[Spot]:
+    """Spots with position and flags, all else NaN, from rows of either topic of spots."""
     unknown = [math.nan] * (len(Spot._fields) - 5)
     names = [*Spot._fields[:4], "flags"]
     return [Spot._make((*place, *unknown, flags)) for *place, flags in rows[names].tolist()]
 
 
 class FollowedRun:
-    """The unflagged half-cycles that the record of a run tells so far, and the fit to them.
+    """The unflagged half-cycles in the record of a run so far, and the fit to them.
 
     Raises RecordError if the record states no pendulum.
     """
@@ -255,7 +260,7 @@ class FollowedRun:
 
     @property
     def half_cycles(self) -> int:
-        """Unflagged ones so far."""
+        """Number of unflagged half-cycles so far."""
         return len(self._swings)
 
     def read(self) -> None:
@@ -266,14 +271,14 @@ class FollowedRun:
             if len(deflections):
                 self._untaken.append(deflections)
                 if not self._swings:
-                    # where nothing swings, what half-cycles may need that are found late
+                    # keep only what half-cycles need that are found late: the pendulum may not swing yet
                     early_ns = int(deflections.times_ns[-1]) - _EARLY_NS
                     while int(self._untaken[0].times_ns[-1]) < early_ns:
                         self._untaken.pop(0)
             self._swings += [swing for swing in swings if not swing.flags]
 
     def fitted(self) -> Posterior:
-        """The fit as the final analysis of these half-cycles makes it; without estimates where none is."""
+        """The fit that the final analysis would make of these half-cycles; no estimates without a fit."""
         config, pendulum = self._config, self._pendulum
         self._run.take(self._swings[self._taken :], joined(self._untaken, DeflectionUnit.RAD))
         self._taken, self._untaken = len(self._swings), []
@@ -289,23 +294,24 @@ class FollowedRun:
 
 
 def fits(reader: RecordReader, *, in_step: bool) -> Iterator[Posterior]:
-    """Fits of a run while its record grows: each time that they are worth it, at most in 2 % of the time.
+    """Yields the fits of a run while its record grows, whenever `next_fit_half_cycles` is reached.
 
-    `in_step`: one for each line on the standard input, which says that the record was flushed.
+    Fits take at most `_MAX_CORE_FRACTION` of the time. With `in_step` there is one fit for each line on the
+    standard input, which says that the record was flushed.
     """
     run, warm, due_half_cycles, due_s = FollowedRun(reader), False, FIRST_HALF_CYCLES, 0.0
-    for _ in _flushed(reader) if in_step else reader.follow(_LOOK_S):
+    for _ in _flushed(reader) if in_step else reader.follow(_LOOK_INTERVAL_S):
         run.read()
         if not in_step and (run.half_cycles < due_half_cycles or time.monotonic() < due_s):
             continue
         if not warm:
-            # the first fit of a process loads its kernels, which says nothing of what a fit costs
+            # the first fit of a process loads its kernels, so its time does not show what a fit costs
             run.fitted()
             warm = True
         began_s = time.process_time()
         yield run.fitted()
-        due_half_cycles = following(run.half_cycles)
-        due_s = time.monotonic() + (time.process_time() - began_s) / _SHARE
+        due_half_cycles = next_fit_half_cycles(run.half_cycles)
+        due_s = time.monotonic() + (time.process_time() - began_s) / _MAX_CORE_FRACTION
 
 
 def _flushed(reader: RecordReader) -> Iterator[None]:
@@ -317,12 +323,12 @@ def _flushed(reader: RecordReader) -> Iterator[None]:
 def main() -> None:
     """Fit the run whose record is the first argument; a second argument means `in_step`."""
     outgoing = os.fdopen(os.dup(1), "wb")
-    # nothing that a library prints may get between the answers
+    # text that a library prints must not get between the answers
     os.dup2(2, 1)
     if hasattr(os, "nice"):
         os.nice(10)
-    # the end of who reads the answers
+    # an OSError is the end of the process that reads the answers
     with suppress(OSError), RecordReader(Path(sys.argv[1])) as reader:
-        for found in fits(reader, in_step=len(sys.argv) > 2):
-            pickle.dump(found, outgoing)
+        for posterior in fits(reader, in_step=len(sys.argv) > 2):
+            pickle.dump(posterior, outgoing)
             outgoing.flush()

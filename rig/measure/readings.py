@@ -1,4 +1,4 @@
-"""What a record gets beside the frames: air, ground, clocks, losses, the camera's temperature."""
+"""Readings recorded in addition to the frames: air, ground, clocks, losses, the camera's temperature."""
 
 import math
 import threading
@@ -22,16 +22,16 @@ from rig.devices import ClockAnchors, ClockRate
 from rig.instrument import CameraClock
 from rig.measure.run_parts import RunParts, features_json
 
-_LOSSES_NS = 1_000_000_000
+_LOSSES_INTERVAL_NS = 1_000_000_000
 _TEMPERATURE = "the camera's temperature"
-_TEMPERATURES: Final = ("DeviceTemperature", "TemperatureAbs")
-"""Features with the temperature inside the camera in degrees Celsius, by what different makers call it."""
+_TEMPERATURE_FEATURES: Final = ("DeviceTemperature", "TemperatureAbs")
+"""Different makers' names of the feature with the temperature inside the camera in degrees Celsius."""
 
 
 class TemperatureWatch:
     """Reads the camera's temperature every `period_s`, in a thread, because a camera may answer late.
 
-    A camera that does not say its temperature is asked once.
+    A camera without such a feature is read only once.
     """
 
     def __init__(self, camera: Camera, period_s: float = 10.0) -> None:
@@ -48,23 +48,23 @@ class TemperatureWatch:
         return None if reading is None else CameraTemperature(time_ns, reading)
 
     def close(self) -> None:
-        """Read no more; does not wait for a reading that is under way."""
+        """Stop reading; does not wait for a reading that is under way."""
         self._ended.set()
 
     def _watch(self) -> None:
-        names = self._read(_TEMPERATURES)
+        names = self._read(_TEMPERATURE_FEATURES)
         while names and not self._ended.wait(self._period_s):
             names = self._read(names)
 
     def _read(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Read the first of these features that the camera has; returns those to read the next time."""
+        """Read the first of these features that the camera has; returns the features to read next time."""
         if not isinstance(self._camera, HasFeatures):
             return ()
         for name in names:
             try:
                 value = self._camera.feature_value(name)
             except DeviceError:
-                return names  # unplugged, perhaps for a while
+                return names  # unplugged, perhaps only for a while
             if value is not None:
                 self._reading = float(value)
                 return (name,)
@@ -72,14 +72,14 @@ class TemperatureWatch:
 
 
 class SideReadings:
-    """What a record gets beside the frames: air, ground, clocks, losses, the camera's temperature.
+    """Collects the readings that are recorded in addition to the frames.
 
-    `clock` is the camera's against the computer's. Frames made on demand have a clock of their own, of which
-    no other one says anything.
+    `clock` is the rate of the camera's clock against the computer's; unknown for frames made on demand, whose
+    clock is not related to any other.
     """
 
     def __init__(self, parts: RunParts, start_ns: int) -> None:
-        self._parts, self._wall, self._start_ns = parts, parts.wall, start_ns
+        self._parts, self._guard, self._start_ns = parts, parts.guard, start_ns
         on_demand = parts.stream.policy == "wait"
         self._anchors = None if on_demand else ClockAnchors()
         self._rate = None if on_demand else ClockRate()
@@ -90,33 +90,33 @@ class SideReadings:
         self.clock = CameraClock()
 
     def take(self, frames: Sequence[Frame]) -> tuple[list[TimedMessage], list[Event]]:
-        """What is to be recorded with these frames, and events."""
-        last, wall = frames[-1], self._wall
+        """Messages and events to be recorded with these frames."""
+        last, guard = frames[-1], self._guard
         nothing: tuple[ClockAnchor | None, list[Event]] = (None, [])
         anchor, events = nothing
         if self._anchors is not None:
-            anchor, events = wall.past(
+            anchor, events = guard.call(
                 "the reading of the computer's clocks", nothing, self._anchors.take, last.time_ns
             )
         steps = [one for one in self._parts.stream.take_clock_steps() if one.time_ns > self._start_ns]
         if self._rate is not None:
-            self.clock = wall.past(
+            self.clock = guard.call(
                 "the reading of the camera's clock", self.clock, self._rate.take, frames, steps
             )
-        warmth = wall.past(_TEMPERATURE, None, self._temperature.take, last.time_ns)
-        once = (self._environment(last.time_ns), self._losses(last.time_ns), anchor, warmth)
+        temperature = guard.call(_TEMPERATURE, None, self._temperature.take, last.time_ns)
+        readings = (self._environment(last.time_ns), self._losses(last.time_ns), anchor, temperature)
         found: list[TimedMessage] = [
-            *(value for value in once if value is not None),
+            *(value for value in readings if value is not None),
             *steps,
-            *(one for one in self._witness(last) if one.time_ns >= self._start_ns),
+            *(one for one in self._seismometer_samples(last) if one.time_ns >= self._start_ns),
         ]
         return found, events
 
     def close(self) -> dict[str, bytes]:
-        """Read no more; returns what is attached at the end."""
+        """Stop reading; returns the attachments for the end of the record, by name."""
         camera = self._parts.camera.camera
-        self._wall.past(_TEMPERATURE, None, self._temperature.close)
-        features = self._wall.past("the reading of the camera's features", b"", features_json, camera)
+        self._guard.call(_TEMPERATURE, None, self._temperature.close)
+        features = self._guard.call("the reading of the camera's features", b"", features_json, camera)
         return {"camera-features-end.json": features} if features else {}
 
     def _losses(self, time_ns: int) -> RecordedLosses | None:
@@ -124,13 +124,13 @@ class SideReadings:
         now = self._parts.stream.losses
         if now == self._losses_written or time_ns < self._losses_due_ns:
             return None
-        self._losses_due_ns, self._losses_written = time_ns + _LOSSES_NS, now
+        self._losses_due_ns, self._losses_written = time_ns + _LOSSES_INTERVAL_NS, now
         return RecordedLosses(time_ns, *now.counts)
 
     def _environment(self, time_ns: int) -> Environment | None:
         """A reading of the environment, once per period; None in between and without a sensor.
 
-        That a sensor says nothing any more is recorded once, as a reading of nothing.
+        A sensor that has fallen silent is recorded once, as a reading of NaN.
         """
         devices = self._parts.devices
         if devices is None or time_ns < self._environment_due_ns:
@@ -140,7 +140,7 @@ class SideReadings:
         before, self._has_air = self._has_air, not all(map(math.isnan, reading))
         return Environment(time_ns, *reading) if before or self._has_air else None
 
-    def _witness(self, frame: Frame) -> list[RecordedWitness]:
-        """Samples of the witness of the ground since the last call, up to a frame; none without one."""
+    def _seismometer_samples(self, frame: Frame) -> list[RecordedWitness]:
+        """Samples of the auxiliary seismometer since the last call, up to a frame; empty without one."""
         devices = self._parts.devices
         return [] if devices is None or devices.witness is None else devices.witness.take(frame)

@@ -1,4 +1,4 @@
-"""Keeps the last seconds of frames before a record begins, and waits on them for a phase to be reached."""
+"""The last seconds of frames before a record begins, and the wait for the end of a phase."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -17,16 +17,16 @@ from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames
 
 _BLOCK_FRAMES = 16
-_RING_BYTES = 256 * 1024 * 1024
+_MAX_FRAMES_BYTES = 256 * 1024 * 1024
 Watch = Callable[[Sequence[Frame], Block], None]
-"""Shown some frames, and what was found in them."""
+"""Receives some frames, and the spots and deflections measured in them."""
 
 
 class RecentFrames:
     """Takes frames, tracks the spot, and keeps the deflections of the last `window_s` seconds.
 
     The frames themselves are kept for `frames_s` seconds (fewer if they would need more than 256 MiB),
-    because a release is detected only afterwards, and the record must begin before it. `watch` is shown every
+    because a release is detected only afterwards, and the record must begin before it. `watch` receives every
     block of frames.
     """
 
@@ -47,8 +47,8 @@ class RecentFrames:
         self._blocks: deque[Block] = deque()
         self._frames_ns = nanoseconds(frames_s)
         self._window_ns = nanoseconds(window_s)
-        self._found_ns = 0
-        self.seen = 0
+        self._last_spot_ns = 0
+        self.count = 0
 
     def advance(self) -> bool:
         """Take some frames; False if the stream has ended."""
@@ -63,13 +63,13 @@ class RecentFrames:
         block = Block(spots, deflections, [], [], references)
         self._blocks.append(block)
         found_ns = times_ns[deflections.found]
-        self._found_ns = int(found_ns[-1]) if len(found_ns) else self._found_ns or int(times_ns[0])
+        self._last_spot_ns = int(found_ns[-1]) if len(found_ns) else self._last_spot_ns or int(times_ns[0])
         self._frames.extend(frames)
         if self._watch is not None:
             self._watch(frames, block)
-        self.seen += len(frames)
+        self.count += len(frames)
         newest_ns = frames[-1].time_ns
-        most = max(8, _RING_BYTES // max(frames[0].image.nbytes, 1))
+        most = max(8, _MAX_FRAMES_BYTES // max(frames[0].image.nbytes, 1))
         while newest_ns - self._frames[0].time_ns > self._frames_ns or len(self._frames) > most:
             self._frames.popleft()
         while newest_ns - self._blocks[0].deflections.times_ns[-1] > self._window_ns:
@@ -79,7 +79,7 @@ class RecentFrames:
     @property
     def spotless_s(self) -> float:
         """Time since a spot was last found, or since the first frame."""
-        return seconds(self.now_ns - self._found_ns) if self._blocks else 0.0
+        return seconds(self.now_ns - self._last_spot_ns) if self._blocks else 0.0
 
     @property
     def now_ns(self) -> int:
@@ -88,7 +88,7 @@ class RecentFrames:
 
     @property
     def frames(self) -> list[Frame]:
-        """The kept frames, oldest first."""
+        """The frames of the last `frames_s` seconds, oldest first."""
         return list(self._frames)
 
     @property
@@ -100,15 +100,15 @@ class RecentFrames:
         return float(deflections.x[-1]), float(deflections.y[-1])
 
     def since(self, time_ns: int) -> Deflections:
-        """Deflections from a time on."""
-        return joined((seen.deflections for seen in self._blocks), self._optics.unit).since(time_ns)
+        """Deflections from a time on, in the frames' clock."""
+        return joined((count.deflections for count in self._blocks), self._optics.unit).since(time_ns)
 
     def look(self, resting: bool, duration_s: float) -> TrialFrames:
         """Frames, spots and deflections of the last `duration_s` seconds."""
         from_ns = self.now_ns - nanoseconds(duration_s)
         deflections = self.since(from_ns)
-        spots = [spot for seen in self._blocks for spot in seen.spots]
-        references = [spot for seen in self._blocks for spot in seen.references]
+        spots = [spot for count in self._blocks for spot in count.spots]
+        references = [spot for count in self._blocks for spot in count.references]
         frames = [frame for frame in self._frames if frame.time_ns >= from_ns]
         return TrialFrames(
             frames,
@@ -120,7 +120,7 @@ class RecentFrames:
         )
 
     def window_bytes(self) -> float:
-        """Mean number of bytes that a record needs per frame."""
+        """Bytes of the window around the spot that a record keeps of each frame; 0 before the first frame."""
         if not self._frames:
             return 0.0
         image = self._frames[-1].image
@@ -129,20 +129,20 @@ class RecentFrames:
 
 
 NO_SPOT = "no spot is seen: check the laser, the beam path and the camera's region"
-_SPOTLESS_S = 3.0
+_MAX_SPOTLESS_S = 3.0
 
 
 class WaitStopped(Exception):
     """The operator stopped the wait, or the frames have ended."""
 
 
-_ENDS = {Phase.REST: "reached", Phase.RELEASE: "seen"}
+_VERB = {Phase.REST: "reached", Phase.RELEASE: "seen"}
 
 
 class PhaseWait:
     """Waits for one phase after another: takes frames, reports the state, collects events.
 
-    `progress` is a text that describes the progress of the present phase.
+    `progress` describes how far the present phase is, in words.
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class PhaseWait:
         """
         frames = self.frames
         begun_ns = frames.now_ns
-        asked_ns = -(10**18)
+        last_check_ns = -(10**18)
         self.progress = ""
         while True:
             if self._stop or not frames.advance():
@@ -183,15 +183,15 @@ class PhaseWait:
                 raise WaitStopped
             begun_ns = begun_ns or frames.now_ns
             elapsed_s = seconds(frames.now_ns - begun_ns)
-            if frames.spotless_s > _SPOTLESS_S:
+            if frames.spotless_s > _MAX_SPOTLESS_S:
                 self.progress = f"no spot is seen for {frames.spotless_s:.0f} s"
-            shout = NO_SPOT if frames.spotless_s > _SPOTLESS_S else instruction
-            self._report(RecordedPhase(frames.now_ns, elapsed_s, phase.value, self.progress, shout))
-            due = frames.now_ns - asked_ns >= every_s * NS_PER_S
-            asked_ns = frames.now_ns if due else asked_ns
+            message = NO_SPOT if frames.spotless_s > _MAX_SPOTLESS_S else instruction
+            self._report(RecordedPhase(frames.now_ns, elapsed_s, phase.value, self.progress, message))
+            due = frames.now_ns - last_check_ns >= every_s * NS_PER_S
+            last_check_ns = frames.now_ns if due else last_check_ns
             if due and frames.now_ns and reached():
                 so_far = f", {self.progress}" if self.progress else ""
-                self.note(EventKind(phase), f"{_ENDS.get(phase, 'finished')} after {elapsed_s:.1f} s{so_far}")
+                self.note(EventKind(phase), f"{_VERB.get(phase, 'finished')} after {elapsed_s:.1f} s{so_far}")
                 return
             if elapsed_s > limit_s:
                 raise DataError(

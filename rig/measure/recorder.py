@@ -1,4 +1,4 @@
-"""Writes the record in a thread of its own."""
+"""The thread that writes a record, and the entries it writes."""
 
 import contextlib
 import logging
@@ -20,19 +20,19 @@ from rig.instrument import Block
 
 _log = logging.getLogger(__name__)
 _IDLE_S = 0.2
-"""Interval of the check whether to flush, while no entries arrive."""
+"""Interval between checks whether a flush is due, while no entries arrive."""
 _FRAME_BYTES = 1024
 _FREE_SPACE_INTERVAL_S = 1.0
 SLOW_S = 2.0
-"""A write that takes longer is an event; usual disks pause for less."""
+"""A write that takes longer is recorded as an event; disks usually pause for less."""
 
 
 @dataclass(slots=True)
-class Entry:
-    """Data to be recorded for some consecutive frames; `messages` are values, of which each is one.
+class RecordEntry:
+    """Data to be recorded for some consecutive frames.
 
-    `windows` are copies of the pixels around the spots, each with (x0, y0), where on the sensor its
-    first pixel is, in px; None without a spot.
+    `windows` are copies of the pixels around the spots, each with (x0, y0), the position of its first pixel
+    on the sensor in px; None for a frame without a spot. Each value of `messages` is one message.
     """
 
     sequences: Sequence[int] = ()
@@ -46,11 +46,11 @@ class Entry:
     messages: Sequence[TimedMessage] = ()
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     flushed: threading.Event | None = None
-    """Set once all that was put so far can be read in the file, or cannot be written."""
+    """Set once every entry so far can be read in the file, or cannot be written."""
 
     @property
     def memory_bytes(self) -> int:
-        """About what the entry takes while it waits; never 0."""
+        """Approximate memory that the entry takes while it waits; never 0."""
         windows = sum(window[0].nbytes for window in self.windows if window is not None)
         frames = self.images if self.preview is None else [*self.images, self.preview]
         images = sum(frame.image.nbytes for frame in frames)
@@ -60,10 +60,10 @@ class Entry:
 class Recorder:
     """Writes entries in order, flushes regularly, keeps the first error.
 
-    Entries wait in memory while the disk is slow or hangs; once they take `most_waiting_bytes`, `put`
-    waits, too, so that what is lost then is lost, and counted, before it was processed. After an error (a
-    full disk, a removed drive) further entries are discarded; the session has to check `error`. `permit`
-    learns that the writing goes on, on which the light of a laser depends. `put` queues an entry.
+    `put` queues an entry. Entries wait in memory while the disk is slow or hangs; once they take
+    `most_waiting_bytes`, `put` waits, so that frames are lost, and counted as lost, before they are
+    processed. After an error (a full disk, a removed drive) further entries are discarded; the session has to
+    check `error`. `permit` is notified while the thread runs: the laser may be lit only as long as it does.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Recorder:
     ) -> None:
         self._writer = writer
         self._permit = permit or LightPermit()
-        self._entries = BoundedQueue[Entry](math.inf, "wait", most_waiting_bytes)
+        self._entries = BoundedQueue[RecordEntry](math.inf, "wait", most_waiting_bytes)
         self.put = self._entries.put
         self._writing_since_s = math.inf
         self._pauses_s: deque[float] = deque()
@@ -86,25 +86,25 @@ class Recorder:
 
     @property
     def waiting_bytes(self) -> int:
-        """Memory that entries take that are not yet written."""
+        """Memory of the entries that are not yet written."""
         return self._entries.waiting_bytes
 
     @property
     def disk_silent_s(self) -> float:
-        """For how long a write has hung that takes longer than usual; 0 while none does."""
+        """Time for which the present write has hung, once it exceeds `SLOW_S`; else 0."""
         paused_s = time.monotonic() - self._writing_since_s
         return paused_s if paused_s >= SLOW_S else 0.0
 
     @property
     def alarm(self) -> str:
-        """That the disk hangs; empty while it does not."""
+        """Text that says that the disk hangs; empty while it does not."""
         if not (paused_s := self.disk_silent_s):
             return ""
         waiting = f"{self.waiting_bytes / 1e6:.0f} of {self._entries.most_bytes / 1e6:.0f} MB"
         return f"the disk has not answered for {paused_s:.0f} s; {waiting} of memory wait for it"
 
     def take_pauses(self) -> list[float]:
-        """Of every write since the last call that was slower than `SLOW_S`, how long it took in s."""
+        """Durations in s of the writes since the last call that took longer than `SLOW_S`."""
         return taken_from(self._pauses_s)
 
     @property
@@ -113,9 +113,9 @@ class Recorder:
         return self._writer.bytes_written
 
     def flush(self) -> None:
-        """Wait until all that was put so far can be read in the file; see `error` afterwards."""
+        """Wait until every entry so far can be read in the file; see `error` afterwards."""
         flushed = threading.Event()
-        self.put(Entry(flushed=flushed))
+        self.put(RecordEntry(flushed=flushed))
         flushed.wait()
 
     def close(self) -> None:
@@ -127,8 +127,8 @@ class Recorder:
         try:
             while not self._entries.drained:
                 self._permit.moved(Stage.RECORDER)
-                # nothing is written, too: what was written before may be due on the disk
-                (entry,) = self._entries.take(1, _IDLE_S) or [Entry()]
+                # an empty entry is written, too, because a flush of earlier entries may be due
+                (entry,) = self._entries.take(1, _IDLE_S) or [RecordEntry()]
                 if self.error is None:
                     with self._keeping_error():
                         self._write(entry)
@@ -148,8 +148,8 @@ class Recorder:
                 self.error = error
                 _log.error("the record cannot be written: %s", error)
 
-    def _write(self, entry: Entry) -> None:
-        """Write all of an entry, and what is due on the disk."""
+    def _write(self, entry: RecordEntry) -> None:
+        """Write an entry, and flush the file if that is due."""
         began_s = self._writing_since_s = time.monotonic()
         writer, block = self._writer, entry.block
         try:
@@ -179,7 +179,7 @@ class Recorder:
             writer.flush_if_due()
             if entry.flushed is not None:
                 writer.flush()
-            # asked here, because a disk that hangs does not answer this either
+            # asked in this thread, because a disk that hangs does not answer this question either
             if began_s - self._looked_s > _FREE_SPACE_INTERVAL_S:
                 self._looked_s = began_s
                 with contextlib.suppress(OSError):

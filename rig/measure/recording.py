@@ -1,4 +1,4 @@
-"""Makes one record: processes frames and writes the results to the file until the run ends."""
+"""One record in the making: processes frames and hands the results to the recorder until the run ends."""
 
 import math
 import time
@@ -25,38 +25,42 @@ from rig.instrument import BeamCorrection, Block, Phase, Pipeline, RecordContent
 from rig.measure.end_of_run import EndOfRun
 from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import SideReadings
-from rig.measure.recorder import Entry, Recorder
+from rig.measure.recorder import RecordEntry, Recorder
 from rig.measure.run_parts import RunParts
 from rig.measure.session_orders import StartJudge
 
 _LIVE_FIT = "the live fit"
-_LESS_BEAM = "the live subtraction of the reference spot"
-_LOOKING = "the picture for who watches"
+_BEAM_CORRECTION = "the live subtraction of the reference spot"
+_LIVE_PICTURE = "the picture for who watches"
 
 _BLOCK_FRAMES = 64
-_BLOCK_NS = 2_000_000_000
-"""A block is no longer than this, so that with a slow camera a run ends when it should."""
-_PUBLISHED_NS = 10_000_000
-"""More often nobody looks at the state of the run."""
+_MAX_BLOCK_NS = 2_000_000_000
+"""Longest time span of a block, so that a run with a slow camera ends when it should."""
+_PUBLISH_INTERVAL_NS = 10_000_000
+"""Shortest time between two published states of the run; nobody looks more often."""
 
-_LEAST_REST = {DeflectionUnit.RAD: 3.0, DeflectionUnit.PX: 1.0}
-"""In arcsec, and in px without a lever: far above drift within some half-cycles."""
-_LEAST_PUSH = {DeflectionUnit.RAD: 1.0, DeflectionUnit.PX: 2.0}
-_LEAST_LIGHT_DN = 1.0
+_MIN_REST_STEP = {DeflectionUnit.RAD: 3.0, DeflectionUnit.PX: 1.0}
+"""Smallest step of the rest position that is an event, in arcsec, or in px without a lever: far above the
+drift within some half-cycles."""
+_MIN_PUSH = {DeflectionUnit.RAD: 1.0, DeflectionUnit.PX: 2.0}
+_MIN_LIGHT_STEP_DN = 1.0
 
 
 class StepEvents:
-    """Takes the blocks of a run; one value a half-cycle is compared, so that the swing itself cancels."""
+    """Detects steps of rest position, amplitude and background in a run.
+
+    Only one value of each half-cycle is compared, so that the oscillation itself cancels.
+    """
 
     def __init__(self, unit: DeflectionUnit) -> None:
         self._unit = unit
-        self._rest = StepWatch(_LEAST_REST[unit])
-        self._push = KickWatch(_LEAST_PUSH[unit])
-        self._light = StepWatch(_LEAST_LIGHT_DN)
+        self._rest = StepWatch(_MIN_REST_STEP[unit])
+        self._push = KickWatch(_MIN_PUSH[unit])
+        self._light = StepWatch(_MIN_LIGHT_STEP_DN)
         self._background_dn: list[float] = []
 
     def take(self, block: Block) -> list[Event]:
-        """Steps that were noticed with this block."""
+        """Events of the steps detected with this block."""
         found: list[Event] = []
         lost = SpotFlag.LOST
         self._background_dn += [spot.background_dn for spot in block.spots if not spot.flags & lost]
@@ -80,13 +84,13 @@ class StepEvents:
         return found
 
 
-_LOST_IMAGE_NS, _PREVIEW_NS = 1_000_000_000, 300_000_000
-_LOST_FOR_S = 5.0
-"""After so long a person is told."""
+_LOST_IMAGE_INTERVAL_NS, _PREVIEW_INTERVAL_NS = 1_000_000_000, 300_000_000
+_MIN_LOST_S = 5.0
+"""Shortest loss of the spot that is reported to the operator."""
 
 
 class FrameCounts:
-    """Counts of one run, whose record counts the frames' numbers from its first one."""
+    """Counts of frames and losses of one run; it numbers the frames of a record from 0."""
 
     def __init__(self, first: Frame, full_frame_interval_ns: int, *, keep_windows: bool) -> None:
         self.start_ns = self.last_ns = self._seen_ns = first.time_ns
@@ -107,19 +111,19 @@ class FrameCounts:
 
     @property
     def lost_text(self) -> str:
-        """Since when the spot has been in no frame, once that is no blink; else empty."""
-        if seconds(self.last_ns - self._seen_ns) < _LOST_FOR_S:
+        """Text that says since when the spot is lost, once that lasts for `_MIN_LOST_S`; else empty."""
+        if seconds(self.last_ns - self._seen_ns) < _MIN_LOST_S:
             return ""
         minutes, rest_s = divmod(seconds(self._seen_ns - self.start_ns), 60)
         return f"spot lost since {minutes:.0f}:{rest_s:04.1f}: laser on? beam on the sensor?"
 
     @property
     def beam_text(self) -> str:
-        """The model of the beam, and whether it is chosen yet."""
+        """The model of the beam, and whether the choice of it is still open, in words."""
         return self.beam.text if self._model is not None else f"{self.beam.text}, being judged"
 
-    def entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> Entry:
-        """The entry that the record gets for these frames."""
+    def entry(self, frames: Sequence[Frame], block: Block, pipeline: Pipeline) -> RecordEntry:
+        """The record's entry for these frames."""
         numbers = [frame.sequence - self._first_number for frame in frames]
         events: list[Event] = []
         images: list[Frame] = []
@@ -143,19 +147,19 @@ class FrameCounts:
                 self._next_image_ns = time_ns + self._interval_ns
             elif lost and time_ns >= self._next_lost_image_ns:
                 is_due = True
-                self._next_lost_image_ns = time_ns + _LOST_IMAGE_NS
+                self._next_lost_image_ns = time_ns + _LOST_IMAGE_INTERVAL_NS
             if is_due:
                 images.append(frame._replace(sequence=number))
             windows.append(None)
             if not lost and self._keep_windows:
                 x0, y0, x1, y1 = pipeline.tracker.record_window(spot, frame.image.shape)
-                # a copy, so that the frame need not be kept
+                # a copy, so that the memory of the frame can be freed
                 windows[-1] = (frame.image[y0:y1, x0:x1].copy(), x0, y0)
         preview = None
         if frames[-1].time_ns >= self._next_preview_ns:
             preview = frames[-1]._replace(sequence=numbers[-1])
-            self._next_preview_ns = preview.time_ns + _PREVIEW_NS
-        # when the tracker has chosen its model of the beam, or has begun to choose again
+            self._next_preview_ns = preview.time_ns + _PREVIEW_INTERVAL_NS
+        # an event when the tracker has chosen its model of the beam, or has begun to choose again
         self.beam.take(numbers, [spot.flags for spot in block.spots])
         before, self._model = self._model, pipeline.tracker.model
         if self._model is not before:
@@ -164,7 +168,7 @@ class FrameCounts:
             events.append(Event(frames[-1].time_ns, EventKind.BEAM, text))
         self.frames += len(frames)
         self.last_ns = frames[-1].time_ns
-        return Entry(
+        return RecordEntry(
             sequences=numbers,
             device_times_ns=[frame.device_time_ns for frame in frames],
             host_times_ns=[frame.host_time_ns for frame in frames],
@@ -177,7 +181,7 @@ class FrameCounts:
 
 
 class Recording:
-    """Makes one record, in the processing thread, from its `first` frame on.
+    """Makes one record in the processing thread, from its `first` frame on.
 
     Without a `judge` any start is accepted.
     """
@@ -190,19 +194,19 @@ class Recording:
         first: Frame,
     ) -> None:
         self._parts, self._stream = parts, parts.stream
-        self._stop, self._status, self._wall = parts.stop, parts.status, parts.wall
+        self._stop, self._status, self._guard = parts.stop, parts.status, parts.guard
         self._recorder, self._judge = recorder, judge
         self._first = self._last = first
-        # frames made on demand wait for what is done beside them: a run of the simulated rig repeats exactly
+        # frames made on demand wait for all other threads, so that a run of the simulated rig repeats exactly
         self._on_demand = parts.stream.policy == "wait"
         kept = parts.plan.config.record
         self._counts = FrameCounts(first, nanoseconds(kept.full_frame_interval_s), keep_windows=kept.windows)
         shape, gain = (first.image.shape[0], first.image.shape[1]), parts.optics.reference_gain
-        beside = not self._on_demand
-        self._pipeline = parts.optics.pipeline(shape, beside=beside, wall=parts.wall)
-        self._less: BeamCorrection | None = None
+        threaded = not self._on_demand
+        self._pipeline = parts.optics.pipeline(shape, threaded=threaded, guard=parts.guard)
+        self._beam_correction: BeamCorrection | None = None
         if gain is not None:
-            self._less = BeamCorrection(parts.optics.deflector(shape), gain, beside=beside)
+            self._beam_correction = BeamCorrection(parts.optics.deflector(shape), gain, threaded=threaded)
         self._end = EndOfRun(parts.end_limits)
         self._steps = StepEvents(parts.optics.unit)
         self._readings = SideReadings(parts, first.time_ns)
@@ -211,8 +215,8 @@ class Recording:
     def make(self, begun: list[Frame], events: list[Event]) -> str:
         """Record until the run ends; returns why the start was rejected, else an empty text.
 
-        `begun` are the frames with which the record begins, `events` the events before them. What is raised
-        here ends the run, and the record says so.
+        `begun` are the frames with which the record begins, `events` the events before them. An error raised
+        here ends the run and is recorded as an event.
         """
         try:
             self._begin(events)
@@ -222,9 +226,9 @@ class Recording:
             last_ns = self._counts.last_ns
             text = f"{type(error).__name__}: {error}"
             kinds = (EventKind.FAILED, EventKind.STOP)
-            self._recorder.put(Entry(events=[Event(last_ns, kind, text) for kind in kinds]))
-            # before devices are closed, which may take seconds
-            self._tell([Event(last_ns, EventKind.FAILED, in_one_line(error))])
+            self._recorder.put(RecordEntry(events=[Event(last_ns, kind, text) for kind in kinds]))
+            # told now, because closing the devices may take seconds
+            self._inform_watchers([Event(last_ns, EventKind.FAILED, in_one_line(error))])
             raise
         return rejected
 
@@ -232,19 +236,19 @@ class Recording:
         parts, first_ns = self._parts, self._first.time_ns
         self._status.begin_record()
         if parts.posterior is not None:
-            self._wall.past(_LIVE_FIT, None, parts.posterior.begin, parts.plan.record)
+            self._guard.call(_LIVE_FIT, None, parts.posterior.begin, parts.plan.record)
         events = [
             *before,
             *(Event(first_ns, EventKind.WAITED, text) for text in parts.plan.waited),
             Event(first_ns, EventKind.START, "first frame"),
         ]
-        self._recorder.put(Entry(events=events))
-        self._tell(events)
+        self._recorder.put(RecordEntry(events=events))
+        self._inform_watchers(events)
 
     def _take_all(self, begun: list[Frame]) -> str:
         """Take frames until the run ends; returns why the start was rejected, else an empty text."""
         stream = self._stream
-        # frames from a source on demand are all processed; those of a live camera only until the stop
+        # all frames from a source on demand are processed, frames of a live camera only until the stop
         while begun or not (stream.drained or (self._stop and not self._on_demand)):
             waiting = begun or stream.take(_BLOCK_FRAMES, 0.1)
             taken_ns = time.monotonic_ns()
@@ -264,7 +268,7 @@ class Recording:
                 rejected = self._judge.rejection(shown.swings, shown.balances, elapsed_s)
                 if rejected:
                     return rejected
-            reason = self._end.reason(shown.swings, elapsed_s, self._known.estimates)
+            reason = self._end.reason(shown.swings, elapsed_s, self._posterior.estimates)
             if reason is not None:
                 self._stop.because(reason)
             if reason is not None or (self._stop and self._stop.skip_waiting):
@@ -277,89 +281,95 @@ class Recording:
         """Record events without waiting for frames, so that a silent camera is noted immediately."""
         new, messages = self._device_events(), [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
         if new or messages:
-            self._recorder.put(Entry(events=new, messages=messages))
-            self._tell(new, messages)
+            self._recorder.put(RecordEntry(events=new, messages=messages))
+            self._inform_watchers(new, messages)
 
     def _take(self, taken: list[Frame], taken_ns: int) -> Block:
-        """Process frames that were taken at `taken_ns` and record them; returns the block as it is shown."""
+        """Process frames that were taken at `taken_ns` and record them.
+
+        Returns the block as watchers see it: minus the beam's motion if there is a reference spot.
+        """
         counts, parts = self._counts, self._parts
         block = self._pipeline.process(taken)
-        # what is shown, and what a run is judged and ended by; the record is as seen
-        shown, said = block, []
-        if self._less is not None:
-            times_ns = [one.time_ns for one in taken]
-            shown = self._wall.past(_LESS_BEAM, block, self._less.shown, times_ns, block)
-            said = [Event(times_ns[-1], EventKind.BEAM, text) for text in self._less.take_news()]
+        # corrected numbers are displayed and decide on start and end; the record gets the uncorrected ones
+        shown, beam_events = block, []
+        if self._beam_correction is not None:
+            times_ns = [frame.time_ns for frame in taken]
+            shown = self._guard.call(_BEAM_CORRECTION, block, self._beam_correction.shown, times_ns, block)
+            beam_events = [
+                Event(times_ns[-1], EventKind.BEAM, text) for text in self._beam_correction.take_news()
+            ]
         self._half_cycles += len(shown.swings)
         entry = counts.entry(taken, block, self._pipeline)
         self._last = taken[-1]
-        messages, of_clocks = self._readings.take(taken)
+        messages, clock_events = self._readings.take(taken)
         messages += self._notes()
-        stepped: list[Event] = self._wall.past("the watch for steps", [], self._steps.take, block)
-        entry.events = [*entry.events, *said, *stepped, *of_clocks, *self._device_events()]
+        stepped: list[Event] = self._guard.call("the watch for steps", [], self._steps.take, block)
+        entry.events = [*entry.events, *beam_events, *stepped, *clock_events, *self._device_events()]
         entry.messages = messages
         self._recorder.put(entry)
         if parts.posterior is not None:
             ways = self._recorder.flush, self._stream.waits_on_purpose
-            self._wall.past(_LIVE_FIT, None, parts.posterior.take, shown.swings, *ways)
-        due = bool(shown.swings) or self._on_demand or taken_ns - self._published_ns > _PUBLISHED_NS
+            self._guard.call(_LIVE_FIT, None, parts.posterior.take, shown.swings, *ways)
+        due = bool(shown.swings) or self._on_demand or taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
         if due:
             self._published_ns = taken_ns
             # frames made on demand have no age
             age_s = math.nan if self._on_demand else seconds(taken_ns - taken[0].host_time_ns)
             state = self._state(Phase.MEASURING, age_s)
-            self._recorder.put(Entry(messages=state))
+            self._recorder.put(RecordEntry(messages=state))
             messages = [*messages, *state]
         if (news := parts.plan.session_news) is not None:
-            self._wall.past(_LOOKING, None, partial(news.look, recorded=True), taken, shown)
+            self._guard.call(_LIVE_PICTURE, None, partial(news.look, recorded=True), taken, shown)
         if due or entry.events or messages or shown.balances:
-            self._tell(entry.events, messages, shown)
+            self._inform_watchers(entry.events, messages, shown)
         return shown
 
     def _close(self, rejected: str) -> None:
-        """Record what is completed by the end, and how the run has ended."""
+        """Record the half-cycles completed by the end, and how the run has ended."""
         counts, pipeline = self._counts, self._pipeline
         swings = pipeline.finish()
         empty = pipeline.measure(np.empty(0, np.int64), [])
         empty = empty._replace(swings=swings, balances=[*empty.balances, *pipeline.finish_balance()])
         attachments = self._readings.close()
         if not rejected:
-            # the record says it where the camera cannot stop
+            # the stream is closed first, so that the record names a camera that cannot be stopped
             self._stop.close_stream()
         end = Event(counts.last_ns, EventKind.STOP, self._stop.reason)
         if rejected:
             end = Event(counts.last_ns, EventKind.REJECTED, f"start not accepted: {rejected}")
-        if self._wall.text:
-            text = f"in all: {self._wall.text}"
-            self._recorder.put(Entry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
+        if self._guard.text:
+            text = f"in all: {self._guard.text}"
+            self._recorder.put(RecordEntry(events=[Event(counts.last_ns, EventKind.WATCHER_FAILED, text)]))
         early = [] if rejected or self._stop.early is None else [end._replace(kind=self._stop.early)]
-        if self._less is not None:
-            swings = self._wall.past(_LESS_BEAM, swings, self._less.finish)
+        if self._beam_correction is not None:
+            swings = self._guard.call(_BEAM_CORRECTION, swings, self._beam_correction.finish)
         self._half_cycles += len(swings)
         last = [*self._device_events(), *early, end]
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
         messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
-        self._recorder.put(Entry(block=empty, events=last, messages=messages, attachments=attachments))
-        self._tell(last, messages, empty._replace(swings=swings))
+        self._recorder.put(RecordEntry(block=empty, events=last, messages=messages, attachments=attachments))
+        self._inform_watchers(last, messages, empty._replace(swings=swings))
 
-    def _tell(
+    def _inform_watchers(
         self, events: Sequence[Event], messages: Sequence[TimedMessage] = (), block: Block | None = None
     ) -> None:
-        """Tell those who watch what the record was told; they have notes among the events."""
+        """Pass what was recorded to the watchers; for them notes are events, too."""
         counts = self._counts
-        events = [*events, *(one.event for one in messages if isinstance(one, RecordedNote))]
+        events = [*events, *(message.event for message in messages if isinstance(message, RecordedNote))]
         swings, balances = ([], []) if block is None else (block.swings, block.balances)
         self._status.tell(RecordContents(counts.start_ns, counts.last_ns, swings, balances, events, messages))
 
     def _notes(self) -> list[TimedMessage]:
-        """What operators have noted since the last call, on the frames' clock."""
+        """Notes of the operators since the last call, timed by the frames' clock."""
         if self._parts.plan.notes is None:
             return []
         counts, last = self._counts, self._last
         found = list[TimedMessage]()
         for host_time_ns, author, text in self._parts.plan.notes.take():
             at_ns = last.time_ns + host_time_ns - last.host_time_ns
-            # what was typed before the record begins is in it, too, and frames on demand have another clock
+            # clipped: notes typed before the record begins belong to it, and frames on demand have another
+            # clock
             at_ns = min(max(at_ns, counts.start_ns), counts.last_ns)
             found.append(RecordedNote(at_ns, host_time_ns, author, text))
         return found
@@ -370,17 +380,17 @@ class Recording:
         if not alarm or devices is None or self._stop:
             return
         parts = self._parts
-        if parts.waits_in_darkness and parts.somebody_watches:
+        if parts.waits_when_dark and parts.operator_present:
             return
-        why = "nobody is at the terminal or a desk" if parts.waits_in_darkness else "laser.when_dark = 'end'"
+        why = "nobody is at the terminal or a desk" if parts.waits_when_dark else "laser.when_dark = 'end'"
         self._stop.failed(DeviceError(f"{alarm}; the run ends: {why}"))
 
     @property
-    def _known(self) -> Posterior:
+    def _posterior(self) -> Posterior:
         posterior = self._parts.posterior
         if posterior is None:
             return Posterior()
-        return self._wall.past(_LIVE_FIT, Posterior(), lambda: posterior.latest)
+        return self._guard.call(_LIVE_FIT, Posterior(), lambda: posterior.latest)
 
     def _device_events(self) -> list[Event]:
         """Events of camera, disk, controller, laser and sensors since the last call."""
@@ -389,12 +399,12 @@ class Recording:
             text = f"did not answer for {paused_s:.1f} s; frames waited in memory meanwhile"
             happened.append((EventKind.SLOW_DISK, text))
         posterior = self._parts.posterior
-        if posterior is not None and (remark := self._wall.past(_LIVE_FIT, "", posterior.take_remark)):
+        if posterior is not None and (remark := self._guard.call(_LIVE_FIT, "", posterior.take_remark)):
             happened.append((EventKind.LIVE_FIT, remark))
         return [Event(self._counts.last_ns, kind, text) for kind, text in happened]
 
     def _state(self, phase: Phase, age_s: float) -> list[TimedMessage]:
-        """What the record is told of the session now, as far as it has changed."""
+        """Messages on the state of the session that have changed since the last call."""
         counts, recorder, clock = self._counts, self._recorder, self._readings.clock
         now_ns = counts.last_ns
         lost = counts.lost_text if phase is Phase.MEASURING else ""
@@ -416,12 +426,12 @@ class Recording:
             self._status.light.alarm or recorder.alarm,
             counts.beam_text,
         )
-        said = RecordedPhase(now_ns, counts.elapsed_s, phase.value, "", lost, self._stop.reason)
-        return self._status.messages(said, health, self._known, on_demand=self._on_demand)
+        recorded_phase = RecordedPhase(now_ns, counts.elapsed_s, phase.value, "", lost, self._stop.reason)
+        return self._status.messages(recorded_phase, health, self._posterior, on_demand=self._on_demand)
 
 
 def _block_and_rest(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
-    """The frames to be processed together, one at least, and those that come after them."""
-    late = (n for n, frame in enumerate(frames) if frame.time_ns - frames[0].time_ns > _BLOCK_NS)
+    """The frames to be processed together, at least one, and the frames that come after them."""
+    late = (n for n, frame in enumerate(frames) if frame.time_ns - frames[0].time_ns > _MAX_BLOCK_NS)
     count = min(_BLOCK_FRAMES, next(late, len(frames)))
     return frames[:count], frames[count:]

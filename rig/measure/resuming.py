@@ -1,4 +1,4 @@
-"""An interrupted session that goes on; several sessions one after the other."""
+"""Continues interrupted sessions, and measures lists of sessions one after the other."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -13,16 +13,16 @@ from processing.errors import ConfigurationError, RecordError
 from rig.analysis import SessionResults, read_results, results_path
 from rig.devices import Devices
 from rig.instrument import check_materials, complete
-from rig.measure.notices import Sleep, Waiting, announced, check_waiting
+from rig.measure.notices import PreflightWait, Sleep, announced, check_waiting
 from rig.measure.posterior import check_stop_when
 from rig.measure.run import ready_for_frames
 from rig.measure.session import (
     SessionOptions,
     SessionOutcome,
-    against_results,
     make_runs,
     measure_session,
     report,
+    result_faults,
 )
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, end_noted, read_session
 from rig.presentation import say
@@ -35,7 +35,7 @@ from rig.settings import (
     validate_configuration,
 )
 
-_SEED_STEP = 2_000_003
+_SEED_STEP_OF_SESSIONS = 2_000_003
 
 
 def measure_sessions(
@@ -51,10 +51,10 @@ def measure_sessions(
     """Measure one session for each configuration, in folders of their names in `output`.
 
     A session whose preflight still says no-go after `preflight.wait_max_s` is left out, and the next one
-    begins. Anything else that fails, and Ctrl-C, ends the list: nothing is lit again before somebody has
-    looked. Called again with the same folder, it continues where it ended. Returns the exit status: 0
-    if every session was measured under its conditions. Raises ConfigurationError before anything is lit if
-    one of the configurations cannot be used.
+    begins. Any other failure, and Ctrl-C, end the list, so that nothing is lit again before a person has
+    looked. Called again with the same folder, it continues the list. Returns the exit status: 0 if every
+    session was measured under its conditions. Raises ConfigurationError before anything is lit if one of the
+    configurations cannot be used.
     """
     names = [source.stem for source in sources]
     if twice := next((name for name in names if names.count(name) > 1), None):
@@ -66,10 +66,10 @@ def measure_sessions(
     worst = 0
     for source, config in zip(sources, configs, strict=True):
         place = folder / source.stem
-        waiting = Waiting(source.stem, config.preflight, now_s, sleep)
+        waiting = PreflightWait(source.stem, config.preflight, now_s, sleep)
         say(f"session {place}")
         if (place / STATE_NAME).exists():
-            status = _continued(place, config, waiting, force=force, json_lines=json_lines)
+            status = _continue_session(place, config, waiting, force=force, json_lines=json_lines)
         else:
             status = measure_session(
                 config, source, place, force=force, json_lines=json_lines, waiting=waiting
@@ -82,7 +82,7 @@ def measure_sessions(
 
 
 def _why_ended(folder: Path) -> str:
-    """Why the last run of a session failed or was stopped; empty where it did neither."""
+    """Why the last run of a session failed or was stopped; empty if it did neither."""
     if not (folder / STATE_NAME).exists():
         return "nothing was recorded"
     last = read_session(folder).entries[-1]
@@ -90,7 +90,7 @@ def _why_ended(folder: Path) -> str:
 
 
 def _checked(source: Path, overrides: Sequence[str]) -> Configuration:
-    """Raises ConfigurationError where it cannot be used, or cannot see the conditions it waits for."""
+    """The complete configuration of a file; raises ConfigurationError if it cannot be used."""
     config = complete(load_configuration(source, overrides))
     check_materials(config)
     check_stop_when(config)
@@ -99,18 +99,18 @@ def _checked(source: Path, overrides: Sequence[str]) -> Configuration:
 
 
 def _numbered_configuration(config: Configuration, place: int) -> Configuration:
-    """The simulated rig has other random numbers in each session of a list, as in each run of one."""
+    """The configuration of the session at `place` in a list; simulated ones get their own random numbers."""
     if not config.simulated or place == 0:
         return config
-    seed = (config.simulation.seed + _SEED_STEP * place) % 2**63
+    seed = (config.simulation.seed + _SEED_STEP_OF_SESSIONS * place) % 2**63
     return config.model_copy(update={"simulation": config.simulation.model_copy(update={"seed": seed})})
 
 
-def _continued(
-    folder: Path, config: Configuration, waiting: Waiting, *, force: bool, json_lines: bool
+def _continue_session(
+    folder: Path, config: Configuration, waiting: PreflightWait, *, force: bool, json_lines: bool
 ) -> int:
     with announced(config.session, folder) as outcome, closing(SessionFile.opened(folder)) as file:
-        outcome.status = _go_on(file, config, SessionOptions(outcome.notices, force, json_lines, waiting))
+        outcome.status = _make(file, config, SessionOptions(outcome.notices, force, json_lines, waiting))
     return outcome.status
 
 
@@ -122,12 +122,12 @@ def resume_session(
     force: bool = False,
     json_lines: bool = False,
 ) -> int:
-    """Continue an interrupted session: complete runs are kept, the missing ones are made.
+    """Continue an interrupted session: complete runs stay, the missing runs are made.
 
-    They get the configuration with which the session was begun, or that of the file `instead`, either with
-    `overrides`; it is then the session's. A
-    truncated record is left unchanged and a recovered copy is made next to it. New runs get new numbers.
-    Returns the exit status like `measure_session`.
+    The missing runs get the configuration with which the session was begun, or that of the file `instead`,
+    either with `overrides`; from then on it is the configuration of the session. A truncated record is left
+    unchanged and a recovered copy is made next to it. New runs get new numbers. Returns the exit status like
+    `measure_session`.
     """
     with closing(SessionFile.opened(folder)) as file:
         source = instead or Path(file.state.source)
@@ -149,43 +149,43 @@ def resume_session(
                 file.save(file.state.model_copy(update={"runs_wanted": config.session.runs}))
             say(f"{folder}: continues with {source}, which states {changed}")
         with announced(config.session, folder, file) as outcome:
-            waiting = Waiting(folder.name, config.preflight)
-            outcome.status = _go_on(file, config, SessionOptions(outcome.notices, force, json_lines, waiting))
+            waiting = PreflightWait(folder.name, config.preflight)
+            outcome.status = _make(file, config, SessionOptions(outcome.notices, force, json_lines, waiting))
     return outcome.status
 
 
-def _go_on(file: SessionFile, config: Configuration, options: SessionOptions) -> int:
-    """Make what is missing of a session, as `resume_session` says."""
+def _make(file: SessionFile, config: Configuration, options: SessionOptions) -> int:
+    """Make the missing runs of a session and fit them, as described in `resume_session`."""
     folder = file.folder
     for entry in file.state.entries:
         if entry.state is RunState.RECORDING:
             _close_interrupted(file, entry)
     for record in (folder / entry.record for entry in file.state.complete):
         if record.exists():
-            _notice_cut(record)
+            _report_truncated(record)
     missing = file.state.runs_wanted - len(file.state.complete)
     say(f"{folder}: {len(file.state.complete)} of {file.state.runs_wanted} runs are complete")
     if missing <= 0:
         say("no run is missing")
         if (results := _whole_results(file)) is None:
-            # what is recorded is fitted without the rig, which may not even be there any more
+            # complete records are fitted without the rig, which may not even exist any more
             records = [folder / entry.record for entry in file.state.complete]
             return report(config, folder, SessionOutcome(records, failed=False, stopped=False), options)
-        against = against_results(results, config)
-        for why in against:
+        faults = result_faults(results, config)
+        for why in faults:
             say(why)
-        options.notices.against.extend(against)
-        return 1 if against else 0
+        options.notices.failures.extend(faults)
+        return 1 if faults else 0
     with (
         ready_for_frames(live=not config.on_demand),
         Devices(config, folder, "rig run --resume") as devices,
     ):
-        made = make_runs(config, Path(file.state.source), file, devices, options)
-    return report(config, folder, made, options)
+        outcome = make_runs(config, Path(file.state.source), file, devices, options)
+    return report(config, folder, outcome, options)
 
 
 def _whole_results(file: SessionFile) -> SessionResults | None:
-    """The results, where they are whole and have every complete run; a report that is missing is made."""
+    """The results if they can be read and contain every complete run, else None; makes a missing report."""
     from rig.report import make_report
 
     path = results_path(file.folder)
@@ -198,14 +198,14 @@ def _whole_results(file: SessionFile) -> SessionResults | None:
         say(str(error))
         return None
     if {entry.record for entry in file.state.complete} - {run.record for run in results.runs}:
-        # the program was ended before it fitted what it had made
+        # the program was ended before it fitted the last runs
         return None
     if not path.with_name(path.name.replace("results", "report", 1)).with_suffix(".html").exists():
         say(f"report {make_report(path)}")
     return results
 
 
-def _notice_cut(record: Path) -> None:
+def _report_truncated(record: Path) -> None:
     """Report a record that was complete at the end of its run but is truncated now, e.g. by a failed copy."""
     with RecordReader(record) as reader:
         if reader.truncated:
@@ -213,10 +213,10 @@ def _notice_cut(record: Path) -> None:
 
 
 def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
-    """Note how a record ended that has an end; make a recovered copy of one that was cut off."""
+    """Save how a run that was being recorded has ended; make a recovered copy of a truncated record."""
     record = file.folder / entry.record
-    if said := end_noted(file, entry):
-        say(said)
+    if end_text := end_noted(file, entry):
+        say(end_text)
         return
     name, reason = "", "the session was interrupted"
     if record.exists():

@@ -27,28 +27,28 @@ from rig.presentation import Verdict, say
 from rig.terminal import reason_of
 from rig.view import RunningView
 
-_PATIENCE_S = 60.0
-"""For so long nothing may move before what hangs is abandoned; a slow disk gets its time."""
-_LITTLE_PATIENCE_S = 2.0
+_MAX_PAUSE_S = 60.0
+"""Longest time without progress before a thread that hangs is abandoned; it allows for a slow disk."""
+_MAX_PAUSE_AFTER_INTERRUPT_S = 2.0
 """The same after a second interrupt."""
 
-_TURN_S = 0.0005
-"""After so long a thread passes Python's lock on. Each numerical kernel lays it down, and would wait Python's
-5 ms to get it back from a busy thread: a loop over many small kernels would hold frames up for seconds."""
+_SWITCH_INTERVAL_S = 0.0005
+"""Time after which a thread must pass Python's interpreter lock on. Each numerical kernel releases the lock,
+and would wait Python's default of 5 ms to get it back from a busy thread: a loop over many small kernels
+would delay frames by seconds."""
 
 
 @contextmanager
 def ready_for_frames(*, live: bool) -> Iterator[None]:
-    """Within this context threads wait for one another only shortly.
+    """A context in which threads wait for one another only shortly.
 
-    For a `live` camera, what is there when it begins is left out of every later search for unreachable
-    objects: those of the libraries are so many that one search stops all threads for some tenths of a
-    second, in which the buffers of a camera run over. Frames made on demand would wait. It is entered before
-    the devices are opened, since it searches itself: on a busy machine for longer than the watchdog of a
-    controller waits for a heartbeat.
+    For a `live` camera the garbage collector leaves out all objects that exist now: those of the libraries
+    are so many that one collection stops all threads for some tenths of a second, in which the buffers of a
+    camera overflow. Frames made on demand would wait. Enter the context before the devices are opened: it
+    collects once itself, on a busy machine for longer than a controller's watchdog waits.
     """
-    usual_turn_s = sys.getswitchinterval()
-    sys.setswitchinterval(_TURN_S)
+    default_interval_s = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
     if live:
         gc.collect()
         gc.freeze()
@@ -56,7 +56,7 @@ def ready_for_frames(*, live: bool) -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-        sys.setswitchinterval(usual_turn_s)
+        sys.setswitchinterval(default_interval_s)
 
 
 class MeasurementRun:
@@ -67,7 +67,7 @@ class MeasurementRun:
 
     def __init__(self, parts: RunParts) -> None:
         self._parts, self._stream = parts, parts.stream
-        self._wall, self._status, self._stop = parts.wall, parts.status, parts.stop
+        self._guard, self._status, self._stop = parts.guard, parts.status, parts.stop
         self._done = threading.Event()
 
     @property
@@ -76,15 +76,14 @@ class MeasurementRun:
         return self._status.now
 
     def request_stop(self, reason: str, how: EventKind = EventKind.ENDED_EARLY) -> bool:
-        """End the run before its end; the first reason given is recorded. Returns whether this is it."""
+        """End the run early; the first reason given is recorded. Returns whether this reason is the first."""
         return self._stop.because(reason, how)
 
     def execute(self, show: Callable[[RunNow], None] = lambda _: None, interval_s: float = 0.1) -> RunOutcome:
         """Measure until the run ends; returns with the record closed.
 
         Ctrl-C and `Terminated` switch the laser off and end the run like `request_stop`, immediately if
-        frames come on demand. What hangs while the run is ended is abandoned after a time, and sooner after
-        a second interrupt.
+        frames come on demand. A thread that hangs at the end is abandoned, sooner after a second interrupt.
         """
         self._stream.start_camera()
         threading.Thread(target=self._process, name="processing", daemon=True).start()
@@ -104,45 +103,45 @@ class MeasurementRun:
         return RunOutcome(self.now, self._stop.failure, interrupt, stopped, hangs)
 
     def _darken(self, why: str) -> None:
-        """Refuse the light from now on, and ask for darkness; nothing here can be blocked."""
+        """Refuse light from now on and ask for the laser to be switched off; nothing here can block."""
         if self._parts.devices is not None:
             self._parts.devices.permit.withdraw(why)
             self._parts.devices.darken(why)
 
-    def _stands_still(self) -> bool:
-        return self._stream.permit.paused_s > _PATIENCE_S
+    def _has_stalled(self) -> bool:
+        return self._stream.permit.paused_s > _MAX_PAUSE_S
 
     def _end(self, show: Callable[[RunNow], None]) -> str:
         """Wait for the end of the processing thread; returns what hung, if it had to be abandoned."""
-        patience_s = _PATIENCE_S
-        # not by joining the thread: an interrupted join takes a living thread for one that has ended
+        max_pause_s = _MAX_PAUSE_S
+        # the thread is not joined: an interrupted join takes a running thread for one that has ended
         done = False
         while not done:
             try:
                 paused_s = self._stream.permit.paused_s
-                if paused_s > patience_s and not self._done.is_set():
+                if paused_s > max_pause_s and not self._done.is_set():
                     return f"nothing was processed or recorded for {paused_s:.0f} s"
                 done = self._done.wait(0.1)
                 self._show(show, self._now_with_stall())
             except KeyboardInterrupt:
-                patience_s = _LITTLE_PATIENCE_S
+                max_pause_s = _MAX_PAUSE_AFTER_INTERRUPT_S
         return ""
 
     def _watch(self, show: Callable[[RunNow], None], interval_s: float) -> None:
-        """Show the run until it ends, or stands still."""
+        """Show the run until it ends or stalls."""
         done = False
         while not done:
-            done = self._done.wait(interval_s) or self._stands_still()
-            for instructing in self._status.take_instructions():
-                self._show(show, instructing)
+            done = self._done.wait(interval_s) or self._has_stalled()
+            for state in self._status.take_instructions():
+                self._show(show, state)
             self._show(show, self._now_with_stall())
-            if self._parts.waits_in_darkness and self._parts.typed_leave is not None:
-                # a terminal that was closed asks nobody
+            if self._parts.waits_when_dark and self._parts.typed_acknowledgement is not None:
+                # an OSError comes from a terminal that was closed, where nobody can be asked
                 with suppress(OSError):
-                    self._parts.typed_leave.look(self._status.light.alarm)
+                    self._parts.typed_acknowledgement.look(self._status.light.alarm)
 
     def _show(self, show: Callable[[RunNow], None], now: RunNow) -> None:
-        self._wall.past("the display", None, show, now)
+        self._guard.call("the display", None, show, now)
 
     def _now_with_stall(self) -> RunNow:
         """The state of the run; a stalled thread cannot say by itself that it has stalled."""
@@ -174,8 +173,8 @@ class MeasurementRun:
         """Make one attempt at a start and record it; False if it was rejected and is to be repeated."""
         parts, config = self._parts, self._parts.plan.config
         frames, events = self._first_frames()
-        # rest and warm-up may take an hour, in which the clock of the day is set; frames made on demand are
-        # timed by their first one
+        # computed now, because the computer's clock may be set during an hour of rest and warm-up; frames
+        # made on demand are timed by their first frame
         epoch_offset_ns = at_first_ns if self._stream.policy == "wait" else utc_offset_ns(frames[-1])
         if parts.phases is not None:
             self._stream.count_losses_anew()
@@ -186,7 +185,7 @@ class MeasurementRun:
             MAX_QUEUE_BYTES // 16 if self._stream.policy == "wait" else MAX_QUEUE_BYTES,
             permit=self._stream.permit,
         )
-        # of one that is recorded at once any start is accepted
+        # a run that is recorded at once accepts any start
         judge = None if config.start.way == "at once" else StartJudge(config, parts.optics.unit)
         rejected = ""
         try:
@@ -221,7 +220,7 @@ class MeasurementRun:
         raise stream.failure or DataError("stopped before the run began; nothing was recorded")
 
     def _prepare(self, phase: RecordedPhase) -> None:
-        """Tell a state before the record; raises DeviceError if the laser is dark."""
+        """Publish a state before the record begins; raises DeviceError if the laser is dark."""
         self._status.prepare(phase)
         if self._status.light.alarm:
             raise DeviceError(f"{self._status.light.alarm}; nothing was recorded")
@@ -233,9 +232,9 @@ class MeasurementRun:
 
 
 def utc_offset_ns(frame: Frame) -> int:
-    """UTC minus the frames' clock, by the computer's clock of the day as it is now.
+    """UTC minus the frames' clock, by the computer's clock of the day at this moment.
 
-    Raises DeviceError where that is before 1970: no file of a record can say so.
+    Raises DeviceError if that clock shows a time before 1970, which a record cannot hold.
     """
     now_ns = time.time_ns()
     if now_ns < 0:
@@ -244,11 +243,11 @@ def utc_offset_ns(frame: Frame) -> int:
 
 
 LEAST_FREE_BYTES = 50 * 1024 * 1024
-"""Of disk; with less no run begins."""
+"""Free disk space below which no run begins."""
 
 
 def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
-    """Measure one run into one record; camera and view are closed in any case."""
+    """Measure one run into one record; camera and view are closed at the end in any case."""
     record = plan.record
     if record.exists():
         raise ConfigurationError(f"{record}: exists already and is never overwritten; choose another output")
@@ -259,10 +258,10 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
             "are needed to begin; nothing was started: free some, or name another folder"
         )
     if plan.config.simulated:
-        _say_if_heard(f"{plan.title}: SIMULATED (no camera is read; every number is the simulated rig's)")
+        _say_if_open(f"{plan.title}: SIMULATED (no camera is read; every number is the simulated rig's)")
     with devices.camera(plan.config) as camera:
         for line in camera.notes:
-            _say_if_heard(line)
+            _say_if_open(line)
         posterior = live_posterior(plan.config) if plan.fitted else None
         settings = plan.config.view
         rrd = record.with_suffix(".rrd") if settings.file else None
@@ -270,7 +269,7 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
         try:
             outcome = _execute(plan, devices, camera, posterior)
             ends = plan.is_last or outcome.failure is not None or outcome.stopped
-            # what hangs is not asked for frames once more
+            # after a run that hangs the light is not asked for again
             devices.lights_again = not ends
             if ends and not outcome.hangs:
                 devices.darken(outcome.last.reason or "the run has ended")
@@ -279,7 +278,7 @@ def measure_run(plan: RunPlan, devices: Devices) -> RunOutcome:
             if posterior is not None:
                 posterior.close()
             if problem := view.close():
-                _say_if_heard(problem)
+                _say_if_open(problem)
 
 
 def _execute(
@@ -309,7 +308,7 @@ def _execute(
         try:
             display.show(now)
         finally:
-            # also where the display fails
+            # also if the display fails
             if session_news is not None:
                 session_news.state(display.values(now), display.facts(now))
 
@@ -334,18 +333,18 @@ def _execute(
         phases=phases,
         watchers=(display, *plan.watchers),
         posterior=posterior,
-        typed_leave=TypedAcknowledgement(devices),
+        typed_acknowledgement=TypedAcknowledgement(devices),
     )
     prepare_kernels(optics.sensor, say)
     decay_summary.prepare()
-    # only now: compiling and importing take time, and a laser may be lit only while frames are processed
+    # after compiling and importing, which take time: a laser may be lit only while frames are processed
     if lit := devices.light():
         say(lit)
     with display:
         return MeasurementRun(parts).execute(show)
 
 
-def _say_if_heard(text: str) -> None:
-    """A session whose terminal was closed goes on without it."""
+def _say_if_open(text: str) -> None:
+    """Print a line; a session whose terminal was closed goes on without it."""
     with suppress(OSError):
         say(text)

@@ -1,4 +1,4 @@
-"""A run as it is wanted, its parts, its record with what is attached to it, and its outcome."""
+"""Plan, parts and outcome of one run, and the creation of its record with attachments."""
 
 import json
 import logging
@@ -27,14 +27,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """A run to be made.
-
-    `start_rejected` is called with the new path of the record of each rejected start, and the reason;
-    `watchers` are told what the record is told, beside its display, `session_news` tells those who watch from
-    outside, `notes` are what operators note meanwhile, `waited` what the run has waited for. `fitted`:
-    parameters are fitted while it is measured. `is_last`: no other run follows, for which the laser would
-    stay lit.
-    """
+    """What one run is to be: configuration, record, and those who are informed of it."""
 
     config: Configuration
     source: Path
@@ -43,22 +36,29 @@ class RunPlan:
     force: bool = False
     json_lines: bool = False
     fitted: bool = True
+    """Whether parameters are fitted while the run is measured."""
     is_last: bool = True
+    """Whether no other run follows, for which the laser would stay lit."""
     start_rejected: Callable[[Path, str], None] = lambda _path, _reason: None
+    """Called with the new path of the record of each rejected start, and the reason."""
     watchers: Sequence[Watcher] = ()
+    """Receive what is recorded, in addition to the display."""
     session_news: SessionNews | None = None
+    """Serves programs that watch the session through its socket."""
     notes: Notes | None = None
+    """Notes that operators write during the run."""
     waited: Sequence[str] = ()
+    """What the run has waited for, for the record."""
 
 
 @dataclass(slots=True, kw_only=True)
 class RunParts:
-    """The parts of a run, and what they share: its state, its end, and the guard around its observers.
+    """The parts of a run, and what they share: its state, the request to end it, the guard around observers.
 
     Attributes
     ----------
     plan
-        What is wanted.
+        What the run is to be.
     camera
         Open and configured, not started.
     optics
@@ -70,17 +70,17 @@ class RunParts:
     phases
         Phases before the record; None: the record begins with the camera's first frame.
     watchers
-        Are told what the record is told.
+        Receive what is recorded.
     posterior
-        Fits what is measured so far; None: nothing does.
+        The live fit; None without one.
     typed_leave
-        What somebody at the terminal types meanwhile.
-    wall
-        Behind which observers stand.
+        Acknowledgements of a trip that a person types at the terminal.
+    guard
+        Catches the errors of observers.
     status
-        What the run says of itself.
+        State of the run, passed on to the watchers.
     stop
-        Whether it is to end.
+        Request to end the run.
     """
 
     plan: RunPlan
@@ -91,13 +91,13 @@ class RunParts:
     phases: PhasesBeforeRecord | None = None
     watchers: Sequence[Watcher] = ()
     posterior: LivePosterior | None = None
-    typed_leave: TypedAcknowledgement | None = None
-    wall: ObserverGuard = field(init=False, default_factory=ObserverGuard)
+    typed_acknowledgement: TypedAcknowledgement | None = None
+    guard: ObserverGuard = field(init=False, default_factory=ObserverGuard)
     status: RunStatus = field(init=False)
     stop: StopRequest = field(init=False)
 
     def __post_init__(self) -> None:
-        self.status = RunStatus(self.watchers, self.devices, self.optics.unit, self.wall)
+        self.status = RunStatus(self.watchers, self.devices, self.optics.unit, self.guard)
         self.stop = StopRequest(self.stream)
 
     @property
@@ -113,20 +113,20 @@ class RunParts:
         )
 
     @property
-    def waits_in_darkness(self) -> bool:
-        """Whether the run goes on if the laser went dark and somebody may be asked; otherwise it ends."""
+    def waits_when_dark(self) -> bool:
+        """Whether a run whose laser goes dark waits for a person to relight it; otherwise it ends."""
         return self.plan.config.laser.when_dark == "wait"
 
     @property
-    def somebody_watches(self) -> bool:
-        """Whether there is somebody who may ask for light again, and acknowledge a trip."""
-        news, typed = self.plan.session_news, self.typed_leave
+    def operator_present(self) -> bool:
+        """Whether a person at the terminal or a desk could acknowledge a trip and ask for light."""
+        news, typed = self.plan.session_news, self.typed_acknowledgement
         return (typed is not None and typed.available) or (news is not None and news.watched)
 
     def open_record(self, epoch_offset_ns: int, first: Frame, preflight: Sequence[Verdict]) -> RecordWriter:
         """Create the file with configuration, provenance and preflight table.
 
-        `epoch_offset_ns` is UTC minus the time of the frames' clock.
+        `epoch_offset_ns` is UTC minus the time of the frames' clock, `first` the first frame of the record.
         """
         config, camera, lever = self.plan.config, self.camera, self.optics.lever
         attachments = configuration_attachments(config, self.plan.source)
@@ -134,7 +134,7 @@ class RunParts:
             attachments["camera-features-start.json"] = features
         if preflight:
             attachments["preflight.json"] = json.dumps(table_tree(preflight), indent=1).encode()
-        # as read back
+        # the settings that were read back from the camera
         applied = camera.applied.model_dump(exclude_none=True)
         settings = {key: str(value) for key, value in applied.items()} | {
             "stamped": config.camera.stamped or camera.info.stamped,
@@ -157,19 +157,18 @@ class RunParts:
 
 @dataclass(frozen=True, slots=True)
 class RunOutcome:
-    """How a run ended.
-
-    `last` is its state at the end, `failure` the error that ended it, None for a regular end. `interrupt` is
-    the exception raised in the main thread by Ctrl-C or a signal, `stopped` whether the run ended because of
-    it. The record is closed, unless `hangs` says what hung while the run was ended: the record then stays as
-    it is, cut short.
-    """
+    """How a run has ended; its record is closed, unless `hangs` is not empty."""
 
     last: RunNow
+    """State of the run at its end."""
     failure: Exception | None
+    """The error that ended the run; None for a regular end."""
     interrupt: KeyboardInterrupt | None
+    """The exception raised in the main thread by Ctrl-C or a signal."""
     stopped: bool
+    """Whether the run ended because of that interrupt."""
     hangs: str
+    """What hung while the run was ended; the record is then cut short. Empty if nothing did."""
 
 
 def features_json(camera: Camera) -> bytes:

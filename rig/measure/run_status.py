@@ -1,4 +1,4 @@
-"""What a run says of itself: to its record, to those who watch it, and as the state that this adds up to."""
+"""The state of a run: as messages of its record, for its watchers, and as the panel on the terminal."""
 
 import time
 from collections import deque
@@ -28,39 +28,41 @@ from rig.measure.posterior_worker import Posterior
 from rig.presentation import loud, percent, quantity
 from rig.settings import StopCondition
 
-_HEALTH_NS = 1_000_000_000
+_HEALTH_INTERVAL_NS = 1_000_000_000
 
 
 class Watcher(Protocol):
-    """Receives what the record of a run is told, for example the display.
+    """Receives what is recorded of a run, for example the display.
 
     It is called in the processing thread, must return immediately and must not raise.
     """
 
     def take(self, told: RecordContents) -> None:
-        """What the record has just been told."""
+        """Receive what has just been recorded."""
 
 
 class RunStatus:
-    """Written by the processing thread; `now` and `take_instructions` may be read from any other.
+    """The state of a run, written by the processing thread and passed to its watchers.
+
+    `now` and `take_instructions` may be read from any thread.
 
     Parameters
     ----------
     watchers
-        Receive all that is told, in the processing thread.
+        Receive all that is recorded, in the processing thread.
     devices
         Controller, laser and environment sensor; None without devices.
     unit
-        Unit of the swings' amplitudes.
+        Unit of the half-cycles' amplitudes.
     wall
         Behind which the watchers stand.
     """
 
     def __init__(
-        self, watchers: Iterable[Watcher], devices: Devices | None, unit: DeflectionUnit, wall: ObserverGuard
+        self, watchers: Iterable[Watcher], devices: Devices | None, unit: DeflectionUnit, guard: ObserverGuard
     ) -> None:
         self._watchers = tuple(watchers)
-        self._wall = wall
+        self._guard = guard
         self._devices = devices
         self._unit = unit
         self.light = LightWatch(devices)
@@ -76,18 +78,18 @@ class RunStatus:
         self._estimates: Mapping[str, Estimate] = {}
         self._health_due_ns = 0
         self._alarm = ""
-        self.now = self.now.begun_again()
+        self.now = self.now.for_new_record()
 
     def take_instructions(self) -> Iterable[RunNow]:
         """States with an instruction to the operator since the last call, oldest first.
 
-        They include short-lived instructions that a caller who only reads `now` could miss.
+        They include short-lived instructions that a caller would miss who reads only `now`.
         """
         while self._instructions:
             yield self._instructions.popleft()
 
     def prepare(self, phase: RecordedPhase) -> None:
-        """Tell a state before the record, which nothing records; looks at the laser."""
+        """Publish a state before the record begins, which is not recorded; looks at the laser."""
         self._noticed += self.light.look()
         instruction_before = self.now.instruction
         messages: list[TimedMessage] = [phase]
@@ -100,23 +102,25 @@ class RunStatus:
             self._instructions.append(self.now)
 
     def tell(self, told: RecordContents) -> None:
-        """Add what the record was told to the state, and pass it to the watchers."""
-        self.now = self._wall.past("the state of the run", self.now, self.now.after, told, self._unit)
+        """Update the state by what was recorded, and pass that on to the watchers."""
+        self.now = self._guard.call("the state of the run", self.now, self.now.after, told, self._unit)
         for watcher in self._watchers:
-            self._wall.past(f"watcher {type(watcher).__name__}", None, watcher.take, told)
+            self._guard.call(f"watcher {type(watcher).__name__}", None, watcher.take, told)
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of controller, laser and sensors since the last call, as (kind, text)."""
         happened = [] if self._devices is None else self._devices.take_events()
-        happened += [(EventKind.WATCHER_FAILED, text) for text in self._wall.take_news()]
+        happened += [(EventKind.WATCHER_FAILED, text) for text in self._guard.take_news()]
         noticed, self._noticed = self._noticed, []
         return happened + noticed + self.light.look()
 
     def messages(
         self, phase: RecordedPhase, health: RecordedHealth, known: Posterior, *, on_demand: bool
     ) -> list[TimedMessage]:
-        """What the record is to be told of the session now: phase and light where they have changed, each
-        new fit, and how the session keeps up once a second and where phase or alarm have changed.
+        """Messages on the session that the record is due to get now.
+
+        These are phase and light if they have changed, each new fit, and the health of the session once a
+        second and whenever phase or alarm have changed.
         """
         time_ns, found = phase.time_ns, list[TimedMessage]()
         changed = self._phase is None or phase[2:] != self._phase[2:] or health.alarm != self._alarm
@@ -135,13 +139,13 @@ class RunStatus:
             found += [point._replace(time_ns=time_ns) for point in known.points]
         now_ns = time_ns if on_demand else time.monotonic_ns()
         if changed or now_ns >= self._health_due_ns:
-            self._health_due_ns = now_ns + _HEALTH_NS
+            self._health_due_ns = now_ns + _HEALTH_INTERVAL_NS
             found.append(health)
         return found
 
 
 def _light(devices: Devices) -> RecordedLight:
-    """Without ages, so that two are equal where nothing has changed."""
+    """The state of the light without ages, so that two are equal if nothing has changed."""
     safety = devices.safety()
     return RecordedLight(
         0,
@@ -156,9 +160,9 @@ def _light(devices: Devices) -> RecordedLight:
     )
 
 
-_TWO_COLUMNS_FROM = 120
-_MOST_NOTES = 10
-_RATES_S = 5.0
+_MIN_WIDTH_OF_TWO_COLUMNS = 120
+_MAX_NOTES = 10
+_RATES_SPAN_S = 5.0
 
 
 def run_panel(
@@ -170,14 +174,14 @@ def run_panel(
     size: ConsoleDimensions,
     phases: Sequence[Phase] = (),
 ) -> Panel:
-    """A panel no wider and no higher than the terminal's `size`.
+    """The panel that shows a run, cut to the `size` of the terminal.
 
-    `done` is the part of the run that is over, for the bar, `phases` are those before the record. Of `notes`
-    as many of the last are shown as fit.
+    `done` is the fraction of the run that is over, for the bar; `phases` are the phases before the record.
+    The last of the `notes` are shown, as many as fit.
     """
     width, height = size
     table = Table.grid(padding=(0, 1))
-    wide = width >= _TWO_COLUMNS_FROM
+    wide = width >= _MIN_WIDTH_OF_TWO_COLUMNS
     for _ in range(4 if wide else 2):
         table.add_column(style="dim", no_wrap=True)
         table.add_column(no_wrap=True, overflow="ellipsis")
@@ -191,8 +195,8 @@ def run_panel(
             table.add_row(*row)
     parts: list[RenderableType] = [
         Text.assemble((f"{title}  ", "bold"), (now.doing, "bold cyan"), no_wrap=True),
-        *([_strip(phases, now.phase)] if phases else []),
-        _bar(done, width - 4),
+        *([_phase_line(phases, now.phase)] if phases else []),
+        _progress_bar(done, width - 4),
         table,
     ]
     if now.alarm:
@@ -201,13 +205,13 @@ def run_panel(
         parts.append(Text(f">>> {loud(now.instruction)} <<<", style="bold reverse"))
     used = 4 + (len(rows) + 1) // 2 if wide else 4 + len(rows)
     used += bool(phases) + bool(now.instruction) + bool(now.alarm)
-    room = max(1, min(_MOST_NOTES, height - used - 3))
+    room = max(1, min(_MAX_NOTES, height - used - 3))
     parts += [Text(note, style="dim", no_wrap=True, overflow="ellipsis") for note in notes[-room:]]
     return Panel(Group(*parts), width=width - 1, padding=(0, 1))
 
 
-def _strip(phases: Sequence[Phase], now: Phase) -> Text:
-    """All phases in their order, the present one marked."""
+def _phase_line(phases: Sequence[Phase], now: Phase) -> Text:
+    """All phases in order, the present one marked."""
     shown = Text(no_wrap=True, overflow="ellipsis")
     for place, phase in enumerate((*phases, Phase.MEASURING)):
         shown.append(" > " if place else "", "dim")
@@ -216,7 +220,7 @@ def _strip(phases: Sequence[Phase], now: Phase) -> Text:
     return shown
 
 
-def _bar(part: float, width: int) -> Text:
+def _progress_bar(part: float, width: int) -> Text:
     room = max(width - 8, 10)
     full = round(part * room)
     rest = ("━" * (room - full), "bright_black")
@@ -230,13 +234,13 @@ class Rates:
         self._points: deque[tuple[float, int, int]] = deque()
 
     def take(self, now: RunNow) -> None:
-        """Note counts that have changed; fewer frames than before are those of a record that begins again."""
+        """Add the counts if they have changed; a smaller number of frames is that of a new record."""
         points, now_s = self._points, time.monotonic()
         if points and now.frames < points[-1][1]:
             points.clear()
         if not points or now.frames != points[-1][1]:
             points.append((now_s, now.frames, now.record_bytes))
-        while len(points) > 2 and now_s - points[0][0] > _RATES_S:
+        while len(points) > 2 and now_s - points[0][0] > _RATES_SPAN_S:
             points.popleft()
 
     @property
@@ -248,18 +252,21 @@ class Rates:
         return self._rate(2)
 
     def _rate(self, column: int) -> float:
-        if len(self._points) < 2 or time.monotonic() - self._points[-1][0] > _RATES_S:
+        if len(self._points) < 2 or time.monotonic() - self._points[-1][0] > _RATES_SPAN_S:
             return 0.0
         first, last = self._points[0], self._points[-1]
         return float(last[column] - first[column]) / max(last[0] - first[0], 1e-9)
 
 
-_SHOWN_FROM = 1.0
-"""Relative uncertainty below which a value means something."""
+_MAX_SHOWN_U_RELATIVE = 1.0
+"""Relative uncertainty from which on a value is not shown."""
 
 
 def estimate_rows(now: RunNow, stop_when: Sequence[StopCondition]) -> list[tuple[str, str]]:
-    """Two parameters a row, and what the end of the run waits for; no row before the first fit."""
+    """Rows of the panel for the parameters, two in each, and for the conditions that end the run.
+
+    No parameters before the first fit.
+    """
     found, keys = now.estimates, list(now.estimates)
     rows = [
         (
@@ -274,12 +281,13 @@ def estimate_rows(now: RunNow, stop_when: Sequence[StopCondition]) -> list[tuple
 
 
 def estimate_texts(key: str, one: Estimate) -> tuple[str, str]:
-    """Value with its uncertainty in the parameter's shown unit, and how large the uncertainty is beside it.
+    """Texts of a parameter: value with uncertainty in its shown unit, and the relative uncertainty in per
+    cent.
 
-    A value that its uncertainty hides is not shown.
+    A value smaller than its uncertainty is not shown.
     """
     relative = one.standard_uncertainty / abs(one.value) if one.value else float("inf")
-    if not relative < _SHOWN_FROM:
+    if not relative < _MAX_SHOWN_U_RELATIVE:
         return "not yet seen", ""
     return quantity(key).text(one.value, one.standard_uncertainty), percent(relative)
 

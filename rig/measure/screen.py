@@ -31,15 +31,15 @@ _log = logging.getLogger(__name__)
 _PLAIN_INTERVAL_S = 5.0
 _JSON_INTERVAL_S = 1.0
 _FORECAST_INTERVAL_S = 2.0
-_SWINGS_KEPT = 20_000
+_MAX_SWINGS = 20_000
 _NO_FORECAST = Forecast(math.nan, math.nan)
 
 
 class RunDisplay:
-    """Displays one run: as a watcher it only collects values, the main thread draws the screen.
+    """The display of one run: as a watcher it only collects values, the main thread draws the screen.
 
     The progress bar is linear in the logarithm of the amplitude, which decreases roughly evenly with time, or
-    in the time of a run that its limit will end.
+    in time if the time limit will end the run.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class RunDisplay:
     ) -> None:
         self._title = title
         self._simulated, self._phases = simulated, tuple(phases)
-        # the final amplitude is configured in arcsec, hence unknown for a run in px
+        # the final amplitude is configured in arcsec, hence unknown in px
         self._final = final_amplitude_arcsec if unit is DeflectionUnit.RAD else math.nan
         self._unit, self._longest_s = unit, longest_s
         self._stop_when = stop_when
@@ -69,7 +69,7 @@ class RunDisplay:
         self._printed_s = 0.0
         self._phase: Phase | None = None
         self._asked = ("", "")
-        self._swings: deque[tuple[float, float, float]] = deque(maxlen=_SWINGS_KEPT)
+        self._swings: deque[tuple[float, float, float]] = deque(maxlen=_MAX_SWINGS)
         self._notes: deque[str] = deque(maxlen=12)
         self._to_print: deque[Callable[[], None]] = deque()
         self._rates = Rates()
@@ -104,7 +104,7 @@ class RunDisplay:
                 self._to_print.append(partial(say, f"{self._title}: {event.text}"))
 
     def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
-        """Have the preflight table printed above the live screen."""
+        """Queue the preflight table for printing above the live screen."""
         shown = list(verdicts)
         if self._json:
             self._to_print.append(lambda: self.line("preflight", {"table": table_tree(shown)}))
@@ -125,8 +125,8 @@ class RunDisplay:
     def show(self, now: RunNow) -> None:
         """Update the display; fast enough to be called ten times a second.
 
-        What the run's thread has to print is printed here: a terminal that nobody reads holds no frame up.
-        One that was closed is left alone.
+        Lines of the processing thread are printed here, so that a blocked terminal delays no frame. Nothing
+        more is printed once the terminal is closed.
         """
         if math.isnan(self._initial) and not math.isnan(now.amplitude):
             self._initial = now.amplitude
@@ -156,7 +156,7 @@ class RunDisplay:
             if self._json:
                 self.line("state", self.values(now))
             else:
-                say(f"{self._title}: {100 * self._fraction(now):.0f} %  {self._plain(now)}")
+                say(f"{self._title}: {100 * self._done_fraction(now):.0f} %  {self._plain_line(now)}")
             for shout in (now.alarm.upper(), loud(now.instruction)):
                 if changed and shout and not self._json:
                     say(f"{self._title}: {shout}")
@@ -167,7 +167,7 @@ class RunDisplay:
         return run_panel(
             f"SIMULATED {self._title}" if self._simulated else self._title,
             now,
-            self._fraction(now),
+            self._done_fraction(now),
             self.rows(now),
             list(self._notes),
             self._console.size,
@@ -176,12 +176,12 @@ class RunDisplay:
 
     def values(self, now: RunNow) -> dict[str, Any]:
         """The state of the run for programs; the amplitude is in `amplitude_unit`."""
-        left_s, u_s = self._left(now)
+        left_s, u_s = self._forecast_of_end(now)
         own = {
-            "done": self._fraction(now),
+            "done": self._done_fraction(now),
             "remaining_s": left_s,
             "u_remaining_s": u_s,
-            "at_most_s": self._at_most_s(now),
+            "at_most_s": self._time_to_limit_s(now),
             **self._numbers(now.balance),
         }
         told = asdict(replace(now, balance=None))
@@ -216,7 +216,7 @@ class RunDisplay:
         return rows
 
     def facts(self, now: RunNow) -> list[tuple[str, str]]:
-        """The rows without what a page shows in places of their own: amplitude, end, parameters."""
+        """The rows without those that a page shows elsewhere: amplitude, end, parameters."""
         elsewhere = {"amplitude", self._prediction(now)[0]}
         elsewhere |= {name for name, _ in estimate_rows(now, ())}
         return [row for row in self.rows(now) if row[0] not in elsewhere]
@@ -235,28 +235,28 @@ class RunDisplay:
         x, y = balance.rest_x / balance.unit.shown_size, balance.rest_y / balance.unit.shown_size
         return f"X {x:+.3f}, Y {y:+.3f} {balance.unit.shown}"
 
-    def _at_most_s(self, now: RunNow) -> float:
-        """Time to the limit of the run's duration, which begins with the record."""
+    def _time_to_limit_s(self, now: RunNow) -> float:
+        """Time in s until the longest duration of the run, which counts from the start of the record."""
         if now.before_record:
             return self._longest_s
         return max(self._longest_s - now.elapsed_s, 0.0)
 
-    def _left(self, now: RunNow) -> Forecast:
-        """Time to the end that comes first, of the amplitude or the time; NaN if it is too early to say."""
+    def _forecast_of_end(self, now: RunNow) -> Forecast:
+        """Time to the end of the run, by amplitude or time limit, whichever is first; NaN if unknown."""
         if now.before_record:
             return _NO_FORECAST
-        limit_s = self._at_most_s(now)
+        limit_s = self._time_to_limit_s(now)
         # without a lever no amplitude ends the run
         is_limit = math.isnan(self._final) or self._forecast.remaining_s > limit_s
         return Forecast(limit_s, 0.0) if is_limit and math.isfinite(limit_s) else self._forecast
 
     def _prediction(self, now: RunNow) -> tuple[str, str]:
-        """The row of the end: to which one, and how long it takes."""
-        left_s, u_s = self._left(now)
+        """The row on the end of the run: which limit will end it, and the time left."""
+        left_s, u_s = self._forecast_of_end(now)
         unit = self._unit.shown
         aim = "to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}"
         if math.isnan(left_s):
-            limit_s = self._at_most_s(now)
+            limit_s = self._time_to_limit_s(now)
             most = f", at most {_clock(limit_s)}" if math.isfinite(limit_s) else ""
             return aim, f"{'unknown: no lever' if math.isnan(self._final) else 'too early to say'}{most}"
         end = time.strftime("%H:%M", time.localtime(time.time() + left_s))
@@ -268,8 +268,8 @@ class RunDisplay:
         table = np.array(list(self._swings))
         final = self._final * self._unit.shown_size
         crossing = forecast(table[:, 0], table[:, 1], table[:, 2], final)
-        # the run ends at the last of some turning points below the limit, the first of which may come up to
-        # one half-cycle after the amplitude has passed it
+        # the run ends at the last of `BELOW_IN_A_ROW` turning points below the limit, and the first of them
+        # may come up to one half-cycle after the amplitude has passed the limit
         half_period_s = float(np.median(np.diff(table[:, 0])))
         return Forecast(
             crossing.remaining_s + (BELOW_IN_A_ROW - 0.5) * half_period_s,
@@ -289,7 +289,7 @@ class RunDisplay:
             found["rest_y"] = balance.rest_y / balance.unit.shown_size
         return found
 
-    def _fraction(self, now: RunNow) -> float:
+    def _done_fraction(self, now: RunNow) -> float:
         if now.before_record:
             return 0.0
         of_time = min(now.elapsed_s / self._longest_s, 1.0)
@@ -298,7 +298,7 @@ class RunDisplay:
         done = math.log(self._initial / max(now.amplitude, self._final))
         return max(of_time, min(1.0, done / math.log(self._initial / self._final)))
 
-    def _plain(self, now: RunNow) -> str:
+    def _plain_line(self, now: RunNow) -> str:
         amplitude = "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self._unit.shown}  "
         losses = f"{now.dropped_frames} dropped, {now.lost_spots} lost"
         tail = f"  {now.reason}" if now.reason else ""

@@ -1,4 +1,4 @@
-"""A session: records one or more runs of one contact pair, then fits each of them."""
+"""Measures a session: records one or more runs of one contact pair, then fits each of them."""
 
 import datetime
 import sys
@@ -18,13 +18,13 @@ from rig.analysis import (
 )
 from rig.devices import Devices, OrderSocket, SessionNews, devices_now
 from rig.instrument import check_materials, complete
-from rig.measure.notices import Notices, Waiting, announced, check_waiting
+from rig.measure.notices import Notices, PreflightWait, announced, check_waiting
 from rig.measure.phases import NoGo
 from rig.measure.posterior import check_stop_when
 from rig.measure.run import measure_run, ready_for_frames
 from rig.measure.run_parts import RunPlan
 from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
-from rig.measure.session_orders import Notes, await_leave, orders
+from rig.measure.session_orders import Notes, await_acknowledgement, orders
 from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import Terminated, reason_of
@@ -37,14 +37,14 @@ def measure_session(
     *,
     force: bool = False,
     json_lines: bool = False,
-    waiting: Waiting | None = None,
+    waiting: PreflightWait | None = None,
 ) -> int:
     """Measure `session.runs` runs, fit each from its closed record, and write results.json.
 
-    `force` continues after a failed preflight. With `json_lines` stdout gets one JSON object per
-    line instead of a table. After a no-go of the preflight it waits as `waiting` says, by default as the
-    configuration states. Returns the exit status: 0 if every run ended regularly and was fitted,
-    else 1. Raises ConfigurationError for an output folder that already contains a run.
+    `force` continues after a failed preflight. With `json_lines` stdout gets one JSON object per line instead
+    of a table. `waiting` waits after a no-go of the preflight; by default as the configuration states.
+    Returns the exit status: 0 if every run ended regularly and was fitted, else 1. Raises ConfigurationError
+    for an output folder that already contains a run.
     """
     config = complete(config)
     check_materials(config)
@@ -55,7 +55,7 @@ def measure_session(
     folder, made = session_folder(config, source, output)
     try:
         with announced(config.session, folder) as outcome:
-            waiting = waiting or Waiting(folder.name, config.preflight)
+            waiting = waiting or PreflightWait(folder.name, config.preflight)
             options = SessionOptions(outcome.notices, force, json_lines, waiting)
             outcome.status = _make_session(config, source, folder, options)
     finally:
@@ -64,30 +64,30 @@ def measure_session(
 
 
 class SessionOptions(NamedTuple):
-    """How runs are made: who gets notices, whether a failed preflight is passed over, what stdout gets.
-
-    `waiting` is asked, with the reason, after a preflight that said no-go: if it returns True the run is
-    tried again. The laser is dark meanwhile.
-    """
+    """Options of the runs of a session."""
 
     notices: Notices
+    """Sends alarms, and collects causes of failure."""
     force: bool
+    """Whether runs are made in spite of a failed preflight."""
     json_lines: bool
-    waiting: Waiting
+    """Whether stdout gets JSON lines instead of a table."""
+    waiting: PreflightWait
+    """Called with the reason of a no-go while the laser is dark; True: the run is tried again."""
 
 
 def _make_session(config: Configuration, source: Path, folder: Path, options: SessionOptions) -> int:
-    """As `measure_session`, with a complete configuration and in a folder that was made for it."""
+    """Like `measure_session`, with a complete configuration, in the folder made for the session."""
     with ExitStack() as closing:
         with ready_for_frames(live=not config.on_demand), Devices(config, folder, "rig run") as devices:
             file = SessionFile.made(folder, source, config.session.runs, stored_configuration(config))
             closing.callback(file.close)
-            made = make_runs(config, source, file, devices, options)
-        return report(config, folder, made, options)
+            outcome = make_runs(config, source, file, devices, options)
+        return report(config, folder, outcome, options)
 
 
 class SessionOutcome(NamedTuple):
-    """The records made, and how the session ended."""
+    """The complete records of a session, whether a run failed, and whether an interrupt ended it."""
 
     records: list[Path]
     failed: bool
@@ -97,9 +97,10 @@ class SessionOutcome(NamedTuple):
 def make_runs(
     config: Configuration, source: Path, file: SessionFile, devices: Devices, options: SessionOptions
 ) -> SessionOutcome:
-    """Make the missing runs. Raises `Terminated` after everything is closed and session.json is written.
+    """Make the missing runs of a session.
 
-    Meanwhile the session can be watched, and takes orders, through its order socket.
+    Meanwhile its order socket serves its state and takes orders. Raises `Terminated` after everything is
+    closed and session.json is written.
     """
     session_news, notes = SessionNews(), Notes(file.folder, config.session.operator)
     with OrderSocket(
@@ -110,7 +111,7 @@ def make_runs(
         try:
             return _make_runs(config, source, file, devices, options, session_news, notes)
         except KeyboardInterrupt:
-            # it may come between the end of a run and the note of it
+            # the interrupt may come between the end of a run and its entry in session.json
             for entry in file.state.entries:
                 if entry.state is RunState.RECORDING:
                     end_noted(file, entry)
@@ -132,7 +133,7 @@ def _make_runs(
 
     def say_failed(number: int, error: Exception) -> None:
         say(f"run {number} failed: {error}", error=True)
-        options.notices.against.append(f"run {number} failed: {error}")
+        options.notices.failures.append(f"run {number} failed: {error}")
 
     while len(records) < file.state.runs_wanted and not (failed or stopped):
         number = file.state.next_number
@@ -143,7 +144,7 @@ def _make_runs(
             file.note(number, path.name, RunState.REJECTED, reason)
 
         plan = RunPlan(
-            _numbered(config, number),
+            _with_seed_of_run(config, number),
             source,
             record,
             f"run {number}",
@@ -154,11 +155,11 @@ def _make_runs(
             watchers=[options.notices],
             session_news=session_news,
             notes=notes,
-            waited=options.waiting.said(),
+            waited=options.waiting.texts(),
         )
         try:
             devices.lights_again = True
-            await_leave(devices, session_news, resumable=_has_record(file))
+            await_acknowledgement(devices, session_news, resumable=_has_record(file))
             outcome = measure_run(plan, devices)
         except (RigError, OSError) as error:
             file.note(number, record.name, RunState.FAILED, str(error))
@@ -168,14 +169,14 @@ def _make_runs(
             failed = True
             break
         except KeyboardInterrupt as interrupted:
-            # before it was recorded; what has a record says by itself how it ended
+            # the interrupt came before the record; a run with a record holds by itself how it ended
             if not record.exists():
                 file.note(number, record.name, RunState.STOPPED, reason_of(interrupted))
             if isinstance(interrupted, Terminated):
-                _say_how_to_go_on(reason_of(interrupted), file)
+                _say_how_to_resume(reason_of(interrupted), file)
             raise
         if outcome.hangs:
-            # the entry stays as it is: only when nothing writes any more can the record be repaired
+            # the entry stays: the record can be repaired only when no thread writes to it any more
             off = "" if config.laser.kind == "none" else "the laser was told off, "
             raise DeviceError(
                 f"{outcome.hangs}: {off}{record} stays as it is; "
@@ -184,15 +185,15 @@ def _make_runs(
         if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
             devices.darken("preflight said no-go")
             file.forget(record.name)
-            session_news.waits(f"no-go: {outcome.failure.against}")
-            # who asks for light while it waits gets it with the next try
+            session_news.waits(f"no-go: {outcome.failure.failed_checks}")
+            # a person who asks for light during the wait gets it with the next try
             devices.lights_again = True
-            if options.waiting(outcome.failure.against):
+            if options.waiting(outcome.failure.failed_checks):
                 continue
             devices.lights_again = False
         reason, interrupt, stopped = outcome.last.reason, outcome.interrupt, outcome.stopped
         state = RunState.FAILED if outcome.failure is not None else RunState.COMPLETE
-        # also where the user has ended it before it began
+        # also if the user has ended the run before its record began
         if stopped and (outcome.failure is None or not record.exists()):
             state = RunState.STOPPED
         file.note(number, record.name, state, str(outcome.failure or reason))
@@ -204,31 +205,31 @@ def _make_runs(
         else:
             failed = True
         if isinstance(interrupt, Terminated):
-            _say_how_to_go_on(reason, file)
+            _say_how_to_resume(reason, file)
             raise interrupt
     return SessionOutcome(records, failed, stopped)
 
 
-def _say_how_to_go_on(reason: str, file: SessionFile) -> None:
-    """After the program was told to end; without a record nothing is left of the session to go on with."""
+def _say_how_to_resume(reason: str, file: SessionFile) -> None:
+    """Print how to continue after a signal; nothing is left of a session without a record."""
     remedy = f"rig run --resume {file.folder} continues, rig fit fits the runs so far"
-    # a terminal that was closed hears nothing
+    # an OSError comes from a terminal that was closed
     with suppress(OSError):
         say(f"{reason}; {remedy if _has_record(file) else 'nothing was recorded'}")
 
 
 def _has_record(file: SessionFile) -> bool:
-    """Whether the session has a record, without which it is withdrawn when it ends."""
+    """Whether the session has a record; a session without one is withdrawn when it ends."""
     return any((file.folder / entry.record).exists() for entry in file.state.entries)
 
 
-def report(config: Configuration, folder: Path, made: SessionOutcome, options: SessionOptions) -> int:
+def report(config: Configuration, folder: Path, outcome: SessionOutcome, options: SessionOptions) -> int:
     """Fit the complete and the new records and write the results; the laser is already off."""
     # importing matplotlib takes a second, which must not delay the first frame
     from rig.report import make_report
 
-    records, failed = made.records, made.failed
-    if made.stopped and records and not _wants_fit():
+    records, failed = outcome.records, outcome.failed
+    if outcome.stopped and records and not _wants_fit():
         say(f"record {records[-1]}; rig fit {records[-1]} fits it later")
         records = records[:-1]
     runs = [analyse_record(record) for record in records]
@@ -236,11 +237,11 @@ def report(config: Configuration, folder: Path, made: SessionOutcome, options: S
         return 1
     path = free_path(folder)
     results = session_results(runs, folder)
-    against = against_results(results, config)
-    failed = failed or bool(against)
-    options.notices.against.extend(against)
+    faults = result_faults(results, config)
+    failed = failed or bool(faults)
+    options.notices.failures.extend(faults)
     write_results(path, results)
-    paths = _paths(folder, runs, path)
+    paths = _written_paths(folder, runs, path)
     try:
         paths.append(("report", make_report(path)))
     except RigError as error:
@@ -258,11 +259,11 @@ def report(config: Configuration, folder: Path, made: SessionOutcome, options: S
     return 1 if failed else 0
 
 
-def against_results(results: SessionResults, config: Configuration) -> list[str]:
-    """What speaks against runs, each with the name of its record: no fit, conditions that were not met."""
+def result_faults(results: SessionResults, config: Configuration) -> list[str]:
+    """Faults of runs, each with the name of its record: no fit, or conditions that were not met."""
     found = []
     for run in results.runs:
-        # without a calibration nothing can be fitted, which does not count as a failure
+        # a run without a calibrated lever cannot be fitted, which is not a failure
         problem = run.problem if config.lever is not None else ""
         found += [f"{run.record}: {why}" for why in (problem, failures(run.conditions)) if why]
     return found
@@ -293,9 +294,9 @@ def simulate_record(config: Configuration, source: Path, record: Path) -> int:
 
 
 def session_folder(config: Configuration, source: Path, output: Path | None) -> tuple[Path, list[Path]]:
-    """Make the folder of this session; returns it, and the folders that were made, the innermost first.
+    """Make the folder of a session; returns it, and all folders that were created, the innermost first.
 
-    Raises ConfigurationError if it already contains a run.
+    Raises ConfigurationError if the folder already contains a run.
     """
     if output is None:
         now = datetime.datetime.now().astimezone()
@@ -319,8 +320,8 @@ def session_folder(config: Configuration, source: Path, output: Path | None) -> 
     return folder, made
 
 
-def _numbered(config: Configuration, number: int) -> Configuration:
-    """The configuration of run `number`; each simulated run gets its own random numbers."""
+def _with_seed_of_run(config: Configuration, number: int) -> Configuration:
+    """The configuration of the run `number`; each simulated run gets its own random numbers."""
     if not config.simulated or number == 1:
         return config
     seed = (config.simulation.seed + 1_000_003 * (number - 1)) % 2**63
@@ -328,7 +329,7 @@ def _numbered(config: Configuration, number: int) -> Configuration:
 
 
 def _wants_fit() -> bool:
-    """After Ctrl-C ask whether to fit the record; without a terminal it is fitted."""
+    """Ask after Ctrl-C whether to fit the record; True without a terminal."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return True
     try:
@@ -338,7 +339,7 @@ def _wants_fit() -> bool:
     return answer.strip().lower() in {"", "y", "yes"}
 
 
-def _paths(folder: Path, runs: list[AnalysedRun], path: Path) -> list[tuple[str, Path]]:
+def _written_paths(folder: Path, runs: list[AnalysedRun], path: Path) -> list[tuple[str, Path]]:
     paths = []
     for run in runs:
         paths.append(("record", run.path))

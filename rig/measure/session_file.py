@@ -30,12 +30,12 @@ _SCHEMA = 1
 
 
 class RunState(StrEnum):
-    """How a run or an attempt stands."""
+    """State of a run, or of one attempt at its start."""
 
     RECORDING = "recording"
     COMPLETE = "complete"
     STOPPED = "stopped"
-    """By a person, or because the program had to end."""
+    """Ended early by a person, or because the program had to end."""
     REJECTED = "rejected"
     """Its start was not accepted, or its conditions were not met."""
     FAILED = "failed"
@@ -56,17 +56,16 @@ class RunEntry(BaseModel, frozen=True, extra="forbid"):
 
 
 class SessionState(BaseModel, frozen=True, extra="forbid"):
-    """The whole file. `configuration` is complete, so that a session can be resumed without other files.
-
-    `told` is what was told last of its end, to those who are not there; empty since a run was made.
-    """
+    """The contents of `session.json`."""
 
     schema_version: int = _SCHEMA
     source: str
     runs_wanted: int
     configuration: dict[str, Any]
+    """The complete configuration, so that the session can be resumed without other files."""
     entries: tuple[RunEntry, ...] = ()
     told: str = ""
+    """The last notice sent of the session's end; empty if a run was made since."""
 
     @property
     def complete(self) -> list[RunEntry]:
@@ -85,7 +84,7 @@ class SessionState(BaseModel, frozen=True, extra="forbid"):
 
 
 def read_session(folder: Path) -> SessionState:
-    """The session in a folder, whether it still runs or not; raises ConfigurationError if there is none."""
+    """The session in a folder, running or ended; raises ConfigurationError if there is none."""
     path = folder / STATE_NAME
     try:
         tree = json.loads(path.read_bytes())
@@ -101,9 +100,9 @@ def read_session(folder: Path) -> SessionState:
 
 
 def withdraw_unrecorded(folder: Path, made: Sequence[Path] = ()) -> None:
-    """Take back a session that has ended without a record: it would stand in the way of the next one.
+    """Remove the files of a session that has ended without a record, which would block the next session.
 
-    Then what it left of itself is removed, and the folders `made` for it if they are empty.
+    The folders `made` for it are removed, too, if they are empty. A session with a record stays.
     """
     with suppress(RigError), closing(SessionFile.opened(folder)) as file:
         records = [folder / entry.record for entry in file.state.entries]
@@ -155,7 +154,7 @@ class SessionFile:
         lasted_s = time.monotonic() - self._begun_s[record]
         ended = ""
         if state != RunState.RECORDING:
-            # the time of day may have been set meanwhile; of an earlier program's run nothing else is known
+            # the time of day may have been set meanwhile; for a run of an earlier program only it is known
             ended = _later(begun, lasted_s) if math.isfinite(lasted_s) else max(now, begun)
         self.save(
             self.state.with_entry(
@@ -172,18 +171,18 @@ class SessionFile:
         )
 
     def forget(self, record: str) -> None:
-        """Take out the entry of a run that did not begin."""
+        """Remove the entry of a run that did not begin."""
         kept = tuple(entry for entry in self.state.entries if entry.record != record)
         self.save(self.state.model_copy(update={"entries": kept}))
 
-    def note_told(self, words: str) -> None:
-        """Save what was told of the session's end."""
+    def note_reported_end(self, words: str) -> None:
+        """Save the notice that was sent of the session's end."""
         self.save(self.state.model_copy(update={"told": words}))
 
     def reconfigure(self, source: Path, configuration: dict[str, Any]) -> str:
-        """Let the missing runs have another configuration; returns what it changes, in words.
+        """Give the missing runs another configuration; returns what it changes, in words.
 
-        Those made have theirs in their records.
+        Complete runs have their own configuration in their records.
         """
         changed = "; ".join(_changes(self.state.configuration, configuration))
         self.save(self.state.model_copy(update={"source": str(source), "configuration": configuration}))
@@ -234,16 +233,17 @@ def _later(utc: str, seconds: float) -> str:
     return then.isoformat(timespec="seconds")
 
 
-def _changes(before: Mapping[str, Any], after: Mapping[str, Any], above: str = "") -> Iterator[str]:
+def _changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Each changed key of a configuration tree with its new and old value, in words."""
     for key in sorted(before.keys() | after.keys()):
         old, new = before.get(key), after.get(key)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
-            yield from _changes(old, new, f"{above}{key}.")
+            yield from _changes(old, new, f"{prefix}{key}.")
         elif old != new:
-            yield f"{above}{key} = {json.dumps(new)} (was {json.dumps(old)})"
+            yield f"{prefix}{key} = {json.dumps(new)} (was {json.dumps(old)})"
 
 
-_ENDS: dict[str, RunState] = {
+_STATE_OF_END: dict[str, RunState] = {
     EventKind.REJECTED: RunState.REJECTED,
     EventKind.ENDED_EARLY: RunState.STOPPED,
     EventKind.FAILED: RunState.FAILED,
@@ -251,9 +251,9 @@ _ENDS: dict[str, RunState] = {
 
 
 def end_noted(file: SessionFile, entry: RunEntry) -> str:
-    """Note how a run has ended that is still noted as being recorded; returns that in words.
+    """Save how a run has ended whose entry still says that it is being recorded; returns the end in words.
 
-    Empty, with nothing noted, where it has no record, or one that is not whole.
+    If the run has no record, or a truncated one, nothing is saved and the text is empty.
     """
     record = file.folder / entry.record
     if not record.exists():
@@ -261,7 +261,7 @@ def end_noted(file: SessionFile, entry: RunEntry) -> str:
     with suppress(RecordError), RecordReader(record) as reader:
         end = end_of(reader.events())
         if end is not None and not reader.truncated:
-            state = _ENDS.get(end.kind, RunState.COMPLETE)
+            state = _STATE_OF_END.get(end.kind, RunState.COMPLETE)
             file.note(entry.number, entry.record, state, end.text)
             how = "whole" if state is RunState.COMPLETE else f"{state}, its run is made again"
             return f"{entry.record} is {how}: {end.text}"

@@ -1,4 +1,4 @@
-"""Orders to a session from outside, and the notes that operators make meanwhile."""
+"""Orders to a running session, operators' notes, the wait for an acknowledgement, the judge of starts."""
 
 import _thread
 import json
@@ -27,7 +27,7 @@ _MOST_CHARACTERS = 2000
 
 
 class OperatorNote(NamedTuple):
-    """A note; `host_time_ns` is the computer's monotonic clock."""
+    """A note of an operator; `host_time_ns` is the time of the computer's monotonic clock."""
 
     host_time_ns: int
     author: str
@@ -35,10 +35,10 @@ class OperatorNote(NamedTuple):
 
 
 class Notes:
-    """Takes notes from any thread; `take` is called by that of the run.
+    """The notes of a session; `write` may be called by any thread, `take` by the thread of the run.
 
-    Each is in `notes.jsonl` in the session's folder before `write` returns, so that none is lost between
-    runs, or with a run that is not recorded. `author` is the session's operator.
+    Each note is saved in `notes.jsonl` in the session's folder before `write` returns, so that none is lost
+    between runs, or with a run that is not recorded. `author` is the session's operator.
     """
 
     def __init__(self, folder: Path, author: str) -> None:
@@ -47,7 +47,7 @@ class Notes:
         self._writing = threading.Lock()
 
     def write(self, text: str) -> str:
-        """Note a line; returns what was done. Raises RigError for none, or where it cannot be kept."""
+        """Save a note; returns a confirmation. Raises RigError if it is empty, too long or not saved."""
         text, author = " ".join(text.split()), self._author
         if not text:
             raise RigError("an empty note: type some text")
@@ -72,11 +72,11 @@ class Notes:
         return taken_from(self._typed)
 
 
-_LOOK_S = 0.1
+_CHECK_INTERVAL_S = 0.1
 
 
 def orders(devices: Devices, notes: Notes) -> Orders:
-    """The orders by name; `stop` is Ctrl-C, `acknowledge` is followed by the trip's number and by whom."""
+    """The orders by name; `stop` acts like Ctrl-C, `acknowledge` takes the trip's number and the person."""
 
     def stop(_: str) -> str:
         _thread.interrupt_main()
@@ -106,9 +106,9 @@ def orders(devices: Devices, notes: Notes) -> Orders:
 
 
 def relight(devices: Devices) -> str:
-    """A person asks for light: that of a run which waits in the dark, else the next run's.
+    """Carry out a person's request for light, in a run that waits in the dark or for the next run.
 
-    While no frames are processed nothing is lit.
+    Nothing is lit while no frames are processed.
     """
     if (trip := devices.permit.latched) is not None:
         raise LightRefused(f"{trip.text}: acknowledge it first")
@@ -120,10 +120,10 @@ def relight(devices: Devices) -> str:
     return "the next run lights the laser"
 
 
-def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool = True) -> None:
-    """After a trip wait until a person has acknowledged it and asked for light: at the terminal, else who
-    watches. Raises LightRefused if nobody does, with the remedy: a session that is not `resumable` has no
-    record yet.
+def await_acknowledgement(devices: Devices, session_news: SessionNews, *, resumable: bool = True) -> None:
+    """Wait after a trip until a person at the terminal or a desk has acknowledged it and asked for light.
+
+    Raises LightRefused, with the remedy, if nobody does. A session that is not `resumable` has no record yet.
     """
     ask_leave(devices)
     trip = devices.permit.latched
@@ -131,7 +131,7 @@ def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool 
         what = "light is to be asked for" if trip is None else trip.text
         session_news.waits(f"{what}: the next run waits for a person")
         while session_news.watched and (devices.permit.latched or devices.waits_for_asking):
-            time.sleep(_LOOK_S)
+            time.sleep(_CHECK_INTERVAL_S)
     if devices.permit.latched or devices.waits_for_asking:
         what = "nobody has asked for light since the trip" if trip is None else f"{trip.text}, and nobody has"
         what += "" if trip is None else " acknowledged it"
@@ -141,16 +141,16 @@ def await_leave(devices: Devices, session_news: SessionNews, *, resumable: bool 
         raise LightRefused(f"{what}; {remedy}")
 
 
-_SURELY = 2.0
-"""Standard uncertainties beyond the limit of the rotation."""
+_MIN_EXCESS_U = 2.0
+"""Excess over the limit of the rotation, in standard uncertainties, from which on a start is rejected."""
 
 
 class StartJudge:
     """Judges one start by its first two unflagged half-cycles and the balance of its first periods.
 
-    After that the rotation is judged once, by the first balance that knows it, about five periods after the
-    release. `first_amplitude` is the larger amplitude of these half-cycles, in `unit`, 0 before the first; in
-    px it has no limits, because they are configured in arcsec. After `attempts` rejected starts a run fails.
+    The rotation is judged later, by the first balance that has its rate, five periods after the release.
+    `first_amplitude` is the larger amplitude of these half-cycles, in `unit`, 0 before the first; in px it
+    has no limits, because they are configured in arcsec. After `attempts` rejected starts a run fails.
     """
 
     def __init__(self, config: Configuration, unit: DeflectionUnit) -> None:
@@ -167,7 +167,7 @@ class StartJudge:
         self.first_amplitude = 0.0
 
     def rejection(self, swings: Sequence[HalfCycle], balances: Sequence[Balance], elapsed_s: float) -> str:
-        """Why the start is rejected; empty while it is being judged and after it was accepted."""
+        """Why the start is rejected; empty while the judgement is open and after the start was accepted."""
         return self._first_half_cycles_fault(swings, balances, elapsed_s) or self._rotation_fault(balances)
 
     def _rotation_fault(self, balances: Sequence[Balance]) -> str:
@@ -180,7 +180,7 @@ class StartJudge:
                 continue
             self._rotation_judged = True
             highest = self._highest_spin_deg_per_min
-            if abs(rate) - _SURELY * u > highest:
+            if abs(rate) - _MIN_EXCESS_U * u > highest:
                 return (
                     f"the plane of swing turns by {rate:+.2f} deg/min, at most {highest:g} deg/min is "
                     "allowed: let the pendulum settle before the release"

@@ -21,7 +21,6 @@ from rig.presentation.printing import (
     TableRow,
     TimeLeft,
     answer,
-    columns_of,
     harmless_text,
     loud,
     one_json_object,
@@ -31,6 +30,7 @@ from rig.presentation.printing import (
     print_tables,
     say,
     screen_width,
+    terminal_columns,
     written,
 )
 from rig.presentation.quantities import (

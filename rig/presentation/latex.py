@@ -1,4 +1,4 @@
-"""Tables for LaTeX: numbers and units as siunitx takes them, symbols in mathematics."""
+"""Tables for LaTeX: numbers and units for siunitx, symbols in mathematics."""
 
 import re
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ _GREEK: Final = {
     "σ": "sigma", "τ": "tau", "φ": "varphi", "χ": "chi", "ψ": "psi", "ω": "omega", "Γ": "Gamma",
     "Δ": "Delta", "Σ": "Sigma", "Φ": "Phi", "Ω": "Omega",
 }  # fmt: skip
-_OTHERS: Final = {
+_CHARACTERS: Final = {
     "−": "$-$", "×": r"$\times$", "·": r"$\cdot$", "±": r"$\pm$", "…": r"\dots{}", "–": "--", "√": r"$\surd$",
     "≤": r"$\le$", "≥": r"$\ge$", "≈": r"$\approx$", "<": "$<$", ">": "$>$", "µ": r"\textmu{}",
     "Λ": r"$\Lambda$",
@@ -36,17 +36,17 @@ _PREFIXES: Final = {
     "G": "giga", "M": "mega", "k": "kilo", "h": "hecto", "c": "centi", "m": "milli", "u": "micro",
     "n": "nano", "p": "pico", "f": "femto",
 }  # fmt: skip
-_WITHOUT_NAME: Final = ("px", "DN", "e", "1")
-"""Counts of something, and the unit one."""
+_UNNAMED_UNITS: Final = ("px", "DN", "e", "1")
+"""Units of counts, and the unit one, which siunitx does not name."""
 _WITH_U = re.compile(rf"\(?({_NUMBER}) ± ({_NUMBER})\)?(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
 _PLAIN = re.compile(rf"({_NUMBER})(?: × 10([⁻⁰¹²³⁴-⁹]+))?")
 
 
 def latex_table(content: Table, label: str = "") -> str:
-    """A table as a float with booktabs and siunitx; its numbers and symbols are those that are shown.
+    """A table as a float for booktabs and siunitx, with the shown numbers and symbols.
 
-    Rows are shown as the report has them: rounded, with standard uncertainties. `label` tells tables of
-    several runs apart; empty: the table's name.
+    Rows are those of the report: rounded, with standard uncertainties. `label` distinguishes tables of
+    several runs; empty: the table's name.
     """
     head, rows = content.head or content.columns, content.shown
     unit_column = next((place for place, cell in enumerate(head) if cell == "unit"), -1)
@@ -70,7 +70,7 @@ def latex_table(content: Table, label: str = "") -> str:
 
 
 def latex_rows(head: Sequence[str], cells: Sequence[str], name: str) -> str:
-    """Two rows of a table in LaTeX, the labels and what is beside them, of what has this name."""
+    """Two rows of a table in LaTeX: labels, and cells after the `name`."""
     return "\n".join(
         " & ".join(["", *map(_heading, head)] if row is head else [_text(name), *map(_cell, row)]).strip()
         + r" \\"
@@ -79,7 +79,7 @@ def latex_rows(head: Sequence[str], cells: Sequence[str], name: str) -> str:
 
 
 def _heading(label: str) -> str:
-    """A label such as `γ / MPa`."""
+    """A label such as `γ / MPa` in LaTeX."""
     symbol, slash, unit = label.partition(" / ")
     if not slash:
         return _text(label)
@@ -88,7 +88,7 @@ def _heading(label: str) -> str:
 
 
 def _cell(text: str) -> str:
-    """A number with its uncertainty, a number, or words with numbers in them."""
+    """A cell in LaTeX: a number with its uncertainty, a number, or words with numbers."""
     spelled = text.replace("−", "-")
     if found := _WITH_U.fullmatch(spelled):
         value, u, power = found.groups()
@@ -103,7 +103,7 @@ def _power(raised: str | None) -> str:
 
 
 def _unit(text: str) -> str:
-    """A unit of the project's table by siunitx's names; else as it is written."""
+    """A unit by siunitx's names; an unknown unit literally."""
     if not text.strip():
         return ""
     try:
@@ -114,13 +114,13 @@ def _unit(text: str) -> str:
 
 
 def _siunitx(unit: str) -> str:
-    """Empty where all of it is of dimension one; raises ConfigurationError for a text that is no unit."""
+    """A unit by siunitx's names; empty for dimension one; raises ConfigurationError if it is no unit."""
     words = []
     for symbol, power in factors(unit):
         prefix, rest = split_prefix(symbol.replace("μ", "u").replace("µ", "u"))
-        if rest in _WITHOUT_NAME:
+        if rest in _UNNAMED_UNITS:
             continue
-        # the one unit that has its prefix in its name
+        # kilogram is the only unit with its prefix in its name
         word = "".join(f"\\{name}" for name in (_PREFIXES.get(prefix), _UNITS[rest]) if name)
         word = word.replace(r"\kilo\gram", r"\kilogram")
         raised = power if power.denominator == 1 else float(power)
@@ -129,12 +129,12 @@ def _siunitx(unit: str) -> str:
 
 
 def _raised(text: str) -> str:
-    """A unit with a power that is a parameter: `rad⁻ᵖ`."""
+    """A unit whose power is a parameter (`rad⁻ᵖ`), in LaTeX."""
     return re.sub(r"[⁻⁰¹²³⁴-⁹ᵖ]+", lambda found: f"^{{{found[0].translate(_SUPERSCRIPTS)}}}", text)
 
 
 def _text(text: str) -> str:
-    """Words, with symbols and powers in mathematics."""
+    """Words in LaTeX, with symbols and powers in mathematics."""
     found = re.sub(
         r"(×) 10([⁻⁰¹²³⁴-⁹]+)", lambda power: f"\0\\times 10^{{{power[2].translate(_SUPERSCRIPTS)}}}\0", text
     )
@@ -157,4 +157,4 @@ def _word(piece: str) -> str:
         symbol = rf"\bar{{{symbol}}}" if "\u0304" in below else symbol
         below = below.replace("\u0304", "")
         return f"${symbol}_{{{below}}}$" if below else f"${symbol}$"
-    return f"${symbol}$" if letter in _GREEK else _OTHERS.get(piece, piece)
+    return f"${symbol}$" if letter in _GREEK else _CHARACTERS.get(piece, piece)

@@ -1,7 +1,7 @@
-"""Colours of view and report, which can also be distinguished with colour-deficient vision.
+"""Colours of view and report that can be distinguished with colour-deficient vision.
 
-The eight colours of Okabe and Ito, "Color Universal Design" (2008), as hexadecimal sRGB, and their meanings,
-which are the same in every figure and panel.
+They are the eight colours of Okabe and Ito, "Color Universal Design" (2008), as hexadecimal sRGB, with
+meanings that are the same in every figure and panel.
 """
 
 from typing import Final
@@ -36,9 +36,7 @@ SEQUENCE: Final = (SKY_BLUE, ORANGE, BLUISH_GREEN, VERMILLION, YELLOW, REDDISH_P
 
 
 def curve_colour(name: str, number: int) -> str:
-    """Colour of a curve of the analysis: fixed for data and the two fits, otherwise that with `number` in
-    SEQUENCE.
-    """
+    """Colour of a curve of the analysis: fixed for data and the two fits, else that of `number`."""
     for word, colour in (
         (FitMethod.EXACT, EXACT_FIT_COLOUR),
         (FitMethod.ASYMPTOTIC, ASYMPTOTIC_FIT_COLOUR),

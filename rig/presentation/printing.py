@@ -1,4 +1,4 @@
-"""Tables and lines as they are printed on the terminal."""
+"""Tables and lines: their values, files and JSON, and their output on the terminal."""
 
 import contextlib
 import csv
@@ -32,7 +32,7 @@ _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 
 
 class TableRow(NamedTuple):
-    """A line of a table: cells for the file, and texts for the user, none where it is only in the file."""
+    """A line of a table: cells for the file, and texts for the user, empty if it is only in the file."""
 
     cells: Sequence[Cell]
     shown: Sequence[str] = ()
@@ -40,7 +40,7 @@ class TableRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Table:
-    """Heading and values for the CSV file (`columns`, `rows`), and as text for the user (`head`, `shown`).
+    """A table: headings and values for the CSV file (`columns`, `rows`), and texts (`head`, `shown`).
 
     If `shown` is empty, the table is only written to a file, because it is too long to print.
     """
@@ -63,7 +63,7 @@ class Table:
         lines: Sequence[TableRow],
         note: str = "",
     ) -> "Table":
-        """A table of lines; `columns` may be words in one text."""
+        """A table from its lines; `columns` may be words in one text."""
         columns = columns.split() if isinstance(columns, str) else columns
         shown = [line.shown for line in lines if line.shown]
         return cls(name, title, columns, [line.cells for line in lines], head, shown, note)
@@ -79,7 +79,7 @@ class Table:
 
 
 def harmless_text(text: str) -> str:
-    """A text as the cell of a CSV file: one that a spreadsheet would take for a formula begins with ``'``."""
+    """A text for a cell of a CSV file, after ``'`` if a spreadsheet would take it for a formula."""
     return f"'{text}" if text.startswith(_FORMULA_STARTS) else text
 
 
@@ -89,18 +89,18 @@ def _cell(value: Cell) -> Cell:
     return "" if isinstance(value, float) and math.isnan(value) else value
 
 
-COLUMNS: Final = 80
-"""Of a terminal that does not tell."""
-_MOST_INDENTED = 0.4
-"""Of the width: a name longer than this has its text continued at its left."""
+DEFAULT_COLUMNS: Final = 80
+"""Assumed width of a terminal that does not report it."""
+_MAX_INDENT = 0.4
+"""Largest indent of continued text, as a fraction of the width; after a longer name it is small."""
 _WITHIN_NUMBER = re.compile(r"(?<=\d) (?=[%±×°])|(?<=[±×]) (?=[\d(])|(?<=\d\)) (?=[×%])")
-_SOON_S, _NEXT_LINE_S = 1.0, 10.0
-_ERASED = "\r\x1b[K"
-_UNBROKEN = "\u00a0"
+_TERMINAL_INTERVAL_S, _LINE_INTERVAL_S = 1.0, 10.0
+_ERASE_LINE = "\r\x1b[K"
+_NO_BREAK_SPACE = "\u00a0"
 
 
 def print_line(text: str) -> None:
-    """Print a line of results on stdout; at a terminal it is wrapped at words, under its own beginning."""
+    """Print a line of results on stdout; at a terminal it is wrapped at words and indented."""
     _print(text, sys.stdout)
 
 
@@ -110,13 +110,13 @@ def say(text: str, *, error: bool = False) -> None:
 
 
 def loud(text: str) -> str:
-    """A request in capitals, up to its first colon: what follows may be a command."""
+    """A request in capitals up to its first colon, because a command may follow."""
     head, colon, rest = text.partition(": ")
     return head.upper() + colon + rest
 
 
 class TimeLeft:
-    """Says on stderr how far a long work is: at a terminal in one line, else in a line now and then."""
+    """Reports the progress of long work on stderr: at a terminal in one line, else a line at intervals."""
 
     def __init__(self, what: str, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._what, self._clock = what, clock
@@ -124,72 +124,76 @@ class TimeLeft:
         self._said_s = 0.0
 
     def __call__(self, done: int, count: int) -> None:
-        """`done` of `count` parts are done; nothing is said of a work that ends soon."""
+        """Report that `done` of `count` parts are done; work that ends soon is not reported."""
         now_s, terminal = self._clock(), sys.stderr.isatty()
         if self._begun is None or done < self._begun[1] + 1:
-            # the first part takes what is loaded and compiled, and says nothing of the others
+            # the first part includes loading and compiling, so its time does not count
             self._begun, self._said_s = (now_s, done), now_s
-        begun_s, before = self._begun
+        begun_s, token = self._begun
         if done >= count and terminal and self._said_s > begun_s:
-            print(_ERASED, end="", file=sys.stderr, flush=True)
-        if done >= count or now_s - self._said_s < (_SOON_S if terminal else _NEXT_LINE_S):
+            print(_ERASE_LINE, end="", file=sys.stderr, flush=True)
+        if done >= count or now_s - self._said_s < (_TERMINAL_INTERVAL_S if terminal else _LINE_INTERVAL_S):
             return
         self._said_s = now_s
-        left_s = round((now_s - begun_s) * (count - done) / max(done - before, 1))
+        left_s = round((now_s - begun_s) * (count - done) / max(done - token, 1))
         text = f"{self._what}: {done} of {count}, about {left_s // 60}:{left_s % 60:02d} min left"
-        print(f"{_ERASED}{text}" if terminal else f"{text}\n", end="", file=sys.stderr, flush=True)
+        print(f"{_ERASE_LINE}{text}" if terminal else f"{text}\n", end="", file=sys.stderr, flush=True)
 
 
 def _print(text: str, stream: IO[str]) -> None:
-    columns = columns_of(stream)
+    columns = terminal_columns(stream)
     lines = text.split("\n") if columns else [text]
     print("\n".join(_wrapped(line, columns) for line in lines), file=stream, flush=True)
 
 
-def columns_of(stream: IO[str]) -> int:
-    """The width of a terminal; 0 of what is none, where lines are for programs and stay whole."""
+def terminal_columns(stream: IO[str]) -> int:
+    """The width of a terminal; 0 for a file or a pipe, whose lines are for programs and stay whole."""
     if not stream.isatty():
         return 0
     try:
-        return os.get_terminal_size(stream.fileno()).columns or COLUMNS
+        return os.get_terminal_size(stream.fileno()).columns or DEFAULT_COLUMNS
     except (OSError, ValueError):
-        return COLUMNS
+        return DEFAULT_COLUMNS
 
 
 def _wrapped(line: str, columns: int) -> str:
     if not columns or len(line) <= columns:
         return line
-    # what follows a name and two spaces is continued below itself
+    # text after a name and two spaces is continued below its beginning
     begin = re.match(r" *(?:\S+(?: \S+)* {2,})?", line)
     indent = len(begin[0]) if begin is not None else 0
-    if indent > _MOST_INDENTED * columns:
+    if indent > _MAX_INDENT * columns:
         indent = len(line) - len(line.lstrip())
     return folded(line, columns, indent or 2)
 
 
 def folded(text: str, columns: int, indent: int = 0) -> str:
-    """A text broken between words, but not within a number, such as `29 %` or `(1.2 ± 0.3) × 10⁻⁵`."""
+    """A text broken between words, but not within a number such as `29 %` or `(1.2 ± 0.3) × 10⁻⁵`."""
     filled = textwrap.fill(
-        _WITHIN_NUMBER.sub(_UNBROKEN, text),
+        _WITHIN_NUMBER.sub(_NO_BREAK_SPACE, text),
         columns,
         subsequent_indent=" " * indent,
         break_long_words=False,
         break_on_hyphens=False,
         replace_whitespace=False,
     )
-    return filled.replace(_UNBROKEN, " ")
+    return filled.replace(_NO_BREAK_SPACE, " ")
 
 
 def unbroken_words(text: str) -> list[str]:
-    """The parts between which `folded` may break a text."""
-    return [word.replace(_UNBROKEN, " ") for word in _WITHIN_NUMBER.sub(_UNBROKEN, text).split(" ") if word]
+    """The parts of a text between which `folded` may break it."""
+    return [
+        word.replace(_NO_BREAK_SPACE, " ")
+        for word in _WITHIN_NUMBER.sub(_NO_BREAK_SPACE, text).split(" ")
+        if word
+    ]
 
 
 @contextlib.contextmanager
 def written(path: Path, other: str = "folder") -> Iterator[None]:
-    """Files are written inside this: one that exists, and a disk that refuses, are said in a line.
+    """A context for writing files, which turns errors into messages.
 
-    Raises ConfigurationError where a file exists, for which `other` is to be chosen, RecordError otherwise.
+    Raises ConfigurationError if a file exists (`other` is what to choose anew), else RecordError.
     """
     try:
         yield
@@ -207,7 +211,7 @@ def print_json_line(kind: str, values: Mapping[str, Any]) -> None:
 
 
 def plain_values(value: Any) -> Any:
-    """Nested values as JSON has them, where NaN and infinity become null (not determined)."""
+    """Nested values as plain JSON values; NaN and infinity become null (not determined)."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Table):
@@ -232,57 +236,57 @@ def plain_values(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-_FOUND: ContextVar[dict[str, Any] | None] = ContextVar("found", default=None)
+_JSON_ANSWER: ContextVar[dict[str, Any] | None] = ContextVar("found", default=None)
 
 
 def answer(**found: object) -> None:
-    """Say beside what is printed for a person what a program is to read; without ``--json`` nothing happens.
+    """Add values to the JSON object that ``--json`` prints; without that option nothing happens.
 
-    A list that is stated again is continued: records, files, tables.
+    A list that is stated again is extended: records, files, tables.
     """
-    told = _FOUND.get()
-    if told is None:
+    stated = _JSON_ANSWER.get()
+    if stated is None:
         return
     for name, value in found.items():
-        if isinstance(value, list) and name in told:
-            told[name] += value
+        if isinstance(value, list) and name in stated:
+            stated[name] += value
         else:
-            told[name] = value
+            stated[name] = value
 
 
 @contextlib.contextmanager
 def one_json_object() -> Iterator[None]:
-    """What is printed within it goes to stderr, and at its end one JSON object to stdout.
+    """A context in which printing goes to stderr; at its end one JSON object is printed on stdout.
 
-    After an error there is none: its line on stderr and the exit status say it.
+    After an error there is no object: the line on stderr and the exit status report it.
     """
     found: dict[str, Any] = {}
-    before = _FOUND.set(found)
+    token = _JSON_ANSWER.set(found)
     try:
         with contextlib.redirect_stdout(sys.stderr):
             yield
     finally:
-        _FOUND.reset(before)
+        _JSON_ANSWER.reset(token)
     print(json.dumps(plain_values(found), ensure_ascii=False), flush=True)
 
 
 _NUMBERS_BEGIN_WITH = tuple("0123456789−-+(<>–")
-_WIDE = 170
-"""Columns of a file or a pipe."""
+_FILE_WIDTH = 170
+"""Width of a table in a file or a pipe, in characters."""
 _GAP = 2
-"""Between columns; rich counts it behind the last one, too."""
+"""Gap between columns; rich also counts it after the last one."""
 
 
 def screen_width() -> int:
-    """Columns of the terminal, or of what a table takes where nobody looks at one."""
-    return columns_of(sys.stdout) or _WIDE
+    """Width of the terminal in characters, or of a table in a file or pipe."""
+    return terminal_columns(sys.stdout) or _FILE_WIDTH
 
 
 def print_tables(tables: Sequence[Table]) -> None:
     """Print tables; columns that consist mostly of numbers are right-aligned.
 
-    Numbers are never broken, texts only between words; columns that do not fit beside each other follow
-    below, with the first column again.
+    Numbers are never broken, texts only between words; columns that do not fit follow below, after the first
+    column again.
     """
     answer(tables=list(tables))
     width = screen_width()
@@ -298,7 +302,7 @@ def print_tables(tables: Sequence[Table]) -> None:
 
 
 def _parts(content: Table, width: int) -> list[list[int]]:
-    """The places of the columns that stand beside each other, the first column in every part."""
+    """Indices of the columns in each part of a table; every part begins with the first column."""
     least = _least_widths(content)
     if not least:
         return []
@@ -322,7 +326,7 @@ def _drawn(content: Table, title: str, places: Sequence[int], width: int) -> Ric
     for place in places:
         drawn.add_column(
             content.head[place],
-            justify="right" if _is_of_numbers(content, place) else "left",
+            justify="right" if _is_numeric(content, place) else "left",
             width=widths[place],
         )
     for row in content.shown:
@@ -334,7 +338,7 @@ def _folded(cell: str, width: int) -> str:
     return "\n".join(folded(line, width) for line in cell.split("\n"))
 
 
-def _is_of_numbers(content: Table, place: int) -> bool:
+def _is_numeric(content: Table, place: int) -> bool:
     return 2 * sum(row[place].startswith(_NUMBERS_BEGIN_WITH) for row in content.shown) > len(content.shown)
 
 
@@ -346,13 +350,11 @@ def _natural_widths(content: Table) -> list[int]:
 
 
 def _least_widths(content: Table) -> list[int]:
-    """So that no word is broken, and of a column of numbers no cell."""
+    """Least widths of the columns with which no word, and no cell of numbers, is broken."""
     found = []
     for place, heading in enumerate(content.head):
         cells = [row[place] for row in content.shown]
         lines = [line for cell in cells for line in cell.split("\n")]
-        whole = (
-            cells if _is_of_numbers(content, place) else [w for line in lines for w in unbroken_words(line)]
-        )
+        whole = cells if _is_numeric(content, place) else [w for line in lines for w in unbroken_words(line)]
         found.append(max(map(cell_len, (*whole, *heading.split())), default=0))
     return found

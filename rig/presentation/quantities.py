@@ -1,4 +1,4 @@
-"""Display of the declared quantities, their styles in Rerun; and keys read from a terminal."""
+"""Display of the declared quantities, their styles in Rerun, and keys read from a terminal."""
 
 import contextlib
 import os
@@ -28,7 +28,7 @@ _ANGLE = ("arcsec", "rad")
 
 @dataclass(frozen=True, slots=True)
 class QuantityDisplay:
-    """Presentation of a quantity: the number shown, in `unit`, is `factor` times the stored value.
+    """Presentation of a quantity: the shown number, in `unit`, is `factor` times the stored value.
 
     `unit` is empty for a dimensionless quantity.
     """
@@ -46,20 +46,20 @@ class QuantityDisplay:
         return f"{self.symbol} / ({self.unit})" if "/" in self.unit else f"{self.symbol} / {self.unit}"
 
     def text(self, value: float, u: float) -> str:
-        """Text of a stored value and its standard uncertainty, in the unit shown."""
+        """Text of a stored value and its standard uncertainty, in the shown unit."""
         return with_uncertainty(value * self.factor, u * self.factor)
 
     def in_px(self) -> "QuantityDisplay":
-        """The same quantity without a calibrated lever, where deflections are stored in px."""
+        """The same quantity for deflections stored in px, without a calibrated lever."""
         if not self.unit.startswith("arcsec"):
             return self
         return replace(self, unit=self.unit.replace("arcsec", "px"), factor=self.factor * ARCSEC_RAD)
 
 
 def quantity(key: str, unit: str = "arcsec") -> QuantityDisplay:
-    """Presentation of the quantity with this key; an unknown key is shown as it is.
+    """Presentation of the quantity with this key; of an unknown one by the key itself.
 
-    `unit` is that in which deflections are shown: arcsec, or px without a calibrated lever.
+    `unit` is the unit of deflections: arcsec, or px without a calibrated lever.
     """
     declared = declaration(key)
     if declared is None:
@@ -76,14 +76,14 @@ def declaration(key: str) -> Quantity | None:
 
 
 def unit_of(key: str) -> str:
-    """SI unit of the quantity with this key, "1" of a plain number; empty where nothing is known of it."""
+    """SI unit of the quantity with this key, "1" for a plain number; empty for an unknown key."""
     declared = declaration(key.removeprefix("u_"))
     return unit_of_name(key) if declared is None else declared.unit
 
 
 @cache
 def _balance_quantities() -> Mapping[str, Quantity]:
-    """Declared quantities of the balance; imported here, as its compiled functions load slowly."""
+    """Declared quantities of the balance; imported here, because its compiled functions load slowly."""
     from processing.balance import Balance
 
     return quantities_of(Balance)
@@ -106,7 +106,7 @@ def law_parameters() -> Mapping[str, "Parameter"]:
     from processing.contact import AMPLITUDE, DRAG, LAWS, TIME
 
     own = [p for law in LAWS.values() for p in (*law.parameters, *law.uncalibrated.values())]
-    # a key that several laws have is described as the first one has it
+    # a key of several laws has the description of the first law
     return {parameter.key: parameter for parameter in reversed((*own, DRAG, AMPLITUDE, TIME))}
 
 
@@ -184,14 +184,14 @@ BALANCE_STYLES: Final[Mapping[str, RerunStyle]] = {
 
 
 def balance_style(key: str) -> RerunStyle:
-    """Style of a quantity of the balance in Rerun; one without an entry has its own name, no panel."""
+    """Style of a quantity of the balance in Rerun; by default its own name and no panel."""
     return BALANCE_STYLES.get(key) or RerunStyle(key)
 
 
 def balance_panels(unit: str) -> dict[str, list[str]]:
     """The entities in each panel, by the panel's title with its unit.
 
-    All quantities of a panel are shown in the same unit; `unit` is that of deflections.
+    All quantities of a panel have the same unit; `unit` is that of deflections.
     """
     panels: dict[str, list[str]] = {}
     for key, drawn in BALANCE_STYLES.items():
@@ -202,7 +202,7 @@ def balance_panels(unit: str) -> dict[str, list[str]]:
 
 
 def balance_numbers(balance: "Balance") -> dict[str, tuple[float, float]]:
-    """Every `name` of a balance that comes with a `u_name`: value and standard uncertainty as stored."""
+    """Value and standard uncertainty, as stored, of every field of a balance that has a `u_` field."""
     fields = asdict(balance)
     return {name: (value, fields[f"u_{name}"]) for name, value in fields.items() if f"u_{name}" in fields}
 
@@ -218,7 +218,7 @@ def balance_table(numbers: Mapping[str, tuple[float, float]], unit: str) -> str:
 
 _SEQUENCES: Final = {b"[A": "up", b"[B": "down", b"[C": "right", b"[D": "left", b"OC": "right", b"OD": "left"}
 _KEY: Final = re.compile(rb"\x1b[\[O][^@-~]*[@-~]|\x1b(?=[^\[O])|[^\x1b]")
-"""A sequence, a single escape character that something else follows, or a character."""
+"""An escape sequence, a single escape character before another character, or a character."""
 
 
 class KeyParser:

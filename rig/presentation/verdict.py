@@ -1,4 +1,4 @@
-"""Result of one check of preflight or doctor, and their table: what was found, and the remedy."""
+"""The verdict of one check of preflight or doctor, with finding and remedy, and the table of verdicts."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -19,7 +19,7 @@ class Verdict:
     ok
         Whether a measurement is possible. A result that is ok and has a remedy is a warning.
     reason
-        What was found, or the reason of a failure; empty if `measured` is sufficient.
+        The finding, or the reason of a failure; empty if `measured` is sufficient.
     remedy
         What to do; empty if nothing is to be done.
     measured, limit
@@ -38,7 +38,7 @@ class Verdict:
 
     @classmethod
     def failed(cls, name: str, error: Exception, remedy: str = "") -> "Verdict":
-        """Of an error, whose message states its remedy after a semicolon; else it is `remedy`."""
+        """The verdict of an error; the remedy follows a semicolon in its message, or else is `remedy`."""
         reason, _, own = str(error).partition("; ")
         return cls(name, False, reason, own or remedy)
 
@@ -49,7 +49,7 @@ class Verdict:
 
     @property
     def found(self) -> str:
-        """Value with its limit, and the reason; what there is of them."""
+        """Value with its limit, and reason, as far as they exist."""
         value = f"{self.measured} (limit {self.limit})" if self.limit else self.measured
         return "; ".join(text for text in (value, self.reason) if text)
 

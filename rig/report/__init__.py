@@ -1,4 +1,4 @@
-"""Figures, tables and the HTML page of a session, and of several beside each other."""
+"""Figures, tables and HTML pages of a session, and of several sessions compared; exports; run plans."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -20,32 +20,33 @@ from rig.report.tables import instrument_table, series_table
 
 if TYPE_CHECKING:
     from rig.report.paper_tables import reproduce_paper
-    from rig.report.plan import ageing_table, plan_expected, plan_figure, plan_table, save_plan
+    from rig.report.plan import ageing_table, make_plan, plan_figure, plan_table, save_plan
     from rig.report.planned_run import (
         PlannedContact,
-        expected_of,
-        expected_of_run,
-        expected_of_table,
-        planned_expectation,
+        planned_contact,
+        planned_contact_of_file,
+        planned_contact_of_run,
+        planned_contact_of_table,
     )
     from rig.report.session_export import export_session
 
-_LATER = {
+_LAZY_MODULES = {
     name: module
     for module, names in {
         "session_export": "export_session",
-        "planned_run": "PlannedContact expected_of expected_of_run expected_of_table planned_expectation",
-        "plan": "ageing_table plan_expected plan_figure plan_table save_plan",
+        "planned_run": "PlannedContact planned_contact planned_contact_of_file planned_contact_of_run "
+        "planned_contact_of_table",
+        "plan": "ageing_table make_plan plan_figure plan_table save_plan",
         "paper_tables": "reproduce_paper",
     }.items()
     for name in names.split()
 }
-"""What is imported when it is asked for, by module."""
+"""Names that are imported at their first use, each with its module."""
 
 
-if not TYPE_CHECKING:  # which would take any name for one of this room
+if not TYPE_CHECKING:  # a type checker would take any name for one of this room
 
     def __getattr__(name: str) -> Any:
-        if name not in _LATER:
+        if name not in _LAZY_MODULES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+        return getattr(import_module(f"{__name__}.{_LAZY_MODULES[name]}"), name)

@@ -31,11 +31,11 @@ from rig.report.figures_contact import comparison_figure
 from rig.report.session_report import save_figures, save_tables
 
 _MIN_RUNS = 3
-"""Fewest runs for a line with its u."""
+"""Fewest runs for a fitted line whose slope has an uncertainty."""
 
 
 class RunAtCondition(NamedTuple):
-    """One run: value `at` of the ambient condition, and parameters of the exact fit with their u."""
+    """One run: the value of an ambient condition, and parameters of the exact fit with their u."""
 
     series: str
     run: str
@@ -57,10 +57,7 @@ def ambient_condition_name(name: str) -> str:
 
 
 def runs_with_condition(sessions: Mapping[str, SessionResults], name: str) -> list[RunAtCondition]:
-    """The fitted runs for which an ambient condition is known.
-
-    Raises RecordError for fewer than two.
-    """
+    """The fitted runs for which an ambient condition is known; raises RecordError for fewer than two."""
     found = []
     fitted = [(label, run) for label, one in sessions.items() for run in one.runs if run.fits]
     for label, run in fitted:
@@ -78,7 +75,7 @@ def runs_with_condition(sessions: Mapping[str, SessionResults], name: str) -> li
 
 
 def ambient_table(runs: Sequence[RunAtCondition], name: str) -> Table:
-    """Table of all runs for the CSV; shown is the fitted line of each parameter."""
+    """Table of parameters against an ambient condition: runs in the CSV, fitted lines where it is shown."""
     columns: list[str] = ["series", "run", name]
     for key in DEFAULT_LAW.names():
         columns += [key, f"u_{key}"]
@@ -110,7 +107,7 @@ def ambient_table(runs: Sequence[RunAtCondition], name: str) -> Table:
 
 
 def _line(runs: Sequence[RunAtCondition], key: str) -> tuple[float, float, float]:
-    """Slope, its u, and the probability of one as large by chance; NaN without a line."""
+    """Slope, its u, and the probability of a slope as large by chance; NaN without a line."""
     from scipy.special import stdtr
 
     known = np.array(
@@ -129,7 +126,7 @@ def _line(runs: Sequence[RunAtCondition], key: str) -> tuple[float, float, float
 
 
 def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:
-    """One panel a parameter, one point a run with its standard uncertainty, one colour a series."""
+    """Figure of parameters against an ambient condition: a panel each, a point a run, a colour a series."""
     names = [key for key in DEFAULT_LAW.names() if any(key in run.parameters for run in runs)]
     margins = {"left": 0.1, "bottom": 0.13, "top": 0.86, "wspace": 0.5, "hspace": 0.45}
     figure, panels = three_columns(len(names), lambda rows: 0.5 + 1.9 * rows, **margins)
@@ -162,22 +159,22 @@ def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:
 
 
 _DECAY_QUANTITIES = ("mean_period_s", "log_decrement")
-"""Compared if no run was fitted."""
-_SHOWN_FROM_U = 3.0
-"""A difference of two single runs is shown if larger than so many u."""
+"""Quantities that are compared if no run was fitted."""
+_MIN_SHOWN_U = 3.0
+"""Smallest difference of two single runs that is shown, in standard uncertainties."""
 SIGNIFICANCE_LEVEL = 0.05
-"""Significance level at which series differ, shared between pairs and parameters."""
+"""Significance level of a difference, shared by all pairs of series and parameters."""
 
 
 def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> list[Table]:
     """Tables of several sessions' exact parameters and of their differences.
 
-    With `output` (an HTML file) a page with the plot is written, figures and CSV beside it. `against` names
-    an ambient condition against which all runs' parameters are tabulated and plotted too; for that, one
-    session is enough.
+    With `output` (an HTML file) a page with the plot is written, and figures and CSV next to it. `against`
+    names an ambient condition against which the parameters of all runs are tabulated and plotted, too; one
+    session is then enough.
 
-    Raises RecordError for a folder without fits, ConfigurationError for one that is named twice and for an
-    unknown `against`.
+    Raises RecordError for a folder without fits, ConfigurationError for a folder named twice or unknown
+    `against`.
     """
     over = ambient_condition_name(against) if against else ""
     sessions = {}
@@ -212,7 +209,7 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
 
 
 def _label(folder: Path, folders: Sequence[Path]) -> str:
-    """The folder's own name, or its whole path where two share the name."""
+    """The name of a folder, or its whole path if two share the name."""
     if sum(other.resolve() == folder.resolve() for other in folders) > 1:
         raise ConfigurationError(f"{folder}: named twice; a comparison needs different sessions")
     name = folder.resolve().name
@@ -220,9 +217,9 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
 
 
 def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
-    """The exact parameters of a session: the combined ones of a series, else those of its one fitted run.
+    """The exact parameters of a session: combined over its series, else of its one fitted run.
 
-    Raises RecordError where nothing was fitted.
+    Raises RecordError if nothing was fitted.
     """
     if combined := _combined_of(session):
         return combined
@@ -231,16 +228,16 @@ def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
         raise RecordError(f"{folder}: no run of it was fitted ({session.runs[0].problem})")
     dof = run.fits[FitMethod.EXACT].degrees_of_freedom
     rows = (row for name in DEFAULT_LAW.names() if (row := run.rows.get(name)) is not None)
-    alone = {row.quantity: _single_run(Estimate(row.value, row.u), dof) for row in rows if row.determined}
-    if not alone:
+    single = {row.quantity: _single_run(Estimate(row.value, row.u), dof) for row in rows if row.determined}
+    if not single:
         raise RecordError(f"{folder}: its run determines no parameter of the contact")
-    return alone
+    return single
 
 
 def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
-    """Period and decrement of a session without fits: means of its decays, or those of its only one.
+    """Period and decrement of a session without fits: means over its decays, or values of its only decay.
 
-    Raises RecordError where it has no decay.
+    Raises RecordError if it has no decay.
     """
     runs = [run for run in session.runs if run.number("mean_period_s").value > 0]
     if not runs:
@@ -281,7 +278,7 @@ def _combined_of(session: SessionResults) -> Mapping[str, Combined]:
 
 
 def _single_run(estimate: Estimate, dof: int) -> Combined:
-    """One run as a series of its own: how runs scatter is not known, and no test is made."""
+    """One run as a series of its own; without a scatter of runs it cannot be tested."""
     value, u = estimate
     return Combined(
         value=value,
@@ -296,7 +293,7 @@ def _single_run(estimate: Estimate, dof: int) -> Combined:
 def values_table(
     series: Mapping[str, Mapping[str, Combined]], found: Mapping[str, Mapping[str, ResultRow]], note: str
 ) -> Table:
-    """One row a quantity, one column a series; undetermined ones as interval or bound."""
+    """Table with a row for each quantity and a column for each series; bounds if undetermined."""
     known = {name for rows in found.values() for name in rows}
     names = [name for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY, *_DECAY_QUANTITIES) if name in known]
     lines = []
@@ -321,49 +318,49 @@ def values_table(
 
 
 def _seismometer_note(sessions: Mapping[str, SessionResults]) -> str:
-    """Which of the series were fitted with an auxiliary seismometer; empty: none."""
-    said = []
+    """Number of runs of each series fitted with an auxiliary seismometer, in words; empty if none."""
+    notes = []
     for label, session in sessions.items():
         used = sum(run.witness is not None and run.witness.used for run in session.runs)
-        said += [f"{label}: {used} of {len(session.runs)} runs"] if used else []
-    return f" With a seismometer: {', '.join(said)}." if said else ""
+        notes += [f"{label}: {used} of {len(session.runs)} runs"] if used else []
+    return f" With a seismometer: {', '.join(notes)}." if notes else ""
 
 
 def differences_table(comparisons: Sequence[Comparison]) -> Table:
-    """Every pair of series, parameter by parameter; of two single runs without a verdict."""
+    """Table of the differences of all pairs of series; those of two single runs have no test."""
     limit = SIGNIFICANCE_LEVEL / max(sum(isfinite(item.p_value) for item in comparisons), 1)
     untested = sum(not isfinite(item.p_value) for item in comparisons)
     lines = []
     for item in comparisons:
         verdict = "differ" if item.p_value < limit else "no difference seen"
         if not isfinite(item.p_value):
-            far = abs(item.difference) > _SHOWN_FROM_U * item.standard_uncertainty
+            far = abs(item.difference) > _MIN_SHOWN_U * item.standard_uncertainty
             verdict = "not tested" if far else "not tested, within the swings' u"
         difference, of = (item.difference, item.standard_uncertainty), quantity(item.name)
         chance = plain(item.p_value, 2) if isfinite(item.p_value) else "–"
-        told = verdict in ("differ", "not tested")
+        is_shown = verdict in ("differ", "not tested")
         shown = [f"{item.first} − {item.second}", of.label, of.text(*difference), chance, verdict]
         cells: list[Cell] = [item.first, item.second, item.name, *difference, item.p_value, verdict]
-        lines.append(TableRow(cells, shown if told else ()))
+        lines.append(TableRow(cells, shown if is_shown else ()))
     tested = len(lines) - untested
-    said = []
+    notes = []
     if tested:
         differ = sum(line.cells[-1] == "differ" for line in lines)
-        said.append(
+        notes.append(
             f"{differ} of {tested} comparisons differ (-o FILE.html writes all of them). Welch's t test; "
             "chance: the probability of a difference at least as large between identical series, the 5 % "
             "level being shared by all rows."
         )
     if untested:
-        said.append(
+        notes.append(
             f"{untested} comparisons are of two single runs: their u is of half-cycles only, and how runs of "
             "one contact scatter, which may be many times more, is not known; measure series (rig fit A1 A2 "
             "A3 combines runs, rig compare --model default --by-sample takes their scatter)."
         )
-    said.append("Errors common to all series (mass, radius, scale) are left out.")
+    notes.append("Errors common to all series (mass, radius, scale) are left out.")
     return Table.of(
         "differences", "Differences",
         "first second parameter difference standard_uncertainty p_value verdict",
         ("", "", "difference", "chance", "verdict"), lines,
-        " ".join(said),
+        " ".join(notes),
     )  # fmt: skip

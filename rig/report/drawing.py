@@ -1,4 +1,4 @@
-"""How figures look, and how they become SVG and PNG: matplotlib without pyplot, no state kept."""
+"""Style of figures, their conversion to SVG and PNG, and parts of plots; matplotlib without pyplot."""
 
 import contextlib
 import io
@@ -20,21 +20,21 @@ from rig.presentation import palette
 
 WIDTH_IN: Final = 7.1
 DATA: Final = palette.BLUE
-"""Measured points: darker than on the view's dark ground, so that single dots read on paper."""
+"""Colour of measured points: darker than in the view, so that single dots are legible on paper."""
 EXACT: Final = palette.EXACT_FIT_COLOUR
 ASYMPTOTIC: Final = palette.ASYMPTOTIC_FIT_COLOUR
 SMOOTH: Final = palette.BLUISH_GREEN
 INK: Final = "#222831"
-_GAP = 5.0
+_GAP_STEPS = 5.0
 _EDGE_IN = 0.02
-_TIMES = 3
-"""Marks change with the size of the axes, and with them what room they need."""
-_FROM_ZERO = 0.3
-"""An axis begins at zero where the lowest value is below this part of the highest."""
+_MAX_ADJUSTMENTS = 3
+"""Adjustments of the margins: labels of ticks change with the size of the axes, and so the space needed."""
+_MAX_LOW_FROM_ZERO = 0.3
+"""An axis begins at zero if the lowest value is below this fraction of the highest."""
 _DIGITS: Final = re.compile(r"(\.\d\d)\d+")
-_MARKS_OF_ONE: Final = re.compile(r'<g( clip-path="[^"]*")?>\s*((?:<use [^>]*/>\s*)+)</g>')
-_MARKS = 3
-"""A logarithmic axis has at least so many marks; else a linear one has more."""
+_EQUAL_MARKS: Final = re.compile(r'<g( clip-path="[^"]*")?>\s*((?:<use [^>]*/>\s*)+)</g>')
+_MIN_LOG_TICKS = 3
+"""Fewest ticks of a logarithmic axis; with fewer the axis is linear."""
 
 STYLE: Final[Mapping[str, Any]] = {
     "font.family": "sans-serif",
@@ -69,12 +69,12 @@ STYLE: Final[Mapping[str, Any]] = {
     "figure.facecolor": "white",
     "savefig.facecolor": "white",
 }
-"""Text as shapes: an SVG looks the same where the font is not installed."""
+"""Settings of matplotlib; text is drawn as shapes, so that an SVG does not need the font."""
 
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure with the name of its files and what is said under it."""
+    """A figure with the name of its files, its title and its caption."""
 
     name: str
     title: str
@@ -91,9 +91,9 @@ _STYLING = threading.RLock()
 
 @contextlib.contextmanager
 def styled() -> Iterator[None]:
-    """Figures are made and saved inside this; the style ends with it, also where several threads draw.
+    """A context in which figures are drawn and saved in `STYLE`, by one thread at a time.
 
-    matplotlib has one style for all threads: one that ended for the first would go on for ever for the last.
+    matplotlib has one style for all threads: without the lock one thread's style could stay for ever.
     """
     with _STYLING, mpl.rc_context(cast(Any, dict(STYLE))):
         yield
@@ -134,7 +134,7 @@ def svg(drawing: ReportFigure) -> bytes:
     with styled():
         about = {"Date": None, "Creator": None, "Format": None, "Type": None, "Title": drawing.title}
         drawing.figure.savefig(out, format="svg", metadata=about)
-    return _short(out.getvalue()).encode()
+    return _shortened(out.getvalue()).encode()
 
 
 def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
@@ -145,18 +145,18 @@ def png(drawing: ReportFigure, dpi: int = 200) -> bytes:
     return out.getvalue()
 
 
-def _short(drawn: str) -> str:
-    """An SVG of half the length: places to 0.01 pt, equal marks' style once, no indents, short names."""
-    drawn = re.sub(r'(?<= )(?:d|x|y)="[^"]*"', lambda found: _DIGITS.sub(r"\1", found[0]), drawn)
-    drawn = _MARKS_OF_ONE.sub(_style_once, re.sub(r"\s*\n\s*", "\n", drawn))
-    # a line of no length is a dot; behind a line the next one needs no command
-    drawn = re.sub(r"M (\S+ \S+)\nL \1(?=\n)", r"M\1h0", drawn)
-    drawn = re.sub(r"[ML] \S+ \S+(?:\nL \S+ \S+)+", lambda found: found[0].replace("\nL", ""), drawn)
-    used = dict.fromkeys(re.findall(r'(?<=["(]#)[\w.-]+', drawn))
+def _shortened(svg_text: str) -> str:
+    """An SVG of half the length: positions to 0.01 pt, one style for equal marks, no indents, short names."""
+    svg_text = re.sub(r'(?<= )(?:d|x|y)="[^"]*"', lambda found: _DIGITS.sub(r"\1", found[0]), svg_text)
+    svg_text = _EQUAL_MARKS.sub(_style_once, re.sub(r"\s*\n\s*", "\n", svg_text))
+    # a line of no length is a dot; after a line command the next point needs no command
+    svg_text = re.sub(r"M (\S+ \S+)\nL \1(?=\n)", r"M\1h0", svg_text)
+    svg_text = re.sub(r"[ML] \S+ \S+(?:\nL \S+ \S+)+", lambda found: found[0].replace("\nL", ""), svg_text)
+    used = dict.fromkeys(re.findall(r'(?<=["(]#)[\w.-]+', svg_text))
     names = {name: f"i{number:x}" for number, name in enumerate(used)}
-    drawn = re.sub(r' id="([^"]*)"', lambda found: f' id="{names.get(found[1], "")}"', drawn)
-    drawn = re.sub(r'(?<=["(]#)[\w.-]+', lambda found: names[found[0]], drawn)
-    return drawn.replace(' id=""', "")
+    svg_text = re.sub(r' id="([^"]*)"', lambda found: f' id="{names.get(found[1], "")}"', svg_text)
+    svg_text = re.sub(r'(?<=["(]#)[\w.-]+', lambda found: names[found[0]], svg_text)
+    return svg_text.replace(' id=""', "")
 
 
 def _style_once(found: re.Match[str]) -> str:
@@ -168,15 +168,15 @@ def _style_once(found: re.Match[str]) -> str:
 
 
 def _make_room(figure: Figure) -> None:
-    """Move the outer edges of the axes inwards where their labels would be cut off, and keep these places."""
+    """Move the outer edges of the axes inwards if labels would be cut off, and fix the labels' positions."""
     width, height = figure.get_figwidth(), figure.get_figheight()
-    for _ in range(_TIMES):
+    for _ in range(_MAX_ADJUSTMENTS):
         box, margins = figure.get_tightbbox(), figure.subplotpars
         over = (_EDGE_IN - box.x0, box.x1 - width + _EDGE_IN, _EDGE_IN - box.y0, box.y1 - height + _EDGE_IN)
         left, right, bottom, top = (max(0.0, inches) for inches in over)
         if not any((left, right, bottom, top)):
             for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-                # where a label stands is half of the work of drawing
+                # fixed positions of labels save half of the time of drawing
                 place = axis.label.get_transform().transform(axis.label.get_position())
                 axis.set_label_coords(*axis.axes.transAxes.inverted().transform(place))
             return
@@ -189,7 +189,7 @@ def _make_room(figure: Figure) -> None:
 
 
 def dots(axes: Axes, x: NDArray[Any], y: Floats, colour: str) -> None:
-    """Small dots as one line with round ends, of no length at each: a mark each makes a large file."""
+    """Draw small dots as one line with round caps, because separate marks make a large file."""
     gap = np.full(len(x), np.nan)
     beside = x + 1e-6 * (float(np.ptp(x)) or 1.0)
     ends = np.column_stack([x, beside, gap]).ravel(), np.column_stack([y, y, gap]).ravel()
@@ -197,9 +197,9 @@ def dots(axes: Axes, x: NDArray[Any], y: Floats, colour: str) -> None:
 
 
 def envelope(x: Floats, y: Floats, columns: int = 900) -> tuple[Floats, Floats, Floats]:
-    """Least and largest y in each of some even stretches of x: a long oscillation as a band.
+    """Smallest and largest y in equal intervals of x, which draw a long oscillation as a band.
 
-    Returns x, low, high; stretches without a finite y are left out. x must rise.
+    Returns x, low, high; intervals without a finite y are left out. x must increase.
     """
     good = np.isfinite(y)
     x, y = x[good], y[good]
@@ -212,24 +212,24 @@ def envelope(x: Floats, y: Floats, columns: int = 900) -> tuple[Floats, Floats, 
 
 
 def broken(x: Floats, *columns: Floats) -> tuple[Floats, ...]:
-    """The same with NaN amid every step of x that is five times the usual one, so that lines end there."""
+    """x and columns with NaN inside every step of x above five times the median, so that lines end there."""
     if len(x) < 3:
         return x, *columns
     steps = np.diff(x)
-    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1
+    gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps)) + 1
     amid = 0.5 * (x[gaps] + x[gaps - 1])
     return np.insert(x, gaps, amid), *(np.insert(column, gaps, np.nan) for column in columns)
 
 
 def thinned(count: int, most: int) -> NDArray[np.int64]:
-    """Positions of at most `most` of `count` points, evenly, first and last among them."""
+    """Indices of at most `most` of `count` points, evenly spaced, with the first and the last."""
     if count <= most:
         return np.arange(count)
     return np.unique(np.rint(np.linspace(0, count - 1, most)).astype(np.int64))
 
 
 def span(axes: Axes, values: Floats, weight_share: float = 0.0, margin: float = 0.07) -> None:
-    """Set the y range to the finite values, without the outermost share on either side."""
+    """Set the y range to the finite values, without the fraction `weight_share` at either end."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
         return
@@ -238,23 +238,23 @@ def span(axes: Axes, values: Floats, weight_share: float = 0.0, margin: float = 
     axes.set_ylim(low - pad, high + pad)
 
 
-def from_data(values: Floats, margin: float = 0.02) -> tuple[float, float]:
-    """Limits of an axis of what is never negative: from zero where the values come near it, else theirs."""
+def nonnegative_limits(values: Floats, margin: float = 0.02) -> tuple[float, float]:
+    """Limits of an axis of values that are never negative: from zero, or else their range."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
         return 0.0, 1.0
     low, high = float(finite.min()), float(finite.max())
-    pad = margin * (high if low < _FROM_ZERO * high else high - low or high)
-    return (0.0 if low < _FROM_ZERO * high else low - pad), high + pad
+    pad = margin * (high if low < _MAX_LOW_FROM_ZERO * high else high - low or high)
+    return (0.0 if low < _MAX_LOW_FROM_ZERO * high else low - pad), high + pad
 
 
 def amplitude_axis(axes: Axes, low: float, high: float) -> None:
-    """The x axis of amplitudes in arcsec: logarithmic with marks at 1, 2, 5, where there are some."""
+    """Set up the x axis of amplitudes in arcsec: logarithmic with ticks at 1, 2, 5 if there are enough."""
     axes.set_xlabel("α / arcsec")
     steps = [mark * 10.0**power for power in range(-4, 7) for mark in (1, 2, 5)]
     marks = [mark for mark in steps if 0.9 * low <= mark <= 1.1 * high]
-    if len(marks) < _MARKS:
-        axes.set_xlim(*from_data(np.array([low, high]), 0.05))
+    if len(marks) < _MIN_LOG_TICKS:
+        axes.set_xlim(*nonnegative_limits(np.array([low, high]), 0.05))
         return
     axes.set_xscale("log")
     axes.set_xticks(marks, [f"{mark:g}" for mark in marks])

@@ -1,4 +1,4 @@
-"""Moments of the contact (Table 4), runs of a series beside each other."""
+"""Figures of the contact's moments (Table 4), of series, and of quantities of other pendulums."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -28,13 +28,13 @@ from rig.report.drawing import (
 
 
 def loop_figure(
-    parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_arcsec: float, *, sees_c: bool
+    parameters: ContactParameters, pendulum: PendulumOnBall, amplitude_arcsec: float, *, has_c: bool
 ) -> ReportFigure:
-    """The three loops of Table 4 at an amplitude that was measured, with the rectangle of the adhesive work.
+    """The three loops of Table 4 at a measured amplitude, with the rectangle of the adhesive work.
 
-    Where the data do not determine c there is no such rectangle.
+    Without `has_c` the data do not determine c, and there is no rectangle.
     """
-    amplitude_rad, of_paper = amplitude_arcsec * ARCSEC_RAD, amplitude_arcsec == TABLE4_AMPLITUDE_ARCSEC
+    amplitude_rad, is_paper = (amplitude_arcsec * ARCSEC_RAD, amplitude_arcsec == TABLE4_AMPLITUDE_ARCSEC)
     loop = moment_loop(amplitude_rad, asdict(parameters), pendulum)
     work = cycle_work(amplitude_rad, parameters, pendulum)
     phi = loop.phi_rad / ARCSEC_RAD
@@ -55,30 +55,30 @@ def loop_figure(
         axes.axhline(0, color=INK, lw=0.5)
         axes.axvline(0, color=INK, lw=0.5)
         axes.set(title=title, xlabel="φ / arcsec")
-    said = [(0.96, f"4A = {plain(work.dissipated_j * 1e15)} fJ")]
-    if sees_c:
+    texts = [(0.96, f"4A = {plain(work.dissipated_j * 1e15)} fJ")]
+    if has_c:
         adhesive = weight_moment(pendulum) * parameters.c * 1e9
         panels[0].plot(
             np.array([-1, 1, 1, -1, -1]) * amplitude_arcsec,
             np.array([-1, -1, 1, 1, -1]) * adhesive,
             ls=(0, (4, 2)), color=INK, lw=0.9,
         )  # fmt: skip
-        said.append((0.11, f"4Aₜ = {plain(work.adhesive_j * 1e15)} fJ"))
-    for place, text in said:
+        texts.append((0.11, f"4Aₜ = {plain(work.adhesive_j * 1e15)} fJ"))
+    for place, text in texts:
         panels[0].text(0.5, place, text, transform=panels[0].transAxes, ha="center", va="top", fontsize=7.5)
     panels[0].set_ylabel("M / nN m")
     return ReportFigure(
         "table4-loops",
-        f"Moments over one cycle at {amplitude_arcsec:.4g} arcsec" + (" (Table 4)" if of_paper else ""),
+        f"Moments over one cycle at {amplitude_arcsec:.4g} arcsec" + (" (Table 4)" if is_paper else ""),
         "Shaded: 4A, the work lost in a cycle. "
-        + ("Dashed: 4Aₜ, the part of adhesion (c). " if sees_c else "")
+        + ("Dashed: 4Aₜ, the part of adhesion (c). " if has_c else "")
         + "The elastic moment is the skeletal curve about which the total makes its loop.",
         figure,
     )
 
 
 def series_figure(series: Series) -> ReportFigure:
-    """Every parameter of every run, and the combined value with its 95 % interval."""
+    """Figure of every parameter of every run, with the combined value and its 95 % interval."""
     method = FitMethod.EXACT if FitMethod.EXACT in series.fits else next(iter(series.fits))
     combined = series.fits[method]
     names = list(combined)
@@ -115,7 +115,7 @@ def series_figure(series: Series) -> ReportFigure:
 
 
 def comparison_figure(names: Sequence[str], series: Mapping[str, Mapping[str, ResultRow]]) -> ReportFigure:
-    """One panel a parameter, one bar a series: its 95 % interval, and the value where there is one."""
+    """Figure of several series: a panel for each parameter, a 95 % interval and value for each series."""
     figure, panels = three_columns(
         len(names), lambda rows: 0.5 + 1.9 * rows, left=0.1, bottom=0.16, top=0.93, wspace=0.5, hspace=0.75
     )
@@ -136,12 +136,12 @@ def comparison_figure(names: Sequence[str], series: Mapping[str, Mapping[str, Re
     return ReportFigure("comparison", "Series compared", "Bars are 95 % intervals of each series.", figure)
 
 
-_SEEN = 0.01
-"""Share of the drawn range from which on a bar is longer than its point."""
+_MIN_VISIBLE_BAR = 0.01
+"""Length of a bar, as a fraction of the drawn range, from which on it is longer than its point."""
 
 
 def instrument_figures(results: RunResults, points: TurningPoints) -> list[ReportFigure]:
-    """Figures of what a run reports; those whose numbers are there."""
+    """The figures of the quantities of another pendulum that a run has."""
     rows, curves = results.rows, {} if results.instrument is None else results.instrument.curves
     drawings = []
     if "damping_time_s" in rows:
@@ -249,8 +249,8 @@ def _plane(table: Mapping[str, Floats]) -> ReportFigure:
 
 
 def _dots(axes: Axes, x: Floats, y: Floats, u: Floats, label: str | None = None) -> str:
-    """Draw points with their standard uncertainties; returns what is said of the bars."""
-    hidden = bool(np.max(u) < _SEEN * np.ptp(y))
+    """Draw points with their standard uncertainties; returns the sentence of the caption on the bars."""
+    hidden = bool(np.max(u) < _MIN_VISIBLE_BAR * np.ptp(y))
     caps = 0 if hidden else 2.5
     axes.errorbar(x, y, u, fmt=".", ms=3, color=DATA, ecolor=INK, elinewidth=0.8, capsize=caps, label=label)
     return "Bars: one standard uncertainty" + (", shorter than the points are large." if hidden else ".")

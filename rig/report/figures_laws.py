@@ -1,4 +1,4 @@
-"""Decay, period, residuals, losses against the fitted laws (Figs. 12 to 14)."""
+"""Figures of decay, period, residuals, losses and moments with the fitted laws (Figs. 12 to 14)."""
 
 from collections.abc import Sequence
 
@@ -23,21 +23,21 @@ from rig.report.drawing import (
     amplitude_axis,
     canvas,
     dots,
-    from_data,
+    nonnegative_limits,
     span,
     thinned,
 )
 from rig.report.source import ShownUnit
 
-_DOTS = 700
-_BARS = 150
-_RINGS = 90
+_MAX_DOTS = 700
+_MAX_BARS = 150
+_MAX_RINGS = 90
 
 
 def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) -> ReportFigure:
-    """alpha(t), the paper's Fig. 12, with residuals below; data alone where nothing was fitted."""
+    """alpha(t), the paper's Fig. 12, with residuals below; only the data without a fit."""
     figure = canvas(4.2 if curves else 2.8)
-    shown = thinned(len(points), _DOTS)
+    shown = thinned(len(points), _MAX_DOTS)
     time, size = points.time_s[shown], unit.shown_size
     if curves is None:
         top = figure.subplots()
@@ -60,7 +60,7 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
     top.set(
         ylabel=f"α / {unit.shown}",
         xlim=(0, points.time_s[-1] * 1.005),
-        ylim=from_data(points.amplitude / size, 0.04),
+        ylim=nonnegative_limits(points.amplitude / size, 0.04),
     )
     top.legend(loc="upper right")
     return ReportFigure(
@@ -73,10 +73,10 @@ def decay_figure(points: TurningPoints, curves: Curves | None, unit: ShownUnit) 
 
 
 def _rings(axes: Axes, x: Floats, y: Floats, label: str) -> None:
-    """Some of the data, over the curves."""
-    some = thinned(len(x), _RINGS)
-    label += " (some)" if len(x) > _RINGS else ""
-    axes.plot(x[some], y[some], "o", mfc="none", mec=DATA, mew=0.8, ms=4.0, label=label, zorder=5)
+    """Draw some of the data as rings over the curves."""
+    shown = thinned(len(x), _MAX_RINGS)
+    label += " (some)" if len(x) > _MAX_RINGS else ""
+    axes.plot(x[shown], y[shown], "o", mfc="none", mec=DATA, mew=0.8, ms=4.0, label=label, zorder=5)
 
 
 def period_figure(curves: Curves) -> ReportFigure:
@@ -92,11 +92,11 @@ def period_figure(curves: Curves) -> ReportFigure:
     order = np.argsort(curves.period_rad)
     alpha = curves.period_rad[order] / ARCSEC_RAD
     period, u = curves.period_s[order], curves.u_period_s[order]
-    shown = thinned(len(order), _DOTS)
-    bars = thinned(len(order), _BARS)
+    shown = thinned(len(order), _MAX_DOTS)
+    bars = thinned(len(order), _MAX_BARS)
     top.errorbar(alpha[bars], period[bars], u[bars], fmt="none", ecolor=palette.SKY_BLUE, elinewidth=0.5)
     _rings(top, alpha, period, "measured")
-    # the curve sets the range, and the data where they are worth something
+    # the range is that of the curves, and of data that are not too uncertain
     rough = u > 4 * np.median(u)
     for label, (values, colour, width) in models.items():
         top.plot(alpha, values[order], color=colour, lw=width, label=label)
@@ -105,7 +105,7 @@ def period_figure(curves: Curves) -> ReportFigure:
     residuals = [(period - values[order])[~rough] * 1e3 for values, _, _ in models.values()]
     span(bottom, np.concatenate(residuals), 0.005, 0.25)
     bottom.axhline(0, color=INK, lw=0.6)
-    bottom.set(xlabel="α / arcsec", xlim=from_data(alpha), ylabel="data − curve / ms")
+    bottom.set(xlabel="α / arcsec", xlim=nonnegative_limits(alpha), ylabel="data − curve / ms")
     top.set_ylabel("T / s")
     top.ticklabel_format(axis="y", useOffset=False)
     top.legend(loc="best")
@@ -163,7 +163,7 @@ def residual_figure(points: TurningPoints, curves: Curves, outliers: Sequence[in
 def loss_figure(
     points: TurningPoints, parameters: ContactParameters, pendulum: PendulumOnBall
 ) -> ReportFigure:
-    """Logarithmic decrement and quality factor against amplitude, measured and of the exact map."""
+    """Logarithmic decrement and quality factor against amplitude, measured and by the exact map."""
     figure = canvas(2.9)
     left, right = figure.subplots(1, 2)
     figure.subplots_adjust(left=0.085, right=0.985, bottom=0.155, top=0.97, wspace=0.24)
@@ -199,11 +199,11 @@ def loss_figure(
     )
 
 
-_SEVERAL = (EXACT, ASYMPTOTIC, *palette.SEQUENCE)
+_LAW_COLOURS = (EXACT, ASYMPTOTIC, *palette.SEQUENCE)
 
 
 def moments_figure(laws: ComparedLaws, free: ModelFreeMoments) -> ReportFigure:
-    """The contact's moments without a law with their bands, and over them those of the laws that remain."""
+    """The contact's model-free moments with their bands, and the moments of the laws not excluded."""
     figure = canvas(4.6)
     panels = figure.subplots(2, 2, sharex=True, height_ratios=[1.6, 1.0])
     figure.subplots_adjust(left=0.095, right=0.985, bottom=0.1, top=0.94, hspace=0.07, wspace=0.28)
@@ -222,7 +222,7 @@ def moments_figure(laws: ComparedLaws, free: ModelFreeMoments) -> ReportFigure:
         top.plot(phi, values * 1e9, color=DATA, lw=2.0, label="no law")
         bottom.axhspan(-1, 1, color=DATA, alpha=0.3, lw=0)
         bottom.axhline(0, color=INK, lw=0.6)
-        for name, law, colour in zip(shown, of_laws, _SEVERAL * len(shown), strict=False):
+        for name, law, colour in zip(shown, of_laws, _LAW_COLOURS * len(shown), strict=False):
             top.plot(phi, law * 1e9, color=colour, lw=0.9, label=name)
             bottom.plot(phi, (law - values) / u, color=colour, lw=0.9)
         top.set(title=title, ylabel="M / nN m")

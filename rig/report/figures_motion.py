@@ -1,4 +1,4 @@
-"""Figures of the motion: what the camera saw, how it was damped, errors of position, and the ground."""
+"""Figures of the motion: frame, trajectory, damping, fixed-pattern position errors, and the ground."""
 
 from typing import Any
 
@@ -32,8 +32,8 @@ from rig.report.source import RecordedPicture, ShownTrajectory, ShownUnit
 _WIDE = 0.11
 
 
-def place_figure(found: PositionErrors) -> ReportFigure:
-    """The map that was taken off, with its standard uncertainty."""
+def position_error_figure(found: PositionErrors) -> ReportFigure:
+    """The map of position errors that was subtracted, with its standard uncertainty."""
     size, unit = found.unit.shown_size, found.unit.shown
     place, error, u_error = found.place / size, found.error / size, found.u_error / size
     figure, axes = one_axes(
@@ -53,12 +53,12 @@ def place_figure(found: PositionErrors) -> ReportFigure:
 
 
 _ZOOM_CYCLES = 6.0
-_LINE_POINTS = 1500
-_MOST_COLUMNS = 2600
+_MAX_LINE_POINTS = 1500
+_MAX_COLUMNS = 2600
 
 
 def frame_figure(picture: RecordedPicture) -> ReportFigure:
-    """The whole frame, and the spot large with the fitted centre."""
+    """A whole frame, and the spot in it enlarged with the fitted centre."""
     image = picture.frame.image
     rows, columns = image.shape[:2]
     figure = canvas(3.3)
@@ -67,7 +67,7 @@ def frame_figure(picture: RecordedPicture) -> ReportFigure:
     figure.subplots_adjust(left=0.09, right=0.93, bottom=0.14, top=0.93, wspace=0.3)
     top = float(np.max(image)) or 1.0
     step = max(1, max(rows, columns) // 640)
-    # a square root of the grey values shows the foot of the beam and the background as an eye does
+    # the square root of the grey values makes the foot of the beam and the background visible
     shown = np.sqrt(np.clip(image / top, 0.0, 1.0))
     left.imshow(
         shown[::step, ::step],
@@ -133,8 +133,8 @@ def _motion_figure(
     grid = figure.add_gridspec(2, 2, height_ratios=[1.25, 1.0])
     whole = figure.add_subplot(grid[0, :])
     cycles = float(time_s[-1] - time_s[0]) / period_s
-    # either every oscillation is resolved, or none: anything between makes beats that are not there
-    columns = round(8 * cycles) if 8 * cycles <= _MOST_COLUMNS else round(min(cycles, _MOST_COLUMNS))
+    # either every oscillation is resolved or none: anything between draws beats that do not exist
+    columns = round(8 * cycles) if 8 * cycles <= _MAX_COLUMNS else round(min(cycles, _MAX_COLUMNS))
     x, low, high = broken(*envelope(time_s, values, max(columns, 300)))
     whole.fill_between(x, low, high, color=colour, lw=0.3)
     whole.set_xlim(time_s[0], time_s[-1])
@@ -154,13 +154,13 @@ def _motion_figure(
 
 def _zoom(axes: Axes, time_s: Floats, values: Floats, start_s: float, length_s: float, colour: str) -> None:
     inside = np.nonzero((time_s >= start_s) & (time_s <= start_s + length_s))[0]
-    inside = inside[thinned(len(inside), _LINE_POINTS)]
+    inside = inside[thinned(len(inside), _MAX_LINE_POINTS)]
     axes.plot(*broken(time_s[inside], values[inside]), color=colour, lw=0.8)
     axes.set_xlim(start_s, start_s + length_s)
 
 
 def trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
-    """(X, Y), the paper's Fig. 11: to one scale, and X stretched."""
+    """(X, Y), the paper's Fig. 11: at equal scales, and with X stretched."""
     figure = canvas(3.6)
     left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
     figure.subplots_adjust(left=0.09, right=0.985, bottom=0.12, top=0.93, wspace=0.28)
@@ -173,7 +173,7 @@ def trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
     }
     for label, (start, colour) in starts.items():
         inside = np.nonzero((motion.time_s >= start) & (motion.time_s <= start + cycles))[0]
-        inside = inside[thinned(len(inside), _LINE_POINTS)]
+        inside = inside[thinned(len(inside), _MAX_LINE_POINTS)]
         _, x, y = broken(motion.time_s[inside], motion.x[inside], motion.y[inside])
         for axes in (left, right):
             axes.plot(x, y, color=colour, lw=0.6, label=label)
@@ -192,9 +192,7 @@ def trajectory_figure(motion: ShownTrajectory, period_s: float) -> ReportFigure:
 
 
 def damped_figure(results: RunResults, unit: ShownUnit) -> ReportFigure:
-    """Amplitude against time with its residuals and what was left out, period, and time constant against
-    amplitude.
-    """
+    """Amplitude with residuals, and period, against time; time constant against amplitude."""
     points, stored = results.points, results.stored
     amplitude, u_amplitude = points.amplitude / unit.shown_size, points.u_amplitude / unit.shown_size
     figure = canvas(4.6)
@@ -215,8 +213,8 @@ def damped_figure(results: RunResults, unit: ShownUnit) -> ReportFigure:
         since_s = points.time_s - points.time_s[0]
         first = found.curve[0].amplitude
         top.plot(points.time_s, amplitude_at(since_s, first, *parts), color=EXACT)
-        left = amplitude - amplitude_at(since_s, first, *parts)
-        below.errorbar(points.time_s, left, u_amplitude, fmt=".", **bars)
+        residual = amplitude - amplitude_at(since_s, first, *parts)
+        below.errorbar(points.time_s, residual, u_amplitude, fmt=".", **bars)
         at = np.array([where.amplitude for where in found.curve])
         value = np.array([where.time_constant_s.value for where in found.curve])
         u = np.array([where.time_constant_s.standard_uncertainty for where in found.curve])
@@ -239,20 +237,20 @@ def damped_figure(results: RunResults, unit: ShownUnit) -> ReportFigure:
 
 
 _NANO = 1e9
-_BINS_A_DECADE = 40
+_BINS_PER_DECADE = 40
 
 
 def spectrum_figure(
     spectrum: ResidualSpectrum, shown_unit: str, shown_size: float, ground: Ground | None
 ) -> ReportFigure:
-    """Spectrum of what is left of the deflection, and as an acceleration of the base for a known height.
+    """Spectrum of the deflection minus the swing, also as acceleration of the base if its height is known.
 
     Parameters
     ----------
     shown_unit, shown_size
         Unit of deflections for display and its size in the spectrum's unit.
     ground
-        Of the exact fit. Its drive stands in the picture at the pendulum's frequency.
+        Motion of the ground by the exact fit; its drive is a point at the pendulum's frequency.
     """
     base = None if ground is None else ground.base
     figure = canvas(2.7 if base is None else 2.9)
@@ -287,11 +285,13 @@ def _as_acceleration(
     base: BaseMotion,
 ) -> None:
     drive, bound = ground.density_rad_per_s2_rthz, ground.upper_95
-    # both are of the same drive: their ratio is what the base has to do for it
+    # both are bounds of the same drive: their ratio is the acceleration of the base per drive
     per_drive = base.upper_95 / bound
     rad_per_acceleration = 1 / (per_drive * (2 * np.pi * spectrum.pendulum_hz) ** 2)
-    answer = spectrum.pendulum_hz**2 / (frequency_hz**2 - spectrum.pendulum_hz**2)
-    axes.loglog(frequency_hz, _NANO * np.sqrt(density) / (rad_per_acceleration * answer), color=DATA, lw=0.9)
+    response = spectrum.pendulum_hz**2 / (frequency_hz**2 - spectrum.pendulum_hz**2)
+    axes.loglog(
+        frequency_hz, _NANO * np.sqrt(density) / (rad_per_acceleration * response), color=DATA, lw=0.9
+    )
     span = np.geomspace(0.5 * spectrum.pendulum_hz, frequency_hz[-1], 200)
     for model, name in ((nlnm_db, "NLNM"), (nhnm_db, "NHNM")):
         level = _NANO * density_of_db(model(span))
@@ -324,8 +324,8 @@ def _frequency_axis(axes: Axes, spectrum: ResidualSpectrum) -> None:
 def _binned(
     spectrum: ResidualSpectrum,
 ) -> tuple[Floats, Floats]:
-    """Means over bins of equal width in log frequency: a line that can be read on a logarithmic scale."""
-    bins = np.round(np.log10(spectrum.frequency_hz) * _BINS_A_DECADE)
+    """Frequency and density averaged over bins of equal width in log frequency."""
+    bins = np.round(np.log10(spectrum.frequency_hz) * _BINS_PER_DECADE)
     _, start = np.unique(bins, return_index=True)
     count = np.diff([*start, len(bins)])
     return (
@@ -335,7 +335,7 @@ def _binned(
 
 
 def witness_figure(spectra: SeismometerSpectra) -> ReportFigure:
-    """Spectra near the pendulum's frequency, and the squared coherence of pendulum and witness."""
+    """Spectra near the pendulum's frequency, and the squared coherence of pendulum and seismometer."""
     frequency_hz = spectra.frequency_hz
     figure = canvas(2.9)
     left, right = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
@@ -345,7 +345,7 @@ def witness_figure(spectra: SeismometerSpectra) -> ReportFigure:
         (spectra.left_rad_per_s2_rthz, EXACT, "-", "what is left"),
         (spectra.measurement_rad_per_s2_rthz, INK, ":", "measurement alone"),
     ):
-        # an error of a turning point moves no drive at the pendulum's own frequency
+        # zero density is left out: at the pendulum's own frequency turning points have no apparent drive
         shown = [(f, d) for f, d in zip(frequency_hz, density, strict=True) if d > 0]
         left.semilogy(*zip(*shown, strict=True), color=colour, ls=line, lw=1.0, label=name)
     left.set_ylabel("drive / rad/s²/√Hz")

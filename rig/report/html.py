@@ -1,4 +1,4 @@
-"""One self-contained HTML page: no script, no font, no file beside it; figures inside as data."""
+"""One self-contained HTML page: no script, no font, no other file; figures are embedded as data."""
 
 import base64
 import html
@@ -22,8 +22,8 @@ DARK: Final[Mapping[str, str]] = {
     "paper": "#12161c", "ink": "#e3e8ee", "soft": "#aab5c2", "line": "#38424e", "tint": "#1c232c",
     "accent": palette.SKY_BLUE, "warn": "#34241a", "good": "#3fcf9f", "bad": "#ff9a5c", "card": "#f4f6f9",
 }  # fmt: skip
-_IN_THE_DARK: Final = {INK: DARK["ink"], "#ffffff": DARK["paper"], "#000000": DARK["ink"], DATA: "#7cc4f0"}
-"""Inks of figures that a dark ground swallows; the others of the palette read on both."""
+_DARK_COLOUR: Final = {INK: DARK["ink"], "#ffffff": DARK["paper"], "#000000": DARK["ink"], DATA: "#7cc4f0"}
+"""Colours of figures that are invisible on a dark ground, with their substitutes; the others stay."""
 
 
 def variables(theme: Mapping[str, str]) -> str:
@@ -110,7 +110,7 @@ summary { cursor: pointer; font-weight: 600; padding: .2rem 0; }
 
 
 def page(title: str, subtitle: str, body: Sequence[str], results_sha256: str = "") -> str:
-    """The whole page; it states the SHA-256 of the results that it was made from."""
+    """The whole page; its head states the SHA-256 of the results that it was made from."""
     made_from = f'<meta name="{RESULTS_SHA256}" content="{results_sha256}">' if results_sha256 else ""
     return (
         "<!DOCTYPE html>\n"
@@ -125,7 +125,7 @@ def page(title: str, subtitle: str, body: Sequence[str], results_sha256: str = "
 
 
 def escape(text: str) -> str:
-    """Text as it may stand between tags."""
+    """Text with the characters of HTML's syntax escaped."""
     return html.escape(text, quote=True)
 
 
@@ -141,25 +141,25 @@ def paragraph(text: str, kind: str = "") -> str:
 
 
 def preformatted(text: str) -> str:
-    """Lines to be copied as they are."""
+    """Lines of text to be copied."""
     return f"<pre>{escape(text)}</pre>"
 
 
 def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
     """A figure with its caption; `kind` is the media type of the data.
 
-    Lines follow the page's theme; what is made of pixels, and what is written on them, stays on white.
+    Line drawings follow the page's theme; figures that contain pixels stay on white.
     """
-    follows = kind == "image/svg+xml" and b"<image" not in data
+    themed = kind == "image/svg+xml" and b"<image" not in data
     if kind == "image/svg+xml":
-        text = (following(data) if follows else data).decode().replace("\n", " ").replace('"', "'")
-        # an address goes on to a `#`; with base64 it would be a third longer
+        text = (with_theme(data) if themed else data).decode().replace("\n", " ").replace('"', "'")
+        # escaped, because an address ends at a `#`; base64 would be a third longer
         for mark in "%#&":
             text = text.replace(mark, f"%{ord(mark):X}")
         source = f"data:{kind},{text}"
     else:
         source = f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
-    card = "" if follows else ' class="card"'
+    card = "" if themed else ' class="card"'
     return (
         f'<figure><img{card} alt="{escape(drawing.title)}" src="{source}">'
         f"<figcaption><b>{escape(drawing.title)}.</b> {escape(drawing.caption)}</figcaption></figure>"
@@ -171,7 +171,7 @@ def table(content: Table, level: int = 3) -> str:
     short = ' class="short"' if len(content.shown) < 20 else ""
     if content.head and content.head[-1] == "verdict":
         short = short.replace('class="short', 'class="short verdict') or ' class="verdict"'
-    # an empty heading is none
+    # an empty heading is an empty cell, not a header
     head = "".join(f'<th scope="col">{escape(cell)}</th>' if cell else "<td></td>" for cell in content.head)
     lines = []
     grouped = len({row[0] for row in content.shown if row[0]}) < len(content.shown)
@@ -188,12 +188,12 @@ def table(content: Table, level: int = 3) -> str:
 
 
 def first_screen(left: Sequence[str], right: Sequence[str]) -> str:
-    """What is seen without scrolling: the verdict beside the decay."""
+    """The top of the page, seen without scrolling: two columns, verdict and decay."""
     return f'<div class="first"><div>{"".join(left)}</div><div>{"".join(right)}</div></div>'
 
 
 def verdict(lines: Sequence[tuple[str, str]]) -> str:
-    """Lines with a class each (`good`, `bad` or none), the first one large."""
+    """Lines, each with its class (`good`, `bad` or none), the first one large."""
     items = "".join(
         f'<li class="{kind}">{escape(text)}</li>' if kind else f"<li>{escape(text)}</li>"
         for text, kind in lines
@@ -201,8 +201,8 @@ def verdict(lines: Sequence[tuple[str, str]]) -> str:
     return f'<ul class="verdict">{items}</ul>'
 
 
-def folded(title: str, body: Sequence[str]) -> str:
-    """What most readers pass over: closed until it is asked for, and never printed."""
+def folded_section(title: str, body: Sequence[str]) -> str:
+    """A section that is closed until the reader opens it, and never printed."""
     return f"<details><summary>{escape(title)}</summary>{''.join(body)}</details>"
 
 
@@ -219,14 +219,14 @@ def facts(rows: Sequence[tuple[str, str]]) -> str:
 
 
 def notes(lines: Sequence[str]) -> str:
-    """A list of remarks; nothing where there are none."""
+    """A list of remarks; empty text without remarks."""
     if not lines:
         return ""
     return '<ul class="notes">' + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
 def key_values(items: Sequence[tuple[str, str]]) -> str:
-    """The results that are looked for first, large."""
+    """The main results in large type, as (name, value)."""
     return (
         '<div class="key">'
         + "".join(f"<div><span>{escape(name)}</span><b>{escape(value)}</b></div>" for name, value in items)
@@ -235,13 +235,13 @@ def key_values(items: Sequence[tuple[str, str]]) -> str:
 
 
 def stated_results_sha256(text: str) -> str:
-    """SHA-256 of the results that a page says it was made from; empty if it says none."""
+    """SHA-256 of the results that a page was made from, from its head; empty if it states none."""
     found = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', text)
     return found[1] if found else ""
 
 
 def check_report(results: Path) -> list[Finding]:
-    """Compare the SHA-256 in the report of a results file with the file; nothing without a report."""
+    """Compare the SHA-256 in the report of a results file with the file; no findings without a report."""
     report = results.with_name(results.stem.replace("results", "report", 1) + ".html")
     if not report.is_file():
         return []
@@ -258,10 +258,10 @@ def check_report(results: Path) -> list[Finding]:
     return [Finding("note", f"{report.name} was made from {results.name}")]
 
 
-def following(figure: bytes) -> bytes:
-    """An SVG of lines whose inks are those of the page's theme, wherever it is shown as an image."""
+def with_theme(figure: bytes) -> bytes:
+    """A line drawing (SVG) that takes the colours of a dark theme by itself, even as an image."""
     rules = [f"svg {{ fill: {DARK['ink']}; }}"]
-    for light, dark in _IN_THE_DARK.items():
+    for light, dark in _DARK_COLOUR.items():
         for part in ("fill", "stroke"):
             rules.append(f'[style*="{part}: {light.lower()}"] {{ {part}: {dark} !important; }}')
     style = f"<style>@media (prefers-color-scheme: dark) {{ {' '.join(rules)} }}</style>"

@@ -1,6 +1,4 @@
-"""Writes HDF5 in NeXus layout: one NXentry per run and one of the series, NXdata with units, the provenance
-as NXnote.
-"""
+"""Export to HDF5 in NeXus layout: an NXentry for each run and the series, NXdata with units."""
 
 import io
 import json
@@ -13,18 +11,17 @@ from acquisition.atomic_write import write_new
 from processing.errors import MissingPackage
 from processing.units import in_ascii
 from rig.analysis import ResultRow
-from rig.report.run import Exported
+from rig.report.run import ExportData
 
 _NEXUS_UNITS = {"px": "pixel", "DN": "count", "1": "", "°C": "degC", "%": "percent"}
 
 
-def write_nexus(path: Path, runs: Sequence[Exported], series: Exported | None = None) -> None:
-    """One file: ``/run_1/spots``, ``/run_1/swings``, ``/run_1/results``, ``/run_1/provenance``, and
-    ``/series/results``, ``/series/provenance`` of a series.
+def write_nexus(path: Path, runs: Sequence[ExportData], series: ExportData | None = None) -> None:
+    """Write one file with ``/run_1/{spots,swings,results,provenance}`` and ``/series/{results,provenance}``.
 
-    Field names are the record's. Standard uncertainties ``u_NAME`` are also there as
-    ``NAME_errors``, where NeXus readers look for them. What NeXus does not allow in a name becomes ``_``.
-    The notes on what the record lacks are in ``/run_1/lacking``.
+    Field names are the record's. Standard uncertainties ``u_NAME`` are also stored as ``NAME_errors``, which
+    NeXus readers expect. Characters that NeXus does not allow in a name become ``_``. Notes on missing data
+    of the record are in ``/run_1/lacking``.
 
     Raises ConfigurationError if h5py is not installed.
     """
@@ -32,8 +29,8 @@ def write_nexus(path: Path, runs: Sequence[Exported], series: Exported | None = 
         import h5py
     except ImportError:
         raise MissingPackage("--format hdf5", "h5py", "data") from None
-    # HDF5 that meets a full disk says so at every object that it closes, and may end the process: it is
-    # made in memory, beside which the runs' own arrays are large
+    # made in memory, where it is small beside the runs' arrays: on a full disk HDF5 reports an error for
+    # every object that it closes, and may end the process
     image = io.BytesIO()
     with h5py.File(image, "w") as file:
         file.attrs["NX_class"] = "NXroot"
@@ -41,7 +38,7 @@ def write_nexus(path: Path, runs: Sequence[Exported], series: Exported | None = 
         for run in runs:
             _entry(file, run)
         if series is not None:
-            _described(file, series)
+            _entry_with_results(file, series)
     write_new(path, image.getvalue())
 
 
@@ -50,18 +47,18 @@ def item_name(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", text) or "_"
 
 
-def _entry(file: Any, run: Exported) -> None:
+def _entry(file: Any, run: ExportData) -> None:
     about = run.provenance
-    entry = _described(file, run)
+    entry = _entry_with_results(file, run)
     entry.attrs["default"] = "swings"
     entry["start_time"], entry["end_time"] = run.began, run.ended
-    _about_the_rig(entry, about)
+    _describe_rig(entry, about)
     _data(entry, "spots", ("y_rad", "y_deflection_px", "position_1"), run)
     _data(entry, "swings", ("amplitude",), run)
 
 
-def _described(file: Any, run: Exported) -> Any:
-    """An entry with results and what they come from."""
+def _entry_with_results(file: Any, run: ExportData) -> Any:
+    """An NXentry with results and provenance of a run or a series."""
     about = run.provenance
     entry = _group(file, item_name(run.name), "NXentry")
     entry["title"] = about.get("session.sample", run.name)
@@ -82,8 +79,8 @@ def _described(file: Any, run: Exported) -> Any:
     return entry
 
 
-def _about_the_rig(entry: Any, about: Mapping[str, str]) -> None:
-    """Instrument, detector, sample and user, as far as the record names them."""
+def _describe_rig(entry: Any, about: Mapping[str, str]) -> None:
+    """Write instrument, detector, sample and user, as far as the record names them."""
     instrument = _group(entry, "instrument", "NXinstrument")
     instrument["name"] = "optical pendulum"
     detector = _group(instrument, "detector", "NXdetector")
@@ -107,8 +104,8 @@ def _group(above: Any, name: str, nexus_class: str) -> Any:
     return group
 
 
-def _data(entry: Any, name: str, signals: tuple[str, ...], run: Exported) -> None:
-    """Columns, the first that begins like one of `signals` against the time."""
+def _data(entry: Any, name: str, signals: tuple[str, ...], run: ExportData) -> None:
+    """Write columns as NXdata; the signal is the first that begins like one of `signals`, the axis time."""
     group, columns = _group(entry, name, "NXdata"), run.columns[name]
     signal = next((key for begin in signals for key in columns if key.startswith(begin)), "")
     axis = next((key for key in ("time_ns", "turn_time_ns", "time_s") if key in columns), "")
@@ -125,16 +122,16 @@ def _data(entry: Any, name: str, signals: tuple[str, ...], run: Exported) -> Non
 
 
 def _rows(group: Any, rows: Sequence[ResultRow]) -> None:
-    """The table of results: a group for each fit, and in it fields for every quantity."""
+    """Write the table of results: a group for each fit, with fields for every quantity."""
     for row in rows:
         fit = item_name(row.fit)
-        inside = group[fit] if fit in group else _group(group, fit, "NXcollection")
+        fit_group = group[fit] if fit in group else _group(group, fit, "NXcollection")
         name = item_name(row.quantity)
         numbers = {"": row.value, "_errors": row.u_total, "_lower_95": row.lower, "_upper_95": row.upper}
         for suffix, number in numbers.items():
-            inside[f"{name}{suffix}"] = number
-            _with_unit(inside[f"{name}{suffix}"], row.unit)
-        inside[name].attrs["verdict"] = row.verdict.value
+            fit_group[f"{name}{suffix}"] = number
+            _with_unit(fit_group[f"{name}{suffix}"], row.unit)
+        fit_group[name].attrs["verdict"] = row.verdict.value
 
 
 def _with_unit(field: Any, unit: str) -> None:

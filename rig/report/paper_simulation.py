@@ -1,4 +1,4 @@
-"""What the paper prints, and its contact pairs simulated from the equations of motion to fits.
+"""Values printed in the paper, and its contact pairs simulated and fitted.
 
 "Phenomenological Laws of Single Point Contact: Pre-Rolling Contact Resistance through Pendulum", Lubricants
 2023, 11(2), 88.
@@ -74,12 +74,12 @@ class PrintedPair:
         return pendulum_on_ball(MASS_KG, BALL_RADIUS_M, MATERIALS[BALL], MATERIALS[self.flat])
 
     def parameters(self, b_exponent: int) -> ContactParameters:
-        """The pair's parameters, b with its missing power of ten."""
+        """The pair's parameters; `b_exponent` is the power of ten that the printed b lacks."""
         b = self.b_printed * 10.0**b_exponent
         return ContactParameters(b, self.p, self.c, self.n, self.period0_s, self.gamma_pa)
 
     def settings(self, b_exponent: int) -> SimulationSettings:
-        """The simulated rig with this contact, on ground that stands still."""
+        """Settings of the simulated rig with this contact, on ground at rest."""
         flat, ball = MATERIALS[self.flat], MATERIALS[BALL]
         truth = self.parameters(b_exponent)
         return SimulationSettings(
@@ -161,8 +161,8 @@ def simulate_pair(pair: PrintedPair, b_exponent: int, seed: int) -> PairSeries:
         InputQuantity(MASS_KG), InputQuantity(BALL_RADIUS_M), MATERIALS[BALL], MATERIALS[pair.flat],
         InputQuantity(1.0), InputQuantity(1.0),
     )  # fmt: skip
-    of_first = {name: found[0] for name, found in fits.items()}
-    first = AnalysedRun(path=Path(), record="", turning_points=stored[0], fitted=of_first, rig=rig)
+    first_fits = {name: found[0] for name, found in fits.items()}
+    first = AnalysedRun(path=Path(), record="", turning_points=stored[0], fitted=first_fits, rig=rig)
     run = with_contact(first, pendulum)
     series = combined_series(fits, runs, pendulum, rig)
     return PairSeries(pair, pair.parameters(b_exponent), pendulum, shown[0], run, series)

@@ -1,5 +1,4 @@
-"""Tables that compare the paper's printed values with those from simulation and analysis, on the terminal and
-on an HTML page with figures."""
+"""Tables that compare the paper's printed values with simulated and analysed ones, and their HTML page."""
 
 import math
 from collections.abc import Sequence
@@ -78,8 +77,8 @@ CONTRADICTIONS: Final = (
 
 
 def reproduce_paper(output: Path | None, b_exponent: int) -> None:
-    """Simulate and analyse the three contact pairs, three runs each, and print Tables 1 to 4 with the paper's
-    values.
+    """Simulate and analyse the three contact pairs, three runs each, and print Tables 1 to 4 beside the
+    paper's.
 
     With `output`, a page ``paper.html`` with Figs. 9 to 14 is written into that folder, and the figures (SVG,
     PNG) and tables (CSV) into its subfolder ``paper``.
@@ -98,7 +97,7 @@ def reproduce_paper(output: Path | None, b_exponent: int) -> None:
 
 
 def table1() -> Table:
-    """Contact according to Hertz, calculated from the materials, without simulation."""
+    """Table 1: the contact by Hertz's theory, calculated from the materials."""
     lines = []
     load_n = MASS_KG * STANDARD_GRAVITY_M_PER_S2
     for pair in PAIRS:
@@ -122,7 +121,7 @@ def table1() -> Table:
 
 
 def table2(found: Sequence[PairSeries], b_exponent: int) -> Table:
-    """Friction: b, p, c, surface energy in both forms, ARAE; `b_exponent` is the power of ten of b."""
+    """Table 2, friction: b, p, c, surface energy in both forms, ARAE; `b_exponent` is b's power of ten."""
     left_out = f"with the power of ten set to {b_exponent}, which the paper leaves out"
     unit, scale = f"{power(b_exponent)} rad⁻ᵖ", 10.0**b_exponent
     rows = [
@@ -137,11 +136,11 @@ def table2(found: Sequence[PairSeries], b_exponent: int) -> Table:
             _arae(series, "arae_decay", "ARAE, Eq. 8"),
         )
     ]  # fmt: skip
-    return _compared("table2", "Table 2: friction", rows)
+    return _comparison_table("table2", "Table 2: friction", rows)
 
 
 def table3(found: Sequence[PairSeries]) -> Table:
-    """Elastic rolling resistance: n, T0, gamma, ARAE."""
+    """Table 3, elastic rolling resistance: n, T0, gamma, ARAE."""
     rows = [
         row
         for series in found
@@ -152,11 +151,11 @@ def table3(found: Sequence[PairSeries]) -> Table:
             _arae(series, "arae_period", "ARAE, Eq. 9"),
         )
     ]
-    return _compared("table3", "Table 3: elastic rolling resistance", rows)
+    return _comparison_table("table3", "Table 3: elastic rolling resistance", rows)
 
 
 def table4(found: Sequence[PairSeries]) -> Table:
-    """Work over one cycle, with the printed and with the fitted parameters."""
+    """Table 4: work over one cycle, with the printed and with the fitted parameters."""
     lines = []
     for series in found:
         fits = [series.series.fits[method] for method in (_EXACT, _ASYMPTOTIC)]
@@ -166,13 +165,13 @@ def table4(found: Sequence[PairSeries]) -> Table:
             for contact in (series.parameters, *contacts)
         ]
         for what, attribute in (("4A", "dissipated_j"), ("4Aₜ", "adhesive_j")):
-            expected, exact, way = (getattr(work, attribute) * 1e15 for work in works)
-            off = exact / expected - 1, way / expected - 1
+            expected, exact, asymptotic = (getattr(work, attribute) * 1e15 for work in works)
+            off = exact / expected - 1, asymptotic / expected - 1
             texts = [
                 series.pair.flat_name if what == "4A" else "", f"{what} / fJ", plain(expected),
-                plain(exact), _percent(off[0]), plain(way), _percent(off[1]), "no printed number",
+                plain(exact), _percent(off[0]), plain(asymptotic), _percent(off[1]), "no printed number",
             ]  # fmt: skip
-            lines.append(TableRow([series.pair.name, what, "fJ", expected, exact, way, *off], texts))
+            lines.append(TableRow([series.pair.name, what, "fJ", expected, exact, asymptotic, *off], texts))
     return Table.of(
         "table4", f"Table 4: work over one cycle at {_LOOP_AMPLITUDE_ARCSEC:g} arcsec",
         ("pair", "quantity", "unit", "of_printed_parameters", _EXACT, _ASYMPTOTIC, *_DIFFERENCES),
@@ -181,7 +180,7 @@ def table4(found: Sequence[PairSeries]) -> Table:
 
 
 class _PrintedRow(NamedTuple):
-    """A printed value beside the fitted ones; `remark` stands behind the verdict, `note` below the table."""
+    """A printed value and its fitted values; `other` is the asymptotic one, NaN `u` means not comparable."""
 
     pair: PrintedPair
     label: str
@@ -196,7 +195,7 @@ class _PrintedRow(NamedTuple):
 
     @property
     def differences(self) -> tuple[float, float]:
-        """Relative ones of both fits; NaN where values cannot be compared."""
+        """Relative differences of both fits; NaN if values are not comparable."""
         if math.isnan(self.u):
             return math.nan, math.nan
         return self.exact / self.printed - 1, self.other / self.printed - 1
@@ -217,15 +216,15 @@ def _fitted(
     return _PrintedRow(series.pair, label, unit, printed, value, u, of_other, verdict, note=note)
 
 
-def _agreement(difference: float, half: float, last_digit: float) -> str:
-    """How a value agrees with a printed one, by its 95 % half-width or as rounded; empty if it does not."""
-    if abs(difference) <= half:
+def _agreement(difference: float, half_width: float, last_digit: float) -> str:
+    """Words for agreement within the 95 % half-width or the rounding; empty if a value disagrees."""
+    if abs(difference) <= half_width:
         return f"{_AGREES} (95 %)"
     return f"{_AGREES} as rounded" if abs(difference) <= 0.5 * last_digit else ""
 
 
 def _energy(series: PairSeries, form: str) -> _PrintedRow:
-    """Row of the surface energy: the form used in Table 2 must agree, Eq. 2 as printed is known to differ."""
+    """Row of the surface energy: the form of Table 2 must agree, Eq. 2 as printed is known to differ."""
     printed = series.pair.surface_energy_j_per_m2 * 1e3
     exact, asymptotic = (series.series.fits[method]["c"] for method in (_EXACT, _ASYMPTOTIC))
     value, u = (1e3 * number for number in getattr(surface_energy(exact.estimate, series.pendulum), form))
@@ -233,10 +232,10 @@ def _energy(series: PairSeries, form: str) -> _PrintedRow:
     if form == "eq2":
         label, remark = "σ, Eq. 2: m g c/(2a)", " with Table 2"
         return _PrintedRow(series.pair, label, "mJ/m²", printed, value, u, other, CONTRADICTION, remark)
-    half = u * exact.expanded_uncertainty_95 / exact.standard_uncertainty
+    half_width = u * exact.expanded_uncertainty_95 / exact.standard_uncertainty
     of_printed_c = surface_energy(Estimate(series.pair.c, 0.0), series.pendulum).table2.value * 1e3
-    verdict = _agreement(value - printed, half, 0.1)
-    if not verdict and abs(value - of_printed_c) <= half:
+    verdict = _agreement(value - printed, half_width, 0.1)
+    if not verdict and abs(value - of_printed_c) <= half_width:
         off = f"{100 * abs(printed / of_printed_c - 1):.1f} %"
         verdict = f"{_AGREES} with the printed c (σ {of_printed_c:.2f}, {off} off)"
     verdict = verdict or f"differs by {abs(value - printed) / u:.1f} u"
@@ -244,8 +243,7 @@ def _energy(series: PairSeries, form: str) -> _PrintedRow:
 
 
 def _arae(series: PairSeries, key: str, label: str) -> _PrintedRow:
-    """Row of a relative error, which is not comparable: it depends on the noise, which is that of the
-    simulation."""
+    """Row of a relative error, which is not comparable, because it depends on the noise."""
     printed = getattr(series.pair, key)
     exact, other = (float(getattr(series.run.fits[method], key)) for method in (_EXACT, _ASYMPTOTIC))
     return _PrintedRow(
@@ -253,7 +251,7 @@ def _arae(series: PairSeries, key: str, label: str) -> _PrintedRow:
     )
 
 
-def _compared(name: str, title: str, rows: Sequence[_PrintedRow]) -> Table:
+def _comparison_table(name: str, title: str, rows: Sequence[_PrintedRow]) -> Table:
     lines = []
     before: PrintedPair | None = None
     for row in rows:
@@ -285,7 +283,7 @@ def _percent(share: float) -> str:
 
 
 def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Table]) -> Path:
-    """Write the page and its files into a folder; returns the page. RecordError if that is not possible."""
+    """Write the page and its files into a folder; returns the page. Raises RecordError if that fails."""
     files, target = output / "paper", output / "paper.html"
     body = [
         html.paragraph(
@@ -328,5 +326,5 @@ def _drawings(series: PairSeries) -> list[ReportFigure]:
             figures_laws.decay_figure(points, curves, motion.unit),
             figures_laws.period_figure(curves),
         ]
-    loop = figures_contact.loop_figure(exact.contact(), series.pendulum, _LOOP_AMPLITUDE_ARCSEC, sees_c=True)
+    loop = figures_contact.loop_figure(exact.contact(), series.pendulum, _LOOP_AMPLITUDE_ARCSEC, has_c=True)
     return [*drawings, loop]

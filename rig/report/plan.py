@@ -1,5 +1,4 @@
-"""Tables and figure of `rig plan`: uncertainties of planned runs by first and last amplitude, and pairs of
-runs that reveal ageing of the contact."""
+"""Tables and figure of `rig plan`: uncertainties of planned runs, and pairs of runs that reveal ageing."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,16 +20,16 @@ from rig.report.planned_run import PlannedContact
 if TYPE_CHECKING:
     from rig.report.drawing import ReportFigure
 
-_LINES = ("-", "--", ":", "-.")
+_LINE_STYLES = ("-", "--", ":", "-.")
 _MAX_AGEING_FACTOR = 1.2
 """Largest factor by which unknown ageing may enlarge u(b) in a proposed pair."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Planned runs, and series of `counts` of each; `values` are the parameters they are planned for.
+    """Planned runs, and series of `counts` of each; `values` are the assumed parameters by key.
 
-    Runs that last longer than `longest_s` are planned to their last amplitude all the same.
+    Runs that last longer than `longest_s` are still planned to their last amplitude.
     """
 
     conditions: Conditions
@@ -41,18 +40,18 @@ class Plan:
 
     @property
     def scales(self) -> dict[str, float]:
-        """The values to which uncertainties are related; 0 for a drag below its u in every run."""
+        """Reference values of relative uncertainties; 0 for a drag below its u in every run."""
         unseen = all(run.u.get(DRAG.key, 0.0) > abs(self.values.get(DRAG.key, 0.0)) for run in self.runs)
         return {name: 0.0 if name == DRAG.key and unseen else value for name, value in self.values.items()}
 
     def relative(self, run: PlannedRun) -> dict[str, float]:
-        """Uncertainty over value, by parameter; infinite where there is no value to relate it to."""
+        """Relative uncertainty by parameter; infinite where the reference value is 0."""
         scales = self.scales
         return {name: u / abs(scales[name]) if scales[name] else math.inf for name, u in run.u.items()}
 
 
-def plan_expected(
-    expected: PlannedContact,
+def make_plan(
+    planned: PlannedContact,
     first_arcsec: Sequence[float],
     last_arcsec: Sequence[float],
     ground_rad_per_s2_rthz: float | None = None,
@@ -63,7 +62,7 @@ def plan_expected(
 
     Raises DataError: no pair of amplitudes makes a run.
     """
-    values, pendulum, conditions, longest_s = expected
+    values, pendulum, conditions, longest_s = planned
     if ground_rad_per_s2_rthz is not None:
         conditions = conditions.on_ground(ground_rad_per_s2_rthz)
     if witness_noise is not None:
@@ -81,21 +80,21 @@ def plan_expected(
 
 
 def _share(u: float, value: float, unit: str) -> str:
-    """Relative uncertainty in per cent; with its unit where the value is 0."""
+    """Relative uncertainty in per cent; the uncertainty with its unit if the value is 0."""
     return percent(u / abs(value)) if value else f"{plain(u, 2)} {unit}".rstrip()
 
 
 def plan_table(plan: Plan) -> Table:
-    """A row for every run or series: time of all runs, and the relative uncertainty of every parameter."""
+    """Table with a row for each run or series: time of all runs, relative uncertainties of parameters."""
     names, scales, conditions = list(plan.runs[0].u), plan.scales, plan.conditions
     lines = []
     for run, count in product(plan.runs, plan.counts):
         first, last = run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD
         all_s, u = count * run.duration_s, [run.u[name] / math.sqrt(count) for name in names]
-        drowned = "" if run.complete else " (the ground ends it earlier)"
-        drowned += "" if run.duration_s <= plan.longest_s else " *"
+        remark = "" if run.complete else " (the ground ends it earlier)"
+        remark += "" if run.duration_s <= plan.longest_s else " *"
         shares = [_share(one, scales[name], quantity(name).unit) for name, one in zip(names, u, strict=True)]
-        texts = [f"{first:g} to {last:g}{drowned}", f"{count}", f"{all_s / 60:.1f}", *shares]
+        texts = [f"{first:g} to {last:g}{remark}", f"{count}", f"{all_s / 60:.1f}", *shares]
         lines.append(TableRow([first, last, run.duration_s, run.half_cycles, count, all_s, *u], texts))
     note = (
         "Standard uncertainties from the swings alone, in per cent of the value where no unit is given; "
@@ -117,11 +116,10 @@ def plan_table(plan: Plan) -> Table:
 
 
 def plan_ageing(plan: Plan, waits_s: Sequence[float]) -> tuple[tuple[PlannedSeries, ...], PlannedSeries]:
-    """The run with the smallest u(b), its pairs with each run of equal last amplitude after each wait, and
-    the pair that is proposed.
+    """The run with the smallest u(b) and its pairs with runs of equal last amplitude after each wait.
 
-    That is the shortest pair in which unknown ageing enlarges u(b) by less than a fifth; without one, the
-    pair with the smallest u(b).
+    Also returns the proposed pair: the shortest in which unknown ageing enlarges u(b) by less than a fifth,
+    or else the pair with the smallest u(b).
     """
     best, known = min(plan.runs, key=lambda run: run.u["b"]), plan.conditions.known_drag_s
     seconds = sorted(
@@ -138,7 +136,7 @@ def _percent(share: float) -> str:
 
 
 def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
-    """A row for the run by itself and for every pair: time, and the uncertainties of b and of the ageing."""
+    """Table with a row for the single run and each pair: time, and uncertainties of b and the ageing."""
     lines = []
     series, proposed = plan_ageing(plan, waits_s)
     for one in series:
@@ -165,7 +163,7 @@ def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
 
 
 def save_plan(plan: Plan, folder: Path, ageing: Table) -> None:
-    """Write plan.csv, .png, .svg and .ageing.csv to a folder, made if needed; none may exist."""
+    """Write plan.csv, .png, .svg and .ageing.csv to a folder, which is made if needed; none may exist."""
     from rig.report.drawing import png, styled, svg
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -181,8 +179,7 @@ def save_plan(plan: Plan, folder: Path, ageing: Table) -> None:
 
 
 def plan_figure(plan: Plan) -> "ReportFigure":
-    """Uncertainty against the last amplitude and the time: two panels with the same curves, a colour for each
-    parameter and a line for each first amplitude."""
+    """Uncertainty against last amplitude and against time; a colour a parameter, a line a first amplitude."""
     from matplotlib.lines import Line2D
 
     from rig.report.drawing import INK, ReportFigure, canvas
@@ -190,7 +187,7 @@ def plan_figure(plan: Plan) -> "ReportFigure":
     figure = canvas(3.4)
     by_amplitude, by_time = figure.subplots(1, 2, sharey=True)
     starts = sorted({run.first_rad for run in plan.runs}, reverse=True)
-    for line, first in zip(_LINES, starts, strict=False):
+    for line, first in zip(_LINE_STYLES, starts, strict=False):
         runs = sorted((run for run in plan.runs if run.first_rad == first), key=lambda run: run.duration_s)
         last = [run.last_rad / ARCSEC_RAD for run in runs]
         for colour, name in zip(palette.SEQUENCE, plan.runs[0].u, strict=False):
@@ -213,7 +210,7 @@ def plan_figure(plan: Plan) -> "ReportFigure":
     by_time.set_xlabel("time of all runs / min")
     by_amplitude.set_ylabel("u / value, %")
     by_amplitude.legend(ncols=2)
-    styles = [Line2D([], [], color=INK, ls=line) for line in _LINES[: len(starts)]]
+    styles = [Line2D([], [], color=INK, ls=line) for line in _LINE_STYLES[: len(starts)]]
     by_time.legend(styles, [f"from {first / ARCSEC_RAD:g}″" for first in starts])
     figure.subplots_adjust(left=0.09, right=0.985, bottom=0.14, top=0.97, wspace=0.05)
     more = ", ".join(str(count) for count in plan.counts[1:])

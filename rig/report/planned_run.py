@@ -1,4 +1,4 @@
-"""What a rig as configured will measure: contact, scatter of turning points, motion of the ground."""
+"""The assumptions of a plan: contact, scatter of turning points, motion of the ground."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ _FULL_SCALE_DN = 255.0
 
 
 class PlannedContact(NamedTuple):
-    """The contact's values by key, the pendulum, what makes its turning points scatter, the time limit."""
+    """Contact values by key, pendulum, conditions that make turning points scatter, and the time limit."""
 
     values: dict[str, float]
     pendulum: PendulumOnBall
@@ -35,14 +35,14 @@ class PlannedContact(NamedTuple):
     longest_s: float = math.inf
 
 
-def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> PlannedContact:
-    """What is to be expected of a complete configuration.
+def planned_contact(config: Configuration, frame_noise_rad: float | None = None) -> PlannedContact:
+    """The assumptions for runs with a complete configuration.
 
-    What a rig does not know before its first run is taken from [simulation]: the contact, the spot's size and
-    light, air, pointing, and the ground. `frame_noise_rad` is the noise of one frame where it is known
-    better, as preflight measures it.
+    Values unknown before the first run are taken from [simulation]: the contact, size and light of the spot,
+    air, pointing, and the ground. `frame_noise_rad` is the noise of one frame if it was measured, as by the
+    preflight.
 
-    Raises ConfigurationError: no pendulum, lever or frame rate, or a ground whose density is not stated.
+    Raises ConfigurationError without pendulum, lever or frame rate, or for a ground without stated density.
     """
     pendulum = pendulum_on_ball(config)
     if pendulum is None:
@@ -64,25 +64,25 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
     return PlannedContact(values, pendulum, conditions, config.session.max_duration_s)
 
 
-def planned_expectation(
+def planned_contact_of_file(
     source: Path, overrides: Sequence[str], noise_arcsec: float | None, contact: Path | None
 ) -> PlannedContact:
-    """What is to be expected of a configuration file.
+    """The assumptions for runs with a configuration file.
 
     `noise_arcsec` is the noise of one frame, `contact` a results.json whose first fitted run has the contact.
     """
     config = complete(load_configuration(source, overrides))
-    # a file that cannot be used is refused before the work
+    # read first, so that an unusable file is refused before the work
     known = None if contact is None else _contact_of(contact)
-    expected = expected_of(config, None if noise_arcsec is None else noise_arcsec * ARCSEC_RAD)
+    planned = planned_contact(config, None if noise_arcsec is None else noise_arcsec * ARCSEC_RAD)
     if known is None:
-        return expected
-    # a drag is planned as it will be fitted, whether or not the earlier fit had one
-    return expected._replace(values={name: known.get(name, own) for name, own in expected.values.items()})
+        return planned
+    # the drag is planned as it will be fitted, whether or not the earlier fit had one
+    return planned._replace(values={name: known.get(name, own) for name, own in planned.values.items()})
 
 
-def expected_of_run(run: AnalysedRun) -> PlannedContact:
-    """Contact, noise and ground of a run that was made. Raises DataError where it has no fit."""
+def planned_contact_of_run(run: AnalysedRun) -> PlannedContact:
+    """Contact, noise and ground of a measured run; raises DataError if it has no fit."""
     exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
         raise DataError(f"{run.path}: a plan needs a fitted run: {run.problem or 'it has no fit'}")
@@ -90,10 +90,10 @@ def expected_of_run(run: AnalysedRun) -> PlannedContact:
     return PlannedContact(values, pendulum, Conditions.of(exact, run.points))
 
 
-def expected_of_table(results: Path) -> PlannedContact:
-    """Contact, noise and ground of the longest decay of a table or film, as its results have them.
+def planned_contact_of_table(results: Path) -> PlannedContact:
+    """Contact, noise and ground of the longest decay of a table or film, from its results.
 
-    Raises DataError: no decay in it has a fit of the contact.
+    Raises DataError if no decay has a fit of the contact.
     """
     exact, pendulum, points = max(
         (
@@ -132,7 +132,7 @@ def _contact_of(results: Path) -> dict[str, float]:
 
 
 def _values_of(fit: Fit) -> dict[str, float]:
-    """The contact's values by key, with the drag where one was fitted."""
+    """The contact's values by key, with the drag if it was fitted."""
     known = DEFAULT_LAW.names(drag=True)
     return {name: fit.parameters[name].value for name in known if name in fit.parameters}
 
@@ -149,12 +149,12 @@ def _frame_rate_hz(config: Configuration) -> float:
 def _rad_per_px(config: Configuration) -> float:
     if config.lever is None:
         raise ConfigurationError("rig plan needs [lever]: state arm_m and pixel_pitch_m")
-    # the mirror turns the beam by twice its own angle
+    # the beam turns by twice the angle of the mirror
     return config.lever.pixel_pitch_m / (2 * config.lever.arm_m)
 
 
 def _frame_noise_rad(config: Configuration) -> float:
-    """As the tracker states it for the expected spot, with the pointing's jitter."""
+    """Noise of one frame: the tracker's u for the expected spot, and the jitter of the pointing."""
     optics, truth = config.simulation.optics, config.simulation
     sensor = sensor_model(config, _FULL_SCALE_DN)
     u_px = _tracked_u_px(sensor, optics.peak_dn / 255 * sensor.full_scale_dn, optics.sigma_y_px)
@@ -168,7 +168,7 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
     y, x = np.mgrid[:side, :side] - 0.5 * (side - 1)
     light_dn = peak_dn * np.exp(-0.5 * (x**2 + y**2) / sigma_px**2)
     mean_dn = sensor.pedestal_dn + light_dn
-    # rounding to whole DN adds its own part
+    # rounding to whole DN adds to this
     sigma_dn = np.sqrt(
         (sensor.read_noise_e / sensor.gain_e_per_dn) ** 2
         + light_dn / sensor.gain_e_per_dn
@@ -189,10 +189,10 @@ def _tracked_u_px(sensor: SensorModel, peak_dn: float, sigma_px: float) -> float
 def _half_cycle_uncertainties(
     config: Configuration, noise_rad: float
 ) -> tuple[float, float, NDArray[np.float64] | None]:
-    """Uncertainties of amplitude (rad) and time (s) that the swing detector finds at this noise of a frame,
-    and the covariance of the harmonics in quadrature.
+    """Uncertainties of amplitude (rad) and time (s) that the detector of half-cycles finds at a frame noise.
 
-    Air and a wandering beam bend the swing as the simulated rig has them, if it is the camera.
+    Also returns the covariance of the harmonics in quadrature. With the simulated rig its air and wander of
+    the beam distort the swing.
     """
     rate_hz, period_s = _frame_rate_hz(config), config.simulation.contact.period0_s
     time_s = np.arange(0.0, 0.5 * _HALF_CYCLES * period_s, 1 / rate_hz)
@@ -218,23 +218,25 @@ def _half_cycle_uncertainties(
 
 
 def _slow_density(config: Configuration, at_hz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """One-sided density, in rad^2/Hz, of what bends the beam slowly: air, a wandering laser."""
-    said = config.simulation.disturbances
-    inside = (at_hz >= said.air_from_hz) & (at_hz <= said.air_to_hz)
-    air_rad2 = (said.air_arcsec * ARCSEC_RAD) ** 2 / math.log(said.air_to_hz / said.air_from_hz)
-    walk_rad = said.pointing_walk_px_per_sqrt_s * _rad_per_px(config)
+    """One-sided density in rad^2/Hz of the slow deflection of the beam by air and a wandering laser."""
+    disturbances = config.simulation.disturbances
+    inside = (at_hz >= disturbances.air_from_hz) & (at_hz <= disturbances.air_to_hz)
+    air_rad2 = (disturbances.air_arcsec * ARCSEC_RAD) ** 2 / math.log(
+        disturbances.air_to_hz / disturbances.air_from_hz
+    )
+    walk_rad = disturbances.pointing_walk_px_per_sqrt_s * _rad_per_px(config)
     air, walk = np.where(inside, air_rad2 / at_hz, 0.0), 2 * walk_rad**2 / (2 * math.pi * at_hz) ** 2
-    shared, noise = _without_reference(config)
+    shared, noise = _reference_share_and_noise(config)
     common = shared * air + (walk if shared else 0.0)
-    # Wiener's filter leaves the smaller of motion and noise
-    left = common if math.isinf(noise) else common * noise / np.maximum(common + noise, np.finfo(float).tiny)
-    return np.asarray(air + walk - common + left)
+    # a Wiener filter leaves roughly the smaller of motion and noise
+    rest = common if math.isinf(noise) else common * noise / np.maximum(common + noise, np.finfo(float).tiny)
+    return np.asarray(air + walk - common + rest)
 
 
-def _without_reference(config: Configuration) -> tuple[float, float]:
-    """Share of the air's power that both spots have, and density of the reference's own noise in rad^2/Hz.
+def _reference_share_and_noise(config: Configuration) -> tuple[float, float]:
+    """Fraction of the air's power that both spots share, and noise density of the reference in rad^2/Hz.
 
-    No share without a reference, or where the simulated rig draws none.
+    The fraction is 0 without a reference, and if the simulated rig has none.
     """
     truth, stated = config.simulation.reference, config.reference
     if stated is None or not truth.relative > 0:
@@ -246,10 +248,11 @@ def _without_reference(config: Configuration) -> tuple[float, float]:
 
 
 def _witness_noise(config: Configuration) -> float | None:
-    """Noise of the configured witness over the ground that it sees, at the swing's frequency.
+    """Noise of the auxiliary seismometer relative to the ground at the pendulum's frequency; None without
+    one.
 
-    Of one whose noise nobody has stated, what two real instruments at one place differ by; `--witness` says
-    more.
+    For a seismometer without stated noise it is the difference of two real instruments at one place;
+    `--witness` states another.
     """
     kind = config.witness.kind
     if kind == "none":
@@ -260,7 +263,7 @@ def _witness_noise(config: Configuration) -> float | None:
 
 
 def _ground_level(config: Configuration) -> float:
-    """Acceleration of the ground at the pendulum's frequency, in m/s^2/sqrt(Hz); 0 where none is known."""
+    """Acceleration of the ground at the pendulum's frequency in m/s^2/sqrt(Hz); 0 if unknown."""
     truth, at = config.simulation.ground, np.array([1 / config.simulation.contact.period0_s])
     low, high = float(nlnm_db(at)[0]), float(nhnm_db(at)[0])
     if truth.model == "white":

@@ -1,4 +1,4 @@
-"""Reads what is exported of a record, a table or a series: spots, half-cycles, results, with units."""
+"""The data exported of a record, a table or a series: spots, half-cycles, results, with units."""
 
 import json
 import re
@@ -35,24 +35,25 @@ SERIES_NAME = "series"
 
 
 @dataclass(frozen=True)
-class Exported:
-    """What is exported of a run or a series: the rows of its table, and all that results.json has of it."""
+class ExportData:
+    """The data exported of a run or a series."""
 
     name: str
     rows: Sequence[ResultRow]
+    """The table of results."""
     results: JsonObject
-    """Empty if the run was not fitted."""
+    """Its part of results.json; empty if the run was not fitted."""
     provenance: Mapping[str, str]
-    """Texts by name: the record's hash and its complete configuration."""
+    """Texts by name: hash, complete configuration and metadata of the record."""
     notes: tuple[str, ...] = ()
-    """What the records lack: that one was cut short, what is damaged."""
+    """What is missing in the records: truncated or damaged parts."""
     columns: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
-    """Of a run its `spots` and `swings`, by the record's own names of fields."""
+    """Columns of `spots` and `swings` of a run, by the record's names of fields."""
     began: str = ""
     ended: str = ""
-    """UTC of the first and the last message, as ISO 8601."""
+    """UTC of the first and the last frame, as ISO 8601."""
     own_units: Mapping[str, str] = field(default_factory=dict)
-    """Of columns whose names do not say them."""
+    """Units of the columns whose names do not end in them."""
 
     def unit_of(self, column: str) -> str:
         """Unit of a column of `spots` or `swings`."""
@@ -60,14 +61,15 @@ class Exported:
 
 
 def runs_in(source: Path) -> tuple[list[tuple[str, Path, RunResults | None]], Series | None]:
-    """Names and records with their results: of a folder with results.json or such a file, or one record with
-    those next to it, if any; and what the runs say together, None for one record.
+    """Name, record and results of each run in a folder, a results file or a record, and their series.
+
+    Results of a record are those next to it, if any; a record has no series.
     """
     if source.is_dir() or source.suffix == ".json":
         folder, results = source if source.is_dir() else source.parent, read_results(source)
-        alone = len(results.runs) == 1
+        is_single = len(results.runs) == 1
         return [
-            (_name(run, None if alone else k), folder / run.record, run)
+            (_name(run, None if is_single else k), folder / run.record, run)
             for k, run in enumerate(results.runs, start=1)
         ], results.series
     found = None
@@ -83,8 +85,8 @@ def _name(run: RunResults, decay: int | None) -> str:
     return run.source_name if decay is None else f"{run.source_name}-decay-{decay}"
 
 
-def read_run(path: Path, results: RunResults | None) -> Exported:
-    """Read a record; raises RecordError where the results were made from another one."""
+def read_run(path: Path, results: RunResults | None) -> ExportData:
+    """Read a record; raises RecordError if the results were made from another record."""
     with RecordReader(path) as reader:
         provenance = {"record": path.name, "deflection_unit": reader.deflection_unit}
         for section, texts in reader.metadata.items():
@@ -105,11 +107,11 @@ def read_run(path: Path, results: RunResults | None) -> Exported:
         )
     columns = {"spots": _fields(spots), "swings": _fields(swings)}
     rows, tree = ((), {}) if results is None else (results.table, encoded(results))
-    return Exported(path.stem, rows, tree, provenance, notes, columns, began, ended)
+    return ExportData(path.stem, rows, tree, provenance, notes, columns, began, ended)
 
 
 def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
-    """UTC of the first and the last frame; of the first and the last message without frames."""
+    """UTC of the first and the last frame; without frames of the first and the last message."""
     if not len(spots):
         return reader.contents.start_ns, reader.contents.end_ns
     first_ns, last_ns = int(spots["time_ns"][0]), int(spots["time_ns"][-1])
@@ -121,9 +123,12 @@ def _fields(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
 
 
-def exported_series(source: Path, series: Series, runs: Sequence[tuple[Exported, RunResults]]) -> Exported:
-    """The series of a results file, with the hashes of that file and of the records that are combined in it,
-    in the order of its lists of runs.
+def exported_series(
+    source: Path, series: Series, runs: Sequence[tuple[ExportData, RunResults]]
+) -> ExportData:
+    """The series of a results file, with the hashes of the file and of the combined records.
+
+    Records are in the order of the series' lists of runs.
     """
     runs = series.combined(runs)
     path = results_path(source)
@@ -135,21 +140,21 @@ def exported_series(source: Path, series: Series, runs: Sequence[tuple[Exported,
     simulated = sum(bool(one.simulated) for _, one in runs)
     if simulated:
         about["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
-    alone = SessionResults(runs=(), series=series)
+    is_single = SessionResults(runs=(), series=series)
     notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
-    tree = cast(JsonObject, encoded(alone)["series"])
-    return Exported(SERIES_NAME, series.table, tree, about, notes)
+    tree = cast(JsonObject, encoded(is_single)["series"])
+    return ExportData(SERIES_NAME, series.table, tree, about, notes)
 
 
-def read_table_decay(folder: Path, decay: RunResults, name: str) -> Exported:
-    """A decay of which a folder holds the results; angles in rad, other positions in the table's own unit.
+def read_table_decay(folder: Path, decay: RunResults, name: str) -> ExportData:
+    """A decay of a table by the results in a folder; angles in rad, other positions in the table's unit.
 
-    Raises RecordError where the positions beside the results cannot be read.
+    Raises RecordError if the positions next to the results cannot be read.
     """
     stored, place = decay.stored, decay.decay or TableDecay()
     own = decay.amplitude_unit or "unit"
-    of_angle = stored.unit is DeflectionUnit.RAD
-    unit, size = ("rad", conversion(own, "rad")) if of_angle else (own, 1.0)
+    is_angle = stored.unit is DeflectionUnit.RAD
+    unit, size = ("rad", conversion(own, "rad")) if is_angle else (own, 1.0)
     time_s, positions = read_positions(folder)
     inside = (time_s >= place.began_s) & (time_s <= place.ended_s)
     suffix = re.sub(r"\W", "_", unit)
@@ -168,4 +173,4 @@ def read_table_decay(folder: Path, decay: RunResults, name: str) -> Exported:
     }
     units = {key: unit for key in (*spots, *swings) if key.endswith(f"_{suffix}")}
     columns = {"spots": spots, "swings": swings}
-    return Exported(name, decay.table, encoded(decay), provenance, columns=columns, own_units=units)
+    return ExportData(name, decay.table, encoded(decay), provenance, columns=columns, own_units=units)

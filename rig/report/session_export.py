@@ -1,4 +1,4 @@
-"""The command `rig export`: writes spots, half-cycles and results, each file with its provenance."""
+"""`rig export`: writes spots, half-cycles and results, each file with its provenance."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -13,7 +13,7 @@ from rig.presentation import harmless_text, say, written
 from rig.report.nexus import item_name, write_nexus
 from rig.report.run import (
     SERIES_NAME,
-    Exported,
+    ExportData,
     exported_series,
     read_run,
     read_table_decay,
@@ -33,9 +33,9 @@ Format = Literal["csv", "parquet", "hdf5", "latex"]
 def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     """Export a session's folder, that of a table's results, or one record; returns the files made.
 
-    What a record lacks is said on stderr and in every file. CSV and Parquet: `output` is a folder, three
-    files a run, and one with what the runs say together. HDF5: `output` is the file, one NXentry a run and
-    one for the series. LaTeX: a folder with the tables of the report. Nothing that exists is written over.
+    Missing data of a record are noted on stderr and in every file. CSV and Parquet: `output` is a folder with
+    three files for each run and one for the series. HDF5: `output` is the file, with one NXentry for each run
+    and one for the series. LaTeX: a folder with the tables of the report. No file is overwritten.
 
     Raises RecordError for a source without records, ConfigurationError for a file that exists.
     """
@@ -44,13 +44,13 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
     found, series = runs_in(source)
     suffix = "csv" if kind == "csv" else "parquet"
     names = [name for name, _, _ in found]
-    made = [table_path(output, name, what, suffix) for name in names for what in TABLES]
+    paths = [table_path(output, name, what, suffix) for name in names for what in TABLES]
     if series is not None:
         names.append(SERIES_NAME)
-        made.append(table_path(output, SERIES_NAME, "table", suffix))
-    if len(set(made)) < len(made) or (kind == "hdf5" and len(set(map(item_name, names))) < len(names)):
+        paths.append(table_path(output, SERIES_NAME, "table", suffix))
+    if len(set(paths)) < len(paths) or (kind == "hdf5" and len(set(map(item_name, names))) < len(names)):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
-    for path in [output] if kind == "hdf5" else made:
+    for path in [output] if kind == "hdf5" else paths:
         if path.exists():
             place = "name" if kind == "hdf5" else "folder"
             raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {place}")
@@ -65,21 +65,21 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
         for note in run.notes:
             say(f"{run.name}: {note}" if source.is_dir() else note)
     fitted = [(run, results) for run, (_, _, results) in zip(runs, found, strict=True) if results]
-    together = None if series is None else exported_series(source, series, fitted)
+    series_data = None if series is None else exported_series(source, series, fitted)
     with written(output, "name" if kind == "hdf5" else "folder"):
         if kind == "hdf5":
             output.parent.mkdir(parents=True, exist_ok=True)
-            write_nexus(output, runs, together)
+            write_nexus(output, runs, series_data)
             return [output]
         output.mkdir(parents=True, exist_ok=True)
         write = write_csv if kind == "csv" else write_parquet
-        everything = runs if together is None else [*runs, together]
+        everything = runs if series_data is None else [*runs, series_data]
         return [path for run in everything for path in write(output, run)]
 
 
 def _export_latex(source: Path, output: Path) -> list[Path]:
-    """The tables of the report, a file each."""
-    made = []
+    """Write the tables of the report, each into its own file."""
+    paths = []
     tables = latex_tables(source)
     if not tables:
         raise RecordError(f"{source}: its results have no tables; rig fit makes some where a run is fitted")
@@ -88,53 +88,51 @@ def _export_latex(source: Path, output: Path) -> list[Path]:
         with written(path):
             output.mkdir(parents=True, exist_ok=True)
             write_new(path, text.encode())
-        made.append(path)
-    return made
+        paths.append(path)
+    return paths
 
 
 TABLES = ("spots", "swings", "table")
 
 
-def write_csv(folder: Path, run: Exported) -> list[Path]:
+def write_csv(folder: Path, run: ExportData) -> list[Path]:
     """Write CSV files; lines that begin with ``#`` contain the provenance, followed by one header line.
 
-    What the record lacks comes first.
+    Notes on missing data of the record come first.
     """
     lines = [
         *(f"NOTE: {note}" for note in run.notes),
         *(f"{n}: {text}" for n, text in run.provenance.items()),
     ]
     head = "".join(f"# {' '.join(line.split())}\n" for line in lines)
-    made = []
+    paths = []
     for path, table in _tables(folder, run, "csv", harmless_text):
         with being_written(path) as beside, beside.open("xb") as file:
             file.write(head.encode())
             csv.write_csv(table, file)
             file.flush()
-        made.append(path)
-    return made
+        paths.append(path)
+    return paths
 
 
-def write_parquet(folder: Path, run: Exported) -> list[Path]:
-    """Write Parquet files; provenance (JSON), notes on what the record lacks (JSON) and units are in the
-    metadata of schema and fields.
-    """
+def write_parquet(folder: Path, run: ExportData) -> list[Path]:
+    """Write Parquet files; metadata of schema and fields hold provenance, notes (JSON) and units."""
     metadata = {
         b"provenance": json.dumps(dict(run.provenance)).encode(),
         b"notes": json.dumps(list(run.notes)).encode(),
     }
-    made = []
+    paths = []
     for path, table in _tables(folder, run, "parquet", str):
         with being_written(path) as beside:
             parquet.write_table(
                 table.replace_schema_metadata(metadata), beside, compression="zstd", write_page_checksum=True
             )
-        made.append(path)
-    return made
+        paths.append(path)
+    return paths
 
 
 def _tables(
-    folder: Path, run: Exported, suffix: str, text_of: Callable[[str], str]
+    folder: Path, run: ExportData, suffix: str, text_of: Callable[[str], str]
 ) -> Iterator[tuple[Path, pa.Table]]:
     for name, columns in run.columns.items():
         fields = [

@@ -17,9 +17,9 @@ from rig.presentation import Table, latex_table, quantity, written
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_contact import instrument_figures
-from rig.report.figures_motion import damped_figure, place_figure, witness_figure
+from rig.report.figures_motion import damped_figure, position_error_figure, witness_figure
 from rig.report.source import ReportSource, RunData, read_source
-from rig.report.summary import notes_of, sentence, summary_of, title_of
+from rig.report.summary import notes_of, run_sentence, summary_of, title_of
 from rig.report.tables import run_tables, series_tables
 
 _DEFAULT_PERIOD_S = 4.0
@@ -28,8 +28,8 @@ _DEFAULT_PERIOD_S = 4.0
 def make_report(folder: Path, output: Path | None = None) -> Path:
     """Write the report of a session folder (or of one results file in it); returns the HTML file.
 
-    Figures and tables go into a folder of the same name beside the HTML file. A report made before is
-    replaced: it holds nothing that is not in results and records.
+    Figures and tables go into a folder of the same name next to the HTML file. An earlier report is replaced,
+    because all it contains is in results and records.
 
     Raises RecordError for a folder without results.json, a missing record, a file that cannot be
     written.
@@ -42,9 +42,9 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
     with written(target):
         files.mkdir(parents=True, exist_ok=True)
         series = [] if source.series is None else _series(source, source.series, files)
-        alone = len(source.runs) == 1
-        runs = [_run(run, files / f"run-{k}", alone=alone) for k, run in enumerate(source.runs, start=1)]
-        # the first decay is seen at once, beside the verdict; each of the others with its run
+        single = len(source.runs) == 1
+        runs = [_run(run, files / f"run-{k}", single=single) for k, run in enumerate(source.runs, start=1)]
+        # the first decay is shown at the top beside the verdict, every other with its run
         body = [*summary_of(source, runs[0].pop("fig12-decay", "")), *series]
         for each in runs:
             body += each.values()
@@ -59,7 +59,7 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
 def draw_run(source: Path | SessionResults, number: int) -> list[ReportFigure]:
     """The figures of one run, counted from 1, of a session's folder, a results file, or results in memory.
 
-    Raises RecordError where there are no results, no such run, or no record.
+    Raises RecordError if results, run or record do not exist.
     """
     runs = read_source(source).runs
     if not 1 <= number <= len(runs):
@@ -71,22 +71,22 @@ def draw_run(source: Path | SessionResults, number: int) -> list[ReportFigure]:
 
 def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
     tables = [table for table in series_tables(series) if table.rows]
-    apart = [
+    disagreements = [
         f"{source.runs[item.run - 1].title} disagrees with the others in {quantity(item.name).symbol}: "
         f"{item.deviation:+.1f} standard uncertainties."
         for item in series.disagreements
     ]
-    if FitMethod.EXACT in series.fits and not apart:
-        apart = ["No run disagrees with the others."]
-    apart += series.problems
+    if FitMethod.EXACT in series.fits and not disagreements:
+        disagreements = ["No run disagrees with the others."]
+    disagreements += series.problems
     if series.instrument is not None:
-        apart += series.instrument.text
-    if not (tables or apart):
+        disagreements += series.instrument.text
+    if not (tables or disagreements):
         return []
     body = [html.heading("Series")]
     if tables:
         body.append(html.table(tables[0]))
-    body.append(html.notes(apart))
+    body.append(html.notes(disagreements))
     if series.fits:
         with styled():
             body += save_figures([figures_contact.series_figure(series)], files).values()
@@ -104,10 +104,10 @@ _ORDER = (
     "spectrum", "witness", "table4-loops", "work", "losses", "laws", "waveform", "moments",
  "correlation", "budget",
 )  # fmt: skip
-"""Tables and figures of a run as they follow one another; small tables stand side by side."""
+"""Order of the tables and figures of a run; small tables in a tuple stand side by side."""
 
 
-def _run(run: RunData, files: Path, *, alone: bool) -> dict[str, str]:
+def _run(run: RunData, files: Path, *, single: bool) -> dict[str, str]:
     """The parts of a run in their order, figures and tables by their names."""
     files.mkdir(parents=True, exist_ok=True)
     curves = curves_of(run.results)
@@ -117,20 +117,20 @@ def _run(run: RunData, files: Path, *, alone: bool) -> dict[str, str]:
     with styled():
         figures = save_figures(_drawings(run, curves), files)
     body = {"heading": html.heading(run.title)}
-    if not alone:
-        body["said"] = html.paragraph(sentence(run)) + html.notes(notes_of(run))
+    if not single:
+        body["said"] = html.paragraph(run_sentence(run)) + html.notes(notes_of(run))
     if run.results.instrument is not None:
         body["instrument-said"] = html.notes(run.results.instrument.text)
     for part in _ORDER:
         if isinstance(part, tuple):
-            body["+".join(part)] = html.side_by_side([_taken(name, tables_shown, figures) for name in part])
+            body["+".join(part)] = html.side_by_side([_pop(name, tables_shown, figures) for name in part])
         else:
-            body[part] = _taken(part, tables_shown, figures)
+            body[part] = _pop(part, tables_shown, figures)
     return {name: text for name, text in {**body, **tables_shown, **figures}.items() if text}
 
 
-def _taken(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
-    """What has this name, a table before a figure, and both where both have it."""
+def _pop(name: str, tables: dict[str, str], figures: dict[str, str]) -> str:
+    """Remove and return the HTML of the table and the figure of this name, as far as they exist."""
     return "\n".join(found.pop(name) for found in (tables, figures) if name in found)
 
 
@@ -151,9 +151,9 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
     if run.results.damping is not None and not run.results.fits:
         drawings.append(damped_figure(run.results, motion.unit))
     if run.results.position_errors is not None:
-        drawings.append(place_figure(run.results.position_errors))
+        drawings.append(position_error_figure(run.results.position_errors))
     if run.results.instrument is not None or run.is_table:
-        # figures of the paper have its numbers, which mean nothing here
+        # numbers of the paper's figures mean nothing for other pendulums
         drawings = [
             replace(each, title=re.sub(r"^Fig\. \d+: (.)", lambda found: found[1].upper(), each.title))
             for each in drawings
@@ -170,10 +170,10 @@ def _drawings(run: RunData, curves: Curves | None) -> list[ReportFigure]:
             figures_laws.residual_figure(points, curves, fit.outliers),
             figures_laws.loss_figure(points, exact, pendulum),
         ]
-        # a negative power has no moment at rest: it is no friction, and its loop no loop
+        # with a negative power there is no friction moment at rest, and no closed loop
         for work in run.results.work_per_cycle[:1] if exact.p >= 0 else ():
             known = not math.isnan(work.adhesive_4at_j.value)
-            drawings.append(figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, sees_c=known))
+            drawings.append(figures_contact.loop_figure(exact, pendulum, work.amplitude_arcsec, has_c=known))
         if run.spectrum is not None:
             unit = motion.unit
             drawings.append(
@@ -194,7 +194,7 @@ def _period(run: RunData) -> float:
 
 
 def save_figures(drawings: Sequence[ReportFigure], files: Path) -> dict[str, str]:
-    """Write every figure as a file: a frame is pixels, and PNG, all else lines, and SVG. Its HTML by name."""
+    """Write every figure as a file, frames as PNG, others as SVG; returns the HTML of each by name."""
     atomic_write.take_away_leftovers(files)
     found = {}
     for drawing in drawings:
@@ -223,24 +223,24 @@ def _provenance(source: ReportSource) -> list[str]:
             ]
         what = "The record and its circumstances"
         title = what if len(source.runs) == 1 else f"{what}, {run.title}"
-        body.append(html.folded(title, [html.facts(rows)]))
+        body.append(html.folded_section(title, [html.facts(rows)]))
     configuration = source.runs[0].provenance.get("configuration")
     if configuration:
         columns = f'<div class="columns">{html.facts(list(configuration.items()))}</div>'
-        body.append(html.folded("Configuration and calibration", [columns]))
+        body.append(html.folded_section("Configuration and calibration", [columns]))
     return body
 
 
 def make_table_report(table: AnalysedTable, folder: Path) -> Sequence[tuple[str, Path]]:
-    """Write positions.csv and the report of the results that are in a folder; what was made, by names.
+    """Write positions.csv and the report of the results in a folder; returns the files with their names.
 
-    Raises RecordError where a file cannot be written.
+    Raises RecordError if a file cannot be written.
     """
     return [("positions", write_positions(table.trajectory, folder)), ("report", make_report(folder))]
 
 
 def latex_tables(folder: Path) -> Mapping[str, str]:
-    """Every table that the report shows, as `run-1-parameters.tex`, and those of a series.
+    """LaTeX of every table of the report and of the series, by file name (`run-1-parameters.tex`).
 
     Raises RecordError for a folder without results, or whose record is missing.
     """

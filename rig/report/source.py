@@ -1,4 +1,4 @@
-"""What a report is made of: results, and what only the records or tables that they name hold."""
+"""The data of a report: results, and data from the records or tables that they name."""
 
 import json
 import math
@@ -34,7 +34,7 @@ from rig.intake import along_and_across, read_positions
 
 
 class ShownUnit(NamedTuple):
-    """The unit in which deflections are shown, and its size in that in which they are stored."""
+    """The unit in which deflections are shown, and its size in the unit in which they are stored."""
 
     shown: str
     shown_size: float
@@ -42,7 +42,7 @@ class ShownUnit(NamedTuple):
 
 @dataclass(frozen=True)
 class ShownTrajectory:
-    """Deflection of every frame as shown, so in `unit.shown`; NaN where the spot was lost."""
+    """Deflections x, y of every frame in `unit.shown`, against time; NaN where the spot was lost."""
 
     time_s: Floats
     x: Floats
@@ -62,10 +62,10 @@ class RecordedPicture:
 
 @dataclass(frozen=True)
 class RunData:
-    """One run: its results, with the turning points that were fitted, and its motion.
+    """One run: its results with the fitted turning points, and its motion.
 
-    `motion` counts time from the first turning point, as they do. `provenance` is text by section
-    and key. `spectrum`, of what the samples hold besides the swing, is None for runs too short for one.
+    `motion` counts time from the first turning point, as the turning points do. `provenance` is text by
+    section and key. `spectrum` is that of the deflections minus the swing; None for short runs.
     """
 
     title: str
@@ -78,13 +78,13 @@ class RunData:
 
     @property
     def is_table(self) -> bool:
-        """Whether it is a decay of a table or a film, which knows nothing of frames and cameras."""
+        """Whether the run is a decay of a table or a film, without frames and camera."""
         return self.results.decay is not None
 
 
 @dataclass(frozen=True)
 class ReportSource:
-    """A session: its runs and their series, None where they make none.
+    """A session: its runs, and their series if they make one.
 
     `results` are the name and the SHA-256 of the file that was read.
     """
@@ -95,17 +95,17 @@ class ReportSource:
     runs: Sequence[RunData]
 
 
-_LONG_LIST = 20
-_EDGE = 0.05
-"""Part of a decay's length that is drawn before and after it."""
+_MAX_LISTED = 20
+_MARGIN = 0.05
+"""Time before and after a decay that is drawn with it, as a fraction of its length."""
 
 
 def read_source(source: Path | SessionResults) -> ReportSource:
-    """Results of a folder, a results file or in memory, and the records they were made from.
+    """Read the results of a folder, a results file or in memory, and the records they were made from.
 
-    Those in memory name their records as seen from the working directory.
+    Results in memory name their records relative to the working directory.
 
-    Raises RecordError for a folder without results, or with a record that is not there.
+    Raises RecordError for a folder without results, or if a record is missing.
     """
     if isinstance(source, SessionResults):
         folder = Path.cwd()
@@ -140,7 +140,7 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
                 **provenance["file"],
                 "began": f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC",
             }
-        notes += [_as_line(note, rate, spots) for note in reader.notes()]
+        notes += [_note_text(note, rate, spots) for note in reader.notes()]
         notes += [line for line in reader.doubts() if line not in results.warnings]
     if results.sha256 != cached_sha256(path):
         notes.append("the record is not the one that the results were made from: its hash differs")
@@ -163,12 +163,12 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
 
 
 def _hashes(run: RunResults) -> dict[str, str]:
-    """Of its record or table, and of what belongs to it."""
+    """SHA-256 of the record or table of a run, and of its other inputs, by name."""
     return {"sha256": run.sha256, **{f"sha256 of {name}": one for name, one in run.inputs_sha256.items()}}
 
 
-def _as_line(note: RecordedNote, rate: float, spots: NDArray[Any]) -> str:
-    """What an operator has noted, and how long after the first frame."""
+def _note_text(note: RecordedNote, rate: float, spots: NDArray[Any]) -> str:
+    """A note of an operator with its time after the first frame."""
     first_ns = int(spots["time_ns"][0]) if len(spots) else note.time_ns
     return f"noted at {(note.time_ns - first_ns) * 1e-9 * rate:.1f} s, {note.event.text}"
 
@@ -181,7 +181,7 @@ def _spectrum(reader: RecordReader, deflections: Deflections) -> ResidualSpectru
 
 
 def _clock_rate(reader: RecordReader, notes: list[str]) -> float:
-    """True seconds per second of the camera's clock, with which the fits counted too."""
+    """True seconds per second of the camera's clock, as used by the fits."""
     try:
         timebase = recorded_configuration(reader).timebase
     except RecordError as error:
@@ -191,7 +191,7 @@ def _clock_rate(reader: RecordReader, notes: list[str]) -> float:
 
 
 def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> RecordedPicture | None:
-    """The first whole frame with a spot in it; a record without one is reported without one."""
+    """The first whole frame with a spot in it; None without one, or if it cannot be read."""
     try:
         for frame in reader.images():
             rows = np.nonzero(spots["sequence"] == frame.sequence)[0]
@@ -205,22 +205,22 @@ def _picture(reader: RecordReader, spots: NDArray[Any], notes: list[str]) -> Rec
 
 
 def shown_configuration(tree: JsonObject, *, simulated: bool) -> dict[str, str]:
-    """A record's configuration as dotted keys; of a real run without what only the simulated rig reads."""
-    of_simulation = () if simulated else ("simulation", "faults")
-    return _flat({key: value for key, value in tree.items() if key not in of_simulation})
+    """A record's configuration as dotted keys; for a real run without keys of the simulated rig."""
+    left_out = () if simulated else ("simulation", "faults")
+    return _flat({key: value for key, value in tree.items() if key not in left_out})
 
 
-def _flat(tree: JsonObject, above: str = "") -> dict[str, str]:
-    """Nested tables as dotted keys, what is not stated left out."""
+def _flat(tree: JsonObject, prefix: str = "") -> dict[str, str]:
+    """Nested tables as dotted keys, without empty values."""
     found: dict[str, str] = {}
     for key, value in tree.items():
-        name = f"{above}{key}"
+        name = f"{prefix}{key}"
         if isinstance(value, dict):
             found |= _flat(value, f"{name}.")
         elif isinstance(value, list) and all(isinstance(item, dict) for item in value):
             for place, item in enumerate(value, start=1):
                 found |= _flat(item, f"{name}.{place}.") if isinstance(item, dict) else {}
-        elif isinstance(value, list) and len(value) > _LONG_LIST:
+        elif isinstance(value, list) and len(value) > _MAX_LISTED:
             found[name] = f"{len(value)} entries"
         elif value is not None and value != "":
             found[name] = f"{value:.10g}" if isinstance(value, float) else str(value)
@@ -228,13 +228,13 @@ def _flat(tree: JsonObject, above: str = "") -> dict[str, str]:
 
 
 def decay_of_table(folder: Path, table: SessionResults, decay: RunResults, number: int) -> RunData:
-    """A decay, counted from 1, of the table of which a folder holds the results.
+    """A decay, counted from 1, of the table whose results are in a folder.
 
-    Its motion is that of positions.csv in the folder; empty where that is not there, with a note.
+    Its motion is read from positions.csv in the folder; empty, with a note, if that is missing.
     """
     place, stored = decay.decay or TableDecay(), decay.stored
-    of_angle = stored.unit is DeflectionUnit.RAD
-    unit = ShownUnit(table.unit, conversion(table.unit, "rad") if of_angle else 1.0)
+    is_angle = stored.unit is DeflectionUnit.RAD
+    unit = ShownUnit(table.unit, conversion(table.unit, "rad") if is_angle else 1.0)
     notes = [*table.understood]
     try:
         motion = _motion(folder, place, stored.first_ns / NS_PER_S, unit)
@@ -247,9 +247,9 @@ def decay_of_table(folder: Path, table: SessionResults, decay: RunResults, numbe
 
 
 def _motion(folder: Path, decay: TableDecay, zero_s: float, unit: ShownUnit) -> ShownTrajectory:
-    """Along the motion as Y, across it as X; NaN where only one position was measured."""
+    """The motion of a table: Y along it, X across it, NaN if only one position was measured."""
     time_s, positions = read_positions(folder)
-    edge_s = _EDGE * (decay.ended_s - decay.began_s)
+    edge_s = _MARGIN * (decay.ended_s - decay.began_s)
     inside = (time_s >= decay.began_s - edge_s) & (time_s <= decay.ended_s + edge_s)
     along, across = along_and_across(positions)
     return ShownTrajectory(time_s[inside] - zero_s, across[inside], along[inside], unit)

@@ -1,4 +1,4 @@
-"""The beginning of a report: title, verdict beside the first decay, and how all this was measured."""
+"""The beginning of a report: title, verdict beside the first decay, circumstances of the measurement."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -49,7 +49,7 @@ def title_of(source: ReportSource) -> tuple[str, str]:
 
 
 def summary_of(source: ReportSource, decay: str) -> list[str]:
-    """The verdict with the parameters beside the first decay; below it how all this was measured."""
+    """The verdict with the parameters beside the first decay; below it the circumstances."""
     run, series = source.runs[0].results, source.series
     body = []
     if any(data.results.simulated for data in source.runs):
@@ -77,17 +77,17 @@ def summary_of(source: ReportSource, decay: str) -> list[str]:
     body.append(html.heading("Summary"))
     body.append(html.facts(_circumstances(source)))
     for data in source.runs:
-        body.append(html.paragraph(sentence(data)))
+        body.append(html.paragraph(run_sentence(data)))
         if data.results.problem:
             body.append(f'<div class="warn">{html.escape("No fit: " + data.results.problem)}</div>')
             body.append(html.notes(decay_lines(data.results)))
     if len(source.runs) == 1:
         body.append(html.notes(notes_of(source.runs[0])))
-    return body + (_to_copy(source, found) if found.contact else [])
+    return body + (_text_to_copy(source, found) if found.contact else [])
 
 
 def _verdict(source: ReportSource) -> list[tuple[str, str]]:
-    """The result, what limits it and what to do, and whether the conditions of the runs held."""
+    """The result, its largest uncertainties, the next step, and whether conditions were met, as lines."""
     first = source.runs[0].results
     found = whole_result(first, source.series)
     lines = [(found.text or "Nothing was fitted", "")]
@@ -109,21 +109,21 @@ def _verdict(source: ReportSource) -> list[tuple[str, str]]:
 
 
 def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
-    """Who measured, when each run began and how long it lasted, what surrounded it, and with what."""
+    """Operator, begin and duration of each run, ambient conditions, and source of the positions."""
     first = source.runs[0]
     rows = []
     if first.results.instrument is not None:
         kind = INSTRUMENTS[first.results.instrument.kind]
         rows.append(("instrument", f"{kind.sentence.rstrip('.')} ({kind.kind})"))
     rows.append(("operator", first.provenance.get("session", {}).get("operator", "") or _NOT_STATED))
-    around = [_surroundings(run) for run in source.runs]
-    alike = len(set(around)) == 1
-    for run, surroundings in zip(source.runs, around, strict=True):
+    ambient = [_ambient_conditions(run) for run in source.runs]
+    is_common = len(set(ambient)) == 1
+    for run, conditions in zip(source.runs, ambient, strict=True):
         began = run.provenance["file"].get("began", "")
-        text = f"{began and f'began {began}, '}lasted {_lasted(run)}"
-        rows.append((run.title, text if alike else f"{text}; {surroundings or f'air {_NOT_STATED}'}"))
-    if alike:
-        rows.append(("ambient conditions", around[0] or _NOT_STATED))
+        text = f"{began and f'began {began}, '}lasted {_duration_text(run)}"
+        rows.append((run.title, text if is_common else f"{text}; {conditions or f'air {_NOT_STATED}'}"))
+    if is_common:
+        rows.append(("ambient conditions", ambient[0] or _NOT_STATED))
     if first.is_table:
         rows.append(("positions from", first.results.record))
     else:
@@ -134,24 +134,24 @@ def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
     return [(name, text) for name, text in rows if text]
 
 
-def _lasted(run: RunData) -> str:
+def _duration_text(run: RunData) -> str:
     time_s = run.motion.time_s if len(run.motion.time_s) else run.results.points.time_s
     length_s = time_s[-1] - time_s[0] if len(time_s) else 0.0
     return f"{length_s / 60:.1f} min"
 
 
-def _surroundings(run: RunData) -> str:
-    """Air and history of the contact."""
+def _ambient_conditions(run: RunData) -> str:
+    """The ambient conditions of a run, in words."""
     found = run.results.surroundings
-    said = []
+    texts = []
     for name, value in ({} if found is None else found.known()).items():
         shown = quantity(name)
-        said.append(f"{shown.name} {plain(value * shown.factor, 4)} {shown.unit}")
-    return ", ".join(said)
+        texts.append(f"{shown.name} {plain(value * shown.factor, 4)} {shown.unit}")
+    return ", ".join(texts)
 
 
 def _key_results(found: RowsByName, budget: Mapping[str, Budget]) -> list[tuple[str, str]]:
-    """Labels and values; with what dominates the whole uncertainty where the apparatus has a part."""
+    """Labels and values; the label names the dominant source if the apparatus contributes to u."""
     names = [SURFACE_ENERGY, *DEFAULT_LAW.names(drag=True)]
     shown = []
     for row in (found.rows[name] for name in names if name in found.rows):
@@ -162,8 +162,8 @@ def _key_results(found: RowsByName, budget: Mapping[str, Budget]) -> list[tuple[
     return shown
 
 
-def _to_copy(source: ReportSource, found: RowsByName) -> list[str]:
-    """A sentence with the values and what to cite, and a row for a table in LaTeX."""
+def _text_to_copy(source: ReportSource, found: RowsByName) -> list[str]:
+    """A sentence with the values and the reference to cite, and a row for a table in LaTeX."""
     rows = [found.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in found.rows]
     first = source.runs[0]
     several = f"{len(source.runs)} runs" if len(source.runs) > 1 else "one run"
@@ -184,8 +184,8 @@ def _to_copy(source: ReportSource, found: RowsByName) -> list[str]:
     ]
 
 
-def sentence(run: RunData) -> str:
-    """How much was measured in a run, in one sentence."""
+def run_sentence(run: RunData) -> str:
+    """A sentence on the extent of a run: half-cycles, duration, frames, flags."""
     results, unit = run.results, run.motion.unit.shown
     left_out = len(run.results.stored.left_out_flags)
     taken = (
@@ -194,11 +194,11 @@ def sentence(run: RunData) -> str:
         else f"{results.frames} frames, {results.dropped_frames} dropped"
     )
     return (
-        f"{run.title}: {results.half_cycles_text(unit, ' from ')} in {_lasted(run)}; {taken}; "
+        f"{run.title}: {results.half_cycles_text(unit, ' from ')} in {_duration_text(run)}; {taken}; "
         f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
     )
 
 
 def notes_of(run: RunData) -> list[str]:
-    """What is to be said of a run, with its warnings."""
+    """Remarks, warnings and notes of a run."""
     return [*remarks(run.results), *run.results.warnings, *run.notes]

@@ -1,4 +1,4 @@
-"""Tables of a run and of a series: fits, what follows from them, what is known how well."""
+"""Tables of a run and of a series: parameters, budget, adhesion, work, correlations, half-cycles."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -39,14 +39,14 @@ from rig.presentation import (
 )
 from rig.report.source import RunData
 
-_NEGLIGIBLE = 0.005
-"""Share of the variance below which a source is shown with others in one line."""
+_MIN_SHOWN_SHARE = 0.005
+"""Fraction of the variance below which sources are shown together in one line."""
 
 
 def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], name: str = "budget") -> Table:
     """GUM budgets of all quantities, largest contribution first.
 
-    Of what the data do not determine, its bound and the shares of the sources alone.
+    For undetermined quantities the bound, and only the shares of the sources.
     """
     rows: list[list[Cell]] = []
     shown = []
@@ -65,7 +65,7 @@ def budget_table(budget: Mapping[str, Budget], known: Mapping[str, ResultRow], n
                     contribution, share,
                 ]
             )  # fmt: skip
-            if share < _NEGLIGIBLE:
+            if share < _MIN_SHOWN_SHARE:
                 small.append(line)
                 continue
             cells = [SOURCES.get(line.source, line.source), line.type]
@@ -92,7 +92,7 @@ def _part(contribution: float) -> str:
 
 
 def series_table(series: Series) -> Table:
-    """A series combined: exact, asymptotic, and the paper's way."""
+    """Table of a series' parameters: exact and asymptotic fits, and curves averaged as in the paper."""
     lines = []
     exact, asymptotic = (series.fits.get(method, {}) for method in (FitMethod.EXACT, FitMethod.ASYMPTOTIC))
     average = series.averaged_curves or AveragedCurves()
@@ -106,13 +106,13 @@ def series_table(series: Series) -> Table:
         ]
         known = (row.value, row.u_total, row.lower, row.upper) if row is not None else [math.nan] * 4
         between = cells[1] * shown_as.factor
-        told = row is None or row.determined
+        is_determined = row is None or row.determined
         texts = [
             shown_as.label,
             "" if row is None else row.text,
             "" if row is None else row.interval_text,
             plain(between, 2) if between else "none seen",
-            *(shown_as.text(value, u) if told else "" for value, u in others),
+            *(shown_as.text(value, u) if is_determined else "" for value, u in others),
         ]
         lines.append(TableRow([name, *known, *cells, *others[0], *others[1]], texts))
     return Table.of(
@@ -162,13 +162,14 @@ _CONDITIONS = ("condition", "verdict", "measured", "limit", "reason")
 def conditions_table(results: RunResults) -> Table:
     """The conditions of the run against their limits."""
     shown = [
-        [item.name, _judged(item), item.measured, item.limit, item.reason] for item in results.conditions
+        [item.name, _verdict_text(item), item.measured, item.limit, item.reason]
+        for item in results.conditions
     ]
     rows: list[list[Cell]] = [[*row] for row in shown]
     return Table("conditions", "Conditions of the run", _CONDITIONS, rows, _CONDITIONS, shown)
 
 
-def _judged(item: Verdict) -> str:
+def _verdict_text(item: Verdict) -> str:
     if not item.ok:
         return "NOT OK"
     return "warning" if item.remedy else "ok"
@@ -178,7 +179,7 @@ _THEORIES = ("JKR", "Maugis-Dugdale", "DMT")
 
 
 def adhesion_table(results: RunResults) -> Table:
-    """The contact with adhesion, where c is determined; Hertz's is in the table of results."""
+    """Table of the contact with adhesion, if c is determined; Hertz's contact is in the table of results."""
     rows = [row for row in results.table if row.fit in _THEORIES]
     lines = [_line(f"{row.quantity} ({row.fit})", f"{row.shown.symbol}, {row.fit}", row) for row in rows]
     note = (
@@ -190,7 +191,7 @@ def adhesion_table(results: RunResults) -> Table:
 
 
 def work_table(results: RunResults) -> Table:
-    """4A and 4A_t at the amplitude of Table 4, or the measured one nearest to it, and at the run's start."""
+    """Work 4A and 4A_t at the amplitude of Table 4, or the nearest measured one, and at the run's start."""
     lines = []
     c = results.rows.get("c")
     for item in results.work_per_cycle:
@@ -199,7 +200,7 @@ def work_table(results: RunResults) -> Table:
         texts = [with_uncertainty(value * 1e15, u * 1e15) for value, u in pairs]
         share = f"{100 * pairs[1].value / pairs[0].value:.1f} %" if pairs[0].value else NOT_KNOWN
         if math.isnan(pairs[1].value):
-            # where c is but bounded, so is its part, which is proportional to it
+            # if c is only bounded, so is its part of the work, which is proportional to c
             share = NOT_KNOWN
             if c is not None and results.pendulum is not None:
                 moment_n_m = weight_moment(results.pendulum)
@@ -226,7 +227,7 @@ def correlation_table(results: RunResults) -> Table:
 
 
 def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
-    """Every half-cycle that was fitted, with the models beside it, for the file."""
+    """Table of every fitted half-cycle with the models' values, for the CSV file."""
     points, unit = run.results.points, run.motion.unit
     size = unit.shown_size
     columns = ["index", "time_s", "u_time_s", f"amplitude_{unit.shown}", f"u_amplitude_{unit.shown}"]
@@ -245,40 +246,39 @@ def half_cycle_table(run: RunData, curves: Curves | None) -> Table:
     return Table("half-cycles", "Half-cycles", columns, rows)
 
 
-_MOST_FIRST = 4
+_MAX_HEADLINES = 4
 _ORDER: Final = [field.name for field in fields(InstrumentQuantities)]
 
 
 def _rows(results: RunResults) -> list[ResultRow]:
-    """The rows of what this kind of pendulum reports, first things first."""
+    """Rows of the quantities that this kind of pendulum reports, in the order of their declaration."""
     hidden = ("damping_start_deg", "damping_end_deg")
     found = [row for row in results.table if row.fit.startswith(INSTRUMENT) and row.quantity not in hidden]
     return sorted(found, key=lambda row: _ORDER.index(row.quantity))
 
 
-def _name(row: ResultRow) -> str:
-    """In words, with the part of the decay of which it is."""
+def _row_name(row: ResultRow) -> str:
+    """Name of a quantity with its part of the decay, in words."""
     return f"{row.shown.name}{row.fit.removeprefix(INSTRUMENT)}"
 
 
 def headline(results: RunResults, series: InstrumentSeries | None) -> list[tuple[str, str]]:
-    """Labels and texts of what is looked for first.
+    """Labels and texts of the main results.
 
-    They are those of the series where it has several places, else of the run; the ratio to a reference is the
-    series'.
+    They are those of a series with several places, else of the run; the ratio to a reference is the series'.
     """
-    found = [(_name(row), row) for row in _rows(results)]
+    found = [(_row_name(row), row) for row in _rows(results)]
     if series is not None:
         many = series.time_s is not None and series.time_s.places > 1
         found = [*_series_rows(series, with_places=many), *([] if many else found)]
-    return [(replace(row.shown, symbol=name).label, row.text) for name, row in found[:_MOST_FIRST]]
+    return [(replace(row.shown, symbol=name).label, row.text) for name, row in found[:_MAX_HEADLINES]]
 
 
 def instrument_table(results: RunResults) -> Table:
-    """Every number with its unit, and what the standard wants of environment and apparatus."""
+    """Table of every number with its unit, and of the standard's limits for environment and apparatus."""
     checks = () if results.instrument is None else results.instrument.checks
     more = [""] if checks else []
-    lines = [_line(row.quantity, _name(row), row, *more) for row in _rows(results)]
+    lines = [_line(row.quantity, _row_name(row), row, *more) for row in _rows(results)]
     for check in checks:
         limits = f"{check.lowest:g} to {check.highest:g} wanted: {check.verdict}"
         cells: list[Cell] = [check.name, check.value, check.standard_uncertainty]
@@ -295,7 +295,7 @@ def _line(key: str, name: str, row: ResultRow, *more: str) -> TableRow:
 
 
 def instrument_series_table(series: InstrumentSeries) -> Table:
-    """What the places of a sample say together, and their ratio to a reference."""
+    """Table of means over the places of a sample, and their ratio to a reference."""
     found = [*_series_rows(series, with_places=True)]
     if series.reference_time_s is not None:
         row = plain_row("damping_time_s", series.reference_time_s, "")

@@ -19,8 +19,8 @@ from rig.analysis import (
     session_results,
     with_laws,
 )
-from rig.campaigns import Campaign, StatedCampaign, answer_of, read_campaign, runs_of_folders, save_campaign
-from rig.intake import FilmAsked, TableColumns, film_trajectory
+from rig.campaigns import Campaign, StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
+from rig.intake import FilmOptions, TableColumns, film_trajectory
 from rig.scripting.session import Record, Session, columns_of, overrides_of, path_of, several, text_of
 from rig.settings import load_configuration
 
@@ -137,7 +137,7 @@ def fit_film(
     if configuration is not None:
         config = load_configuration(path_of(configuration, "configuration"), needs_camera=False)
     size = text_of(pixel, "pixel", "0.142 mm")
-    asked = FilmAsked(rate_hz=rate_hz, dark=dark, size=size, begin_s=begin_s, end_s=end_s)
+    asked = FilmOptions(rate_hz=rate_hz, dark=dark, size=size, begin_s=begin_s, end_s=end_s)
     return analyse_trajectory(film, film_trajectory(film, asked), config).results
 
 
@@ -265,7 +265,7 @@ def campaign(
     ]
     folder = None if output is None else path_of(output, "output")
     known = StatedCampaign() if stated is None else read_campaign(path_of(stated, "stated"))
-    found = answer_of(runs_of_folders(folders), known, sample=sample)
+    found = fit_model(runs_of_folders(folders), known, sample=sample)
     if folder is not None:
         save_campaign(found, folder)
     return found

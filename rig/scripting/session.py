@@ -1,4 +1,4 @@
-"""A record and a session as a script has them."""
+"""Records and sessions for scripts."""
 
 import json
 import os
@@ -28,21 +28,21 @@ _SAVED = "save what is in memory first (to_csv, numpy.save) and name the file"
 
 
 def path_of(value: object, what: str) -> Path:
-    """A path. Raises ConfigurationError for an array or a data frame in its place."""
+    """A path; raises ConfigurationError for an array or a data frame."""
     if isinstance(value, str | os.PathLike):
         return Path(value)
     raise ConfigurationError(f"{what}: a path is needed, not {_named(value)}; {_SAVED}")
 
 
 def text_of(value: object, what: str, such_as: str) -> str:
-    """A text, empty for None. Raises ConfigurationError for anything else."""
+    """A text, empty for None; raises ConfigurationError for other types."""
     if value is None or isinstance(value, str):
         return value or ""
     raise ConfigurationError(f"{what}: a text such as {such_as!r} is needed, not {_named(value)}")
 
 
 def columns_of(value: Any, what: str) -> tuple[str, ...]:
-    """Columns by name or number, one or several; raises ConfigurationError for what is neither."""
+    """Columns by name or number, one or several; raises ConfigurationError for other types."""
     found = list(value) if isinstance(value, Iterable) and not isinstance(value, str) else [value]
     if wrong := [one for one in found if isinstance(one, bool) or not isinstance(one, str | Integral)]:
         raise ConfigurationError(
@@ -52,10 +52,10 @@ def columns_of(value: Any, what: str) -> tuple[str, ...]:
 
 
 def several(value: Any, single: tuple[type, ...], what: str) -> list[Any]:
-    """One, or a sequence of them, as a list; raises ConfigurationError for none, and for what is neither."""
+    """One value, or a sequence of values, as a list; raises ConfigurationError for none or other types."""
     if isinstance(value, (str, os.PathLike, *single)):
         return [value]
-    # an array or a data frame would be gone through by its numbers or columns
+    # refused, because iteration over an array or a data frame yields numbers or column names
     if not isinstance(value, Iterable) or hasattr(value, "shape"):
         raise ConfigurationError(f"{what}: paths, or what was opened, are needed, not {_named(value)}")
     found = list(value)
@@ -65,7 +65,7 @@ def several(value: Any, single: tuple[type, ...], what: str) -> list[Any]:
 
 
 def overrides_of(changes: Mapping[str, object] | None) -> list[str]:
-    """``KEY=VALUE`` as on the command line; numbers of NumPy are numbers."""
+    """Changes as ``KEY=VALUE`` of the command line; numbers of NumPy are numbers."""
     if changes is None:
         return []
     if not isinstance(changes, Mapping):

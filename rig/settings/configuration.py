@@ -1,4 +1,4 @@
-"""The configuration as frozen models: one per section, and one that holds all."""
+"""The configuration as frozen models: one for each section, and one for the whole."""
 
 import shlex
 from collections.abc import Iterable
@@ -29,7 +29,7 @@ from rig.settings.sections import (
 )
 
 _DEVICE_KEYS = ("controller.", "laser.", "session.output")
-"""Keys of the devices and of the output folder."""
+"""Beginnings of the keys of devices and output folder, which `command_words` repeats."""
 
 
 class Section(BaseModel, frozen=True, extra="forbid"):
@@ -198,7 +198,7 @@ class FitSettings(Section, frozen=True):
 
     @property
     def fits_drag(self) -> bool:
-        """Whether a drag is among the parameters."""
+        """Whether the drag is a parameter of the fit."""
         return self.drag != "vacuum"
 
     @property
@@ -248,7 +248,7 @@ class Configuration(Section, frozen=True):
     balance: BalanceSettings = BalanceSettings()
     simulation: SimulationSettings = SimulationSettings()
     faults: FaultSettings = FaultSettings()
-    _named: str = PrivateAttr(default="CONFIG")
+    _words: str = PrivateAttr(default="CONFIG")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -271,13 +271,13 @@ class Configuration(Section, frozen=True):
     @property
     def command_words(self) -> str:
         """Words of the command line that select this rig: its file, and --set of its devices."""
-        return self._named
+        return self._words
 
     def remember_file(self, path: Path, overrides: Iterable[str] = ()) -> Self:
-        """Note the file for `command_words`."""
+        """Store file and overrides for `command_words`."""
         devices = [text for text in overrides if text.strip().startswith(_DEVICE_KEYS)]
-        # the origin of the values, not one of them
-        self._named = shlex.join([str(path), *(word for text in devices for word in ("--set", text))])  # type: ignore[misc]
+        # a private attribute, because it is the origin of the values and not one of them
+        self._words = shlex.join([str(path), *(word for text in devices for word in ("--set", text))])  # type: ignore[misc]
         return self
 
     @property
@@ -294,12 +294,12 @@ class Configuration(Section, frozen=True):
 
     @property
     def simulated(self) -> bool:
-        """True if the camera is the simulated rig, described by [simulation]."""
+        """Whether the camera is the simulated rig, described by [simulation]."""
         return self.camera.driver == "simulated"
 
     @property
     def on_demand(self) -> bool:
-        """True if frames are simulated or read from files on request, so that none can be lost."""
+        """Whether frames are simulated or read from files on request, so that none can be lost."""
         paced = self.simulated and self.simulation.real_time
         return find_driver(self.camera.driver).on_demand and not paced
 

@@ -22,13 +22,13 @@ from rig.settings.configuration import Configuration
 from rig.settings.number_input import quantity, states_unit
 from rig.settings.validation_messages import KeyFault, validated
 
-_TWICE = ("Cannot overwrite a value", "Cannot declare", "Duplicate")
+_TWICE_MESSAGES = ("Cannot overwrite a value", "Cannot declare", "Duplicate")
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """The tables of a file that is called `what`; it may begin with a byte order mark.
+    """The tables of a TOML file, which may begin with a byte order mark; `what` is its kind in messages.
 
-    Raises ConfigurationError with one line: missing, a folder, unreadable, not TOML.
+    Raises ConfigurationError with one line if the file is missing, a folder, unreadable or not TOML.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -51,10 +51,10 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 
 def _hint(said: str, text: str) -> str:
-    """What is usually meant by a slip that TOML's own words do not name."""
+    """The likely meaning of a common error that TOML's message does not explain; else empty."""
     place = re.search(r"at line (\d+)", said)
     line = text.splitlines()[int(place[1]) - 1] if place and int(place[1]) <= text.count("\n") + 1 else ""
-    if said.startswith(_TWICE):
+    if said.startswith(_TWICE_MESSAGES):
         return "; this is stated twice, as a section or with its name before a point: state it once"
     if number := re.match(r"\s*([\w.]+)\s*=\s*[+-]?\d[\d.eE+-]*\s+[^\W\d]", line):
         return f"; {number[1]} is a number alone, in the unit that its name ends with"
@@ -74,10 +74,10 @@ def load_configuration(
 ) -> Configuration:
     """Read a configuration file and apply ``KEY=VALUE`` overrides.
 
-    Without `needs_camera`, for what is calculated from a table, ``camera.driver`` may be left out.
+    Without `needs_camera`, for calculations from a table, ``camera.driver`` may be left out.
 
-    Raises ConfigurationError for a missing file, invalid TOML, an unknown key (naming the nearest known
-    one), or a value of the wrong type or out of range: a line for each, which names the file or --set.
+    Raises ConfigurationError for a missing file, invalid TOML, unknown keys (naming the nearest known one),
+    and values of the wrong type or out of range: a line for each, which names the file or --set.
     """
     tree = read_toml_tree(path)
     overrides = tuple(overrides)
@@ -87,10 +87,10 @@ def load_configuration(
     return validate_configuration(tree, str(path), overrides).remember_file(path, overrides)
 
 
-def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+def read_toml_tree(path: Path, visited: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Tables of a configuration file, merged over those of the file that it extends."""
     tree = read_toml(path, "configuration file; rig init writes one")
-    if path.resolve() in seen:
+    if path.resolve() in visited:
         raise ConfigurationError(f"{path}: extends itself; remove one of the 'extends' lines")
     tree = unnumbered(tree, str(path))
     base = tree.pop("extends", None)
@@ -102,61 +102,61 @@ def read_toml_tree(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise ConfigurationError(
             f"{path}: extends = {base!r}: no such file in {path.parent.resolve()}, the folder of this one"
         )
-    return _merged(read_toml_tree(path.parent / base, (*seen, path.resolve())), tree)
+    return _merged(read_toml_tree(path.parent / base, (*visited, path.resolve())), tree)
 
 
 def unnumbered(tree: Mapping[str, Any], what: str) -> dict[str, Any]:
     """The tables of a configuration without the number of its schema, which a person may leave out.
 
-    Raises ConfigurationError, one line, for another number than that of this version.
+    Raises ConfigurationError for the number of another version.
     """
     require_schema(what, tree.get(SCHEMA_KEY, SCHEMA), SCHEMA, ConfigurationError)
     return {key: value for key, value in tree.items() if key != SCHEMA_KEY}
 
 
 def stored_configuration(config: Configuration) -> dict[str, Any]:
-    """The whole configuration as records and sessions keep it, with the number of its schema."""
+    """The whole configuration as it is stored in records and sessions, with the number of its schema."""
     return {SCHEMA_KEY: SCHEMA, **config.model_dump(mode="json")}
 
 
 class FaultyConfiguration(ConfigurationError):
-    """A line for each fault of a configuration; `of_overrides` are those of --set, by their keys."""
+    """Faults of a configuration, a line for each; `override_faults` are those of --set, as (key, line)."""
 
-    def __init__(self, lines: Sequence[str], of_overrides: Sequence[tuple[str, str]]) -> None:
+    def __init__(self, lines: Sequence[str], override_faults: Sequence[tuple[str, str]]) -> None:
         super().__init__("\n".join(lines))
-        self.of_overrides = tuple(of_overrides)
+        self.override_faults = tuple(override_faults)
 
 
 def validate_configuration(
     tree: Mapping[str, Any], source: str, overrides: Iterable[str] = ()
 ) -> Configuration:
-    """Validate nested dictionaries; a ConfigurationError has a line for each fault, unknown keys first.
+    """Validate nested tables; raises ConfigurationError with a line for each fault, unknown keys first.
 
     A fault of a key that one of `overrides` states is reported as one of --set, any other as one of `source`.
     """
-    # so that a missing section is reported as the key that it lacks
+    # an empty section, so that the missing key in it is reported, not the section
     tree = {"camera": {}, **tree}
     config, found_faults = validated(Configuration, tree)
     if config is not None:
         return config
     stated = {f"{override.partition('=')[0].strip()}." for override in overrides}
     with_u = stated | {".u_".join(key.rsplit(".", 2)[:2]) + "." for key in stated if key.count(".") > 1}
-    lines, of_overrides = [], []
+    lines, override_faults = [], []
     for fault in found_faults:
-        is_stated, place = _is_of(fault, with_u), fault.place
-        beside = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
-        why = f" (--set {beside[0]} states this section)" if fault.is_missing and beside else ""
+        is_stated, place = _is_from_overrides(fault, with_u), fault.place
+        siblings = [key.rstrip(".") for key in sorted(stated) if place and key.startswith(f"{place[0]}.")]
+        why = f" (--set {siblings[0]} states this section)" if fault.is_missing and siblings else ""
         lines.append(f"{'--set ' if is_stated else f'{source}: '}{fault.line}{why}")
-        of_overrides += [(dotted(place), f"{fault.line}{why}")] if is_stated else []
-    raise FaultyConfiguration(lines, of_overrides)
+        override_faults += [(dotted(place), f"{fault.line}{why}")] if is_stated else []
+    raise FaultyConfiguration(lines, override_faults)
 
 
 def keys_with_faults(
     keys: Mapping[str, Any], whole: str = "", root: type[BaseModel] | None = None
 ) -> list[str]:
-    """A line for each fault of these values, which are by dotted key; other keys may still be missing.
+    """A line for each fault of values by dotted key; other keys may be missing.
 
-    What holds between the keys of a section is checked of the section `whole` only. `root` is the model of
+    Relations between the keys of a section are checked only for the section `whole`. `root` is the model of
     the file; None: the configuration.
     """
     tree: dict[str, Any] = {} if root else {"camera": {"driver": "files"}}
@@ -171,10 +171,10 @@ def keys_with_faults(
     return [fault.line for fault in found_faults if dotted(fault.place) in asked]
 
 
-def _is_of(fault: KeyFault, stated: set[str]) -> bool:
-    """Whether a fault is that of a key that --set states, or inside or around it.
+def _is_from_overrides(fault: KeyFault, stated: set[str]) -> bool:
+    """Whether a fault belongs to a key that --set states, or to a key above or below it.
 
-    A fault between several keys has no place; they stand in its line.
+    A fault between several keys has no place; its line names them.
     """
     if not fault.place:
         return any(key.rstrip(".") in fault.line for key in stated)
@@ -182,11 +182,11 @@ def _is_of(fault: KeyFault, stated: set[str]) -> bool:
     return any(key.startswith(f"{place}.") or f"{place}.".startswith(key) for key in stated)
 
 
-def _merged(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    result = dict(below)
-    for key, value in above.items():
-        under = result.get(key)
-        result[key] = _merged(under, value) if isinstance(under, dict) and isinstance(value, dict) else value
+def _merged(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    result = dict(base)
+    for key, value in changes.items():
+        inner = result.get(key)
+        result[key] = _merged(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
     return result
 
 
@@ -235,14 +235,14 @@ def _folder() -> Path:
 
 
 def shipped_names() -> list[str]:
-    """Names by which `shipped` finds a configuration."""
+    """Names of the configurations that come with the program."""
     return sorted(path.stem for path in _folder().glob("*.toml"))
 
 
 def shipped(name: str) -> Path:
-    """The file of a configuration, ``basement`` for ``basement.toml``.
+    """The file of a configuration that comes with the program, ``basement`` for ``basement.toml``.
 
-    Raises ConfigurationError with the names that there are.
+    Raises ConfigurationError with the known names for an unknown one.
     """
     if name not in (names := shipped_names()):
         raise ConfigurationError(
@@ -252,9 +252,9 @@ def shipped(name: str) -> Path:
 
 
 class KeyUseMonitor:
-    """A configuration that notes which of its changed keys are read; to copy it reads none of them.
+    """A configuration that records which of its changed keys are read; copying it reads none.
 
-    `config` compares equal to the one that is watched. `remedy` says what to do about a key without effect.
+    `config` equals the watched configuration. `remedy` is the remedy for a key without effect.
     """
 
     def __init__(self, config: Configuration, overrides: Iterable[str], remedy: str) -> None:
@@ -269,15 +269,15 @@ class KeyUseMonitor:
 
     @property
     def unread(self) -> list[str]:
-        """Changed keys that nothing has read so far."""
+        """Changed keys that have not been read so far."""
         return [key for key in self._keys if key not in self._read]
 
     def refuse_read(self) -> None:
-        """Raise ConfigurationError if a changed key was read by what cannot be done again."""
+        """Raise ConfigurationError if a changed key was read by a step that is not repeated."""
         self._refuse(self._read)
 
     def refuse_unread(self, others: Iterable["KeyUseMonitor"] = ()) -> None:
-        """Raise ConfigurationError with a line for each changed key that nothing has read, here or there."""
+        """Raise ConfigurationError with a line for each changed key unread here and in all `others`."""
         self._refuse(set(self.unread).intersection(*(other.unread for other in others)))
 
     def _refuse(self, keys: Collection[str]) -> None:
@@ -287,32 +287,32 @@ class KeyUseMonitor:
 
 
 def _with_watch(holder: Any, place: Sequence[str], note: Callable[[], None]) -> Any:
-    """A copy in which reading what stands at `place`, or anything of a section that does, is noted."""
-    first, *below = place
+    """A copy that calls `note` when the value at `place`, or any value of the section there, is read."""
+    first, *base = place
     value = holder[first] if isinstance(holder, Mapping) else getattr(holder, first)
-    if below:
-        return _with(holder, first, _with_watch(value, below, note))
+    if base:
+        return _with_replaced(holder, first, _with_watch(value, base, note))
     if isinstance(value, Mapping):
-        return _with(
+        return _with_replaced(
             holder, first, {name: _watching(each, _names(each), note) for name, each in value.items()}
         )
     if names := _names(value):
-        return _with(holder, first, _watching(value, names, note))
+        return _with_replaced(holder, first, _watching(value, names, note))
     return _watching(holder, {first}, note)
 
 
 def _names(value: Any) -> set[str]:
-    """The keys of a section; none of a plain value."""
+    """The keys of a section; empty for a plain value."""
     if isinstance(value, BaseModel):
         return set(type(value).model_fields)
     return {field.name for field in fields(value)} if is_dataclass(value) else set()
 
 
-def _with(holder: Any, name: str, value: Any) -> Any:
+def _with_replaced(holder: Any, name: str, value: Any) -> Any:
     if isinstance(holder, Mapping):
         return {**holder, name: value}
     changed = copy.copy(holder)
-    # both are frozen
+    # set directly, because the copy is frozen like the original
     object.__setattr__(changed, name, value)
     return changed
 
@@ -328,14 +328,14 @@ def _watching(section: Any, names: set[str], note: Callable[[], None]) -> Any:
             note()
         return kind.__getattribute__(self, name)
 
-    # equality of models and dataclasses asks for the same `__class__`
+    # models and dataclasses are equal only if `__class__` is the same
     namespace = {
         "__module__": kind.__module__,
         "__slots__": (),
         "__getattribute__": reading,
         "__class__": property(lambda _: shown_kind),
     }
-    watching = type(kind)(kind.__name__, (kind,), namespace)
+    watching_kind = type(kind)(kind.__name__, (kind,), namespace)
     found = copy.copy(section)
-    vars(object)["__class__"].__set__(found, watching)
+    vars(object)["__class__"].__set__(found, watching_kind)
     return found

@@ -1,4 +1,4 @@
-"""Reads what a person types: a number with its unit and its standard uncertainty."""
+"""Reading of typed input: numbers with unit and standard uncertainty, and stop conditions."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -14,14 +14,14 @@ from processing.units import conversion, units_like
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _UNIT = r"[^\s\d±+\-,.][^\s±+]*"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*({_UNIT})?(?:\s*(?:±|\+/?-)\s*({_NUMBER})\s*({_UNIT})?)?")
-_USUAL = ("g", "mg", "mm", "um", "nm", "GPa", "MPa", "mW", "uW", "mA", "mrad", "deg", "ms")
-"""What a person types, for hints."""
+_COMMON_UNITS = ("g", "mg", "mm", "um", "nm", "GPa", "MPa", "mW", "uW", "mA", "mrad", "deg", "ms")
+"""Units that people usually type, for hints."""
 
 
 def quantity(text: str, unit: str = "") -> tuple[float, float | None]:
-    """The number in `text`, and its standard uncertainty if it states one: ``6.05 mm ± 1 um``.
+    """The number in `text`, and its standard uncertainty if stated, in `unit`: ``6.05 mm ± 1 um``.
 
-    Without a unit they are in `unit`. Raises ConfigurationError for anything else.
+    A number without a unit is in `unit`. Raises ConfigurationError for other text.
     """
     plain = _plain(text)
     found = _QUANTITY.fullmatch(plain)
@@ -32,9 +32,9 @@ def quantity(text: str, unit: str = "") -> tuple[float, float | None]:
         raise ConfigurationError(
             f"{text!r}: should be a number, with ± and its uncertainty where it is known"
         )
-    value, of_value, u, of_u = found.groups()
-    size = _size(of_value or of_u, unit, text)
-    u_size = None if u is None else _size(of_u or of_value, unit, text)
+    value, value_unit, u, u_unit = found.groups()
+    size = _size(value_unit or u_unit, unit, text)
+    u_size = None if u is None else _size(u_unit or value_unit, unit, text)
     return float(Decimal(value) * size), None if u_size is None else float(Decimal(u) * u_size)
 
 
@@ -43,29 +43,29 @@ def _plain(text: str) -> str:
 
 
 def _size(stated: str | None, unit: str, text: str) -> Decimal:
-    """One of the stated unit in `unit`."""
+    """Size of the stated unit in `unit`."""
     if not stated:
         return Decimal(1)
     try:
         factor = Decimal(repr(conversion(stated, unit or "1")))
     except ConfigurationError:
-        *others, last = units_like(unit, _USUAL) or ("",) if unit else ("",)
+        *others, last = units_like(unit, _COMMON_UNITS) or ("",) if unit else ("",)
         usual = f", or {', '.join(others)}{' or ' if others else ''}{last}" if last else ""
         meant = f"; {unit} is meant{usual}" if unit else "; a number alone is needed"
         raise ConfigurationError(f"{text!r}: has the unit {stated}{meant}") from None
-    # powers of ten, and what else is round, as decimals: 6.05 mm are 0.00605 m
+    # round factors as exact decimals, so that 6.05 mm are 0.00605 m
     short = Decimal(f"{factor:.12g}")
     return short if abs(short - factor) <= factor * Decimal("1e-15") else factor
 
 
 def states_unit(text: str) -> bool:
-    """Whether it is a number with a unit, whichever."""
+    """Whether text is a number with any unit."""
     found = _QUANTITY.fullmatch(_plain(text))
     return found is not None and bool(found[2] or found[4])
 
 
 def number(unit: str = "", *, least: float | None = None) -> Callable[[str], float]:
-    """Reads a number without uncertainty, in `unit`; `least` is the smallest that is taken."""
+    """A reader of a number without uncertainty, in `unit`; `least` is the smallest accepted one."""
 
     def read(text: str) -> float:
         value, u = quantity(text, unit)
@@ -79,13 +79,13 @@ def number(unit: str = "", *, least: float | None = None) -> Callable[[str], flo
 
 
 def optional(read: Callable[[str], float]) -> Callable[[str], float | None]:
-    """Reads the same; nothing for an empty answer."""
+    """A reader like `read` that returns None for empty text."""
     return lambda text: read(text) if text else None
 
 
-_FORM = re.compile(r"\s*u\(\s*([^()\s]+)\s*\)\s*/\s*([^()\s<]+)\s*<\s*([0-9][0-9.eE+-]*)\s*")
-_WRITTEN = {"period0_s": "T0", "gamma_pa": "gamma", DRAG.key: "drag"}
-"""How parameters are written without a special keyboard."""
+_STOP_CONDITION = re.compile(r"\s*u\(\s*([^()\s]+)\s*\)\s*/\s*([^()\s<]+)\s*<\s*([0-9][0-9.eE+-]*)\s*")
+_TYPED_NAMES = {"period0_s": "T0", "gamma_pa": "gamma", DRAG.key: "drag"}
+"""Names of parameters in ASCII, by key."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +96,13 @@ class StopCondition:
     limit: float
 
     def relative(self, estimates: Mapping[str, Estimate]) -> float:
-        """The relative uncertainty now; infinite where there is none."""
+        """The present relative uncertainty; infinite without an estimate."""
         value, u = estimates.get(self.parameter, (0.0, 0.0))
         return u / abs(value) if value else float("inf")
 
     def text(self, estimates: Mapping[str, Estimate]) -> str:
-        """`u(c)/c = 0.0287 < 0.03`, or with ≥ while it does not hold."""
-        name, now = _written(self.parameter), self.relative(estimates)
+        """The condition with its present value: `u(c)/c = 0.0287 < 0.03`, or ≥ while it does not hold."""
+        name, now = _typed_name(self.parameter), self.relative(estimates)
         shown = f"{now:.3g}" if isfinite(now) else "?"
         return f"u({name})/{name} = {shown} {'<' if now < self.limit else '≥'} {self.limit:g}"
 
@@ -113,13 +113,13 @@ def stop_condition(text: str) -> StopCondition:
     Raises
     ------
     ValueError
-        Another form, an unknown parameter, a limit that is not between 0 and 1.
+        The form is wrong, the parameter unknown, or the limit not between 0 and 1.
     """
-    found = _FORM.fullmatch(text)
+    found = _STOP_CONDITION.fullmatch(text)
     if found is None:
         raise ValueError(f"{text!r} must read u(NAME)/NAME < NUMBER, for example u(c)/c < 0.03")
-    over, under = (_key(name) for name in found.groups()[:2])
-    if over != under:
+    numerator, denominator = (_key(name) for name in found.groups()[:2])
+    if numerator != denominator:
         raise ValueError(f"{text!r} names two parameters; write u({found[1]})/{found[1]}")
     try:
         limit = float(found[3])
@@ -127,11 +127,11 @@ def stop_condition(text: str) -> StopCondition:
         raise ValueError(f"{text!r}: {found[3]} is not a number") from None
     if not 0 < limit < 1:
         raise ValueError(f"{text!r}: {found[3]} must lie between 0 and 1, 0.03 for 3 %")
-    return StopCondition(over, limit)
+    return StopCondition(numerator, limit)
 
 
 def stop_conditions(texts: Sequence[str], *, drag: bool) -> tuple[StopCondition, ...]:
-    """Read all conditions. Raises ValueError, also for a drag that is not fitted."""
+    """Read all conditions; raises ValueError for a wrong one, and for a drag that is not fitted."""
     found = tuple(stop_condition(text) for text in texts)
     for text, condition in zip(texts, found, strict=True):
         if condition.parameter == DRAG.key and not drag:
@@ -139,17 +139,17 @@ def stop_conditions(texts: Sequence[str], *, drag: bool) -> tuple[StopCondition,
     return found
 
 
-def _written(key: str) -> str:
-    return _WRITTEN.get(key, key)
+def _typed_name(key: str) -> str:
+    return _TYPED_NAMES.get(key, key)
 
 
 def _key(name: str) -> str:
     known = {
         spelling: parameter.key
         for parameter in (*DEFAULT_LAW.parameters, DRAG)
-        for spelling in (parameter.key, parameter.symbol, _written(parameter.key))
+        for spelling in (parameter.key, parameter.symbol, _typed_name(parameter.key))
     }
     if name not in known:
-        names = ", ".join(_written(parameter.key) for parameter in (*DEFAULT_LAW.parameters, DRAG))
+        names = ", ".join(_typed_name(parameter.key) for parameter in (*DEFAULT_LAW.parameters, DRAG))
         raise ValueError(f"no parameter {name}; known are {names}")
     return known[name]

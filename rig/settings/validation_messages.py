@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in words; and the sections and keys that its models have."""
+"""Faults of a configuration in words, and the sections and keys of its models."""
 
 import datetime
 import difflib
@@ -29,12 +29,12 @@ def in_words(root: type, fault: ErrorDetails) -> str:
     if is_unknown_key(fault):
         section = str(fault["loc"][-1])
         if isinstance(fault["input"], Mapping) and section in section_fields(root):
-            # the dotted path of a key, as --set takes it and as commands print it, below a section's head
+            # the user wrote a dotted key, as for --set, below the head of its section
             key = next(iter(fault["input"]), "")
             return f"{path}.{key}: unknown key; below [{section}] it is {key}, without '{section}.'"
-        inside = _sections_with(root, section) if len(fault["loc"]) == 1 else []
-        if inside:
-            return f"{path}: unknown key; did you mean {' or '.join(f'{name}.{section}' for name in inside)}?"
+        owners = _sections_with(root, section) if len(fault["loc"]) == 1 else []
+        if owners:
+            return f"{path}: unknown key; did you mean {' or '.join(f'{name}.{section}' for name in owners)}?"
         known = _known_keys(root, fault["loc"][:-1])
         meant = _FIELDS_WORDS.get(section)
         near = [meant] if meant in known else difflib.get_close_matches(section, known, n=1, cutoff=0.51)
@@ -53,31 +53,31 @@ def in_words(root: type, fault: ErrorDetails) -> str:
         return f"{path} = {fault['input']!r}: should be a number, with a point: {pointed}"
     if fault["type"] == "float_parsing" and states_unit(fault["input"]):
         return f"{path} = {fault['input']!r}: {_without_unit(fault['input'], str(fault['loc'][-1]))}"
-    of_value = fault["type"].startswith("value_error")
-    expected = fault["msg"].removeprefix("Value error, ") if of_value else f"should be {wanted(fault)}"
-    if of_value and isinstance(fault["input"], Mapping):
-        # of a whole section, whose message names keys and values itself
+    is_value = fault["type"].startswith("value_error")
+    expected = fault["msg"].removeprefix("Value error, ") if is_value else f"should be {expected_text(fault)}"
+    if is_value and isinstance(fault["input"], Mapping):
+        # the fault is of a whole section, whose message names keys and values itself
         return f"{path}: {expected.removeprefix(f'{path}: ')}"
     return f"{path} = {_shown(fault['input'])}: {expected}"
 
 
 def _without_unit(text: str, key: str) -> str:
-    """How a number is stated in a file, where its unit stands in the key."""
+    """Words for a number without its unit, which is part of the key."""
     unit = unit_of_name(key)
     meant = f"should be a number alone, in {unit}" if unit else "should be a number alone"
     try:
         value, _ = quantity(text, unit)
     except ConfigurationError:
-        # of another unit
+        # the stated unit does not fit
         return meant
     return f"{meant}: {value:g}"
 
 
-def wanted(fault: ErrorDetails) -> str:
-    """What should be there instead, for a value of the wrong type or out of range."""
+def expected_text(fault: ErrorDetails) -> str:
+    """The expected kind of value, in words, for a value of the wrong type or out of range."""
     kind = fault["type"]
-    if kind in _WANTED:
-        return _WANTED[kind]
+    if kind in _EXPECTED:
+        return _EXPECTED[kind]
     if kind in ("too_short", "too_long"):
         least, most = (fault["ctx"].get(name) for name in ("min_length", "max_length"))
         return f"a list of {f'{least} entries or more' if most is None else f'at most {most} entries'}"
@@ -93,11 +93,11 @@ def wanted(fault: ErrorDetails) -> str:
 
 def _shown(value: Any) -> str:
     text = value.isoformat() if isinstance(value, datetime.datetime) else repr(value)
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+    return text if len(text) <= _MAX_LENGTH else f"{text[: _MAX_LENGTH - 3]}..."
 
 
-_LONGEST = 80
-_WANTED = {
+_MAX_LENGTH = 80
+_EXPECTED = {
     "bool_parsing": "true or false",
     "bool_type": "true or false",
     "dataclass_type": "a table with keys of its own",
@@ -124,7 +124,7 @@ _WANTED = {
 
 
 class KeyFault(NamedTuple):
-    """What is wrong with the key at a place, or, where that is empty, between several keys."""
+    """A fault of the key at a place, or between several keys if the place is empty."""
 
     place: KeyPlace
     line: str
@@ -133,33 +133,33 @@ class KeyFault(NamedTuple):
 
 def validated(root: type[_Model], tree: Mapping[str, Any]) -> tuple[_Model | None, list[KeyFault]]:
     """The model of nested tables; or None and its faults, unknown keys first."""
-    wrong_kinds = list(not_numbers(root, tree))
+    wrong_kinds = list(number_faults(root, tree))
     places = {fault.place for fault in wrong_kinds}
     try:
         found = root.model_validate(tree)
     except ValidationError as error:
         faults = sorted(error.errors(), key=lambda fault: not is_unknown_key(fault))
-        # a list is not too short because one of its entries has a fault
+        # leave out faults of a list that follow from a fault of an entry
         around = {fault["loc"][:depth] for fault in faults for depth in range(len(fault["loc"]))} - {()}
-        passed = places | around
+        left_out = places | around
         others = [
             KeyFault(fault["loc"], in_words(root, fault), fault["type"] == "missing")
             for fault in faults
-            if fault["loc"] not in passed
+            if fault["loc"] not in left_out
         ]
         return None, others + wrong_kinds
     return (None, wrong_kinds) if wrong_kinds else (found, [])
 
 
 def is_unknown_key(fault: ErrorDetails) -> bool:
-    """Whether a key is stated that its section does not have."""
+    """Whether a fault is that of an unknown key."""
     return fault["type"] in ("extra_forbidden", "unexpected_keyword_argument")
 
 
-def not_numbers(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> Iterator[KeyFault]:
-    """Places, with a line for each, where a number is wanted and `true`, `"3"`, `inf` or `nan` is stated.
+def number_faults(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> Iterator[KeyFault]:
+    """Faults of keys with `true`, `"3"`, `inf` or `nan` in place of a number.
 
-    Pydantic would take 1.0 for `true`, and the number in the quotes.
+    Pydantic would take `true` for 1.0, and the number in quotes.
     """
     for key, value in tree.items():
         field = section_fields(root).get(key)
@@ -170,7 +170,7 @@ def not_numbers(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> It
             tables = value if get_origin(field.annotation) is dict else {None: value}
             for name, table in tables.items():
                 if isinstance(table, dict):
-                    yield from not_numbers(inner, table, here if name is None else (*here, name))
+                    yield from number_faults(inner, table, here if name is None else (*here, name))
         elif isinstance(value, bool | str) and _is_number(field, value):
             shown = str(value).lower() if isinstance(value, bool) else f'"{value}"'
             quoted = "" if isinstance(value, bool) else ", without quotes"
@@ -180,7 +180,7 @@ def not_numbers(root: type, tree: Mapping[str, Any], place: KeyPlace = ()) -> It
 
 
 def _is_number(field: FieldInfo, stated: bool | str) -> bool:
-    """Whether only a number can be meant; a string that is no number is left to pydantic."""
+    """Whether a field takes only numbers; a string that is no number is left to pydantic."""
     kinds = set(_parts(field.annotation))
     if not kinds & {int, float} or kinds & {bool, str}:
         return False
@@ -225,13 +225,13 @@ def _field(root: type, place: KeyPlace) -> FieldInfo | None:
 
 
 def _sections_with(root: type, key: str) -> list[str]:
-    """Names of the sections that have this key."""
+    """Names of the sections that have a key."""
     inner = {name: section_of(field) for name, field in section_fields(root).items()}
     return [name for name, section in inner.items() if section and key in section_fields(section)]
 
 
 def _near_in_sections(root: type, key: str) -> list[str]:
-    """The dotted key of a section whose name is nearest to that of `key`; empty where none is near."""
+    """The dotted key in any section whose name is nearest to `key`; empty if none is near."""
     inner = {name: section_of(field) for name, field in section_fields(root).items()}
     keys = {each: name for name, section in inner.items() if section for each in section_fields(section)}
     near = difflib.get_close_matches(key, keys, n=1, cutoff=0.7)

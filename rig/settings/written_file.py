@@ -1,4 +1,4 @@
-"""Files that `rig init` writes: answers with every other key commented out, or a shipped configuration."""
+"""Files that `rig init` writes: a configuration of the answers, or a shipped configuration."""
 
 import datetime
 import textwrap
@@ -17,20 +17,20 @@ from rig.settings.configuration_file import SCHEMA, SCHEMA_KEY, load_configurati
 from rig.settings.validation_messages import section_fields, section_of
 
 EXAMPLE_NAME = "my_steel"
-"""What a table with names of the user's own is called where none is stated."""
+"""Name in a table with names of the user's own, if none is stated."""
 
 
 def commented_file(
     stated: Mapping[str, Any], *, without: Collection[str] = (), remarks: Mapping[str, str] | None = None
 ) -> str:
-    """All sections with all keys, and what each of them is.
+    """Text of a file with all sections and keys, each with its description.
 
     Parameters
     ----------
     stated
         Values by dotted key; every other key is commented out and shows its default.
     without
-        Dotted names of sections that are left out, with all below them.
+        Dotted names of sections that are left out, with their subsections.
     remarks
         Comments by dotted key, in place of the key's description.
     """
@@ -66,7 +66,7 @@ def _section(
 
 
 def _places(path: str, field: FieldInfo, stated: Mapping[str, Any]) -> list[str]:
-    """Where a section stands; one with names of the user's own stands once for each name."""
+    """Paths of a section; one with names of the user's own has a path for each name."""
     if get_origin(field.annotation) is not dict:
         return [path]
     names = dict.fromkeys(key[len(path) :].partition(".")[0] for key in stated if key.startswith(path))
@@ -97,7 +97,7 @@ Keys = Mapping[str, Any]
 
 
 def _configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
-    """The file: what was stated, and every other key of such a rig, commented out."""
+    """Text of the file: the stated values, and every other key of such a rig, commented out."""
     driver = stated["camera.driver"]
     without = {f"camera.{name}" for name in DRIVERS if name != driver} | {"controller.faults"}
     if driver != "simulated":
@@ -122,10 +122,10 @@ def _configuration_text(stated: Keys, made_at: datetime.datetime) -> str:
 
 
 def write_configuration(path: Path, stated: Keys) -> Configuration:
-    """Write the file, and read it back; nothing is left where that fails.
+    """Write the file and read it back; no file is left if that fails.
 
     Raises ConfigurationError for a file that exists already, or answers that contradict each other, and
-    RecordError where it cannot be written.
+    RecordError if it cannot be written.
     """
     refuse_existing(path)
     text = _configuration_text(stated, datetime.datetime.now().astimezone())
@@ -151,14 +151,14 @@ def refuse_existing(path: Path) -> None:
 
 
 def copy_shipped(name: str, path: Path) -> list[Path]:
-    """Write one that comes with the program, and those that it extends beside it; returns the files written.
+    """Copy a shipped configuration, and those that it extends next to it; returns the files written.
 
-    What it extends keeps its name, which the file states; what lies there already with the same text stays.
+    Extended files keep their names, which the copy states; existing files with the same text stay.
 
     Raises
     ------
     ConfigurationError
-        No such configuration, or a file is there that says something else. Nothing is written then.
+        There is no such configuration, or another file exists. Nothing is written then.
     RecordError
         A file cannot be written.
     """

@@ -1,15 +1,15 @@
-"""The terminal the program runs in: Ctrl-C and its closing, characters that its encoding lacks."""
+"""The terminal and the processes of the program: interrupts, hang-up, encoding, child processes, ports."""
 
 from rig.terminal.interruption import (
     BY_USER,
     LOOPBACK,
     Terminated,
+    call_on_hang_up,
     free_port,
     own_group,
     reason_of,
-    spell_out_what_is_missing,
+    replace_missing_characters,
     spelled,
     start_python,
     terminated_by_signals,
-    told_of_hang_up,
 )

@@ -1,4 +1,4 @@
-"""Ctrl-C and a terminal that closes, child processes that it spares, characters that it lacks."""
+"""Ctrl-C, signals and hang-up, child processes in groups of their own, missing characters."""
 
 import _thread
 import codecs
@@ -17,14 +17,14 @@ from types import FrameType
 from typing import Any, Final
 
 BY_USER = "stopped by the user"
-_SAID = {"SIGTERM": "terminated", "SIGHUP": "terminated: the terminal was closed"}
-_AGAIN_S = 0.05
-"""So long after it was lost, or held, an interrupt is raised again: by then the callback has returned."""
+_REASONS = {"SIGTERM": "terminated", "SIGHUP": "terminated: the terminal was closed"}
+_RAISE_AGAIN_S = 0.05
+"""Delay after which a lost or postponed interrupt is raised again: the callback has then returned."""
 _IMPORTING = "<frozen importlib._bootstrap>"
 
 
 class Terminated(KeyboardInterrupt):
-    """The program must end without asking the user anything: why, and the signal's number."""
+    """Raised if the program must end without asking the user; holds the reason and the signal's number."""
 
     def __init__(self, why: str, number: int = signal.SIGTERM) -> None:
         super().__init__(why)
@@ -41,70 +41,68 @@ def terminated_by_signals() -> Iterator[None]:
     """Turn the first SIGTERM or SIGHUP into `Terminated` in the main thread; restore the handlers afterwards.
 
     Further signals interrupt nothing, so that laser and record are closed; they discard all further output,
-    because a reader that does not read would hold that up for ever. Signals that are already ignored
-    (``nohup``) stay ignored. After SIGHUP the output is discarded at once, because writing to the closed
-    terminal would raise an error.
+    which could block for ever if nobody reads it. Signals that are already ignored (``nohup``) stay ignored.
+    After SIGHUP the output is discarded at once, because writing to the closed terminal would raise an error.
 
-    An interrupt that comes up where nobody can catch it (in a finalizer, or in a callback of a library
-    written in C, such as that by which compiled kernels are loaded) would be forgotten by Python, and with
-    it what the user asked for: Ctrl-C too is raised again after it. One that comes during an import waits
-    for its end: a module cut short may raise ImportError instead, and may be importable never again. To be
-    entered in the main thread.
+    Python discards an interrupt that is raised where it cannot be caught (in a finalizer, or in a callback
+    from a C library, such as the loader of compiled kernels); such an interrupt, also Ctrl-C, is raised again
+    afterwards. An interrupt during an import waits for the end of the import: an interrupted module may raise
+    ImportError instead, and may never be importable again. Enter it in the main thread.
     """
-    known = [getattr(signal, name) for name in _SAID if hasattr(signal, name)]
+    known = [getattr(signal, name) for name in _REASONS if hasattr(signal, name)]
     terminals = [fd for fd in (0, 1, 2) if os.isatty(fd)]
 
-    heard = False
-    # whoever calls this may itself be imported
-    around = _imports(sys._getframe())
+    signalled = False
+    # the caller itself may be running during an import
+    outer_imports = _imports(sys._getframe())
 
     def end(number: int, frame: FrameType | None) -> None:
-        nonlocal heard
-        if _imports(frame) > around:
+        nonlocal signalled
+        if _imports(frame) > outer_imports:
             _raise_again(number)
             return
         if number == signal.SIGINT:
             raise KeyboardInterrupt
-        if heard:
+        if signalled:
             _silence([fd for fd in (1, 2) if _may_block(fd)])
             return
-        heard = True
+        signalled = True
         name = signal.Signals(number).name
         if name == "SIGHUP":
             _silence(terminals)
-        raise Terminated(_SAID[name], number)
+        raise Terminated(_REASONS[name], number)
 
-    usual = sys.unraisablehook
+    default_hook = sys.unraisablehook
 
-    def discarded(lost: "sys.UnraisableHookArgs") -> None:
-        nonlocal heard
+    def raise_lost_again(lost: "sys.UnraisableHookArgs") -> None:
+        nonlocal signalled
         if not issubclass(lost.exc_type, KeyboardInterrupt):
-            usual(lost)
+            default_hook(lost)
             return
         number: int = signal.SIGINT
         if isinstance(lost.exc_value, Terminated):
-            number, heard = lost.exc_value.number, False
-        # raised inside of this hook it would be lost once more
+            number, signalled = lost.exc_value.number, False
+        # an interrupt raised inside this hook would be lost again
         _raise_again(number)
 
     before = {each: signal.getsignal(each) for each in known}
-    # None: a handler not set from Python, which could not be restored
-    taken = {each: handler for each, handler in before.items() if handler not in (None, signal.SIG_IGN)}
+    # None is a handler that was not set from Python and could not be restored
+    replaced = {each: handler for each, handler in before.items() if handler not in (None, signal.SIG_IGN)}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        taken[signal.SIGINT] = signal.default_int_handler
+        replaced[signal.SIGINT] = signal.default_int_handler
     try:
-        sys.unraisablehook = discarded
-        for each in taken:
+        sys.unraisablehook = raise_lost_again
+        for each in replaced:
             signal.signal(each, end)
         yield
     finally:
-        sys.unraisablehook = usual
-        for each, handler in taken.items():
+        sys.unraisablehook = default_hook
+        for each, handler in replaced.items():
             signal.signal(each, handler)
 
 
 def _imports(frame: FrameType | None) -> int:
-    """How many calls of Python's import are on the stack."""
+    """Number of calls of Python's import on the stack."""
     found = 0
     while frame is not None:
         found += frame.f_code.co_filename == _IMPORTING
@@ -113,17 +111,18 @@ def _imports(frame: FrameType | None) -> int:
 
 
 def _raise_again(number: int) -> None:
-    again = threading.Timer(_AGAIN_S, _interrupt_main, (number,))
+    again = threading.Timer(_RAISE_AGAIN_S, _interrupt_main, (number,))
     again.daemon = True
     again.start()
 
 
 @contextlib.contextmanager
-def told_of_hang_up(do: Callable[[], None]) -> Iterator[None]:
-    """Within `terminated_by_signals`: call `do` when the terminal is closed, where nothing may be raised.
+def call_on_hang_up(do: Callable[[], None]) -> Iterator[None]:
+    """A context within `terminated_by_signals` that calls `do`, and raises nothing, when the terminal is
+    closed.
 
     An event loop that is left by an exception leaves threads that wait for it for ever. A hang-up that is
-    ignored stays so. To be entered in the main thread.
+    ignored stays ignored. Enter it in the main thread.
     """
     number = getattr(signal, "SIGHUP", None)
     before = None if number is None else signal.getsignal(number)
@@ -144,7 +143,7 @@ def told_of_hang_up(do: Callable[[], None]) -> Iterator[None]:
 
 
 def _interrupt_main(number: int) -> None:
-    """Raise a signal in the main thread, also where that waits for something."""
+    """Raise a signal in the main thread, even while it waits."""
     main = threading.main_thread().ident
     if sys.platform == "win32" or main is None:
         _thread.interrupt_main(signal.Signals(number))
@@ -153,7 +152,7 @@ def _interrupt_main(number: int) -> None:
 
 
 def _may_block(descriptor: int) -> bool:
-    """Whether it is not open on a file."""
+    """Whether writing to a descriptor may block: it is not a regular file."""
     try:
         return not stat.S_ISREG(os.fstat(descriptor).st_mode)
     except OSError:
@@ -178,9 +177,10 @@ def own_group() -> dict[str, Any]:
 
 
 def start_python(*words: str, **how: Any) -> "subprocess.Popen[Any]":
-    """Start this interpreter in a group of its own, with this program importable; `how` as for `Popen`.
+    """Start this interpreter in a process group of its own, with this program importable; `how` as for
+    `Popen`.
 
-    What `env` states is added to this process's own environment.
+    The variables of `env` are added to the environment of this process.
     """
     project = str(Path(__file__).resolve().parents[2])
     path = os.pathsep.join(part for part in (project, os.environ.get("PYTHONPATH")) if part)
@@ -189,7 +189,7 @@ def start_python(*words: str, **how: Any) -> "subprocess.Popen[Any]":
 
 
 def free_port(preferred: int) -> int:
-    """The preferred port of 127.0.0.1 if it is free, otherwise any free one (also if it is 0)."""
+    """The preferred port of 127.0.0.1 if it is free, otherwise (and for 0) any free one."""
     for port in (preferred, 0):
         with socket.socket() as probe:
             if os.name == "posix":
@@ -223,7 +223,7 @@ def spelled(text: str) -> str:
     return "".join(parts)
 
 
-def spell_out_what_is_missing() -> None:
+def replace_missing_characters() -> None:
     """Make stdout and stderr replace characters that their encoding lacks, instead of raising an error."""
     codecs.register_error("spelled", _spell)
     for stream in (sys.stdout, sys.stderr):

@@ -1,4 +1,4 @@
-"""What draws a record, whole or being written, in Rerun: a program of its own, and what starts it."""
+"""The view of a record in Rerun, complete or being written: a separate program, and its starters."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -11,17 +11,17 @@ if TYPE_CHECKING:
     from rig.view.record_replay import analyse_replayed, replay_record
     from rig.view.replay_comparison import parameter_changes
 
-_LATER = {
+_LAZY_MODULES = {
     "parameter_changes": "replay_comparison",
     "analyse_replayed": "record_replay",
     "replay_record": "record_replay",
 }
-"""What is imported when it is asked for, by module."""
+"""Names that are imported at their first use, each with its module."""
 
 
-if not TYPE_CHECKING:  # which would take any name for one of this room
+if not TYPE_CHECKING:  # a type checker would take any name for one of this room
 
     def __getattr__(name: str) -> Any:
-        if name not in _LATER:
+        if name not in _LAZY_MODULES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+        return getattr(import_module(f"{__name__}.{_LAZY_MODULES[name]}"), name)

@@ -1,6 +1,6 @@
-"""The analysing layout of records: their fits as curves, the report as text, and both drawn in Rerun.
+"""The analysing layout of records: curves of fits and the report's text, drawn in Rerun.
 
-Its XY plots are drawn in Spatial2DViews with their own axes.
+Its XY plots are drawn in Spatial2DViews with axes of their own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,12 +34,12 @@ TITLES: Final[dict[Panel, tuple[str, str]]] = {
     "period_residuals": ("amplitude / {unit}", "residual / ms"),
 }
 TRIMMED: Final = frozenset({"period", "period_residuals"})
-"""Panels whose values become very uncertain at small amplitudes: these few points do not set the axes."""
+"""Panels whose values become very uncertain at small amplitudes, so that the axes ignore a few points."""
 RISING: Final = "period"
-"""The panel whose curves rise to the right: its legend is in the lower right corner, not the upper."""
+"""The panel whose curves rise to the right: its legend is in the lower right corner, others' in the upper."""
 COINCIDING: Final = frozenset({"decay", "period"})
 """Panels in which a good fit covers its data: curves drawn first are wider, so that they remain visible."""
-BARS_AT_MOST: Final = 400
+MAX_BARS: Final = 400
 """Largest number of error bars of one curve."""
 
 
@@ -50,24 +50,24 @@ def run_analysis(record: Path) -> RunResults:
 
 
 def analysis_curves(runs: Mapping[str, RunResults]) -> list[AnalysisCurve]:
-    """Decay and T(alpha) with both fits and their residuals; only the data of a run without fits.
+    """Curves of the decay and of T(alpha) with both fits and their residuals; only data if there is no fit.
 
-    Of several runs, in common axes, the data and the exact fit's residuals, named by the run.
+    Several runs share the axes, with the data and the residuals of the exact fit, named by the run.
     """
-    drawn: list[AnalysisCurve] = []
-    alone = len(runs) == 1
+    result: list[AnalysisCurve] = []
+    single = len(runs) == 1
     for name, run in runs.items():
-        # of a record, so never a table's own unit
+        # the unit is one of a record's, never that of a table
         points, size = run.points, DeflectionUnit(run.stored.unit).shown_size
         amplitude, u = points.amplitude / size, points.u_amplitude / size
-        data = "measured" if alone else name
-        drawn.append(AnalysisCurve("decay", data, points.time_s, amplitude, u if alone else None, "points"))
+        data = "measured" if single else name
+        result.append(AnalysisCurve("decay", data, points.time_s, amplitude, u if single else None, "points"))
         curves = curves_of(run)
         if curves is None:
             continue
         at, u_period_s = curves.period_rad / size, curves.u_period_s
-        drawn.append(
-            AnalysisCurve("period", data, at, curves.period_s, u_period_s if alone else None, "points")
+        result.append(
+            AnalysisCurve("period", data, at, curves.period_s, u_period_s if single else None, "points")
         )
         models = {
             FitMethod.ASYMPTOTIC: (curves.asymptotic_rad / size, curves.asymptotic_period_s),
@@ -75,21 +75,21 @@ def analysis_curves(runs: Mapping[str, RunResults]) -> list[AnalysisCurve]:
         }
         for method, (decay, period_s) in models.items():
             exact = method is FitMethod.EXACT
-            if not (alone or exact):
+            if not (single or exact):
                 continue
-            fit = f"{method} fit" if alone else name
-            if alone:
-                drawn += [
+            fit = f"{method} fit" if single else name
+            if single:
+                result += [
                     AnalysisCurve("decay", fit, points.time_s, decay),
                     AnalysisCurve("period", fit, at, period_s),
                 ]
-            u_bars, u_bars_ms = (u, 1e3 * u_period_s) if alone and exact else (None, None)
-            off_ms = 1e3 * (curves.period_s - period_s)
-            drawn += [
+            u_bars, u_bars_ms = (u, 1e3 * u_period_s) if single and exact else (None, None)
+            residual_ms = 1e3 * (curves.period_s - period_s)
+            result += [
                 AnalysisCurve("residuals", fit, points.time_s, amplitude - decay, u_bars, "points"),
-                AnalysisCurve("period_residuals", fit, at, off_ms, u_bars_ms, "points"),
+                AnalysisCurve("period_residuals", fit, at, residual_ms, u_bars_ms, "points"),
             ]
-    return drawn
+    return result
 
 
 def report_text(runs: Mapping[str, RunResults]) -> str:
@@ -131,14 +131,14 @@ def _markdown(table: Table) -> str:
 
 
 def draw_fits(
-    stream: rr.RecordingStream, drawn: Sequence[AnalysisCurve], text: str, run: str, unit: str
+    stream: rr.RecordingStream, all_curves: Sequence[AnalysisCurve], text: str, run: str, unit: str
 ) -> None:
     """Draw axes and curves of each panel, and the report's text (Markdown).
 
-    They are static entities (without a time), as they hold for the whole run.
+    They are static entities (without a time), because they hold for the whole run.
     """
     for panel, (x_title, y_title) in TITLES.items():
-        curves = [curve for curve in drawn if curve.panel == panel]
+        curves = [curve for curve in all_curves if curve.panel == panel]
         if not curves:
             continue
         graticule = Graticule.boxed(
@@ -155,8 +155,8 @@ def draw_fits(
         for number, curve in enumerate(curves):
             colour = palette.curve_colour(curve.name, number)
             later = curves[number + 1 :] if panel in COINCIDING else []
-            following = sum(other.style == "line" for other in later)
-            outside = _draw_curve(stream, root, curve, graticule, colour, following)
+            lines_above = sum(other.style == "line" for other in later)
+            outside = _draw_curve(stream, root, curve, graticule, colour, lines_above)
             entries.append((f"{curve.name} ({outside} outside)" if outside else curve.name, colour))
         legend = _legend(entries, graticule, below=panel == RISING)
         stream.log(f"{root}/legend", legend, static=True)
@@ -171,28 +171,28 @@ def _draw_curve(
     curve: AnalysisCurve,
     graticule: Graticule,
     colour: str,
-    following: int,
+    lines_above: int,
 ) -> int:
     """Draw the part of a curve within the axes; return the number of points outside (0 for lines).
 
-    `following` is the number of lines that are drawn over this curve, which is made wider for them.
+    `lines_above` is the number of lines that are drawn over this curve, which is made wider for them.
     """
     path = f"{root}/{rr.escape_entity_path_part(curve.name)}"
     points = graticule.place(curve.x, curve.y)
     inside = graticule.inside(curve.x, curve.y)
     if curve.style == "points":
-        radius = rr.Radius.ui_points(1.2 + 0.7 * following)
+        radius = rr.Radius.ui_points(1.2 + 0.7 * lines_above)
         dots = rr.Points2D(points[inside], colors=palette.rgba(colour), radii=radius, draw_order=5.0)
         stream.log(path, dots, static=True)
     else:
         edges = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
         strips = [points[start:stop] for start, stop in edges.reshape(-1, 2)]
-        radius = rr.Radius.ui_points(0.8 + 0.8 * following)
-        order = 20.0 - following
+        radius = rr.Radius.ui_points(0.8 + 0.8 * lines_above)
+        order = 20.0 - lines_above
         line = rr.LineStrips2D(strips, colors=palette.rgba(colour), radii=radius, draw_order=order)
         stream.log(path, line, static=True)
     if curve.u_y is not None:
-        rows = np.flatnonzero(inside)[:: max(1, int(inside.sum()) // BARS_AT_MOST)]
+        rows = np.flatnonzero(inside)[:: max(1, int(inside.sum()) // MAX_BARS)]
         low = np.maximum(curve.y[rows] - curve.u_y[rows], graticule.y_low)
         high = np.minimum(curve.y[rows] + curve.u_y[rows], graticule.y_high)
         ends = graticule.place(curve.x[rows], low), graticule.place(curve.x[rows], high)
@@ -207,7 +207,7 @@ def _draw_curve(
 
 
 def _legend(entries: list[tuple[str, str]], graticule: Graticule, *, below: bool) -> rr.Points2D:
-    """The names of the curves in their colours, in the upper right corner, or in the lower one if `below`."""
+    """The names of the curves in their colours, in the upper right corner, or the lower right if `below`."""
     width, height = graticule.size
     corner = graticule.place(np.array([graticule.x_high]), np.array([graticule.y_high]))[0]
     first = 1.0 - 0.08 * len(entries) - 0.03 if below else 0.03

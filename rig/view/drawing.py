@@ -15,14 +15,14 @@ from processing.units import ARCSEC_RAD
 from rig.presentation import QuantityDisplay, balance_style, balance_table, palette, quantity
 from rig.view import layout
 from rig.view.graticule import spot_cross
-from rig.view.transverse import Breaks, Decimator, Gathering, Lissajous, TransverseCurves
+from rig.view.transverse import Decimator, GapBreaker, Lissajous, SendBuffer, TransverseCurves
 from rig.view.values import Floats, Setup, is_drawn
 
-DRAWN_RATE_HZ, REFERENCE_RATE_HZ = 100.0, 10.0
-"""Largest rates of the samples that are drawn; the reference spot is watched for what drifts."""
-SAMPLES_GAP, POINTS_GAP = 1.0, 4.0
-"""Periods of the slow mode without a value after which a curve is broken: that of the samples, and those of
-half-cycles and balance, which have a value at least every period."""
+MAX_SAMPLE_RATE_HZ, MAX_REFERENCE_RATE_HZ = 100.0, 10.0
+"""Largest rates of drawn samples; of the reference spot only drift is of interest."""
+SAMPLES_GAP_PERIODS, POINTS_GAP_PERIODS = 1.0, 4.0
+"""Gaps that break curves, in periods of the slow mode: of samples, and of half-cycles and balances, which
+come at least every period."""
 LEVELS = {
     Severity.INFORMATION: rr.TextLogLevel.INFO,
     Severity.WARNING: rr.TextLogLevel.WARN,
@@ -30,10 +30,10 @@ LEVELS = {
     Severity.TRIP: rr.TextLogLevel.CRITICAL,
 }
 
-_GOOD, _BAD, _OVER = palette.BLUISH_GREEN, palette.VERMILLION, palette.GREY
+_GOOD, _BAD, _ENDED = palette.BLUISH_GREEN, palette.VERMILLION, palette.GREY
 _STATES: Final = {
     "measuring": _GOOD,
-    "ended": _OVER,
+    "ended": _ENDED,
     "followed": _GOOD,
     "lost": _BAD,
     "arriving": _GOOD,
@@ -42,7 +42,7 @@ _STATES: Final = {
     "lit": _GOOD,
     "dark": _BAD,
 }
-_CHANGES: Final[dict[str, dict[str, str]]] = {
+_STATES_OF_EVENT: Final[dict[str, dict[str, str]]] = {
     EventKind.START: {"run": "measuring", "spot": "followed", "frames": "arriving"},
     EventKind.STOP: {"run": "ended"},
     EventKind.REJECTED: {"run": "ended"},
@@ -60,18 +60,18 @@ _CHANGES: Final[dict[str, dict[str, str]]] = {
 
 
 class RunLanes:
-    """Draws the lanes of all runs into one stream."""
+    """Draws the lanes (conditions against time) of all runs into one stream."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
-        self._known: set[str] = set()
+        self._styled_lanes: set[str] = set()
 
     def draw(self, run: str, kind: str) -> None:
-        """Change the lanes as an event of this kind says; its time is set already."""
-        for lane, state in _CHANGES.get(kind, {}).items():
+        """Change the lanes by an event of this kind; the stream's time must be set."""
+        for lane, state in _STATES_OF_EVENT.get(kind, {}).items():
             entity = layout.entity(run, lane)
-            if entity not in self._known:
-                self._known.add(entity)
+            if entity not in self._styled_lanes:
+                self._styled_lanes.add(entity)
                 colours = [palette.rgba(colour) for colour in _STATES.values()]
                 shown = rr.StateConfiguration(values=list(_STATES), colors=colours)
                 self._stream.log(entity, shown, static=True)
@@ -79,10 +79,9 @@ class RunLanes:
 
 
 class Drawing:
-    """Draws into one stream; curves are gathered and sent in blocks.
+    """Draws the values of runs into one stream; curves are gathered and sent in blocks.
 
-    Times are seconds since the start of a run, `run` is the name of the run if several are overlaid, empty
-    for a single one.
+    Times are seconds since the start of a run; `run` is its name if several are overlaid, else empty.
 
     Parameters
     ----------
@@ -91,7 +90,7 @@ class Drawing:
     setup
         Names and units, expected period and amplitude.
     gather_s, gather_rows
-        Limits of `Gathering`.
+        Limits of `SendBuffer`.
     """
 
     def __init__(
@@ -99,51 +98,51 @@ class Drawing:
     ) -> None:
         self.setup = setup
         self.stream = stream
-        self._gathered = Gathering(stream, gather_s, gather_rows)
+        self._gathered = SendBuffer(stream, gather_s, gather_rows)
         self._lanes = RunLanes(stream)
-        alone = len(setup.runs) < 2
+        single = len(setup.runs) < 2
         self._lissajous = Lissajous(
-            stream, self._gathered, setup.unit, setup.amplitude, setup.period_s if alone else None
+            stream, self._gathered, setup.unit, setup.amplitude, setup.period_s if single else None
         )
-        self._breaks = Breaks()
+        self._breaks = GapBreaker()
         self._decimators: dict[str, Decimator] = {}
         self._named: set[str] = set()
-        self._across: dict[str, TransverseCurves] = {}
+        self._transverse_curves: dict[str, TransverseCurves] = {}
         self._reference_origin_px: dict[str, tuple[float, float]] = {}
 
     def send(self, *, now: bool = False) -> None:
-        """Send what was gathered if a limit of `Gathering` is reached, or in any case if `now`."""
+        """Send the gathered values if a limit of `SendBuffer` is reached, or in any case if `now`."""
         self._gathered.send(now=now)
 
     def samples(self, run: str, time_s: Floats, x: Floats, y: Floats, flags: NDArray[np.int64]) -> None:
-        """Deflections (n,) as shown, NaN where the spot was lost, and flags of the spots."""
-        decimator = self._decimators.setdefault(run, Decimator(DRAWN_RATE_HZ))
-        # a model that every spot of a run has is nothing that must be seen
+        """Draw deflections (n,) in the shown unit, NaN where the spot was lost; `flags` of the spots."""
+        decimator = self._decimators.setdefault(run, Decimator(MAX_SAMPLE_RATE_HZ))
+        # flags of the beam's model, which all spots of a run have, do not force a sample to be drawn
         chosen = decimator.choose(time_s, flags & ~int(SpotFlag.MULTIPLE | SpotFlag.LEARNED))
         if not chosen.any():
             return
-        gap_s, entity = SAMPLES_GAP * self.setup.period_s, layout.entity(run, layout.X)
-        drawn_s, drawn_x, drawn_y = self._breaks.in_gaps(entity, gap_s, time_s[chosen], x[chosen], y[chosen])
-        alone, unit = len(self.setup.runs) < 2, self.setup.unit
-        colour = palette.GREY if alone else palette.X_COLOUR
+        gap_s, entity = SAMPLES_GAP_PERIODS * self.setup.period_s, layout.entity(run, layout.X)
+        drawn_s, drawn_x, drawn_y = self._breaks.broken(entity, gap_s, time_s[chosen], x[chosen], y[chosen])
+        single, unit = len(self.setup.runs) < 2, self.setup.unit
+        colour = palette.GREY if single else palette.X_COLOUR
         self._gather(run, layout.X, drawn_s, drawn_x, f"X / {unit}", colour)
-        if alone:
-            self._draw_across(run, drawn_s, drawn_x, drawn_y)
+        if single:
+            self._draw_transverse(run, drawn_s, drawn_x, drawn_y)
         self._gather(run, layout.Y, drawn_s, drawn_y, f"Y / {unit}", palette.Y_COLOUR)
         colour = self._run_colour(run, palette.TRAJECTORY_COLOUR)
         self._lissajous.draw(run, drawn_s, drawn_x, drawn_y, colour)
         self._lissajous.follow(time_s, x, y)
 
-    def _draw_across(self, run: str, time_s: Floats, x: Floats, y: Floats) -> None:
-        """What of X is the fast mode, and what the slow one leaks into it."""
-        parts = self._across.setdefault(run, TransverseCurves()).samples(time_s, x, y)
+    def _draw_transverse(self, run: str, time_s: Floats, x: Floats, y: Floats) -> None:
+        """Draw the two parts of X: the fast mode, and the leakage of the slow mode."""
+        parts = self._transverse_curves.setdefault(run, TransverseCurves()).samples(time_s, x, y)
         if parts is not None:
             label = "slow mode's leakage"
             self._gather(run, layout.LEAKAGE, parts.time_s, parts.leakage, label, palette.BLUE)
             self._gather(run, layout.FAST, parts.time_s, parts.fast, "fast mode", palette.X_COLOUR)
 
     def reference(self, run: str, time_s: Floats, x_px: Floats, y_px: Floats) -> None:
-        """The reference spot (n,), NaN where it was lost; drawn from where it was first found."""
+        """Draw the reference spot (n,) relative to its first position; NaN where it was lost."""
         found = np.flatnonzero(np.isfinite(x_px + y_px))
         if run not in self._reference_origin_px:
             if not len(found):
@@ -151,20 +150,20 @@ class Drawing:
             self._reference_origin_px[run] = (float(x_px[found[0]]), float(y_px[found[0]]))
         origin_x, origin_y = self._reference_origin_px[run]
         entity = layout.entity(run, layout.REFERENCE)
-        decimator = self._decimators.setdefault(entity, Decimator(REFERENCE_RATE_HZ))
+        decimator = self._decimators.setdefault(entity, Decimator(MAX_REFERENCE_RATE_HZ))
         chosen = decimator.choose(time_s, np.zeros(len(time_s), dtype=np.int64))
         if not chosen.any():
             return
-        gap_s = SAMPLES_GAP * self.setup.period_s
+        gap_s = SAMPLES_GAP_PERIODS * self.setup.period_s
         x, y = x_px[chosen] - origin_x, y_px[chosen] - origin_y
-        drawn_s, x, y = self._breaks.in_gaps(entity, gap_s, time_s[chosen], x, y)
+        drawn_s, x, y = self._breaks.broken(entity, gap_s, time_s[chosen], x, y)
         for path, values, colour in (("x", x, palette.X_COLOUR), ("y", y, palette.Y_COLOUR)):
             self._gather(run, f"{layout.REFERENCE}/{path}", drawn_s, values, f"{path} / px", colour)
 
     def half_cycles(
         self, run: str, time_s: Floats, amplitudes: tuple[Floats, Floats], periods_s: tuple[Floats, Floats]
     ) -> None:
-        """Amplitude as shown and (whole) period at turning points (n,), each with its uncertainty."""
+        """Draw amplitude (shown unit) and full period in s at turning points (n,), each with its u."""
         for path, (value, u), colour, unit in (
             (layout.AMPLITUDE, amplitudes, palette.AMPLITUDE_COLOUR, self.setup.unit),
             (layout.PERIOD, periods_s, palette.PERIOD_COLOUR, "s"),
@@ -175,24 +174,24 @@ class Drawing:
                 self._gather_uncertain(run, path, time_s[good], value[good], u[good], label, colour)
 
     def balance(self, run: str, time_s: float, numbers: Mapping[str, tuple[float, float]]) -> None:
-        """The balance at one moment (see `balance_numbers`), as curves and as a table."""
+        """Draw the balance at one moment (see `balance_numbers`), as curves and as a table."""
         unit = self.setup.unit
         size = ARCSEC_RAD if unit == "arcsec" else 1.0
-        self._across.setdefault(run, TransverseCurves()).balance(time_s, numbers, size)
-        # what has waited for the first balance
-        self._draw_across(run, *[np.empty(0)] * 3)
+        self._transverse_curves.setdefault(run, TransverseCurves()).balance(time_s, numbers, size)
+        # draw the samples that have waited for the first balance
+        self._draw_transverse(run, *[np.empty(0)] * 3)
         for name, (value, u) in numbers.items():
             shown, drawn = quantity(name, unit), balance_style(name)
             if np.isfinite(value):
                 pair = shown.factor * value, shown.factor * u
                 path = f"{layout.BALANCE_ROOT}/{drawn.entity}"
-                self._one_uncertain(run, path, time_s, pair, shown.label, drawn.colour, POINTS_GAP)
+                self._one_uncertain(run, path, time_s, pair, shown.label, drawn.colour, POINTS_GAP_PERIODS)
         self.text(run, layout.BALANCE_TABLE, time_s, balance_table(numbers, unit))
 
     def estimates(self, run: str, time_s: float, numbers: Mapping[str, Estimate]) -> None:
-        """Parameters of the contact at one moment, as stored, by key.
+        """Draw parameters of the contact at one moment, by key, in the unit in which they are stored.
 
-        Only those known to a half of their value are drawn: the first values would hide all later ones.
+        Only values that `is_drawn` accepts are drawn: the first ones would hide all later ones.
         """
         for number, (key, label) in enumerate(self.setup.parameters.items()):
             factor = parameter_shown(key).factor
@@ -202,14 +201,14 @@ class Drawing:
                 self._one_uncertain(run, path, time_s, (value, u), label, colour, np.inf)
 
     def clock(self, run: str, time_s: float, drift_ppm: float, u_drift_ppm: float) -> None:
-        """Rate of the camera's clock against the computer's, less 1."""
+        """Draw the rate of the camera's clock against the computer's, minus 1."""
         pair, label = (drift_ppm, u_drift_ppm), "camera's clock / ppm"
         self._one_uncertain(run, layout.CLOCK, time_s, pair, label, palette.SKY_BLUE, np.inf)
 
     def picture(
         self, run: str, time_s: float, jpeg: bytes, shape: tuple[int, int], spot_px: tuple[float, float]
     ) -> None:
-        """A camera image (ny, nx) and the spot (x, y) in it, NaN if it was lost."""
+        """Draw a camera image (ny, nx) and the spot (x, y) in it, NaN if it was lost."""
         self._set_time(time_s)
         encoded = rr.EncodedImage(contents=jpeg, media_type="image/jpeg")
         self.stream.log(layout.entity(run, layout.IMAGE), encoded)
@@ -218,7 +217,7 @@ class Drawing:
         self.stream.log(layout.entity(run, layout.SPOT), mark)
 
     def losses(self, run: str, time_s: float, counts: Mapping[str, int]) -> None:
-        """Counts since the start of the run by name."""
+        """Draw counts since the start of the run, by name."""
         at = np.array([time_s])
         for index, (name, count) in enumerate(sorted(counts.items())):
             colour = palette.LOSSES[index % len(palette.LOSSES)]
@@ -226,14 +225,14 @@ class Drawing:
             self._gather(run, path, at, np.array([float(count)]), label, colour, steps=True)
 
     def event(self, run: str, time_s: float, event: Event) -> None:
-        """A line of the log, and what it changes in the lanes."""
+        """Draw an event: a line of the log, and its changes of the lanes."""
         self._set_time(time_s)
         log = rr.TextLog(event.line, level=LEVELS[event.level])
         self.stream.log(layout.entity(run, layout.EVENTS), log)
         self._lanes.draw(run, event.kind)
 
     def text(self, run: str, path: str, time_s: float, text: str) -> None:
-        """A text in Markdown, of a panel."""
+        """Draw a text in Markdown, the contents of a panel."""
         self._set_time(time_s)
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self.stream.log(layout.entity(run, path), document)
@@ -260,9 +259,9 @@ class Drawing:
         u: Floats,
         label: str,
         colour: str,
-        gap_periods: float = POINTS_GAP,
+        gap_periods: float = POINTS_GAP_PERIODS,
     ) -> None:
-        """A value with a band of one standard uncertainty on either side."""
+        """Gather values with a band of one standard uncertainty on either side."""
         full = layout.entity(run, path)
         if full not in self._named:
             self._named.add(full)
@@ -273,7 +272,7 @@ class Drawing:
             )
             self.stream.log(full, style, static=True)
         self._gathered.measurements(
-            full, *self._breaks.in_gaps(full, gap_periods * self.setup.period_s, time_s, value, u)
+            full, *self._breaks.broken(full, gap_periods * self.setup.period_s, time_s, value, u)
         )
 
     def _gather(
@@ -297,7 +296,7 @@ class Drawing:
         self._gathered.scalars(full, time_s, values)
 
     def _run_colour(self, run: str, colour: str) -> str:
-        """The colour of the run if several are overlaid, otherwise that of the quantity."""
+        """The colour of the run if several are overlaid, otherwise the colour of the quantity."""
         runs = self.setup.runs
         if len(runs) < 2 or run not in runs or colour == palette.GREY:
             return colour
@@ -308,6 +307,6 @@ class Drawing:
 
 
 def parameter_shown(key: str) -> QuantityDisplay:
-    """A parameter as its panel shows it: the viewer's axes have no powers of ten, and c is some 10⁻⁸."""
+    """Display of a parameter in its panel: c, about 10⁻⁸, is scaled, because axes show no powers of ten."""
     shown = quantity(key)
     return replace(shown, symbol="10⁹ c", factor=1e9 * shown.factor) if key == "c" else shown

@@ -1,6 +1,6 @@
-"""Draws one record, whole or still being written, in the pieces in which it was flushed.
+"""Draws one record, complete or still being written, in the pieces in which it was flushed.
 
-Nothing depends on when a piece is read: what is seen live is what is seen afterwards.
+The drawing does not depend on when a piece is read, so that a live view equals a later one.
 """
 
 import math
@@ -30,17 +30,17 @@ from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
-from rig.instrument import Phase, RecordContents, RunNow, advice_for, recorded_configuration, told_in
+from rig.instrument import Phase, RecordContents, RunNow, advice_for, piece_contents, recorded_configuration
 from rig.presentation import balance_numbers
 from rig.settings import Configuration
 from rig.view import layout
 from rig.view.drawing import Drawing
 from rig.view.values import Floats, is_drawn
 
-_STATE_NS, _LOSSES_NS = 1_000_000_000, 10_000_000_000
-"""Intervals of run time at which state and losses are drawn if nothing changes."""
-_KEPT_PIECES = 64
-"""Pieces whose spots are kept for the pictures."""
+_STATE_INTERVAL_NS, _LOSSES_INTERVAL_NS = 1_000_000_000, 10_000_000_000
+"""Intervals of run time at which state and losses are drawn, even without a change."""
+_MAX_PIECES = 64
+"""Number of the last pieces whose spots are kept for pictures."""
 
 
 class RecordDrawer:
@@ -60,16 +60,16 @@ class RecordDrawer:
         self._start_ns: int | None = None
         self._last_ns = 0
         self._next_sequence = 0
-        self._spots: deque[NDArray[Any]] = deque(maxlen=_KEPT_PIECES)
+        self._spots: deque[NDArray[Any]] = deque(maxlen=_MAX_PIECES)
         self._pictures: deque[tuple[int, int, bytes]] = deque()
         self._state_due_ns = self._losses_due_ns = 0
         self._shown_losses = (-1, -1)
         self._now = RunNow()
-        self._advised = self._told_of_session = self._ended = False
+        self._advised = self._has_session_messages = self._ended = False
         self.frames = self.missing = self.lost = 0
 
     def take(self) -> None:
-        """Draw what has come since the last call."""
+        """Draw what was flushed since the last call."""
         for piece in self._reader.unread():
             self._held.append(piece)
             if self._start_ns is None:
@@ -82,7 +82,7 @@ class RecordDrawer:
             self._drawing.send()
 
     def finish(self) -> None:
-        """Draw what is left of a record that has ended."""
+        """Draw the rest of a record that has ended."""
         self.take()
         self._ended = True
         if self._start_ns is not None:
@@ -103,32 +103,32 @@ class RecordDrawer:
         )
 
     def _first_ns(self, piece: Piece) -> int | None:
-        """Time of the run's first frame, once a piece tells it."""
+        """Time of the run's first frame, from the first piece that contains it; else None."""
         if SPOT.topic in piece:
             return int(self._reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
         events = self._reader.events(piece.get(EVENT.topic, ()))
         return next((event.time_ns for event in events if event.kind == EventKind.START), None)
 
-    def _at(self, times_ns: int) -> float:
+    def _run_s(self, times_ns: int) -> float:
         return seconds(times_ns - (self._start_ns or 0))
 
     def _draw(self, piece: Piece) -> None:
         reader, drawing, run = self._reader, self._drawing, self._run
-        told = told_in(reader, piece, self._start_ns or 0, self._last_ns)
-        before, self._now = self._now, self._now.after(told, reader.deflection_unit)
-        # the line of a balance separates the samples beside it
-        self._draw_balances(told.balances)
+        contents = piece_contents(reader, piece, self._start_ns or 0, self._last_ns)
+        before, self._now = self._now, self._now.after(contents, reader.deflection_unit)
+        # balances first: their lines separate the samples of the same piece
+        self._draw_balances(contents.balances)
         for topic, draw in ((SPOT.topic, self._draw_spots), (REFERENCE.topic, self._draw_references)):
             if topic in piece:
                 draw(reader.rows(topic, piece[topic]))
-        self._draw_half_cycles(told.swings)
-        for event in told.events:
+        self._draw_half_cycles(contents.swings)
+        for event in contents.events:
             if event.kind == EventKind.ADVICE:
                 self._advised = True
-                drawing.text(run, layout.ADVICE, self._at(event.time_ns), event.text)
+                drawing.text(run, layout.ADVICE, self._run_s(event.time_ns), event.text)
             else:
-                drawing.event(run, self._at(event.time_ns), event)
-        self._draw_session(told, before)
+                drawing.event(run, self._run_s(event.time_ns), event)
+        self._draw_session(contents, before)
 
     def _draw_spots(self, rows: NDArray[Any]) -> None:
         deflections = self._reader.deflections(rows)
@@ -138,7 +138,7 @@ class RecordDrawer:
         self._spots.append(rows[["sequence", "x_px", "y_px"]])
         sequence = rows["sequence"]
         if not self.frames:
-            # a part that is replayed begins later
+            # a replayed part of a record begins at a later frame
             self._next_sequence = int(sequence[0])
         self.missing += int(sequence[-1]) + 1 - self._next_sequence - len(rows)
         self.lost += int(np.count_nonzero(flags & SpotFlag.LOST))
@@ -169,25 +169,25 @@ class RecordDrawer:
 
     def _draw_balances(self, balances: Sequence[Balance]) -> None:
         for balance in balances:
-            at_s = self._at(balance.time_ns)
+            at_s = self._run_s(balance.time_ns)
             self._drawing.balance(self._run, at_s, balance_numbers(balance))
             if not self._advised and (advice := self._advise(balance)):
                 self._drawing.text(self._run, layout.ADVICE, at_s, advice)
 
-    def _draw_session(self, told: RecordContents, before: RunNow) -> None:
-        """What the session says of itself: phase, clock, estimates."""
+    def _draw_session(self, contents: RecordContents, before: RunNow) -> None:
+        """Draw messages on the session: phase, clock, estimates."""
         clock, drawing, run = self._now.clock, self._drawing, self._run
-        for health in told.of(RecordedHealth):
-            self._told_of_session = True
+        for health in contents.messages_of_kind(RecordedHealth):
+            self._has_session_messages = True
             if clock.known and clock != before.clock:
-                drawing.clock(run, self._at(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
-        rows = told.of(RecordedEstimate)
+                drawing.clock(run, self._run_s(health.time_ns), clock.drift_ppm, clock.u_drift_ppm)
+        rows = contents.messages_of_kind(RecordedEstimate)
         for time_ns in dict.fromkeys(row.time_ns for row in rows):
-            of_one = {
+            estimates = {
                 row.quantity: Estimate(row.value, row.u_value) for row in rows if row.time_ns == time_ns
             }
-            drawing.estimates(run, self._at(time_ns), of_one)
-        if told.of(RecordedPhase):
+            drawing.estimates(run, self._run_s(time_ns), estimates)
+        if contents.messages_of_kind(RecordedPhase):
             self._draw_state()
 
     def _draw_pictures(self, *, at_end: bool = False) -> None:
@@ -198,8 +198,8 @@ class RecordDrawer:
             sequence, time_ns, jpeg = self._pictures.popleft()
             shape, step = self._shape
             x_px, y_px = self._spot_of(sequence)
-            # a pixel of a reduced picture is the first of those that it stands for
-            self._drawing.picture(self._run, self._at(time_ns), jpeg, shape, (x_px / step, y_px / step))
+            # each pixel of a reduced picture is the first of `step` pixels
+            self._drawing.picture(self._run, self._run_s(time_ns), jpeg, shape, (x_px / step, y_px / step))
 
     def _spot_of(self, sequence: int) -> tuple[float, float]:
         for rows in reversed(self._spots):
@@ -212,24 +212,24 @@ class RecordDrawer:
 
     def _draw_losses(self) -> None:
         self._shown_losses = self.missing, self.lost
-        self._losses_due_ns = self._last_ns + _LOSSES_NS
+        self._losses_due_ns = self._last_ns + _LOSSES_INTERVAL_NS
         counts = {"missing_frames": self.missing, "lost_spots": self.lost}
-        self._drawing.losses(self._run, self._at(self._last_ns), counts)
+        self._drawing.losses(self._run, self._run_s(self._last_ns), counts)
 
     def _draw_state(self) -> None:
-        self._state_due_ns = self._last_ns + _STATE_NS
-        # several runs share one panel, which says in the end what each of them is
+        self._state_due_ns = self._last_ns + _STATE_INTERVAL_NS
+        # several runs share one panel, which shows their summaries at the end
         if len(self._drawing.setup.runs) < 2:
-            self._drawing.text(self._run, layout.STATE, self._at(self._last_ns), self._state())
+            self._drawing.text(self._run, layout.STATE, self._run_s(self._last_ns), self._state())
 
     def _state(self) -> str:
         """Phase, amplitude, frames and losses, and why a panel is empty, in Markdown.
 
-        It begins with the time of the day, by which a page shows how far it is behind.
+        It begins with the time of day, which shows how far a page lags behind.
         """
         state, unit = self._now, self._reader.deflection_unit
         now = time.localtime(seconds(self._last_ns + self._reader.epoch_offset_ns))
-        lines = [f"state of {time.strftime('%H:%M:%S', now)}", f"time {self._at(self._last_ns):.1f} s"]
+        lines = [f"state of {time.strftime('%H:%M:%S', now)}", f"time {self._run_s(self._last_ns):.1f} s"]
         if math.isfinite(state.amplitude):
             lines.append(f"amplitude {state.amplitude:.2f} {unit.shown}")
         if math.isfinite(state.period_s):
@@ -250,16 +250,18 @@ class RecordDrawer:
         elif state.phase is not Phase.WAITING:
             doing = " ".join(filter(None, (state.phase, state.progress)))
         reason = f": {state.reason}" if state.reason else ""
-        asked = f"{state.instruction}\n\n" if state.instruction and not self._ended else ""
-        return f"{alarm}**{doing}**{reason}\n\n{asked}" + "\n".join(f"- {line}" for line in lines) + "\n"
+        instruction = f"{state.instruction}\n\n" if state.instruction and not self._ended else ""
+        return (
+            f"{alarm}**{doing}**{reason}\n\n{instruction}" + "\n".join(f"- {line}" for line in lines) + "\n"
+        )
 
     def _empty_panels(self) -> list[str]:
-        """Why there is nothing in panels of the measuring layout, a line for each kind of them."""
+        """Why panels of the measuring layout are empty, one line for each kind of panel."""
         found = []
         parameters = self._drawing.setup.parameters
         if not self._now.half_cycles:
             found.append("amplitude and period are empty until a half-cycle has been measured")
-        if self._told_of_session and not self._now.clock.known:
+        if self._has_session_messages and not self._now.clock.known:
             found.append(
                 "the clock is empty until the rate of the camera's is known; frames on demand have none"
             )
@@ -267,12 +269,12 @@ class RecordDrawer:
             found.append("the balance is empty until some periods of swing have been seen")
         if parameters and not self._now.estimates:
             found.append("the parameters are empty until there are enough half-cycles for a first fit")
-        elif vague := [
+        elif unknown := [
             label.split(" /")[0]
             for key, label in parameters.items()
             if not is_drawn(*self._now.estimates.get(key, Estimate(math.nan, math.nan)))
         ]:
-            found.append(f"not known to a half of their values yet, hence not drawn: {', '.join(vague)}")
+            found.append(f"not known to a half of their values yet, hence not drawn: {', '.join(unknown)}")
         if self._reader.deflection_unit is DeflectionUnit.PX:
             found.append("no parameters are fitted: without [lever] pixels are not angles")
         return found
@@ -282,7 +284,7 @@ class RecordDrawer:
 
 
 def configuration_of(reader: RecordReader) -> Configuration | None:
-    """The configuration of a record; None where it has none that can be used."""
+    """The configuration of a record; None if it has no usable one."""
     try:
         return recorded_configuration(reader)
     except RecordError:
@@ -290,7 +292,7 @@ def configuration_of(reader: RecordReader) -> Configuration | None:
 
 
 def _adviser(config: Configuration | None) -> Callable[[Balance], str]:
-    """A function that returns advice for a recorded balance; empty if the configuration is not recorded."""
+    """A function that returns advice on a balance in Markdown; empty text without a configuration."""
     if config is None:
         return lambda _: ""
     return lambda balance: advice_for(config, balance).markdown

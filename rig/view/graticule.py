@@ -1,8 +1,8 @@
 """Axes of XY plots: ticks, grid lines and labels in the plane of a Spatial2DView.
 
 Rerun has no XY plots. A `Graticule` maps values to points of the plane (whose y axis points down, so that y
-is negated) and gives the lines of the grid and the positions of the labels. The last functions make Rerun's
-archetypes of it, and of the cross at the spot.
+is negated) and gives the lines of the grid and the positions of the labels. The last functions convert it,
+and the cross at the spot, to Rerun's archetypes.
 """
 
 import math
@@ -26,13 +26,11 @@ AXIS_COLOUR: Final = (110, 116, 126)
 LABEL_COLOUR: Final = (235, 238, 242)
 CROSS_INNER: Final = 0.06
 CROSS_OUTER: Final = 0.14
-"""Distance from the spot at which the arms of the cross begin and end, as fractions of the image's smaller
-side.
-"""
+"""Begin and end of the arms of the cross, as distance from the spot in units of the image's smaller side."""
 
 
 def ticks(low: float, high: float, about: int = 6) -> Floats:
-    """About `about` round values within [low, high]; their step is 1, 2 or 5 times a power of ten."""
+    """Round values within [low, high], roughly `about` many, in steps of 1, 2 or 5 times a power of ten."""
     span = high - low
     if not (math.isfinite(span) and span > 0):
         return np.array([low])
@@ -83,7 +81,7 @@ class Graticule:
     def boxed(cls, x: Floats, y: Floats, x_title: str, y_title: str, *, trimmed: bool = False) -> Self:
         """Axes a little wider than the range of the finite values, of the size BOX in the plane.
 
-        If `trimmed`, the lowest and highest 2 % of y do not count, because a few uncertain points would make
+        If `trimmed`, the lowest and highest 2 % of y are ignored, because a few uncertain points would make
         the range so large that the others could not be distinguished.
         """
         x_low, x_high = _padded(x, 0.0)
@@ -135,7 +133,7 @@ class Graticule:
             self._label(self.x_low, y, tick_label(y, _step(y_ticks)), -0.075 * width, -0.03 * height)
             for y in y_ticks
         ]
-        # The corners are free of a trajectory, which has its titles there, but not of other curves.
+        # A trajectory leaves the corners free for its titles; other curves do not.
         x_down, y_down = (0.105, -0.095) if self.titles_outside else (-0.07, 0.03)
         labels.append(self._label(self.x_high, self.y_low, self.x_title, -0.17 * width, x_down * height))
         labels.append(self._label(self.x_low, self.y_high, self.y_title, 0.17 * width, y_down * height))
@@ -153,9 +151,7 @@ class Graticule:
 
 
 def reach_beyond(amplitude: float) -> float:
-    """Half the length of an axis for an amplitude: the next larger of 1, 1.5, 2, 3, 5, 7 times a power of
-    ten.
-    """
+    """Half the length of an axis for an amplitude: 1, 1.5, 2, 3, 5 or 7 times a power of ten above it."""
     if not (math.isfinite(amplitude) and amplitude > 0):
         return 1.0
     power = 10.0 ** math.floor(math.log10(amplitude))
@@ -228,7 +224,7 @@ def spot_cross(x_px: float, y_px: float, shape: tuple[int, int]) -> rr.LineStrip
 
 
 def faded(colour: str, part: float) -> tuple[int, int, int]:
-    """The colour mixed with the background in the given part.
+    """The fraction `part` of a colour mixed with the background, (red, green, blue).
 
     It is opaque, because transparent lines would be brighter where they cross.
     """

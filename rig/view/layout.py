@@ -1,8 +1,8 @@
 """Entity paths of Rerun, and the three layouts of panels.
 
-The entities of a run are below its name (a single run has an empty one), so that several runs can be
-overlaid. The y axis of Rerun's spatial views points down: points are therefore drawn at -Y, while the labels
-of the graticule show +Y.
+The entities of a run are below its name (empty for a single run), so that several runs can be overlaid. The y
+axis of Rerun's spatial views points down: points are therefore drawn at -Y, while the labels of the graticule
+show +Y.
 
 The trajectory is stored once, in the unit of the setup, and shown in two views. Its entity TRAJECTORY has a
 transform that scales the present amplitude to the axes (150, 100, 70, 50 arcsec ... as the swing decays); its
@@ -35,7 +35,7 @@ POSITION: Final = "position"
 X: Final = "deflection/x"
 FAST: Final = "deflection/x/fast_mode"
 LEAKAGE: Final = "deflection/x/leakage"
-"""The two parts of X, below it."""
+"""The two parts of X, entities below it."""
 Y: Final = "deflection/y"
 AMPLITUDE: Final = "amplitude"
 PERIOD: Final = "period"
@@ -43,13 +43,13 @@ CAMERA: Final = "camera"
 IMAGE: Final = "camera/image"
 SPOT: Final = "camera/spot"
 REFERENCE: Final = "reference"
-"""Below it x and y of the reference spot."""
+"""Parent of x and y of the reference spot."""
 BALANCE_ROOT: Final = "balance"
 LOSSES_ROOT: Final = "losses"
 PARAMETERS_ROOT: Final = "parameters"
 CLOCK: Final = "clock"
 LANES: Final = ("run", "spot", "frames", "laser")
-"""What a run can be in, each below the run's name itself: the viewer titles a lane with its whole path."""
+"""Conditions of a run against time, directly below its name: the viewer titles a lane with its whole path."""
 STATE: Final = "state"
 ADVICE: Final = "advice"
 BALANCE_TABLE: Final = "balance_table"
@@ -58,9 +58,9 @@ ANALYSIS_ROOT: Final = "analysis"
 REPORT: Final = "analysis/report"
 
 WINDOW_S: Final = 30.0
-"""Duration of X(t) and Y(t) that is shown before the time cursor."""
-BALANCING_S: Final = 120.0
-"""The same of the balance: of what was turned just now, a longer range would hide the effect."""
+"""Time span of X(t) and Y(t) that is shown before the time cursor."""
+BALANCE_WINDOW_S: Final = 120.0
+"""Time span of the balance before the time cursor: a longer one would hide the effect of the last turn."""
 WHOLE_RUN: Final = rrb.TimeAxis(
     view_range=rr.TimeRange(start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
 )
@@ -72,7 +72,7 @@ def entity(run: str, path: str) -> str:
 
 
 def trail_entity(run: str, part: str) -> str:
-    """Path of a part of a run's trajectory; those of all runs are below TRAJECTORY, which scales them."""
+    """Path of a part of a run's trajectory, below TRAJECTORY, which scales those of all runs."""
     return f"{TRAJECTORY}/{rr.escape_entity_path_part(run)}/{part}" if run else f"{TRAJECTORY}/{part}"
 
 
@@ -218,19 +218,19 @@ class _Views:
         return rrb.TimeSeriesView(name=title, contents=contents, axis_x=axis, plot_legend=legend)
 
     def parameters(self) -> list[rrb.Container]:
-        """One grid of small panels, if there are parameters."""
+        """A grid of small panels for the parameters; empty without parameters."""
         panels = [self.history(f"{PARAMETERS_ROOT}/{key}", label) for key, label in self._parameters.items()]
         return [rrb.Grid(*panels, grid_columns=3)] if panels else []
 
     def reference_spot(self) -> list[rrb.View]:
-        """What pointing, air and the camera do, if a reference spot tells."""
+        """The panel of the reference spot: drift of pointing, air and camera; empty without one."""
         if not self._has_reference:
             return []
         return [self.history(REFERENCE, "Reference spot / px", has_legend=True)]
 
     def balance(self, title: str, names: Sequence[str]) -> rrb.View:
         contents = [line for name in names for line in self._below(f"{BALANCE_ROOT}/{name}")]
-        return self._curves(title, contents, until_now(BALANCING_S), len(names) > 1)
+        return self._curves(title, contents, until_now(BALANCE_WINDOW_S), len(names) > 1)
 
     def lanes(self) -> rrb.View:
         contents = [f"+ {entity(run, lane)}" for run in self._runs for lane in LANES]

@@ -1,4 +1,4 @@
-"""The command `rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
+"""`rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
 
 import math
 import sys
@@ -28,32 +28,32 @@ from rig.presentation import (
     QuantityDisplay,
     Table,
     answer,
-    columns_of,
     plain,
     print_line,
     print_tables,
     quantity,
     say,
     signed,
+    terminal_columns,
 )
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import Terminated
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import ParameterDifference, ReplayDifferences, parameter_changes
-from rig.view.replay_player import HELP, MOST_FRAMES, Player
+from rig.view.replay_player import HELP, MAX_FRAMES, Player
 from rig.view.scratch import ScratchHead, ScratchView
 from rig.view.values import Mode
 
 _PLAIN_INTERVAL_S = 5.0
 _LINE_INTERVAL_S = 0.1
 _ERASE = "\r\x1b[K"
-_OF_ROUNDING_U = 0.01
-"""Largest change, in standard uncertainties, that is put down to rounding."""
+_MAX_ROUNDING_U = 0.01
+"""Largest change, in standard uncertainties, that is attributed to rounding."""
 _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
 
 
 class ReplayLine:
-    """A progress line that is updated on a terminal; elsewhere a new line every few seconds.
+    """The progress of a replay: one line updated on a terminal, elsewhere a new line every few seconds.
 
     On a terminal `help_text` is printed first.
     """
@@ -91,7 +91,7 @@ class ReplayLine:
         """Update the line."""
         now_s = self._clock()
         interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
-        # the effect of a key is shown immediately
+        # while paused or typing nothing is delayed, so that the effect of a key is shown immediately
         moving = not paused and prompt is None and now.elapsed_s < length_s
         if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
             return
@@ -108,7 +108,7 @@ class ReplayLine:
             self._stream.flush()
 
     def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
-        columns = columns_of(self._stream)
+        columns = terminal_columns(self._stream)
         part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
         amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
         clock = f"  clock {state.clock.text}" if state.clock.text else ""
@@ -116,7 +116,7 @@ class ReplayLine:
         begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
         half_cycles = f"  {state.half_cycles} half-cycles"
         texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
-        # a line that is wrapped could not be written over; the first of these is missed least
+        # a wrapped line could not be overwritten, so parts are left out, the least important first
         for place, _ in enumerate(texts):
             if columns and len(begin) + sum(map(len, texts)) >= columns:
                 texts[place] = ""
@@ -150,8 +150,8 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
         rows.append([name, *map(str, counts), _largest(change_u, where, once, counts[-1])])
     head = ("", "recorded", "replayed", "changed", "largest change")
     print_tables([Table("comparison", "", head, rows, head, rows)])
-    if retracked and not found.spots_once and 0 < found.largest_spot_change_u < _OF_ROUNDING_U:
-        # each fit starts at the spot of the frame before, which carries the last digits on
+    if retracked and not found.spots_once and 0 < found.largest_spot_change_u < _MAX_ROUNDING_U:
+        # each fit starts at the spot of the previous frame, which passes rounding errors on
         print_line(
             "the spots agree: pixels of a window are counted from another corner than those of the whole "
             "frame, so that sums are rounded differently"
@@ -166,11 +166,11 @@ def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked:
 def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
     """Print the changes of the recorded fitted parameters; one line if nothing changed.
 
-    Of the two fits of the contact laws the exact one is shown with values, the other only with changes.
+    The exact fit of the contact law is shown with values and changes, the asymptotic fit with changes only.
     """
     if not changes:
         return
-    if all(change.in_u == 0.0 for change in changes):
+    if all(change.change_u == 0.0 for change in changes):
         text = f"{len(changes)} fitted numbers, equal to those of {source}"
         print_line(text)
         return
@@ -181,20 +181,20 @@ def print_changes(changes: Sequence[ParameterDifference], source: str) -> None:
     for name, change in by_name.items():
         if name.startswith(_ASYMPTOTIC):
             continue
-        other = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
+        asymptotic_fit = by_name.get(name.replace(_EXACT, _ASYMPTOTIC))
         parameter = name.removeprefix(_EXACT)
         shown = quantity(parameter) if parameter != name else QuantityDisplay(name, "", name)
-        of_other = [_in_u(other) if other else ""] if asymptotic else []
-        rows.append([shown.label, shown.text(*change.recorded), _in_u(change), *of_other])
+        asymptotic_change = [_in_u(asymptotic_fit) if asymptotic_fit else ""] if asymptotic else []
+        rows.append([shown.label, shown.text(*change.recorded), _in_u(change), *asymptotic_change])
     print_tables([Table("changes", "", head, rows, head, rows)])
 
 
 def _in_u(change: ParameterDifference) -> str:
-    return "?" if math.isnan(change.in_u) else signed(change.in_u)
+    return "?" if math.isnan(change.change_u) else signed(change.change_u)
 
 
 def _largest(change_u: float, where: str, once: int, changed: int) -> str:
-    """Which of those in both changed most, and how many are in one of the two only."""
+    """The largest change of those present in both, and the number of those present in only one, in words."""
     said = [f"{plain(change_u, 2)} u, {where}"] if change_u > 0 else []
     said += [f"{once} in one of the two only"] if once else []
     return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
@@ -206,7 +206,7 @@ def _clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-_LOOK_S = 0.2
+_KEY_INTERVAL_S = 0.2
 
 
 def _events(reader: RecordReader) -> list[Event]:
@@ -237,20 +237,20 @@ def replay_record(
     mode: Mode = "none",
     rrd: Path | None = None,
 ) -> int:
-    """Replay, compare and fit; writes results.json into `output` if given. Returns the exit status.
+    """Replay, compare and fit a record; writes results.json into `output` if given. Returns the exit status.
 
-    Raises ConfigurationError for an invalid speed or invalid times, and RecordError for a file that
-    cannot be replayed, before anything is written; RecordError at the end where the Rerun file is not whole.
+    Raises ConfigurationError for an invalid speed or invalid times, and RecordError for a file that cannot be
+    replayed, before anything is written; RecordError at the end if the Rerun file is not whole.
     """
-    pace = speed_of(speed)
+    speed_factor = speed_of(speed)
     if not 0 <= from_s < to_s:
         raise ConfigurationError(
             f"--from {from_s:g} --to {to_s:g}: the part must begin before it ends, from 0 on"
         )
     with RecordReader(record) as reader:
         remedy = "frames stay as they were recorded" if retrack else "what the tracker takes needs --retrack"
-        watched = KeyUseMonitor(recorded_configuration(reader, overrides), overrides, remedy)
-        config = watched.config
+        key_monitor = KeyUseMonitor(recorded_configuration(reader, overrides), overrides, remedy)
+        config = key_monitor.config
         if reader.truncated:
             say(reader.cut_notice)
         wants_view = mode != "none" or rrd is not None
@@ -269,7 +269,7 @@ def replay_record(
             )
             player = Player(
                 replay,
-                pace,
+                speed_factor,
                 keys,
                 line,
                 retrack=retrack,
@@ -282,10 +282,10 @@ def replay_record(
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
                 _stay(keys)
         partial = replay.partial or replay.was_restarted or player.ended_by_user
-        run = replace(_analysed(reader, config, result), watched=watched)
+        run = replace(_analysed(reader, config, result), watched=key_monitor)
         if partial:
             part = f"replayed from {replay.pipeline_start_s:.2f} s to {replay.position_s:.2f} s of the record"
-            # the record's end is not that of the part
+            # a part has another end than the record
             run = replace(run, ended=None, warnings=(part, *run.warnings))
     results = session_results([run], output or record.parent)
     _say_differences(record, replay, result, run, partial=partial, retracked=retrack)
@@ -302,9 +302,9 @@ def replay_record(
 
 
 def _stay(keys: Keys) -> None:
-    """Wait for the key q, or Ctrl-C, which end no more than the page."""
+    """Wait for the key q, or Ctrl-C, which then ends only the page."""
     try:
-        while "q" not in keys.pressed(_LOOK_S):
+        while "q" not in keys.pressed(_KEY_INTERVAL_S):
             pass
     except Terminated:
         raise
@@ -320,7 +320,7 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
     with RecordReader(record) as reader:
         config = recorded_configuration(reader, overrides)
         replay = Replay(reader, config, retrack=retrack)
-        while replay.advance(math.inf, MOST_FRAMES[retrack]) is not None:
+        while replay.advance(math.inf, MAX_FRAMES[retrack]) is not None:
             pass
         return _analysed(reader, config, replay.finish())
 

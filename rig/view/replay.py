@@ -1,4 +1,4 @@
-"""Replay of a record through the same pipeline, at any speed and from any position."""
+"""The replay of a record through the pipeline of a run, at any speed and from any position."""
 
 import math
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 class ReplayStep(NamedTuple):
     """Results of some frames: the pipeline's block, and the recorded whole frames.
 
-    `sequences` are the frames' numbers, one for each time in the block.
+    `sequences` are the frame numbers (n,), in the order of the times of the block.
     """
 
     sequences: NDArray[np.int64]
@@ -37,9 +37,9 @@ class ReplayStep(NamedTuple):
 
 
 class ReplayResult(NamedTuple):
-    """Results of a replay; `dropped_frames` are missing in the record between the first and the last.
+    """Results of a replay; `dropped_frames` counts frames missing between the first and the last.
 
-    `beam` counts spots by beam model. `deflections` are in the pieces in which they were processed.
+    `beam` counts spots by model of the beam. `deflections` are in the pieces in which they were processed.
     """
 
     swings: list[HalfCycle]
@@ -93,7 +93,7 @@ class Replay:
         self._retrack = retrack
         self._pictures = pictures
         recorded = recorded_configuration(reader)
-        # without --retrack there is nothing for the tracker, which takes the sensor's noise
+        # only the tracker uses the sensor's noise, and without --retrack it has nothing to do
         self._config = config if retrack else config.model_copy(update={"sensor": recorded.sensor})
         if retrack and not reader.counts.get(WINDOW.topic):
             why = "" if recorded.record.windows else " (it was made with record.windows = false)"
@@ -189,9 +189,9 @@ class Replay:
         self._position_ns = int(rows["time_ns"][-1])
         spots = self._track_again(rows) if self._retrack else _spots(rows)
         block = self._block(rows, spots)
-        self._keep(rows, block)
+        self._collect(rows, block)
         self._comparison.spots(rows, spots)
-        return ReplayStep(rows["sequence"].astype(np.int64), block, self._pictures_of(rows))
+        return ReplayStep(rows["sequence"].astype(np.int64), block, self._pictures_in(rows))
 
     def finish(self) -> ReplayResult:
         """Complete the last half-cycles; returns all results since the start."""
@@ -200,7 +200,7 @@ class Replay:
         self._swings += swings
         first = self._first_sequence if self.partial or self.was_restarted else 0
         dropped = self._last_sequence + 1 - first - sum(map(len, self._deflections))
-        # at the end of a part the last half-cycle lacks samples that it had when it was recorded
+        # at the end of a part the last half-cycle lacks samples that the recorded one had
         compared = self._swings if whole_end else self._swings[: len(self._swings) - len(swings)]
         comparison = self._comparison.finish(
             self._reader.swings(),
@@ -231,13 +231,13 @@ class Replay:
 
     def _block(self, rows: NDArray[Any], spots: list[Spot]) -> Block:
         if self._retrack or not self._same_deflections:
-            # the time of a row is that of its spot; the shutter shifts those of the frames again
+            # the recorded time is that of the spot's rows; from the frame's time the shutter shifts it anew
             has_clock = rows["device_time_ns"] >= 0
             frame_times_ns = np.where(has_clock, rows["device_time_ns"], rows["host_time_ns"])
             return self._pipeline.measure(frame_times_ns.astype(np.int64), spots)
         return self._pipeline.detect(spots, self._reader.deflections(rows))
 
-    def _keep(self, rows: NDArray[Any], block: Block) -> None:
+    def _collect(self, rows: NDArray[Any], block: Block) -> None:
         self._swings += block.swings
         self._deflections.append(block.deflections)
         self._beam.take(rows["sequence"], [spot.flags for spot in block.spots])
@@ -251,7 +251,7 @@ class Replay:
         """Track the spots again; windows and rows are both in the order of the frames."""
         spots: list[Spot] = []
         for sequence in rows["sequence"].tolist():
-            # skip a window whose spot was in a damaged chunk
+            # skip windows whose spots were in a damaged chunk
             while self._window is None or self._window.sequence < sequence:
                 self._window = next(self._windows, None)
                 if self._window is None:
@@ -267,7 +267,7 @@ class Replay:
                 spots.append(_LOST)
         return spots
 
-    def _pictures_of(self, rows: NDArray[Any]) -> list[Frame]:
+    def _pictures_in(self, rows: NDArray[Any]) -> list[Frame]:
         found: list[Frame] = []
         while self._pictures:
             self._image = self._image or next(self._images, None)

@@ -1,4 +1,4 @@
-"""Compares replayed with recorded spots, half-cycles and fitted parameters."""
+"""The comparison of replayed with recorded spots, half-cycles and fitted parameters."""
 
 import math
 from collections.abc import Sequence
@@ -16,18 +16,18 @@ from processing.swing import HalfCycle
 from processing.units import NS_PER_S, seconds
 from rig.analysis import RunResults
 
-_SAME_SWING = 0.25
-"""Two turning points are the same if they differ by at most this fraction of a half period."""
+_MAX_TIME_DIFFERENCE = 0.25
+"""Largest time difference of two turning points that count as the same, as a fraction of a half-period."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayDifferences:
     """Differences between replay and record, in units of the recorded standard uncertainties.
 
-    A spot or half-cycle counts as changed if any bit differs, or if it exists in one of them only.
-    `spots_once` and `swings_once` exist in one of them only.
-    `swings_flagged` are the replayed ones that fits leave out. `largest_spot_frame` (a frame number) and
-    `largest_swing_s` (time from the record's first frame) locate the largest changes.
+    A spot or half-cycle counts as changed if any bit differs, or if it exists in only one of the two.
+    `spots_once` and `swings_once` count those that exist in only one. `swings_flagged` counts the replayed
+    half-cycles that fits leave out. `largest_spot_frame` (a frame number) and `largest_swing_s` (time from
+    the record's first frame) locate the largest changes.
     """
 
     spots: int
@@ -47,19 +47,19 @@ class ReplayDifferences:
 
     @property
     def identical(self) -> bool:
-        """True if everything is equal bit for bit."""
+        """Whether everything is equal bit for bit."""
         return self.spots_changed == 0 and self.swings_changed == 0
 
 
 class ParameterDifference(NamedTuple):
-    """One parameter, recorded and replayed, each a value with its standard uncertainty."""
+    """One fitted parameter, recorded and replayed."""
 
     name: str
     recorded: Estimate
     replayed: Estimate
 
     @property
-    def in_u(self) -> float:
+    def change_u(self) -> float:
         """The difference in recorded standard uncertainties; NaN if there is no uncertainty."""
         difference = self.replayed.value - self.recorded.value
         u = self.recorded.standard_uncertainty
@@ -67,13 +67,13 @@ class ParameterDifference(NamedTuple):
 
 
 class ReplayComparison:
-    """Collects differences during a replay. `start_ns` is the time of the record's first frame."""
+    """Collects differences during a replay; `start_ns` is the time of the record's first frame."""
 
     def __init__(self, start_ns: int) -> None:
         self._start_ns = start_ns
         self._spots = 0
         self._found = [0, 0]
-        self._changed = self._once = 0
+        self._changed = self._unpaired_spots = 0
         self._largest: tuple[float, int] = (0.0, -1)
 
     def spots(self, rows: NDArray[Any], spots: Sequence[Spot]) -> None:
@@ -85,35 +85,35 @@ class ReplayComparison:
         self._found[0] += int(np.isfinite(rows["x_px"]).sum())
         self._found[1] += int(np.isfinite(x_px).sum())
         self._changed += int(changed.sum())
-        self._once += int((np.isfinite(rows["x_px"]) != np.isfinite(x_px)).sum())
+        self._unpaired_spots += int((np.isfinite(rows["x_px"]) != np.isfinite(x_px)).sum())
         if changed.any():
             with np.errstate(invalid="ignore", divide="ignore"):
-                in_u = np.maximum(
+                change_u = np.maximum(
                     np.abs(x_px - rows["x_px"]) / rows["u_x_px"],
                     np.abs(y_px - rows["y_px"]) / rows["u_y_px"],
                 )
-            in_u = np.where(np.isfinite(in_u), in_u, 0.0)
-            row = int(np.argmax(in_u))
-            if in_u[row] > self._largest[0]:
-                self._largest = (float(in_u[row]), int(rows["sequence"][row]))
+            change_u = np.where(np.isfinite(change_u), change_u, 0.0)
+            row = int(np.argmax(change_u))
+            if change_u[row] > self._largest[0]:
+                self._largest = (float(change_u[row]), int(rows["sequence"][row]))
 
     def finish(
         self, recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle], *, from_start: bool, to_end: bool
     ) -> ReplayDifferences:
-        """Compare the half-cycles too.
+        """Compare the half-cycles, too; returns all differences.
 
-        If only a part was replayed (`from_start` or `to_end` False), recorded half-cycles before the
-        first or after the last replayed one are ignored.
+        If only a part was replayed (`from_start` or `to_end` False), recorded half-cycles before the first or
+        after the last replayed one are ignored.
         """
-        reach_ns = _reach_ns(recorded)
-        first_ns = min((swing.turn_time_ns for swing in replayed), default=0) - reach_ns
-        last_ns = max((swing.turn_time_ns for swing in replayed), default=0) + reach_ns
+        max_difference_ns = _max_time_difference_ns(recorded)
+        first_ns = min((swing.turn_time_ns for swing in replayed), default=0) - max_difference_ns
+        last_ns = max((swing.turn_time_ns for swing in replayed), default=0) + max_difference_ns
         wanted = [
             swing
             for swing in recorded
             if (from_start or swing.turn_time_ns >= first_ns) and (to_end or swing.turn_time_ns <= last_ns)
         ]
-        pairs = _pairs(wanted, replayed, reach_ns)
+        pairs = _pairs(wanted, replayed, max_difference_ns)
         largest, largest_s = 0.0, math.nan
         for old, new in pairs:
             change = _swing_change_u(old, new)
@@ -133,7 +133,7 @@ class ReplayComparison:
             largest_swing_change_u=largest,
             largest_swing_s=largest_s,
             swings_flagged=sum(swing.flags != 0 for swing in replayed),
-            spots_once=self._once,
+            spots_once=self._unpaired_spots,
             swings_once=unpaired,
         )
 
@@ -141,7 +141,7 @@ class ReplayComparison:
 def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[ParameterDifference]:
     """Fitted parameters that two results of a run have in common, in the order of the replayed one.
 
-    Contact parameters are named ``fits.exact.b`` and so on, what other pendulums report as in the table.
+    Contact parameters are named ``fits.exact.b`` and so on, quantities of other pendulums as in the table.
     """
     old, new = ({**_contact(run), **_instrument(run)} for run in (recorded, replayed))
     return [ParameterDifference(name, old[name], new[name]) for name in new if name in old]
@@ -162,14 +162,14 @@ def _instrument(run: RunResults) -> dict[str, Estimate]:
     return {row.quantity: Estimate(*row) for row in rows}
 
 
-def _reach_ns(swings: Sequence[HalfCycle]) -> float:
+def _max_time_difference_ns(swings: Sequence[HalfCycle]) -> float:
     """Largest time difference of two turning points that count as the same."""
     half_s = [swing.half_period_s for swing in swings if math.isfinite(swing.half_period_s)]
-    return _SAME_SWING * NS_PER_S * float(np.median(half_s)) if half_s else 0.0
+    return _MAX_TIME_DIFFERENCE * NS_PER_S * float(np.median(half_s)) if half_s else 0.0
 
 
 def _pairs(
-    recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle], reach_ns: float
+    recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle], max_difference_ns: float
 ) -> list[tuple[HalfCycle, HalfCycle]]:
     """Pairs of half-cycles with the same turning point; their numbers may differ."""
     if not recorded:
@@ -179,13 +179,14 @@ def _pairs(
     taken: set[int] = set()
     for swing in replayed:
         row = int(np.argmin(np.abs(times_ns - swing.turn_time_ns)))
-        if row not in taken and abs(int(times_ns[row]) - swing.turn_time_ns) <= reach_ns:
+        if row not in taken and abs(int(times_ns[row]) - swing.turn_time_ns) <= max_difference_ns:
             taken.add(row)
             pairs.append((recorded[row], swing))
     return pairs
 
 
 def _swing_change_u(old: HalfCycle, new: HalfCycle) -> float:
+    """The larger change of amplitude and time, in standard uncertainties of the old half-cycle."""
     return max(
         abs(new.amplitude - old.amplitude) / old.u_amplitude,
         seconds(abs(new.turn_time_ns - old.turn_time_ns)) / old.u_turn_time_s,
@@ -198,7 +199,7 @@ def _same(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _equal(old: HalfCycle, new: HalfCycle) -> bool:
-    """True if equal bit for bit; NaN equals NaN."""
+    """Whether two half-cycles are equal bit for bit; NaN equals NaN."""
     return all(
         a == b or (isinstance(a, float) and isinstance(b, float) and math.isnan(a) and math.isnan(b))
         for a, b in zip(astuple(old), astuple(new), strict=True)

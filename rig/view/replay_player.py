@@ -16,12 +16,12 @@ from rig.view.scratch import ScratchView
 
 HELP: Final = "space pause  → frame  h half-cycle  + - 10 s  g go to  q end"
 SEEK_S: Final = 10.0
-_TICK_S = 0.05
-_LATEST_S = 0.5
-_SEEN_S = 2.0
-"""After so long it is known how fast a replay goes."""
-MOST_FRAMES = {False: 10_000, True: 64}
-"""Frames processed between two checks of the keys: with recorded spots, and tracked again or shown."""
+_MIN_WAIT_S = 0.05
+_MAX_WAIT_S = 0.5
+_MIN_TIMED_S = 2.0
+"""Shortest time from which the speed of a replay is estimated."""
+MAX_FRAMES = {False: 10_000, True: 64}
+"""Most frames between two checks of the keys: with recorded spots; with spots tracked again or shown."""
 
 
 class Display(Protocol):
@@ -30,13 +30,11 @@ class Display(Protocol):
     def show(
         self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
     ) -> None:
-        """Show the state since the replay was begun, length of the record, remaining time (NaN: unknown) and
-        the text being typed.
-        """
+        """Show state, length of the record, remaining time (NaN: unknown) and the typed text."""
 
 
 class Player:
-    """One replay, controlled by keys.
+    """Runs one replay, controlled by keys.
 
     Parameters
     ----------
@@ -65,71 +63,73 @@ class Player:
         self._speed = speed
         self._keys = keys
         self._display = display
-        # a view is drawn as the run was, piece by piece
-        self._most = MOST_FRAMES[retrack or view is not None]
+        # a view is drawn in small pieces, as during the run
+        self._max_frames = MAX_FRAMES[retrack or view is not None]
         self._view = view
         self._events = sorted(events or [], key=lambda event: event.time_ns)
         self._clock = clock
         self._typed: str | None = None
-        self._wanted_s = -math.inf
+        self._target_s = -math.inf
         self._step: str = ""
         self._last_sequence = -1
         self.paused = False
         self.ended_by_user = False
         self._begun = False
         self._now = RunNow()
-        self._forget()
+        self._reset_counts()
 
     def play(self) -> None:
         """Replay until the end, or until the user ends it."""
         wait_s = 0.0
         while not self.ended_by_user:
             for key in self._keys.pressed(wait_s):
-                self._take(key)
+                self._obey_key(key)
             if self.ended_by_user or math.isinf(self._replay.next_s):
                 break
             self._show()
-            wait_s = self._go_on()
+            wait_s = self._process_due()
         self._show()
 
     def finish(self) -> ReplayResult:
-        """Complete the last half-cycles, which are shown too."""
+        """Complete the last half-cycles and show them; returns the results."""
         result = self._replay.finish()
         if self._view is not None:
             self._view.half_cycles(result.swings[self._now.half_cycles :])
             self._view.flush()
         return result
 
-    def _go_on(self) -> float:
+    def _process_due(self) -> float:
         """Process the frames that are due; returns the time in s until the next one."""
-        if self._replay.next_s <= self._wanted_s:
-            self._through(self._wanted_s, self._most)
-            if self._replay.next_s > self._wanted_s:
+        if self._replay.next_s <= self._target_s:
+            self._advance(self._target_s, self._max_frames)
+            if self._replay.next_s > self._target_s:
                 self._resume()
             return 0.0
         if self._step:
-            self._one_step()
+            self._step_once()
             return 0.0
         if self.paused:
-            return _LATEST_S
+            return _MAX_WAIT_S
         if math.isinf(self._speed):
-            self._through(math.inf, self._most)
+            self._advance(math.inf, self._max_frames)
             return 0.0
         due_s = self._base_s + (self._clock() - self._base_clock_s) * self._speed
-        self._through(due_s, self._most)
+        self._advance(due_s, self._max_frames)
         behind = self._replay.next_s <= due_s
-        return 0.0 if behind else min(_LATEST_S, max(_TICK_S, (self._replay.next_s - due_s) / self._speed))
+        return (
+            0.0 if behind else min(_MAX_WAIT_S, max(_MIN_WAIT_S, (self._replay.next_s - due_s) / self._speed))
+        )
 
-    def _one_step(self) -> None:
+    def _step_once(self) -> None:
         """Process one frame, or as many as it takes to complete a half-cycle."""
-        for _ in range(1 if self._step == "frame" else self._most):
-            step = self._through(math.inf, 1)
+        for _ in range(1 if self._step == "frame" else self._max_frames):
+            step = self._advance(math.inf, 1)
             if step is None or self._step == "frame" or step.block.swings:
                 self._step = ""
                 self._resume()
                 return
 
-    def _through(self, until_s: float, most: int) -> ReplayStep | None:
+    def _advance(self, until_s: float, most: int) -> ReplayStep | None:
         step = self._replay.advance(until_s, most)
         if step is None:
             return None
@@ -147,7 +147,7 @@ class Player:
         )
         self._draw(step)
         if not self._begun:
-            # the first frames wait for what is loaded and compiled, and say nothing of the others
+            # the first frames wait for loading and compiling, so their time does not count for the speed
             self._begun = True
             self._resume()
         return step
@@ -164,10 +164,10 @@ class Player:
             self._view.event(self._events[self._next_event])
             self._next_event += 1
 
-    def _take(self, key: str) -> None:
+    def _obey_key(self, key: str) -> None:
         """Carry out the command of a key."""
         if self._typed is not None:
-            self._type(key)
+            self._edit_time(key)
         elif key == "space":
             self.paused = not self.paused
             self._resume()
@@ -180,8 +180,8 @@ class Player:
         elif key == "q":
             self.ended_by_user = True
 
-    def _type(self, key: str) -> None:
-        """The time to go to, digit by digit."""
+    def _edit_time(self, key: str) -> None:
+        """Edit the time to go to by a key."""
         typed = self._typed or ""
         if key in "0123456789." and len(key) == 1:
             self._typed = typed + key
@@ -199,15 +199,15 @@ class Player:
         replay = self._replay
         time_s = min(max(time_s, 0.0), replay.length_s)
         if time_s > replay.position_s:
-            self._wanted_s = time_s
+            self._target_s = time_s
             return
-        self._wanted_s = -math.inf
+        self._target_s = -math.inf
         replay.restart(time_s)
         if self._view is not None:
             self._view.restart(replay.start_ns + nanoseconds(time_s))
-        self._forget()
+        self._reset_counts()
 
-    def _forget(self) -> None:
+    def _reset_counts(self) -> None:
         """Reset the counts when the pipeline is restarted."""
         start_ns, begun_s = self._replay.start_ns, self._replay.pipeline_start_s
         begun_ns = start_ns + nanoseconds(begun_s)
@@ -224,7 +224,7 @@ class Player:
         replay = self._replay
         position_s = replay.position_s
         gone_s, host_s = position_s - self._base_s, self._clock() - self._base_clock_s
-        known = gone_s > 0 and host_s > _SEEN_S and not self.paused
+        known = gone_s > 0 and host_s > _MIN_TIMED_S and not self.paused
         remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
         now = replace(self._now, elapsed_s=position_s, clock=replay.clock)
         self._display.show(now, replay.length_s, remaining_s, self._typed, paused=self.paused)

@@ -1,9 +1,9 @@
-"""Starts the executable of the viewer, bound to 127.0.0.1.
+"""The program of the viewer, bound to 127.0.0.1, and the page that it serves.
 
 The executable inside the package is started directly: the `rerun` command is a Python wrapper, and the viewer
 would continue to run after the wrapper is ended. By default the viewer listens on all interfaces and sends
-usage data; both are switched off here. Its page, which has settings of its own in the browser, is passed on
-with a policy by which the browser asks this machine only.
+usage data; both are switched off here. Its page is served with a content security policy, so that the browser
+contacts this machine only.
 """
 
 import http.client
@@ -28,9 +28,9 @@ from rig.terminal import LOOPBACK, free_port, own_group
 from rig.view.scratch import no_window, page_address, ports_of_view
 from rig.view.values import ShowMode
 
-_LOOK_S, _START_LIMIT_S = 0.05, 30.0
+_CHECK_INTERVAL_S, _MAX_START_S = 0.05, 30.0
 _SERVER_MEMORY = "200MiB"
-"""What the page's server keeps for a browser that comes late."""
+"""Memory in which the page's server keeps data for a browser that connects late."""
 
 
 def program() -> Path:
@@ -54,7 +54,8 @@ def quiet_environment() -> dict[str, str]:
         settings.mkdir(mode=0o700, exist_ok=True)
         made = settings.lstat()
         if not stat.S_ISDIR(made.st_mode) or made.st_uid != os.getuid() or made.st_mode & 0o077:
-            # in a folder for all users anyone could have made it before, and read or change what is in it
+            # in the common temporary folder another user could have created it, to read or change the
+            # settings
             settings = Path(tempfile.mkdtemp(prefix="rerun-settings-"))
         environment["XDG_CONFIG_HOME"] = str(settings)
     subprocess.run(
@@ -66,7 +67,7 @@ def quiet_environment() -> dict[str, str]:
 def start_program(
     *arguments: str, environment: dict[str, str] | None = None, alone: bool = True
 ) -> subprocess.Popen[bytes]:
-    """Start the program on 127.0.0.1, without output; `alone`: it outlives this one's process group."""
+    """Start the program on 127.0.0.1, without output; if `alone` it outlives this process group."""
     return subprocess.Popen(
         [program(), "--bind", LOOPBACK, *arguments],
         env=environment if environment is not None else quiet_environment(),
@@ -78,9 +79,10 @@ def start_program(
 
 
 class GuardedPage(ThreadingHTTPServer):
-    """The page of the viewer's server at `inner_port`, with a policy: a browser asks nobody else.
+    """Serves the page of the viewer's server at `inner_port` with a policy: the browser contacts no other
+    host.
 
-    `stream_port` is that of the stream, which the page may read.
+    `stream_port` is the port of the stream, which the page may read.
     """
 
     daemon_threads = True
@@ -97,13 +99,13 @@ class GuardedPage(ThreadingHTTPServer):
 
 
 class _PageRequest(BaseHTTPRequestHandler):
-    """A file of the page, from the viewer's server."""
+    """Answers a request for a file of the page with that of the viewer's server."""
 
     server: GuardedPage
 
     def do_GET(self) -> None:
-        inner = http.client.HTTPConnection(LOOPBACK, self.server.inner_port, timeout=_START_LIMIT_S)
-        # who has closed the page, or the viewer, is no event
+        inner = http.client.HTTPConnection(LOOPBACK, self.server.inner_port, timeout=_MAX_START_S)
+        # an error here only means that the page or the viewer was closed
         with suppress(OSError, http.client.HTTPException):
             inner.request("GET", self.path)
             answer = inner.getresponse()
@@ -119,11 +121,11 @@ class _PageRequest(BaseHTTPRequestHandler):
         inner.close()
 
     def log_message(self, *_: object) -> None:
-        """Nobody reads it."""
+        """Print no log of requests."""
 
 
 class ViewerProgram:
-    """The viewer's program, with files or as the server of a stream: a window, or a page on the loopback."""
+    """The running viewer, with files or as the server of a stream: a window, or a page on the loopback."""
 
     def __init__(self, mode: ShowMode, ports: tuple[int, int] | None, files: Sequence[str] = ()) -> None:
         if mode == "spawn" and (missing := no_window()):
@@ -150,23 +152,23 @@ class ViewerProgram:
             self._process.kill()
             self._process.wait()
         elif self._process.poll() is None:
-            # a window stays until it is closed; nothing waits for it any more
+            # a window stays open until the user closes it; this process does not wait for it
             self._process.returncode = 0
 
     def _await_page(self, web_port: int) -> None:
-        deadline_s = time.monotonic() + _START_LIMIT_S
+        deadline_s = time.monotonic() + _MAX_START_S
         while self.is_open and time.monotonic() < deadline_s:
-            with suppress(OSError), socket.create_connection((LOOPBACK, web_port), _LOOK_S):
+            with suppress(OSError), socket.create_connection((LOOPBACK, web_port), _CHECK_INTERVAL_S):
                 return
-            time.sleep(_LOOK_S)
+            time.sleep(_CHECK_INTERVAL_S)
 
     @property
     def is_open(self) -> bool:
-        """Whether it has not been closed."""
+        """Whether the viewer is still running."""
         return self._process.poll() is None
 
     def wait(self) -> None:
-        """Wait until it is closed, or Ctrl-C ends it."""
+        """Wait until the viewer is closed, or Ctrl-C ends it."""
         try:
             self._process.wait()
         except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""The view of a program that looks without measuring: a record in a scratch folder, and `rig view` on it."""
+"""Views of a run and of programs that do not measure, which write a scratch record for `rig view`."""
 
 import math
 import os
@@ -29,20 +29,20 @@ from rig.presentation import say
 from rig.terminal import LOOPBACK, free_port, start_python
 from rig.view.values import LayoutName, Mode
 
-_SHOW_END_S, _WRITE_END_S = 10.0, 30.0
-"""So long a window or page, and a Rerun file, may take for what is left of their record of a run."""
+_MAX_SHOW_END_S, _MAX_WRITE_END_S = 10.0, 30.0
+"""Time that a window or page, and a Rerun file, may take to draw the rest of a run's record."""
 _PORT, _WEB_PORT = 9876, 9090
 
 
 class RunningView:
-    """A window or page, a Rerun file, both or none; a context manager.
+    """The processes that show a record: a window or page, a Rerun file, both or none; a context manager.
 
     Parameters
     ----------
     record
-        Need not be there yet.
+        Path of the record, which need not exist yet.
     mode
-        How it is shown; the address of a page is said.
+        How the record is shown; the address of a page is printed.
     rrd
         Rerun file to write, or None. Must not exist yet.
     layout
@@ -53,15 +53,15 @@ class RunningView:
         if rrd is not None and rrd.exists():
             raise ConfigurationError(f"the Rerun file {rrd} exists already; choose another name")
         self.record, self.rrd = record, rrd
-        self._writing = None if rrd is None else self._started("--rrd", str(rrd), "--layout", layout)
-        self._showing: subprocess.Popen[Any] | None = None
+        self._file_process = None if rrd is None else self._start("--rrd", str(rrd), "--layout", layout)
+        self._viewer_process: subprocess.Popen[Any] | None = None
         if mode == "spawn" and (missing := no_window()):
             say(missing)
         elif mode != "none":
             port, web_port = ports_of_view()
             ports = ("--ports", str(port), str(web_port))
             shown = "window" if mode == "spawn" else "web"
-            self._showing = self._started("--view", shown, "--layout", layout, *ports)
+            self._viewer_process = self._start("--view", shown, "--layout", layout, *ports)
             if mode == "web":
                 say(f"live view: {page_address(port, web_port)}")
 
@@ -75,43 +75,44 @@ class RunningView:
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Numbers of the processes that were started."""
-        return tuple(one.pid for one in (self._writing, self._showing) if one is not None)
+        """Identifiers of the processes that were started."""
+        return tuple(one.pid for one in (self._file_process, self._viewer_process) if one is not None)
 
     def close(self, *, patient: bool = False) -> str:
-        """Let the processes draw what is left, after the record is closed; what the Rerun file lacks, if
-        anything. `patient`: it is waited for as long as it takes.
-        """
-        self._ended(self._showing, _SHOW_END_S)
-        said = self._ended(self._writing, None if patient else _WRITE_END_S)
-        if said is None:
-            return ""
-        return said or f"the Rerun file {self.rrd} is not whole: its writer was ended"
+        """Wait, after the record is closed, until the processes have drawn the rest of it.
 
-    def _started(self, *words: str) -> "subprocess.Popen[Any]":
+        Returns the problem of the Rerun file, empty without one. If `patient`, the file may take any time.
+        """
+        self._wait_for_end(self._viewer_process, _MAX_SHOW_END_S)
+        last_words = self._wait_for_end(self._file_process, None if patient else _MAX_WRITE_END_S)
+        if last_words is None:
+            return ""
+        return last_words or f"the Rerun file {self.rrd} is not whole: its writer was ended"
+
+    def _start(self, *words: str) -> "subprocess.Popen[Any]":
         null = subprocess.DEVNULL
-        # it ends by itself with the record, so that the Rerun file of a run that was killed is whole
+        # the process ends by itself with the record, so that even the Rerun file of a killed run is whole
         program = ("-m", "rig", "view", str(self.record), "--follow")
         return start_python(*program, *words, stdin=null, stdout=null, stderr=subprocess.PIPE)
 
-    def _ended(self, process: "subprocess.Popen[Any] | None", limit_s: float | None) -> str | None:
-        """Wait for the end of a process; None where all is well, else what it said last."""
+    def _wait_for_end(self, process: "subprocess.Popen[Any] | None", limit_s: float | None) -> str | None:
+        """Wait for the end of a process; returns None if it succeeded, else its last line on stderr."""
         if process is None:
             return None
         if not self.record.exists():
             process.terminate()
         try:
-            _, said = process.communicate(timeout=limit_s)
+            _, last_words = process.communicate(timeout=limit_s)
         except subprocess.TimeoutExpired:
             process.kill()
-            _, said = process.communicate()
+            _, last_words = process.communicate()
         if os.name == "posix":
-            # a page's server that a killed view has left
+            # end the page's server that a killed view may have left
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
         if process.returncode == 0 or not self.record.exists():
             return None
-        lines = said.decode(errors="replace").strip().splitlines()
+        lines = last_words.decode(errors="replace").strip().splitlines()
         return lines[-1].removeprefix("rig: ") if lines else ""
 
 
@@ -138,12 +139,12 @@ def no_window() -> str:
     return ""
 
 
-_PICTURE_NS = 300_000_000
+_PICTURE_INTERVAL_NS = 300_000_000
 _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 
 
 class ScratchHead(NamedTuple):
-    """What a scratch record begins with, as `RecordWriter` takes it."""
+    """The head of a scratch record: metadata, attachments and unit of deflections for `RecordWriter`."""
 
     metadata: Mapping[str, Mapping[str, str]]
     attachments: Mapping[str, bytes]
@@ -151,10 +152,10 @@ class ScratchHead(NamedTuple):
 
 
 class ScratchView:
-    """Shows what is written into a record of its own, which is removed at the end.
+    """Shows values by a scratch record, which is removed at the end; a context manager with the title `name`.
 
-    A context manager; at its end RecordError is raised where a Rerun file is not whole. `name` is the title.
-    Beyond `most_bytes` the record is replaced by another one, with which the view goes on.
+    At the end RecordError is raised if a Rerun file is not whole. Beyond `most_bytes` the record is replaced
+    by a new one, with which the view continues.
     """
 
     def __init__(
@@ -189,7 +190,7 @@ class ScratchView:
 
     @property
     def begun(self) -> bool:
-        """Whether it has begun."""
+        """Whether the record has begun."""
         return self._head is not None
 
     def begin(self, time_ns: int, head: ScratchHead) -> None:
@@ -211,9 +212,10 @@ class ScratchView:
         shift_ns: int = 0,
         sequences: Sequence[int] | None = None,
     ) -> None:
-        """Spots, half-cycles and balances, and a picture now and then; `shift_ns` is taken off all times.
+        """Write spots, half-cycles and balances, and a picture at intervals; `shift_ns` is subtracted from
+        times.
 
-        Frames are numbered as they come unless their `sequences` are given.
+        Frames are numbered in their order unless `sequences` are given.
         """
         found = replace(block.deflections, times_ns=block.deflections.times_ns - shift_ns)
         times_ns = found.times_ns.tolist()
@@ -230,71 +232,72 @@ class ScratchView:
                 writer.write_balance(replace(balance, time_ns=balance.time_ns - shift_ns))
             writer.flush_if_due()
 
-        self._written(write)
+        self._write(write)
         for frame in frames if sequences else frames[-1:]:
             number = frame.sequence if sequences else self._sequence - 1
             self._picture(Frame(frame.image, number, frame.time_ns - shift_ns, 0))
 
     def _picture(self, frame: Frame) -> None:
         if frame.time_ns >= self._picture_due_ns:
-            self._picture_due_ns = frame.time_ns + _PICTURE_NS
-            self._written(lambda writer: writer.write_preview(frame))
+            self._picture_due_ns = frame.time_ns + _PICTURE_INTERVAL_NS
+            self._write(lambda writer: writer.write_preview(frame))
 
     def half_cycles(self, swings: list[HalfCycle]) -> None:
-        """Half-cycles that are complete only at the end."""
+        """Write half-cycles that are completed only at the end."""
         none = np.empty(0)
         nothing = Deflections(np.empty(0, dtype=np.int64), none, none, none, none, self._unit)
         self.block(Block([], nothing, swings, []))
 
     def look(self, frame: Frame, spot: Spot) -> None:
-        """A frame and the spot in it, where no deflection is measured."""
+        """Write a frame and the spot in it, without a deflection."""
         self._picture_due_ns = frame.time_ns
-        self.block(self._alone(frame.time_ns, spot), [frame])
+        self.block(self._single_spot(frame.time_ns, spot), [frame])
 
     def event(self, event: Event) -> None:
-        """An event, for the log, or advice on the balance before it."""
-        self._written(lambda writer: writer.write_event(event.time_ns, event.kind, event.text))
+        """Write an event for the log, or advice on the last balance."""
+        self._write(lambda writer: writer.write_event(event.time_ns, event.kind, event.text))
 
     def jump(self, time_ns: int, text: str) -> None:
-        """Go on at a later time; curves are interrupted there, and the log says so."""
-        self.block(self._alone(time_ns, _LOST))
+        """Continue at a later time; curves are interrupted there, and `text` is logged."""
+        self.block(self._single_spot(time_ns, _LOST))
         self.event(Event(time_ns, EventKind.START, text))
 
     def restart(self, time_ns: int) -> None:
-        """Begin another record, which the view shows from now on."""
+        """Begin a new record, which the view shows from now on."""
         self._last_ns = time_ns
-        self._written(self._go_on_anew)
+        self._write(self._replace_record)
 
     def flush(self) -> None:
-        """Have all shown that was written."""
-        self._written(lambda writer: writer.flush())
+        """Flush the record, so that all of it is shown."""
+        self._write(lambda writer: writer.flush())
 
-    def _alone(self, time_ns: int, spot: Spot) -> Block:
+    def _single_spot(self, time_ns: int, spot: Spot) -> Block:
         nothing, unit = np.full(1, math.nan), self._unit
         at = Deflections(np.array([time_ns]), nothing, nothing, nothing, nothing, unit)
         return Block([spot], at, [], [])
 
-    def _written(self, write: Callable[[RecordWriter], None]) -> None:
-        """Write into the record, where there is one that can be written."""
+    def _write(self, write: Callable[[RecordWriter], None]) -> None:
+        """Write into the record, unless it has not begun or writing has failed."""
         if self._writer is None or self._failed:
             return
         try:
             if self._writer.bytes_written > self._most_bytes:
-                self._go_on_anew(self._writer)
+                self._replace_record(self._writer)
             write(self._writer)
         except (OSError, RecordError) as error:
-            # the view ends, and nothing else
+            # an error ends only the view
             self._failed = True
             say(f"the view ends: {error}")
 
-    def _go_on_anew(self, full: RecordWriter) -> None:
-        """Begin another record, as after a rejected start."""
+    def _replace_record(self, full: RecordWriter) -> None:
+        """Begin a new record, as after a rejected start."""
         if self._head is None:
             return
         full.write_event(self._last_ns, EventKind.REJECTED, "restarted")
         self._end()
         aside = self._path.with_suffix(".old")
-        # not removed before the next is there, which the system might give the same number
+        # the old file is removed last: otherwise the new file could get its inode, by which the view tells
+        # them apart
         self._path.rename(aside)
         pixels_beside(self._path).unlink(missing_ok=True)
         self.begin(self._last_ns, self._head)

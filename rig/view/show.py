@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from rig.view.follower import RecordDrawer
     from rig.view.rerun_program import ViewerProgram
 
-_LOOK_S = 0.05
+_LOOK_INTERVAL_S = 0.05
 """Interval of looks at a record that is being written."""
-_FLUSH_LIMIT_S = 5.0
+_MAX_FLUSH_S = 5.0
 _LIVE_GATHER_S, _LIVE_GATHER_ROWS = 0.2, 2000
 _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S = 10.0, 8000, 10.0
 _NICE = 5
@@ -51,7 +51,7 @@ def show_records(
     Parameters
     ----------
     paths
-        Several records are overlaid in different colours, each from time 0 on.
+        Records or Rerun files; several are overlaid in different colours, each from time 0 on.
     mode
         A window, or a page for a browser on this machine.
     rrd
@@ -59,10 +59,10 @@ def show_records(
     layout
         The layout to open.
     follow
-        For who measures: the record may not be there yet, another may follow it where its start is
-        rejected, and the process ends with it. A window stays.
+        Follow a run: its record may not exist yet, another follows it if its start is rejected, and the
+        process ends with the run. A window stays open.
     ports
-        Of stream and page.
+        Ports of stream and page.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def show_records(
             program.wait()
         return
     if follow:
-        # a program that measures comes first
+        # the measuring program has precedence
         with suppress(AttributeError, OSError):
             os.nice(_NICE)
     if rrd is not None:
@@ -94,11 +94,11 @@ def show_records(
     if not follow:
         _check(paths)
     with ViewerProgram(mode, ports) as program:
-        going = not follow or _await_record(paths[0], None, program)
-        while going:
-            records = _Records(paths, layout, live=True, going=lambda: program.is_open)
-            rejected = records.drawn(rr.GrpcSink(program.url))
-            going = follow and rejected and _await_record(paths[0], records.shown, program)
+        is_watched = not follow or _await_record(paths[0], None, program)
+        while is_watched:
+            records = _Records(paths, layout, live=True, is_watched=lambda: program.is_open)
+            rejected = records.draw(rr.GrpcSink(program.url))
+            is_watched = follow and rejected and _await_record(paths[0], records.shown, program)
         if not follow:
             program.wait()
 
@@ -113,7 +113,7 @@ def write_rrd(
     attempt = 0
     while True:
         records = _Records(paths, layout, live=False)
-        if not _drawn_into(records, rrd) or not follow:
+        if not _draw_into(records, rrd) or not follow:
             return
         attempt += 1
         rrd.rename(rrd.with_stem(f"{rrd.stem}-start-{attempt}"))
@@ -121,12 +121,12 @@ def write_rrd(
             return
 
 
-def _drawn_into(records: "_Records", rrd: Path) -> bool:
-    """Draw records into a file; whether the start of the last was rejected. Raises RecordError."""
+def _draw_into(records: "_Records", rrd: Path) -> bool:
+    """Draw records into a file; returns whether the start of the last was rejected. Raises RecordError."""
     import rerun as rr
 
     try:
-        rejected = records.drawn(rr.FileSink(rrd))
+        rejected = records.draw(rr.FileSink(rrd))
     except (RuntimeError, TimeoutError) as error:
         why = str(error)
     else:
@@ -137,7 +137,7 @@ def _drawn_into(records: "_Records", rrd: Path) -> bool:
 
 
 class _Records:
-    """Records that are drawn into one recording of Rerun. `shown` identifies the file of the first."""
+    """Records to be drawn into one recording of Rerun; `shown` identifies the file of the first."""
 
     def __init__(
         self,
@@ -145,14 +145,14 @@ class _Records:
         layout: LayoutName,
         *,
         live: bool,
-        going: Callable[[], bool] = lambda: True,
+        is_watched: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._paths, self._layout, self._live, self._going = paths, layout, live, going
+        self._paths, self._layout, self._live, self._is_watched = paths, layout, live, is_watched
         self._names = run_names(paths)
         self.shown: tuple[int, int] | None = None
 
-    def drawn(self, sink: Any) -> bool:
-        """Draw all into a sink of Rerun, to their ends; whether the start of the last was rejected."""
+    def draw(self, sink: Any) -> bool:
+        """Draw all records into a sink of Rerun; returns whether the start of the last was rejected."""
         import rerun as rr
 
         from rig.view import layout
@@ -160,7 +160,7 @@ class _Records:
         from rig.view.follower import RecordDrawer
 
         with ExitStack() as stack:
-            readers = [stack.enter_context(_opened(path)) for path in self._paths]
+            readers = [stack.enter_context(_open_reader(path)) for path in self._paths]
             self.shown = _identity(readers[0].files[0].file.fileno())
             setup = setup_of(readers, self._names, self._layout)
             stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=str(uuid.uuid4()))
@@ -175,33 +175,33 @@ class _Records:
             for reader, name in zip(readers, self._names, strict=True):
                 follower = RecordDrawer(reader, drawing, name, picture_interval_s=interval_s)
                 followers.append(follower)
-                if not self._followed(reader, follower, drawing):
+                if not self._draw_to_end(reader, follower, drawing):
                     return False
                 if reader.truncated:
                     say(reader.cut_notice)
             self._draw_ends(followers, drawing)
             with suppress(RuntimeError, TimeoutError) if self._live else nullcontext():
-                stream.flush(timeout_sec=_FLUSH_LIMIT_S)
+                stream.flush(timeout_sec=_MAX_FLUSH_S)
             end = end_of(readers[-1].events())
             stream.disconnect()
             return end is not None and end.kind == EventKind.REJECTED
 
-    def _followed(self, reader: RecordReader, follower: "RecordDrawer", drawing: "Drawing") -> bool:
-        """Draw a record to its end; False where nobody looks any more."""
-        for _ in reader.follow(_LOOK_S):
+    def _draw_to_end(self, reader: RecordReader, follower: "RecordDrawer", drawing: "Drawing") -> bool:
+        """Draw a record to its end; returns False if the viewer was closed before."""
+        for _ in reader.follow(_LOOK_INTERVAL_S):
             follower.take()
             if self._live:
                 drawing.send(now=True)
-                # a viewer that stands still is not waited for
+                # a stalled viewer is not waited for
                 with suppress(RuntimeError, TimeoutError):
-                    drawing.stream.flush(timeout_sec=_FLUSH_LIMIT_S)
-                if not self._going():
+                    drawing.stream.flush(timeout_sec=_MAX_FLUSH_S)
+                if not self._is_watched():
                     return False
         follower.finish()
         return True
 
     def _draw_ends(self, followers: Sequence["RecordDrawer"], drawing: "Drawing") -> None:
-        """What can be said of whole records: what is in them, and their fits."""
+        """Draw what only complete records have: summaries, and their fits."""
         from rig.view import layout
         from rig.view.analysis import analysis_curves, draw_fits, report_text, run_analysis
 
@@ -215,7 +215,7 @@ class _Records:
 
 
 def setup_of(readers: Sequence[RecordReader], names: Sequence[str], layout: LayoutName) -> Setup:
-    """What a drawing of these records has to know before. Raises RecordError if they have other units."""
+    """The setup of a drawing of these records; raises RecordError if their units differ."""
     from rig.view.drawing import parameter_shown
     from rig.view.follower import configuration_of
 
@@ -231,7 +231,7 @@ def setup_of(readers: Sequence[RecordReader], names: Sequence[str], layout: Layo
         title=f"SIMULATED {title}" if config is not None and config.simulated else title,
         layout=layout,
         runs=tuple(names),
-        # the axes of a single run follow it, those of several stay as they are
+        # the axes adapt to a single run; for several runs they are fixed
         amplitude=1.0 if len(readers) == 1 else max(map(_amplitude, readers)),
         unit=readers[0].deflection_unit.shown,
         parameters={key: parameter_shown(key).label for key in _parameters(readers, config)},
@@ -253,7 +253,7 @@ def run_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _amplitude(reader: RecordReader) -> float:
-    """The largest deflection among the first spots, as shown."""
+    """The largest deflection among the first spots, in the shown unit."""
     head = next(reader.spot_blocks(), None)
     if head is None:
         return 1.0
@@ -264,7 +264,7 @@ def _amplitude(reader: RecordReader) -> float:
 
 
 def _parameters(readers: Sequence[RecordReader], config: Configuration | None) -> tuple[str, ...]:
-    """Keys of the contact's parameters that a run was or is fitted for while it is measured."""
+    """Keys of the contact's parameters that are fitted while a run is measured."""
     if len(readers) > 1 or config is None:
         return ()
     fitted = (
@@ -285,7 +285,7 @@ def _picture_interval_s(reader: RecordReader) -> float:
 
 
 def _check(paths: Sequence[Path]) -> None:
-    """Raise RecordError for a record of which nothing can be shown, before anything is opened."""
+    """Raise RecordError for a record without spots, before anything is opened."""
     for path in paths:
         with RecordReader(path) as reader:
             if not is_being_written(path) and next(reader.spot_blocks(), None) is None:
@@ -303,7 +303,7 @@ def _check_new(rrd: Path) -> None:
 
 
 def _identity(file: Path | int) -> tuple[int, int] | None:
-    """What tells a file from another at its path; None where there is none."""
+    """Device and inode of a file, which distinguish it from a later one at its path; None without a file."""
     try:
         state = os.stat(file)
     except OSError:
@@ -314,22 +314,22 @@ def _identity(file: Path | int) -> tuple[int, int] | None:
 def _await_record(path: Path, shown: tuple[int, int] | None, program: "ViewerProgram | None" = None) -> bool:
     """Wait for a record at this path other than the one that was shown.
 
-    False if its maker is gone, or what would show it.
+    Returns False if the measuring program or the viewer has ended.
     """
     parent = os.getppid()
     while (found := _identity(path)) is None or found == shown:
         if os.getppid() != parent or (program is not None and not program.is_open):
             return False
-        time.sleep(_LOOK_S)
+        time.sleep(_LOOK_INTERVAL_S)
     return True
 
 
-def _opened(path: Path) -> RecordReader:
-    """The reader of a record, whose head may be being written."""
+def _open_reader(path: Path) -> RecordReader:
+    """The reader of a record; waits while the head of the record is being written."""
     while True:
         try:
             return RecordReader(path)
         except RecordError:
             if not is_being_written(path):
                 raise
-            time.sleep(_LOOK_S)
+            time.sleep(_LOOK_INTERVAL_S)

@@ -1,4 +1,4 @@
-"""X(t) in two parts, what the slow mode leaks across and what is left: the fast mode."""
+"""Curves as they are drawn: the two parts of X(t), decimation, gaps, the send buffer, the trajectory."""
 
 import time
 from bisect import bisect_right, insort
@@ -15,14 +15,14 @@ from rig.view.graticule import PLANE_REACH, faded, graticule_marks, reach_beyond
 from rig.view.layout import TIMELINE
 from rig.view.values import Floats
 
-_WAITS_S = 20.0
-"""Samples from before the first balance of a run are kept for so long."""
-_FORGETS_S = 60.0
-"""A balance of so long ago says nothing of a sample."""
+_MAX_WAIT_S = 20.0
+"""Time for which samples wait for the first balance of a run."""
+_MAX_BALANCE_AGE_S = 60.0
+"""Largest time between a sample and the balance that separates it."""
 
 
 class TransverseMotion(NamedTuple):
-    """Times, the fast mode and the leakage of the slow mode in X, arrays (n,) in the unit of the samples."""
+    """The two parts of X, the fast mode and the leakage of the slow mode, (n,) in the unit of the samples."""
 
     time_s: Floats
     fast: Floats
@@ -30,7 +30,7 @@ class TransverseMotion(NamedTuple):
 
 
 class _Line(NamedTuple):
-    """The line on which the slow mode moves: a balance's numbers, at rest at (x, y) as shown."""
+    """The line on which the slow mode moves, by one balance; the rest position is in the shown unit."""
 
     time_s: float
     angle_rad: float
@@ -40,9 +40,9 @@ class _Line(NamedTuple):
 
 
 class TransverseCurves:
-    """Separates X of one run by the line that its balances give.
+    """Separates X of one run into its two parts by the line of each balance.
 
-    Samples that come before the first balance are kept, some seconds of them, and are separated with it.
+    Samples before the first balance wait for it, at most `_MAX_WAIT_S`.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class TransverseCurves:
         self._waiting: list[tuple[Floats, Floats, Floats]] = []
 
     def balance(self, time_s: float, numbers: Mapping[str, tuple[float, float]], shown_size: float) -> None:
-        """Add a balance; its lengths are in units of which `shown_size` are one of the samples' unit."""
+        """Add a balance; `shown_size` is the size of the samples' unit in the unit of its lengths."""
 
         def number(name: str) -> float:
             return numbers.get(name, (np.nan, np.nan))[0]
@@ -66,11 +66,11 @@ class TransverseCurves:
             insort(self._lines, line)
 
     def samples(self, time_s: Floats, x: Floats, y: Floats) -> TransverseMotion | None:
-        """Separate samples, and those that have waited; None while no balance is known."""
+        """Separate samples, and the waiting ones; None while no balance is known."""
         if len(time_s):
             self._waiting.append((time_s, x, y))
         if not self._lines or not self._waiting:
-            while self._waiting and len(time_s) and time_s[-1] - self._waiting[0][0][-1] > _WAITS_S:
+            while self._waiting and len(time_s) and time_s[-1] - self._waiting[0][0][-1] > _MAX_WAIT_S:
                 self._waiting.pop(0)
             return None
         waiting, self._waiting = self._waiting, []
@@ -80,11 +80,11 @@ class TransverseCurves:
         sine, cosine = np.sin(angle), np.cos(angle)
         along = (x - line.rest_x) * sine + (y - line.rest_y) * cosine
         fast = (x - line.rest_x) * cosine - (y - line.rest_y) * sine
-        known = np.abs(time_s - line.time_s) < _FORGETS_S
+        known = np.abs(time_s - line.time_s) < _MAX_BALANCE_AGE_S
         return TransverseMotion(time_s, np.where(known, fast, np.nan), np.where(known, along * sine, np.nan))
 
     def _line_at(self, time_s: float) -> _Line:
-        """The line nearest in time to a sample."""
+        """The line nearest to a time."""
         after = bisect_right(self._lines, time_s, key=lambda line: line.time_s)
         near = self._lines[max(after - 1, 0) : after + 1]
         return min(near, key=lambda line: abs(line.time_s - time_s))
@@ -93,7 +93,7 @@ class TransverseCurves:
 class Decimator:
     """Chooses the samples to be drawn: the first of each interval ``1 / rate_hz``, and all with a flag.
 
-    This concerns the display only: the record contains every sample.
+    The record contains every sample.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -102,7 +102,7 @@ class Decimator:
 
     def choose(self, time_s: Floats, flags: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which of the samples (n,), in order of time, are drawn; intervals continue from call to call."""
-        # Rounding must not move a sample at the beginning of an interval into the one before.
+        # Rounding must not move a sample at the beginning of an interval into the previous one.
         interval = np.floor(time_s * self._rate_hz + 1e-3).astype(np.int64)
         before = np.concatenate(([self._last_interval], interval[:-1]))
         if len(interval):
@@ -111,24 +111,24 @@ class Decimator:
         return chosen
 
 
-class Breaks:
-    """Puts NaN into the gaps of curves, also between one block of values and the next."""
+class GapBreaker:
+    """Inserts NaN into the gaps of curves, also between blocks of values."""
 
     def __init__(self) -> None:
         self._last_s: dict[str, float] = {}
 
-    def in_gaps(self, path: str, most_s: float, time_s: Floats, *columns: Floats) -> tuple[Floats, ...]:
-        """Times (n,) and columns (n,) of the curve at the entity `path`, NaN amid gaps above `most_s`."""
+    def broken(self, path: str, max_gap_s: float, time_s: Floats, *columns: Floats) -> tuple[Floats, ...]:
+        """Times and columns (n,) of the curve at entity `path`, with NaN in gaps above `max_gap_s`."""
         steps_s = np.diff(time_s, prepend=self._last_s.get(path, np.nan))
         self._last_s[path] = float(time_s[-1])
-        gaps = np.flatnonzero(steps_s > most_s)
+        gaps = np.flatnonzero(steps_s > max_gap_s)
         if not len(gaps):
             return time_s, *columns
         middles_s = time_s[gaps] - 0.5 * steps_s[gaps]
         return np.insert(time_s, gaps, middles_s), *(np.insert(values, gaps, np.nan) for values in columns)
 
 
-class Gathering:
+class SendBuffer:
     """Scalars, line strips and points that wait to be sent to one stream.
 
     They are sent after `limit_s` seconds of real time, or when there are `limit_rows` scalars.
@@ -196,7 +196,7 @@ def _column(times_s: Floats | list[float]) -> rr.TimeColumn:
     return rr.TimeColumn(TIMELINE, duration=np.asarray(times_s, dtype=np.float64))
 
 
-PIECE_POINTS = 25
+MAX_PIECE_POINTS = 25
 
 
 class Trail:
@@ -210,7 +210,7 @@ class Trail:
         self._last_point = np.empty((0, 2))
 
     def pieces(self, time_s: Floats, points: Floats) -> tuple[Floats, list[Floats]]:
-        """Times (k,) and k strips (m, 2) of the points (n, 2); each begins at the end of the one before."""
+        """Times (k,) and k strips (m, 2) of the points (n, 2); each begins at the end of the previous."""
         times = np.concatenate((self._last_time_s, time_s))
         path = np.concatenate((self._last_point, points))
         ends: list[float] = []
@@ -218,8 +218,8 @@ class Trail:
         good = np.isfinite(path[:, 0] + path[:, 1])
         edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])).astype(np.int8)))
         for start, stop in edges.reshape(-1, 2):
-            for first in range(start, stop - 1, PIECE_POINTS):
-                last = min(first + PIECE_POINTS, stop - 1)
+            for first in range(start, stop - 1, MAX_PIECE_POINTS):
+                last = min(first + MAX_PIECE_POINTS, stop - 1)
                 ends.append(float(times[last]))
                 strips.append(path[first : last + 1])
         keep = len(path) - 1 if len(path) and good[-1] else len(path)
@@ -229,39 +229,37 @@ class Trail:
 
 BRIGHTNESS = {"recent": 1.0, "older": 0.5, "oldest": 0.22}
 FOLLOWED_PERIODS = 2.0
-"""Number of slow periods over which the largest deflection is taken."""
+"""Number of slow periods over which the largest deflection is determined."""
 HYSTERESIS = 0.9
-"""The axes are made smaller when the amplitude is below this fraction of the value at which they grow
-again.
-"""
+"""Amplitude below which the axes shrink, as a fraction of the amplitude at which they grow again."""
 
 
 class Lissajous:
-    """Draws (X, Y) of one or several runs, which is shown at equal scales and with X stretched.
+    """Draws the trajectory (X, Y) of one or several runs, shown at equal scales and with X stretched.
 
     Parameters
     ----------
-    stream, gathered
-        Static entities (axes, styles) are sent to `stream`, the trajectory to `gathered`.
+    stream, buffer
+        Static entities (axes, styles) are sent to `stream`, the trajectory to `buffer`.
     unit
         Unit of the deflections, for the labels.
     amplitude
-        Expected at the start; sets the initial range of the axes.
+        Expected amplitude at the start; sets the initial range of the axes.
     period_s
-        Period of the slow mode. The range of the axes follows the largest deflection in the last two
-        periods. None: it stays, because runs that are overlaid share one set of axes.
+        Period of the slow mode; the range of the axes follows the largest deflection in the last two periods.
+        None: the range is fixed, because overlaid runs share one set of axes.
     """
 
     def __init__(
         self,
         stream: rr.RecordingStream,
-        gathered: Gathering,
+        buffer: SendBuffer,
         unit: str,
         amplitude: float,
         period_s: float | None,
     ) -> None:
         self._stream = stream
-        self._gathered = gathered
+        self._buffer = buffer
         self._unit = unit
         self._period_s = period_s
         self._extents: deque[tuple[float, float]] = deque()
@@ -282,10 +280,8 @@ class Lissajous:
         if not pieces:
             return
         for part in layout.TRAIL:
-            self._gathered.strips(layout.trail_entity(run, part), ends, pieces)
-        self._gathered.points(
-            layout.trail_entity(run, layout.POSITION), ends, [piece[-1] for piece in pieces]
-        )
+            self._buffer.strips(layout.trail_entity(run, part), ends, pieces)
+        self._buffer.points(layout.trail_entity(run, layout.POSITION), ends, [piece[-1] for piece in pieces])
 
     def follow(self, time_s: Floats, x: Floats, y: Floats) -> None:
         """Adapt the range of the axes to the largest recent deflection."""

@@ -1,4 +1,4 @@
-"""What the modules of the view pass to one another: names of layouts and panels, curves, the setup."""
+"""Values shared by the modules of the view: names of layouts and panels, curves, the setup."""
 
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 ShowMode = Literal["spawn", "web"]
-"""In a window, in a browser."""
+"""In a window, or in a browser."""
 Mode = Literal["none", ShowMode]
-"""How a view is shown; none: not at all."""
+"""How a view is shown, if at all."""
 LayoutName = Literal["balancing", "measuring", "analysing"]
 Panel = Literal["decay", "residuals", "period", "period_residuals"]
 
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 class Setup(NamedTuple):
-    """What a drawing has to know before its first value.
+    """What a drawing must know before its first value.
 
     `runs` are the names of the runs that are overlaid, one empty name for a single run. `period_s` (of the
     slow mode) and `amplitude` (of the first axes) are expected values, `unit` is that of all deflections.
@@ -51,10 +51,10 @@ class AnalysisCurve(NamedTuple):
     style: Literal["points", "line"] = "line"
 
 
-_DRAWN_FROM = 0.5
-"""Relative uncertainty from which on a parameter is drawn."""
+_MAX_DRAWN_U_RELATIVE = 0.5
+"""Largest relative uncertainty of a parameter that is drawn."""
 
 
 def is_drawn(value: float, u: float) -> bool:
     """Whether a parameter is known well enough to be drawn: the first values would hide all later ones."""
-    return u <= _DRAWN_FROM * abs(value)
+    return u <= _MAX_DRAWN_U_RELATIVE * abs(value)

@@ -12,7 +12,7 @@ from processing.fit import FitResult, fit_exact
 from processing.swing import TurningPoints
 from rig.measure import FIRST_HALF_CYCLES
 from rig.measure.end_of_run import EndLimits, EndOfRun
-from rig.measure.posterior_worker import following
+from rig.measure.posterior_worker import next_fit_half_cycles
 from rig.settings.number_input import stop_conditions
 from tests.benchmarks.cases import each_seed
 from tests.benchmarks.coverage import coverage, held, named
@@ -50,7 +50,7 @@ def stopped(points: TurningPoints, case: Stopping) -> FitResult | None:
             near = fit_exact(points.first(count), pendulum, averaged=False, near=near)
             if end.reason([], 0.0, near.estimates()):
                 return near
-        count = following(count)
+        count = next_fit_half_cycles(count)
     return None
 
 

@@ -30,7 +30,7 @@ from rig.devices.session_devices import OpenCamera
 from rig.instrument.pipeline import Optics
 from rig.instrument.provenance import prepare_kernels
 from rig.instrument.run_now import RunNow
-from rig.measure.recorder import Entry, Recorder
+from rig.measure.recorder import RecordEntry, Recorder
 from rig.measure.run import MeasurementRun, ready_for_frames
 from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.run_status import Watcher
@@ -116,7 +116,7 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
     begin_ms: list[float] = []
     original = Recorder._write
 
-    def timed(recorder: Recorder, entry: Entry) -> None:
+    def timed(recorder: Recorder, entry: RecordEntry) -> None:
         original(recorder, entry)
         now_ns = time.monotonic_ns()
         for number, due_ns in zip(entry.sequences, entry.device_times_ns, strict=True):

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from processing.fit import SeismometerSpectra
 from rig.instrument import complete
-from rig.report import draw_run, expected_of, plan_expected, plan_figure, styled
+from rig.report import draw_run, make_plan, plan_figure, planned_contact, styled
 from rig.report.figures_motion import witness_figure
 from rig.settings import load_configuration
 from rig.view import LayoutName
@@ -53,8 +53,8 @@ def drawn_now() -> dict[str, str]:
 
 def _small_plan() -> Figure:
     """As many curves as the picture has, of fewer runs."""
-    expected = expected_of(complete(load_configuration(PLANNED)))
-    plan = plan_expected(expected, PLANNED_FROM_ARCSEC, [60.0, 30.0], counts=PLANNED_RUNS)
+    expected = planned_contact(complete(load_configuration(PLANNED)))
+    plan = make_plan(expected, PLANNED_FROM_ARCSEC, [60.0, 30.0], counts=PLANNED_RUNS)
     with styled():
         return plan_figure(plan).figure
 

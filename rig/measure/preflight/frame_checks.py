@@ -1,4 +1,4 @@
-"""Checks of trial frames before a run: spot, exposure, rate, clock, disk.
+"""Preflight checks of spot, exposure, frame rate, clock, disk, air, controller, laser, shutter and camera.
 
 Each check turns plain values into one verdict with reason and remedy.
 """
@@ -29,21 +29,21 @@ from rig.presentation import Verdict, with_uncertainty
 from rig.settings import Configuration, PreflightSettings
 
 _RECORDED_SPOT_BYTES = 260
-"""Bytes that one frame's numbers take in the record."""
+"""Size of the numbers of one frame in the record."""
 _LIGHT_FRAMES = 48
-"""Frames searched for light that does not move."""
+"""Number of frames that are searched for light that does not move."""
 
 
 def spot_found(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
     """Check that nearly every frame has a spot."""
-    lost = _part_with(SpotFlag.LOST, spots, empty=1.0)
+    lost = _flagged_fraction(SpotFlag.LOST, spots, empty=1.0)
     wrong = "no spot in too many frames", "laser on? beam on the sensor? raise the exposure (exposure_us)"
     measured = f"{100 * (1 - lost):.1f} % of {len(spots)} frames"
     limit = f"{100 * (1 - limits.max_lost_fraction):g} %"
     return judged("spot found", lost <= limits.max_lost_fraction, wrong, measured, limit)
 
 
-def _part_with(flag: SpotFlag, spots: Sequence[Spot], empty: float) -> float:
+def _flagged_fraction(flag: SpotFlag, spots: Sequence[Spot], empty: float) -> float:
     return float(np.mean([bool(spot.flags & flag) for spot in spots])) if spots else empty
 
 
@@ -64,7 +64,7 @@ def exposure(spots: Sequence[Spot], full_scale_dn: float, limits: PreflightSetti
 
 def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
     """Check how many frames have pixels at full scale."""
-    part, most = _part_with(SpotFlag.SATURATED, spots, empty=0.0), limits.max_saturated_fraction
+    part, most = _flagged_fraction(SpotFlag.SATURATED, spots, empty=0.0), limits.max_saturated_fraction
     remedy = "lower the exposure (exposure_us) or the laser's power"
     wrong = "pixels at full scale are lost to the fit", remedy
     return judged("saturation", part <= most, wrong, f"{100 * part:.1f} % of frames", f"{100 * most:g} %")
@@ -73,7 +73,7 @@ def saturation(spots: Sequence[Spot], limits: PreflightSettings) -> Verdict:
 def clock(frames: Sequence[Frame], limits: PreflightSettings, *, on_demand: bool = False) -> Verdict:
     """Check the jitter of the frame times, and the rate of the camera's clock against the host's.
 
-    The clock of frames that are made on demand has no rate in real time.
+    With frames made `on_demand` the rate has no meaning and is not checked.
     """
     limit = f"jitter {limits.max_clock_jitter_us:g} µs, rate {MAX_DRIFT_PPM:g} ppm"
     if frames and frames[0].device_time_ns < 0:
@@ -124,14 +124,14 @@ def frame_rate(frames: Sequence[Frame], asked_hz: float | None, limits: Prefligh
 def disk(
     free_bytes: int, bytes_per_frame: float, rate_hz: float, duration_s: float, *, windows: bool = True
 ) -> Verdict:
-    """Check the free space for the longest run allowed; `windows`: raw pixels are recorded too."""
+    """Check the free space for the longest run allowed; with `windows` raw pixels are recorded, too."""
     need = bytes_per_frame * rate_hz * duration_s
     remedy = f"free space, or another -o{', or record.windows = false' if windows else ''}"
-    wrong, limit = ("a run of full length does not fit", remedy), f"{_room(need)} for {duration_s:g} s"
-    return judged("disk space", free_bytes >= need, wrong, f"{_room(free_bytes)} free", limit)
+    wrong, limit = ("a run of full length does not fit", remedy), f"{_size_text(need)} for {duration_s:g} s"
+    return judged("disk space", free_bytes >= need, wrong, f"{_size_text(free_bytes)} free", limit)
 
 
-def _room(size_bytes: float) -> str:
+def _size_text(size_bytes: float) -> str:
     """The size in GB, or in MB below 1 GB, as text."""
     return f"{size_bytes / 1e9:.1f} GB" if size_bytes >= 1e9 else f"{size_bytes / 1e6:.1f} MB"
 
@@ -144,9 +144,9 @@ def _fixed_light(look: TrialFrames) -> FixedLight | None:
 def check_trial_frames(
     look: TrialFrames, config: Configuration, full_scale_dn: float, window_bytes: float, free_bytes: int
 ) -> list[Verdict]:
-    """All checks that are made from some seconds of frames."""
-    limits, at = config.preflight, look.deflections
-    span_s = max(float(at.times_s[-1]), 1e-9) if len(at) else 1.0
+    """All checks of some seconds of frames; `window_bytes` is the size of the window kept of each frame."""
+    limits, deflections = config.preflight, look.deflections
+    span_s = max(float(deflections.times_s[-1]), 1e-9) if len(deflections) else 1.0
     rate_hz, longest_s = len(look.frames) / span_s, config.session.max_duration_s
     bytes_per_frame = _RECORDED_SPOT_BYTES + (window_bytes if config.record.windows else 0.0)
     bytes_per_frame += look.frames[0].image.nbytes / (config.record.full_frame_interval_s * rate_hz)
@@ -174,8 +174,8 @@ def check_trial_frames(
 
 
 _ANY_HUMIDITY = (0.0, 100.0)
-_MAX_ACROSS_ROWS = 0.1
-"""Largest |cos(slow_angle_rad)| at which the slow axis counts as along the rows."""
+_MAX_COS_TO_ROW_NORMAL = 0.1
+"""Largest |cos(slow_angle_rad)| for which the slow axis is taken to lie along the rows."""
 
 
 def air(
@@ -185,7 +185,10 @@ def air(
     *,
     optional: bool = False,
 ) -> Verdict:
-    """Check temperature and humidity, if a sensor is configured; the controller's own is `optional`."""
+    """Check temperature and humidity, if a sensor is configured; `environment` is (°C, %, Pa).
+
+    The controller's own sensor is `optional`: it need not exist.
+    """
     temperature_c, humidity_percent, pressure_pa = environment
     limit = f"{limits.min_temperature_c:g} to {limits.max_temperature_c:g} °C"
     damp = limits.min_humidity_percent, limits.max_humidity_percent
@@ -230,8 +233,8 @@ def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
 def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool = False) -> Verdict:
     """Check that the row time of a rolling shutter is known where the spot swings across the rows.
 
-    `word` is the camera's name of its shutter. Without `axes` the slow axis is taken along the columns. A
-    `pulsed` laser lights all rows at one time.
+    `word` is the camera's name of its shutter. Without `axes` the slow axis is assumed to lie along the
+    columns. A `pulsed` laser lights all rows at the same time.
     """
     limit = "global, or its row time known"
     kind = ShutterKind.of(word)
@@ -244,7 +247,7 @@ def shutter(word: str, known: Shutter | None, axes: Axes | None, *, pulsed: bool
     if known is not None:
         row_us = with_uncertainty(1e6 * known.row_time_s, 1e6 * known.u_row_time_s)
         return Verdict("shutter", True, measured=f"rolling, {row_us} µs a row", limit=limit)
-    if across < _MAX_ACROSS_ROWS:
+    if across < _MAX_COS_TO_ROW_NORMAL:
         return Verdict("shutter", True, measured="rolling, the slow axis lies along the rows", limit=limit)
     reason = "each row is exposed at its own time: half-periods differ, [shutter] does not say by how much"
     remedy = "turn the camera so that the slow axis lies along the rows, or set a global reset, "

@@ -1,4 +1,4 @@
-"""What some seconds of a pendulum at rest say before a run: noise, vibration, ground, rest position."""
+"""Preflight checks of the pendulum at rest: noise, vibration, ground, rest position."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from rig.instrument import PLANE_OF_SWING, balance_verdicts
 from rig.presentation import Verdict, decimals
 from rig.settings import PendulumSettings, PreflightSettings
 
-_SHORT_S = 50.0
+_MIN_LONG_PREFLIGHT_S = 50.0
 NO_LEVER = "no lever: values in px have no limit in arcsec"
 
 
@@ -27,8 +27,8 @@ NO_LEVER = "no lever: values in px have no limit in arcsec"
 class TrialFrames:
     """Some seconds of frames, with the spots and deflections measured in them.
 
-    `resting` is False if the pendulum may be swinging. `model` is what the tracker has chosen for the beam;
-    None while it has not. `references` are the reference's spots, where the frames have one.
+    `resting` is False if the pendulum may be swinging. `model` is the tracker's model of the beam; None
+    before it is chosen. `references` are the spots of the reference beam, if there is one.
     """
 
     frames: Sequence[Frame]
@@ -40,7 +40,7 @@ class TrialFrames:
 
 
 def judged(name: str, ok: bool, wrong: tuple[str, str], measured: str, limit: str) -> Verdict:
-    """A verdict; `wrong` is the reason and the remedy where it is not ok."""
+    """A verdict; `wrong` is the pair of reason and remedy for the case that it is not ok."""
     reason, remedy = ("", "") if ok else wrong
     return Verdict(name, ok, reason, remedy, measured=measured, limit=limit)
 
@@ -73,10 +73,9 @@ def noise_and_vibration(
 def ground(
     look: TrialFrames, pendulum: PendulumSettings | None, limits: PreflightSettings | None = None
 ) -> Verdict:
-    """What the ground does at the pendulum's frequency: it limits results, and forbids a measurement only
-    where a limit is stated.
+    """The verdict on the motion of the ground at the pendulum's frequency.
 
-    Needs eight periods at rest, in `preflight.duration_s`.
+    It limits results, and forbids a run only if a limit is stated. Needs eight periods at rest.
     """
     at = look.deflections
     most = None if limits is None else limits.max_ground_rad_per_s2_rthz
@@ -86,10 +85,10 @@ def ground(
     try:
         found = ground_at_rest(at.times_s, at.y)
     except DataError as error:
-        reason = f"{error}{longer(at)}"
+        reason = f"{error}{longer_look(at)}"
         if most is None:
             return Verdict("ground", True, reason, measured="not measured", made=False)
-        wrong = str(error), longer(at).removeprefix("; ")
+        wrong = str(error), longer_look(at).removeprefix("; ")
         return judged("ground", False, wrong, "not measured", limit)
     of_angle = pendulum if at.unit is DeflectionUnit.RAD else None
     base = base_motion(found.density, found.upper_95, found.period_s, of_angle)
@@ -102,9 +101,9 @@ def ground(
     return verdict if at.unit is DeflectionUnit.RAD else replace(verdict, ok=True, reason=NO_LEVER, remedy="")
 
 
-def longer(at: Deflections) -> str:
-    """What a longer preflight would give; empty where it was long."""
-    return "; preflight.duration_s = 60 would measure it" if at.times_s[-1] < _SHORT_S else ""
+def longer_look(at: Deflections) -> str:
+    """The remedy for a preflight that was too short, in words; empty if it was long."""
+    return "; preflight.duration_s = 60 would measure it" if at.times_s[-1] < _MIN_LONG_PREFLIGHT_S else ""
 
 
 def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
@@ -126,9 +125,9 @@ def rest_position(look: TrialFrames, limits: PreflightSettings) -> Verdict:
 
 
 def plane_of_swing(look: TrialFrames, limits: BalanceLimits) -> list[Verdict]:
-    """Check the rotation of a pendulum that swings, where the frames show it: after five periods.
+    """Check the rotation of the plane of a swinging pendulum, which frames show after five periods.
 
-    At rest there is none to be seen; the start is judged by it.
+    No verdict at rest, where there is no rotation; `StartJudge` checks it later.
     """
     if look.resting or not len(look.deflections):
         return []
@@ -138,7 +137,7 @@ def plane_of_swing(look: TrialFrames, limits: BalanceLimits) -> list[Verdict]:
 
 
 def stillness(look: TrialFrames, limits: PreflightSettings) -> list[Verdict]:
-    """Check noise and vibration of the spot of a pendulum at rest; one that may swing has neither."""
+    """Check noise and vibration of the spot of a pendulum at rest; not made if it may be swinging."""
     at = look.deflections
     if not look.resting:
         names = ("noise floor", limits.max_noise_arcsec), ("vibration", limits.max_vibration_arcsec)
@@ -154,13 +153,13 @@ def _too_few_spots(name: str, limit: str) -> Verdict:
 
 
 def not_at_rest(name: str, limit: str) -> Verdict:
-    """Of a check that needs the pendulum at rest, where it may be swinging."""
+    """The verdict of a check that needs the pendulum at rest and was not made: it may be swinging."""
     reason = "the pendulum may be swinging (start.way = 'at once')"
     return Verdict(name, True, reason, measured="not measured", limit=limit, made=False)
 
 
 def _against_arcsec(verdict: Verdict, unit: DeflectionUnit) -> Verdict:
-    """The verdict on a limit in arcsec; marked as not made if the value is in px."""
+    """The verdict unchanged, or marked as not made if the value is in px and the limit in arcsec."""
     if unit is DeflectionUnit.RAD:
         return verdict
     return replace(verdict, ok=True, reason=NO_LEVER, remedy="", made=False)

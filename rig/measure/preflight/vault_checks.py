@@ -1,7 +1,7 @@
-"""What a witness of the ground and a reference spot would give, from the pendulum at rest before a run.
+"""Preflight checks of the auxiliary seismometer and the reference spot: what they would improve.
 
-Neither stands against a run: a witness that does not pay is refused by the fit, and where a reference is lost
-frames stand as they are. A short piece tells little, and its verdicts say how little.
+Their benefit forbids no run: the fit refuses a seismometer that explains nothing, and frames without the
+reference spot stay uncorrected. A short look predicts little, and its verdicts say how little.
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ from processing.spot import Spot, SpotFlag
 from processing.units import seconds
 from rig.analysis import taken
 from rig.control import SeismometerSettings
-from rig.measure.preflight.rest_checks import TrialFrames, judged, longer, not_at_rest
+from rig.measure.preflight.rest_checks import TrialFrames, judged, longer_look, not_at_rest
 from rig.presentation import Verdict, percent, plain, with_uncertainty
 from rig.settings import PreflightSettings, ReferenceSettings
 
-_COMES = "samples come"
-_FEWEST = 20
-_WRONG_GAIN = 4.0
-"""Standard uncertainties between the gain that is stated and that of the piece."""
+_LIMIT = "samples come"
+_MIN_SAMPLES = 20
+_MAX_OFF_U = 4.0
+"""Deviation of the stated from the fitted gain, in standard uncertainties, at which it is called wrong."""
 _VALUES = ("first", "second", "third")
 
 
@@ -38,26 +38,27 @@ def witness(
     samples: Sequence[RecordedWitness],
     stated: ReferenceSettings | None,
 ) -> Verdict:
-    """Check that samples of the witness come, that they change, and what they say of the pendulum at rest.
+    """Check that samples of the auxiliary seismometer come and change, and predict its benefit at rest.
 
-    `problem` is why none come, None without a witness; `samples` those beside the frames. Where a reference
-    is `stated`, the beam's motion is taken off first.
+    `problem` is why no samples come, None without a seismometer; `samples` were taken during the frames. If a
+    reference spot is `stated`, the beam's motion is subtracted first.
     """
     kind, names = settings.kind, settings.components
     if problem is None:
-        return Verdict("witness", True, measured="none is configured", limit=_COMES, made=False)
+        return Verdict("witness", True, measured="none is configured", limit=_LIMIT, made=False)
     if problem:
-        return judged("witness", False, (problem, "see [witness]: its port, rate and columns"), kind, _COMES)
-    if len(samples) < _FEWEST:
+        return judged("witness", False, (problem, "see [witness]: its port, rate and columns"), kind, _LIMIT)
+    if len(samples) < _MIN_SAMPLES:
         return _alive(
-            f"{len(samples)} samples are too few to predict its benefit{longer(look.deflections)}", kind
+            f"{len(samples)} samples are too few to predict its benefit{longer_look(look.deflections)}",
+            kind,
         )
     value = np.array([[getattr(one, name) for name in _VALUES[: len(names)]] for one in samples])
     if dead := [name for name, one in zip(names, value.T, strict=True) if not np.ptp(one) > 0]:
         reason = f"{', '.join(dead)}: constant over {len(samples)} samples: dead, or its scale is wrong"
-        return judged("witness", False, (reason, "check its power, cable and range"), kind, _COMES)
+        return judged("witness", False, (reason, "check its power, cable and range"), kind, _LIMIT)
     if not look.resting:
-        return not_at_rest("witness", _COMES)
+        return not_at_rest("witness", _LIMIT)
     at = look.deflections
     arrived_ns = np.array([one.time_ns for one in samples])
     if np.any(np.diff(arrived_ns) <= 0):
@@ -67,38 +68,38 @@ def witness(
     times_ns = taken(arrived_ns, np.array([one.own_time_s for one in samples])).times_ns
     record = Witness(seconds(times_ns - at.times_ns[0]), value, tuple(names))
     try:
-        found = witness_at_rest(at.times_s, _less_beam(look, stated), record)
+        found = witness_at_rest(at.times_s, _without_beam_motion(look, stated), record)
         ground_seen = ground_at_rest(at.times_s, at.y).density.value > 0
     except DataError as error:
-        return _alive(f"{error}{longer(look.deflections)}", kind)
-    return _gives(found, ground_seen, kind)
+        return _alive(f"{error}{longer_look(look.deflections)}", kind)
+    return _benefit_verdict(found, ground_seen, kind)
 
 
-def _less_beam(look: TrialFrames, stated: ReferenceSettings | None) -> Floats:
-    """The slow deflections less what a reference takes off them."""
+def _without_beam_motion(look: TrialFrames, stated: ReferenceSettings | None) -> Floats:
+    """The slow deflections minus the beam's motion that the reference spot shows."""
     at = look.deflections
     if stated is None or not look.references:
         return at.y
-    ours, theirs = _places(look.spots), _places(look.references)
-    # how far a px moves them, from the frames themselves
-    use = at.found & np.all(np.isfinite(ours), axis=0)
-    columns = np.column_stack([*ours[:2, use], np.ones(np.count_nonzero(use))])
+    spots, refs = _positions(look.spots), _positions(look.references)
+    # deflection per px, fitted to the frames themselves
+    use = at.found & np.all(np.isfinite(spots), axis=0)
+    columns = np.column_stack([*spots[:2, use], np.ones(np.count_nonzero(use))])
     per_px = np.linalg.lstsq(columns, at.y[use], rcond=None)[0]
-    less = np.zeros(len(at.y))
+    beam = np.zeros(len(at.y))
     for axis in (0, 1):
         gain = stated.gain
         if gain is None:
-            fitted = gain_in_swings(at.times_ns, ours[axis], ours[2 + axis], theirs[axis], theirs[2 + axis])
-            gain = fitted.value if fitted.value > _WRONG_GAIN * fitted.standard_uncertainty else 0.0
-        less += gain * per_px[axis] * common_motion(at.times_ns, theirs[axis], theirs[2 + axis]).value
-    return np.asarray(at.y - less)
+            fitted = gain_in_swings(at.times_ns, spots[axis], spots[2 + axis], refs[axis], refs[2 + axis])
+            gain = fitted.value if fitted.value > _MAX_OFF_U * fitted.standard_uncertainty else 0.0
+        beam += gain * per_px[axis] * common_motion(at.times_ns, refs[axis], refs[2 + axis]).value
+    return np.asarray(at.y - beam)
 
 
 def _alive(reason: str, kind: str) -> Verdict:
-    return Verdict("witness", True, reason, measured=f"{kind}, alive", limit=_COMES, made=False)
+    return Verdict("witness", True, reason, measured=f"{kind}, alive", limit=_LIMIT, made=False)
 
 
-def _gives(found: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
+def _benefit_verdict(found: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
     in_all = f"squared coherence {plain(found.coherence, 3)} in {found.steps} periods"
     if not found.related:
         chance = f"{in_all}; unrelated records reach {plain(found.chance_coherence, 2)}"
@@ -107,11 +108,11 @@ def _gives(found: SeismometerAtRest, ground_seen: bool, kind: str) -> Verdict:
             return _alive(f"{hidden} ({chance})", kind)
         reason = f"it does not show what moves the pendulum: {chance}"
         remedy = "check its place, columns and clock; a fit refuses one that explains nothing"
-        return Verdict("witness", True, reason, remedy, measured=f"{kind}, unrelated so far", limit=_COMES)
+        return Verdict("witness", True, reason, remedy, measured=f"{kind}, unrelated so far", limit=_LIMIT)
     falls = f"{plain(found.factor, 2)} ({plain(found.least, 2)} to {plain(found.most, 2)})"
     measured = f"{in_all}: the swing at rest would fall by {falls}, "
     measured += f"the ground's part of it by {plain(found.least, 2)} at least"
-    return Verdict("witness", True, measured=measured, limit=_COMES)
+    return Verdict("witness", True, measured=measured, limit=_LIMIT)
 
 
 class _ReferenceAxis(NamedTuple):
@@ -120,7 +121,7 @@ class _ReferenceAxis(NamedTuple):
 
 
 def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: PreflightSettings) -> Verdict:
-    """Check that the reference spot is seen, and how much of the spot's motion it would take off."""
+    """Check that the reference spot is seen, and predict how much of the spot's motion it would remove."""
     limit = f"found in {percent(1 - limits.max_lost_fraction, 3)}"
     if stated is None or not look.references:
         return Verdict("reference", True, measured="none is configured", limit=limit, made=False)
@@ -135,35 +136,40 @@ def reference(look: TrialFrames, stated: ReferenceSettings | None, limits: Prefl
     at = look.deflections
     try:
         period_s = swing_at_rest(at.times_s, at.y).period_s
-        ours, theirs = _places(look.spots), _places(look.references)
+        spots, refs = _positions(look.spots), _positions(look.references)
         axes = []
         for axis, name in enumerate("xy"):
-            both = ours[axis], ours[2 + axis], theirs[axis], theirs[2 + axis]
+            both = spots[axis], spots[2 + axis], refs[axis], refs[2 + axis]
             found = reference_at_rest(at.times_ns, *both, gain=stated.gain, period_s=period_s)
             axes.append(_ReferenceAxis(name, found))
     except DataError as error:
         return Verdict(
-            "reference", True, f"{error}{longer(look.deflections)}", measured=seen, limit=limit, made=False
+            "reference",
+            True,
+            f"{error}{longer_look(look.deflections)}",
+            measured=seen,
+            limit=limit,
+            made=False,
         )
-    return _takes_off(axes, stated, seen, limit)
+    return _judged_axes(axes, stated, seen, limit)
 
 
-def _takes_off(axes: Sequence[_ReferenceAxis], stated: ReferenceSettings, seen: str, limit: str) -> Verdict:
-    said, wrong, useless = [], [], True
+def _judged_axes(axes: Sequence[_ReferenceAxis], stated: ReferenceSettings, seen: str, limit: str) -> Verdict:
+    texts, deviations, useless = [], [], True
     for name, found in axes:
         if not found.share > 0:
-            said.append(f"{name}: it shows no motion above its own noise")
+            texts.append(f"{name}: it shows no motion above its own noise")
             continue
         useless = useless and not found.factor.value - 3 * found.factor.standard_uncertainty > 1
-        said.append(f"{name}: {plain(found.before_px, 2)} px fall by {with_uncertainty(*found.factor)}")
+        texts.append(f"{name}: {plain(found.before_px, 2)} px fall by {with_uncertainty(*found.factor)}")
         if stated.gain is None:
             continue
         off = abs(found.gain.value - stated.gain)
-        if off > _WRONG_GAIN * np.hypot(found.gain.standard_uncertainty, stated.u_gain):
-            wrong.append(f"{name} shows a gain of {with_uncertainty(*found.gain)}")
-    measured = f"{seen}; {', '.join(said)}"
-    if wrong:
-        reason = f"{', '.join(wrong)}, and reference.gain = {stated.gain:g} is stated"
+        if off > _MAX_OFF_U * np.hypot(found.gain.standard_uncertainty, stated.u_gain):
+            deviations.append(f"{name} shows a gain of {with_uncertainty(*found.gain)}")
+    measured = f"{seen}; {', '.join(texts)}"
+    if deviations:
+        reason = f"{', '.join(deviations)}, and reference.gain = {stated.gain:g} is stated"
         remedy = "state the gain of the two arms, with its u_gain"
         return Verdict("reference", True, reason, remedy, measured=measured, limit=limit)
     if useless:
@@ -172,8 +178,8 @@ def _takes_off(axes: Sequence[_ReferenceAxis], stated: ReferenceSettings, seen: 
     return Verdict("reference", True, measured=measured, limit=limit)
 
 
-def _places(spots: Sequence[Spot]) -> Floats:
-    """(4, n) x, y and their uncertainties in px; NaN where lost."""
+def _positions(spots: Sequence[Spot]) -> Floats:
+    """Positions x, y and their standard uncertainties in px, (4, n); NaN where the spot is lost."""
     table = np.array([spot[:4] for spot in spots], dtype=np.float64).reshape(-1, 4).T
     table[:, [bool(spot.flags & SpotFlag.LOST) for spot in spots]] = np.nan
     return table

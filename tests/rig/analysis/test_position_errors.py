@@ -14,7 +14,7 @@ from rig.analysis.air import OPEN_DRAG, evidence_of
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results_file import read_results, write_results
 from rig.report.drawing import svg
-from rig.report.figures_motion import place_figure
+from rig.report.figures_motion import position_error_figure
 from rig.settings import FitSettings
 from tests.processing.position_map.runs import Run, fringes, nothing, run
 
@@ -48,9 +48,9 @@ def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
     (again,) = read_results(path).runs
     assert again.position_errors is not None
     assert np.array_equal(again.position_errors.error, errors.error)
-    (axes,) = place_figure(errors).figure.axes
+    (axes,) = position_error_figure(errors).figure.axes
     assert np.allclose(axes.lines[1].get_ydata(), errors.error / ARCSEC_RAD)
-    assert svg(place_figure(errors)).startswith(b"<?xml")
+    assert svg(position_error_figure(errors)).startswith(b"<?xml")
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_resu
 from rig.analysis.seismometer import witness_sentences
 from rig.analysis.seismometer_file import FitStart, SeismometerSource
 from rig.analysis.table_fit import TableColumns, analyse_table
-from rig.archive.session_rows import row_of_results
+from rig.archive.session_rows import results_row
 from rig.report import make_table_report
 from rig.settings import load_configuration
 from tests.processing.fit.decays import ARCSEC, paper_pair
@@ -112,8 +112,8 @@ def test_the_python_interface_takes_a_witness_of_a_table_as_the_terminal_does(de
     found = rig.fit_table(decay / "decay.csv", "arcsec", **words).runs[0]
     assert found.witness is not None
     assert found.witness == fitted(decay, "east", "north").witness
-    assert dict(row_of_results(found))["witness"] == "used"
-    assert dict(row_of_results(found))["witness_explained"] == found.witness.explained > 0.9
+    assert dict(results_row(found))["witness"] == "used"
+    assert dict(results_row(found))["witness_explained"] == found.witness.explained > 0.9
     with pytest.raises(ConfigurationError, match="witness: has no effect without configuration"):
         rig.fit_table(decay / "decay.csv", "arcsec", witness=decay / "witness.csv")
 

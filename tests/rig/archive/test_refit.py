@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from rig.archive import add_folders, refit_runs, selected
-from rig.archive.updating import Task, Work, _in_processes
+from rig.archive.updating import RefitTask, Work, _in_processes
 from rig.view import analyse_replayed
 from tests.rig.archive.deadly import Deadly, outcome_of
 from tests.rig.command_line import rig
@@ -25,7 +25,9 @@ def archive(tmp_path: Path) -> Path:
     return tmp_path / "archive.duckdb"
 
 
-def in_this_process(work: Work, tasks: Sequence[Task], processes: int | None) -> Iterator[tuple[Task, str]]:
+def in_this_process(
+    work: Work, tasks: Sequence[RefitTask], processes: int | None
+) -> Iterator[tuple[RefitTask, str]]:
     """Starting processes takes seconds; what they do has a test of its own."""
     return ((task, work(task)) for task in tasks)
 

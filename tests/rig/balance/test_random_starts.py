@@ -132,7 +132,7 @@ def test_the_history_is_shown_and_its_last_turn_forgotten(tmp_path: Path) -> Non
     for turns in (0.5, 0.25):
         zero = np.zeros(3)
         after = np.array([0.0, 84.0 * turns, 0.0])
-        history.append_pair(path, history.Pair("", "y", (turns,), zero, after, zero + 1e-9))
+        history.append_pair(path, history.TurnEffect("", "y", (turns,), zero, after, zero + 1e-9))
     words = ("balance", CONFIGS / "demo.toml", "--history-file", path)
     shown = rig(*words, "--history")
     assert shown.returncode == 0, shown.stderr

@@ -21,7 +21,7 @@ from rig.calibrate import (
     calibrate_sensor,
     check_known_angle,
 )
-from rig.calibrate.frame_times import off_line
+from rig.calibrate.frame_times import arrival_residuals
 from rig.calibrate.inputs import Filing
 from rig.instrument import complete
 from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
@@ -277,6 +277,6 @@ def test_jumps_of_the_clock_are_no_part_of_what_the_line_leaves_over() -> None:
     host_ns = device_ns + 7_000_000_000 + np.rint(2e-5 * device_ns + late_ns).astype(np.int64)
     relation = relate_clocks(device_ns, host_ns, sequence)
     assert [jump.frame for jump in relation.jumps] == [1700]
-    found = off_line(relation, device_ns, host_ns, sequence)
+    found = arrival_residuals(relation, device_ns, host_ns, sequence)
     pulls = np.array(found["off_line_s"]) / np.array(found["u_off_line_s"])
     assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.6

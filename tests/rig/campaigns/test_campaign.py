@@ -14,9 +14,9 @@ from processing.units import ARCSEC_RAD
 from rig.analysis import read_results
 from rig.archive import selected
 from rig.archive.listing import write_sessions, writing
-from rig.campaigns import StatedCampaign, answer_of, read_campaign, runs_of_folders
-from rig.campaigns.likelihoods import FoundRun, compressed
-from rig.campaigns.sources import _IN_ORDER
+from rig.campaigns import StatedCampaign, fit_model, read_campaign, runs_of_folders
+from rig.campaigns.likelihoods import FoundRun, compress
+from rig.campaigns.sources import _ORDERED_RUNS_SQL
 from rig.campaigns.tables import effects_table
 from tests.rig.campaigns.made_sessions import (
     ENERGY_OVER_C,
@@ -86,7 +86,7 @@ def test_what_the_arm_does_counts_once(tmp_path: Path) -> None:
     """c goes as the arm, which is known to 0.1 %: here made so uncertain that it is all that counts."""
     for count in (4, 16):
         (folder,) = humid_campaign(tmp_path / str(count), slope=0.0, count=count)[:1]
-        found = answer_of(runs_of_folders([folder]), StatedCampaign(parameters=("c",)))
+        found = fit_model(runs_of_folders([folder]), StatedCampaign(parameters=("c",)))
         shared = found.results.shared["arm_m"]
         assert shared.standard_uncertainty == pytest.approx(1.0, abs=0.12)
         parts = {one.source: one.contribution for one in found.results.budgets["monday"]["c"]}
@@ -95,7 +95,7 @@ def test_what_the_arm_does_counts_once(tmp_path: Path) -> None:
 
 def test_the_energy_is_that_of_c_with_the_inputs_of_both(tmp_path: Path) -> None:
     folders = humid_campaign(tmp_path, slope=0.0)
-    found = answer_of(runs_of_folders(folders), StatedCampaign(parameters=("c",)))
+    found = fit_model(runs_of_folders(folders), StatedCampaign(parameters=("c",)))
     for values in found.results.contacts.values():
         c, energy = values["c"], values["surface_energy_table2_j_per_m2"]
         assert energy.value == pytest.approx(ENERGY_OVER_C * c.value, rel=2e-3)
@@ -110,7 +110,7 @@ def test_what_runs_share_cancels_between_contacts(tmp_path: Path) -> None:
         session(tmp_path / name, [run(number, truth, rng) for number in range(1, 9)])
         for name, truth in (("smooth", GLASS), ("rough", rough))
     ]
-    found = answer_of(runs_of_folders(folders), StatedCampaign(parameters=("b", "p", "c"))).results
+    found = fit_model(runs_of_folders(folders), StatedCampaign(parameters=("b", "p", "c"))).results
     by = {one.parameter: one for one in found.differences}
     for name, truth in (("b", -0.05), ("p", 0.0), ("c", -0.5)):
         value, u = by[name].difference
@@ -123,7 +123,7 @@ def test_what_runs_share_cancels_between_contacts(tmp_path: Path) -> None:
 
 def test_a_likelihood_is_that_of_its_results() -> None:
     one = run(1, GLASS, np.random.default_rng(3))
-    likelihood, problem = compressed(
+    likelihood, problem = compress(
         FoundRun(label="run-1", contact="glass", results_sha256="", run=one), 60 * ARCSEC_RAD, {}
     )
     assert likelihood is not None
@@ -141,7 +141,7 @@ def test_a_likelihood_is_that_of_its_results() -> None:
 
 
 def test_short_sessions_can_enter() -> None:
-    found = answer_of(
+    found = fit_model(
         runs_of_folders([SAMPLES / "series", SAMPLES / "first"]), StatedCampaign(parameters=("p",))
     )
     assert len(found.results.runs) + len(found.results.left_out) >= 2
@@ -151,7 +151,7 @@ def test_short_sessions_can_enter() -> None:
 def test_without_priors_stands_beside(tmp_path: Path) -> None:
     folders = humid_campaign(tmp_path, slope=0.0)
     stated = StatedCampaign.model_validate({"parameters": ["p"], "prior": {"p": {"value": 0.96, "u": 1e-4}}})
-    value = answer_of(runs_of_folders(folders), stated).results.contacts["monday"]["p"]
+    value = fit_model(runs_of_folders(folders), stated).results.contacts["monday"]["p"]
     assert value.value > 0.955
     assert value.without_priors.value == pytest.approx(0.944, abs=0.002)
 
@@ -201,7 +201,7 @@ def test_what_is_stated_wrongly_is_said_in_a_line(tmp_path: Path, text: str, sai
 def test_growth_within_runs_that_is_not_known_is_said_and_so_is_a_bad_run(tmp_path: Path) -> None:
     folders = humid_campaign(tmp_path, bad=True)
     growing = {"parameters": ["b", "p", "c"], "effect": [{"parameter": "friction", "form": "during"}]}
-    found = answer_of(runs_of_folders(folders), StatedCampaign.model_validate(growing))
+    found = fit_model(runs_of_folders(folders), StatedCampaign.model_validate(growing))
     assert "rig fit --set fit.u_ageing=0.01" in " ".join(found.results.warnings)
     bad = [warning.split(" is a bad run ")[0] for warning in found.results.warnings if "bad run" in warning]
     assert bad == ["tuesday/run-2"]
@@ -215,11 +215,11 @@ def test_what_some_runs_were_measured_under_is_not_known_is_said(tmp_path: Path)
     folder = session(tmp_path / "monday", runs)
     path = tmp_path / "campaign.toml"
     path.write_text(STATED)
-    found = answer_of(runs_of_folders([folder]), read_campaign(path)).results
+    found = fit_model(runs_of_folders([folder]), read_campaign(path)).results
     (said,) = [warning for warning in found.warnings if "humidity" in warning]
     assert said.startswith("humidity_percent is not known of 3 of 6 runs (monday/run-4, monday/run-5, ")
     path.write_text('parameters = ["c"]')
-    found = answer_of(runs_of_folders([folder]), read_campaign(path)).results
+    found = fit_model(runs_of_folders([folder]), read_campaign(path)).results
     assert not any("humidity" in warning for warning in found.warnings)
 
 
@@ -230,7 +230,7 @@ def test_a_chance_below_that_of_one_draw_is_a_limit(tmp_path: Path) -> None:
     chances = {}
     for slope in (-0.06, 0.0):
         folders = humid_campaign(tmp_path / str(slope), slope=slope, count=10)
-        found = answer_of(runs_of_folders(folders), read_campaign(path)).results
+        found = fit_model(runs_of_folders(folders), read_campaign(path)).results
         table = effects_table(found)
         assert table is not None
         chances[slope] = str(table.shown[0][2])
@@ -301,7 +301,7 @@ def test_runs_of_an_archive_are_in_the_order_of_their_beginnings(tmp_path: Path)
         rows.append({"sha256": f"{number}", "folder": folder, "run": run, "began_utc": began, "results": "x"})
     with writing(tmp_path / "archive.duckdb") as connection:
         write_sessions(connection, {"a": "", "b": "", "c": ""}, rows)
-    found = selected(tmp_path / "archive.duckdb", "*", "", _IN_ORDER)[1]
+    found = selected(tmp_path / "archive.duckdb", "*", "", _ORDERED_RUNS_SQL)[1]
     runs = [f"{row[3]}/{row[1]}" for row in found]
     assert runs == ["a/run-1", *(f"b/run-{n}" for n in range(1, 13)), "a/run-2", "c/run-1"]
 

@@ -10,8 +10,8 @@ from processing.fit import AIR, drifts_of
 from processing.series import to_coordinates
 from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record
-from rig.campaigns import StatedCampaign, answer_of, runs_of_folders
-from rig.campaigns.likelihoods import FoundRun, compressed
+from rig.campaigns import StatedCampaign, fit_model, runs_of_folders
+from rig.campaigns.likelihoods import FoundRun, compress
 
 REFERENCE_RAD = 60 * ARCSEC_RAD
 
@@ -22,7 +22,7 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     run = analyse_record(measured_series / "run-1.mcap", ["fit.u_ageing=0.01"])
     fit, pendulum = run.fitted["exact"], run.pendulum
     assert pendulum is not None
-    found, problem = compressed(
+    found, problem = compress(
         FoundRun(label="run-1", contact="glass", results_sha256="", run=run), REFERENCE_RAD, {}
     )
     assert found is not None, problem
@@ -55,7 +55,7 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
 
 
 def test_a_measured_series_is_a_campaign(measured_series: Path) -> None:
-    found = answer_of(runs_of_folders([measured_series]), StatedCampaign())
+    found = fit_model(runs_of_folders([measured_series]), StatedCampaign())
     (values,) = found.results.contacts.values()
     assert 0.9 < values["p"].value < 1.0
     assert found.results.simulated
@@ -66,8 +66,8 @@ def test_a_measured_series_is_a_campaign(measured_series: Path) -> None:
 def test_what_is_not_determined_is_left_out(measured_series: Path) -> None:
     (first, _) = runs_of_folders([measured_series])
     nothing = replace(first, run=replace(first.run, fits={}, problem="too short"))
-    found, problem = compressed(nothing, REFERENCE_RAD, {})
+    found, problem = compress(nothing, REFERENCE_RAD, {})
     assert found is None
     assert problem.endswith("left out: too short")
     with pytest.raises(Exception, match=r"no run can enter the campaign: .*too short"):
-        answer_of([nothing], StatedCampaign())
+        fit_model([nothing], StatedCampaign())

@@ -14,7 +14,7 @@ from rig.control import LightRefused, SafetyState, TripCause
 from rig.control.simulated import SimulatedBoard
 from rig.devices import AuditEntry, Devices, SessionNews
 from rig.devices.audit import AUDIT_NAME, AuditLog, check_log
-from rig.measure.session_orders import await_leave
+from rig.measure.session_orders import await_acknowledgement
 from rig.settings import Configuration, load_configuration
 from tests.disk_without_locks import without_locks
 from tests.rig.command_line import CONFIGS
@@ -43,11 +43,11 @@ def test_a_trip_is_acknowledged_by_its_number_and_that_is_kept(
     for typed in ("\n", "y\n\n", "yes\n\n", "a\n\n", "2\n\n", "", "01x\n\n"):
         monkeypatch.setattr(sys, "stdin", Terminal(typed))
         with pytest.raises(LightRefused, match="nobody has acknowledged it"):
-            await_leave(devices, session_news)
+            await_acknowledgement(devices, session_news)
         with pytest.raises(LightRefused, match=r"trip 1 \(INTERLOCK\).*turn its key, then start again"):
             devices.light()
     monkeypatch.setattr(sys, "stdin", Terminal("1\nlight\n"))
-    await_leave(devices, session_news)
+    await_acknowledgement(devices, session_news)
     assert not devices.permit.latched
     lines = lines_of(tmp_path)
     trip, latch, *refused, last = lines
@@ -192,7 +192,7 @@ def test_who_watches_is_told_what_the_next_run_waits_for(tmp_path: Path) -> None
     devices, session_news = Devices(config, tmp_path, "rig run"), SessionNews()
     devices.permit.trip(TripCause.INTERLOCK, "the interlock of the controller opened")
     session_news.news()
-    waiting = threading.Thread(target=await_leave, args=(devices, session_news), daemon=True)
+    waiting = threading.Thread(target=await_acknowledgement, args=(devices, session_news), daemon=True)
     waiting.start()
     until(lambda: "waits for a person" in session_news.news()["state"].get("progress", ""))
     assert "trip 1 (INTERLOCK)" in session_news.news()["state"]["progress"]

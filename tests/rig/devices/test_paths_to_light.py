@@ -16,7 +16,7 @@ import rig
 from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from processing.errors import DeviceError, RigError
-from rig.balance.balancing import LooksView, look
+from rig.balance.balancing import BalanceView, measure
 from rig.control import ControlService, LightRefused, Stage, TripCause
 from rig.control.light_permit import LONGEST_PAUSE_S, OVER
 from rig.control.simulated import SimulatedBoard
@@ -164,7 +164,7 @@ def calibrate(config: Configuration, folder: Path) -> None:
 def balance(config: Configuration, folder: Path) -> None:
     config = complete(config)
     with Devices(config) as devices:
-        look(config, devices, lambda _: None, LooksView(config, None, lambda _: "", lambda _: None))
+        measure(config, devices, lambda _: None, BalanceView(config, None, lambda _: "", lambda _: None))
 
 
 def preflight(config: Configuration, folder: Path) -> None:
@@ -419,7 +419,7 @@ def test_a_session_that_waits_in_the_dark_does_not_light_after_a_trip(
     config: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lit: Lit
 ) -> None:
     """Between two tries of a run whose preflight said no-go the door is opened for a moment."""
-    from rig.measure.notices import Waiting
+    from rig.measure.notices import PreflightWait
     from rig.measure.session import measure_session
 
     loop = Loop(monkeypatch)
@@ -435,7 +435,7 @@ def test_a_session_that_waits_in_the_dark_does_not_light_after_a_trip(
     never = config.preflight.model_copy(update={"when": "always", "min_temperature_c": 35.0})
     config = config.model_copy(update={"preflight": never})
     patient = never.model_copy(update={"wait_max_s": 3600.0})
-    waiting = Waiting("series", patient, sleep=lambda _s: loop.open_and_close(opened[-1]))
+    waiting = PreflightWait("series", patient, sleep=lambda _s: loop.open_and_close(opened[-1]))
     with pytest.raises(LightRefused, match="nobody has acknowledged it"):
         measure_session(config, LIVE, tmp_path / "series", waiting=waiting)
     assert len(lit.at) == 1

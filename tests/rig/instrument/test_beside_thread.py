@@ -11,7 +11,7 @@ from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError
 from processing.spot import SensorModel
 from processing.swing import TurningPointDetector
-from rig.instrument.pipeline import BesideThread, Optics
+from rig.instrument.pipeline import EstimateThread, Optics
 
 ARCSEC_RAD = np.pi / 180 / 3600
 
@@ -40,10 +40,10 @@ def test_the_same_swings_and_balances_as_in_line() -> None:
     estimator = BalanceEstimator()
     in_line = [balance for block in blocks for balance in estimator.update(block)]
     assert len(in_line) > 4
-    pipeline = Optics(SensorModel(39.2, 7.0, 255), None, Axes()).pipeline((640, 320), beside=True)
+    pipeline = Optics(SensorModel(39.2, 7.0, 255), None, Axes()).pipeline((640, 320), threaded=True)
     found = [pipeline.detect([], block) for block in blocks]
-    beside = [balance for block in found for balance in block.balances] + pipeline.finish_balance()
-    assert [repr(balance) for balance in beside] == [repr(balance) for balance in in_line]
+    threaded = [balance for block in found for balance in block.balances] + pipeline.finish_balance()
+    assert [repr(balance) for balance in threaded] == [repr(balance) for balance in in_line]
     assert [*(swing for block in found for swing in block.swings), *pipeline.finish()] == swings
 
 
@@ -56,8 +56,8 @@ def test_frames_that_come_one_by_one_are_gathered_and_give_the_same() -> None:
         return estimator.update(samples)
 
     in_line = BalanceEstimator().update(whole)
-    beside = BesideThread(estimate, "balance")
-    found = [one for k in range(len(whole)) for one in beside.update(whole[k : k + 1])] + beside.finish()
+    threaded = EstimateThread(estimate, "balance")
+    found = [one for k in range(len(whole)) for one in threaded.update(whole[k : k + 1])] + threaded.finish()
     assert [repr(balance) for balance in found] == [repr(balance) for balance in in_line]
     assert sum(asked) == len(whole)
     assert len(asked) < len(whole) / 5
@@ -72,13 +72,13 @@ def test_samples_are_taken_while_an_estimate_is_being_made() -> None:
         seen.append(len(block))
         return []
 
-    beside = BesideThread(slow, "slow")
+    threaded = EstimateThread(slow, "slow")
     blocks = swinging(4.0)
     for block in blocks:
-        assert beside.update(block) == []
+        assert threaded.update(block) == []
     assert not seen
     going_on.set()
-    assert beside.finish() == []
+    assert threaded.finish() == []
     assert seen == [len(block) for block in blocks]
 
 
@@ -86,12 +86,12 @@ def test_an_error_is_raised_in_the_thread_that_asks() -> None:
     def failing(_: Deflections) -> list[Balance]:
         raise DataError("times, deflections and uncertainties must be of one length")
 
-    beside = BesideThread(failing, "failing")
+    threaded = EstimateThread(failing, "failing")
     block = swinging(1.0)[0]
 
     def ask() -> None:
-        beside.update(block)
-        beside.finish()
+        threaded.update(block)
+        threaded.finish()
 
     with pytest.raises(DataError, match="one length"):
         ask()

@@ -89,7 +89,7 @@ def test_a_long_compilation_says_that_it_goes_on(monkeypatch: pytest.MonkeyPatch
         call(False)
         yield
 
-    monkeypatch.setattr(provenance, "STILL_S", 0.01)
+    monkeypatch.setattr(provenance, "REMINDER_INTERVAL_S", 0.01)
     monkeypatch.setattr(provenance, "at_compilation", compiling)
     monkeypatch.setattr(provenance, "compile_tracker", lambda _: told.wait(30.0))
     provenance.prepare_kernels(SensorModel(gain_e_per_dn=40.0, read_noise_e=7.0, full_scale_dn=255.0), say)

@@ -15,8 +15,8 @@ from scipy.stats import norm
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import read_results
 from rig.analysis.table_fit import analyse_trajectory
-from rig.intake import FilmAsked, film_trajectory
-from rig.intake.film import inverted, looks_dark
+from rig.intake import FilmOptions, film_trajectory
+from rig.intake.film import has_dark_object, inverted
 from rig.presentation import TimeLeft
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 from tests.processing.fit.decays import ARCSEC, paper_pair
@@ -72,7 +72,7 @@ def test_from_a_film_to_a_report_with_one_command(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_dark_object_is_followed_and_a_pixel_has_a_size(tmp_path: Path) -> None:
     film = write_film(tmp_path / "dark.mkv", swing(dark=True, count=120), Film())
-    found = film_trajectory(film, FilmAsked(size="0.2 mm"))
+    found = film_trajectory(film, FilmOptions(size="0.2 mm"))
     assert any(
         "a dark object (the picture is inverted); 0 frames without one" in line for line in found.understood
     )
@@ -80,7 +80,7 @@ def test_a_dark_object_is_followed_and_a_pixel_has_a_size(tmp_path: Path) -> Non
     true_mm = 0.2 * (80.3 + 50.0 * np.exp(-t / TAU_S) * np.sin(2.0 * np.pi * t / PERIOD_S))
     assert found.unit == "mm"
     assert np.abs(found.positions[0] - true_mm).max() < 0.2 * 0.1
-    assert film_trajectory(film, FilmAsked(size="85 mm over 425 px")).positions[0] == pytest.approx(
+    assert film_trajectory(film, FilmOptions(size="85 mm over 425 px")).positions[0] == pytest.approx(
         found.positions[0]
     )
     for wrong in (
@@ -93,7 +93,7 @@ def test_a_dark_object_is_followed_and_a_pixel_has_a_size(tmp_path: Path) -> Non
         "nan mm",
     ):
         with pytest.raises(ConfigurationError, match="a number and a unit are needed"):
-            film_trajectory(film, FilmAsked(size=wrong))
+            film_trajectory(film, FilmOptions(size=wrong))
 
 
 @pytest.mark.parametrize(("ground", "said"), [(190.0, ""), (300.0, "ground saturated in 100 %")])
@@ -109,7 +109,7 @@ def test_a_black_object_is_not_saturated_but_its_ground_may_be(
         light = ground * (1.0 - 1.1 / (1.0 + np.exp(1.5 * (np.hypot(x - at, y - 47.8) - 7.0))))
         noisy = light + 1.5 * rng.standard_normal(light.shape)
         pictures.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
-    found = film_trajectory(write_film(tmp_path / "black.mkv", pictures, Film()), FilmAsked())
+    found = film_trajectory(write_film(tmp_path / "black.mkv", pictures, Film()), FilmOptions())
     (followed,) = [line for line in found.understood if line.startswith("followed")]
     assert "a dark object" in followed
     assert "0 frames without one" in followed
@@ -121,7 +121,7 @@ def test_a_black_object_is_not_saturated_but_its_ground_may_be(
 def test_what_compression_does_to_all_amplitudes_is_in_the_uncertainty(tmp_path: Path) -> None:
     """H.264 makes amplitudes too small, which the scatter does not show."""
     film = Film(codec="libx264", ending="mp4", pixels="yuv420p", options={"crf": "28"})
-    trajectory = film_trajectory(write_film(tmp_path / "lossy.mp4", swing(), film), FilmAsked())
+    trajectory = film_trajectory(write_film(tmp_path / "lossy.mp4", swing(), film), FilmOptions())
     found = analyse_trajectory(tmp_path / "lossy.mp4", trajectory, None).longest.results
     assert "light that stays" not in " ".join(trajectory.understood)
     blind = replace(trajectory, u_common_in_noises=0.0)
@@ -155,11 +155,11 @@ def test_of_pixels_that_are_not_square_x_is_as_a_viewer_shows_it(
 ) -> None:
     film = Film(codec=codec, ending=ending, pixels=pixels, pixel_aspect=Fraction(4, 3))
     wide = film_trajectory(
-        write_film(tmp_path / f"wide.{ending}", swing(count=40), film), FilmAsked(size="2 mm")
+        write_film(tmp_path / f"wide.{ending}", swing(count=40), film), FilmOptions(size="2 mm")
     )
     square = replace(film, pixel_aspect=Fraction(1))
     plain = film_trajectory(
-        write_film(tmp_path / f"plain.{ending}", swing(count=40), square), FilmAsked(size="2 mm")
+        write_film(tmp_path / f"plain.{ending}", swing(count=40), square), FilmOptions(size="2 mm")
     )
     assert np.ptp(wide.positions[0]) == pytest.approx(4 / 3 * np.ptp(plain.positions[0]))
     assert wide.positions[1] == pytest.approx(plain.positions[1])
@@ -173,7 +173,7 @@ def test_a_film_without_anything_to_follow_is_refused(tmp_path: Path) -> None:
     pictures = [rng.integers(90, 110, (NY, NX)).astype(np.uint8) for _ in range(12)]
     film = write_film(tmp_path / "nothing.mkv", pictures, Film())
     with pytest.raises(DataError, match="there is nothing to follow"):
-        film_trajectory(film, FilmAsked())
+        film_trajectory(film, FilmOptions())
 
 
 @pytest.mark.parametrize("sigma_px", [0.2, 0.35, 0.6])
@@ -187,10 +187,10 @@ def test_a_spot_smaller_than_a_pixel_is_named(tmp_path: Path, sigma_px: float) -
         pictures.append(np.clip(np.rint(light), 0, 255).astype(np.uint8))
     film = write_film(tmp_path / "small.mkv", pictures, Film())
     with pytest.raises(DataError, match="what moves is smaller than a pixel"):
-        film_trajectory(film, FilmAsked())
+        film_trajectory(film, FilmOptions())
     # a pixel that is always bright is no spot
     with pytest.raises(DataError, match="there is nothing to follow"):
-        film_trajectory(write_film(tmp_path / "hot.mkv", pictures[:1] * 12, Film()), FilmAsked())
+        film_trajectory(write_film(tmp_path / "hot.mkv", pictures[:1] * 12, Film()), FilmOptions())
 
 
 def test_what_was_followed_is_named_where_there_is_no_decay(tmp_path: Path) -> None:
@@ -203,13 +203,13 @@ def test_what_was_followed_is_named_where_there_is_no_decay(tmp_path: Path) -> N
     )
     assert "--position" not in done.stderr
     with pytest.raises(DataError, match="one frame of it can be read"):
-        film_trajectory(write_film(tmp_path / "one.mkv", swing(count=1), Film()), FilmAsked())
+        film_trajectory(write_film(tmp_path / "one.mkv", swing(count=1), Film()), FilmOptions())
 
 
 def test_the_time_that_is_left_of_a_film_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     film = write_film(tmp_path / "long.mkv", swing(count=40), Film())
     times_s = iter(np.arange(100.0) ** 2 / 10)
-    film_trajectory(film, FilmAsked(), TimeLeft("film: frames", clock=lambda: float(next(times_s))))
+    film_trajectory(film, FilmOptions(), TimeLeft("film: frames", clock=lambda: float(next(times_s))))
     said = capsys.readouterr().err.splitlines()
     assert said[0] == "film: frames: 11 of 40, about 0:29 min left"
     assert 2 < len(said) < 40
@@ -231,7 +231,7 @@ def test_light_that_stays_where_it_is_is_said_and_taken_off(
         noisy = 20.0 + 180.0 * light + 1.5 * rng.standard_normal(light.shape)
         pictures.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
     np.save(tmp_path / "swing.npy", pictures)
-    found = film_trajectory(tmp_path / "swing.npy", FilmAsked(rate_hz=RATE_HZ))
+    found = film_trajectory(tmp_path / "swing.npy", FilmOptions(rate_hz=RATE_HZ))
     error_px = found.positions[0] - true_px
     assert np.std(error_px) < 0.01
     assert np.abs(error_px - error_px.mean()).max() < 0.04
@@ -248,8 +248,8 @@ def test_light_that_stays_where_it_is_is_said_and_taken_off(
 def test_dark_is_what_is_darker_than_the_middle() -> None:
     picture = np.full((50, 50), 100, np.uint8)
     picture[10:14, 10:14] = 20
-    assert looks_dark(picture)
-    assert not looks_dark(inverted(picture, 255))
+    assert has_dark_object(picture)
+    assert not has_dark_object(inverted(picture, 255))
     assert inverted(np.array([[0, 235, 250]], np.uint8), 235).tolist() == [[235, 0, 0]]
 
 
@@ -293,7 +293,9 @@ def test_damage_that_a_decoder_takes_for_good_data_is_named_where_it_is(tmp_path
     for codec, ending in (("libx264", "mp4"), ("ffv1", "mkv")):
         film = Film(codec=codec, ending=ending, pixels="yuv420p")
         path = write_film(tmp_path / f"swing.{ending}", pictures, film)
-        said[codec] = [line for line in film_trajectory(path, FilmAsked()).understood if "break away" in line]
+        said[codec] = [
+            line for line in film_trajectory(path, FilmOptions()).understood if "break away" in line
+        ]
     assert len(said["libx264"]) == 1
     assert said["libx264"][0].startswith(("positions break away at 4.9", "positions break away at 5.0"))
     # what has no loss is judged by its checksums

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from processing.errors import ConfigurationError, DataError
-from rig.intake import cut_off
+from rig.intake import clipping_warnings
 from rig.intake.table import TableColumns
 
 TIME_S = 0.05 * np.arange(400)
@@ -112,5 +112,5 @@ def test_a_range_that_cuts_turning_points_off_is_said(
 ) -> None:
     t = np.arange(1200) * 0.05
     x = np.clip(10.0 * np.exp(-0.02 * t) * np.cos(np.pi * t + 0.3), low, high)
-    lines = cut_off("phi", np.round(x, digits))
+    lines = clipping_warnings("phi", np.round(x, digits))
     assert [word for word in ("smallest", "largest") for line in lines if f"its {word} value" in line] == said

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.intake.film import torn_positions
+from rig.intake.film import broken_positions
 
 
 def swing(
@@ -21,14 +21,14 @@ def swing(
 @pytest.mark.parametrize("per_period", [12.0, 50.0, 300.0])
 def test_swings_have_none(noise_px: float, per_period: float) -> None:
     for seed in range(2):
-        assert torn_positions(*swing(seed, noise_px, per_period)) == []
+        assert broken_positions(*swing(seed, noise_px, per_period)) == []
 
 
 def test_a_single_tear_and_a_stretch_are_found_once_each_where_they_begin() -> None:
     time_s, places = swing(1, 0.02)
     places[700, 0] += 0.8
     places[1200:1214, 1] -= 1.2
-    found = torn_positions(time_s, places)
+    found = broken_positions(time_s, places)
     assert [min((700, 1200, 1214), key=lambda one: abs(one - at)) for at in found] == [700, 1200, 1214]
     assert all(min(abs(at - one) for one in (700, 1200, 1214)) <= 3 for at in found)
 
@@ -36,6 +36,6 @@ def test_a_single_tear_and_a_stretch_are_found_once_each_where_they_begin() -> N
 def test_lost_positions_and_short_films_tear_nothing() -> None:
     time_s, places = swing(2, 0.02)
     places[300:310] = np.nan
-    assert torn_positions(time_s, places) == []
-    assert torn_positions(time_s, np.full_like(places, np.nan)) == []
-    assert torn_positions(time_s[:8], places[:8]) == []
+    assert broken_positions(time_s, places) == []
+    assert broken_positions(time_s, np.full_like(places, np.nan)) == []
+    assert broken_positions(time_s[:8], places[:8]) == []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from processing.errors import DataError, MissingPackage
-from rig.intake.files import rows_of_workbook
+from rig.intake.files import workbook_rows
 from rig.intake.table import TableColumns
 from tests.rig.intake.table_cases import Sheet, workbook
 
@@ -133,7 +133,7 @@ def test_a_cell_that_has_a_style_and_no_value_makes_no_columns(tmp_path: Path) -
     sheet = '<row r="9"><c r="A9"/><c r="XFD9" s="1"/></row>'
     path = save(tmp_path / "decay.xlsx", {"A": Sheet([*ROWS[:8], *ROWS[9:]], numbers=numbers)})
     changed(path, "xl/worksheets/sheet1.xml", '<row r="10">', f'{sheet}<row r="10">')
-    given = rows_of_workbook(path.read_bytes(), path)
+    given = workbook_rows(path.read_bytes(), path)
     assert {len(row) for row in given.rows} == {2}
 
 

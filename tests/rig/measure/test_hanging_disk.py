@@ -17,7 +17,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot
 from rig.instrument import Block
 from rig.measure import recorder as module
-from rig.measure.recorder import Entry, Recorder
+from rig.measure.recorder import RecordEntry, Recorder
 from tests.acquisition.record.hanging_disk import Mounted, NoFuse, mounted
 from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
 from tests.waiting import until
@@ -35,12 +35,12 @@ def disk(tmp_path: Path) -> Iterator[Mounted]:
         pytest.skip(str(missing))
 
 
-def entry_of(frame: Frame) -> Entry:
+def entry_of(frame: Frame) -> RecordEntry:
     numbers, times = [frame.sequence], np.array([frame.time_ns])
     one = np.ones(1)
     spot = Spot(*[1.0] * 10, flags=0)
     block = Block([spot], Deflections(times, one, one, one, one, DeflectionUnit.RAD), [], [])
-    return Entry(numbers, times.tolist(), times.tolist(), block, [(frame.image, 0, 0)])
+    return RecordEntry(numbers, times.tolist(), times.tolist(), block, [(frame.image, 0, 0)])
 
 
 def frame(number: int) -> Frame:
@@ -100,7 +100,7 @@ def test_a_session_says_that_its_disk_hung(disk: Mounted, monkeypatch: pytest.Mo
     original = Recorder._write
     recording = threading.Event()
 
-    def begun(self: Recorder, entry: Entry) -> None:
+    def begun(self: Recorder, entry: RecordEntry) -> None:
         # early in the run, however fast it is: most of its frames are written after this
         if not recording.is_set():
             disk.hang()

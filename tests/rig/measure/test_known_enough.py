@@ -9,7 +9,7 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from rig.instrument import RunNow
-from rig.measure.end_of_run import HELD_FITS, EndLimits, EndOfRun
+from rig.measure.end_of_run import CONSECUTIVE_FITS, EndLimits, EndOfRun
 from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
@@ -26,7 +26,7 @@ def test_a_run_ends_once_all_conditions_hold() -> None:
     assert end.reason([], 1.0) is None
     assert end.reason([], 1.0, {}) is None
     assert end.reason([], 1.0, {**KNOWN, "b": Estimate(37e-4, 1e-4)}) is None
-    for _ in range(HELD_FITS - 1):
+    for _ in range(CONSECUTIVE_FITS - 1):
         assert end.reason([], 1.0, dict(KNOWN)) is None
     assert end.reason([], 1.0, dict(KNOWN)) == (
         "known well enough: u(c)/c = 0.025 < 0.03, u(b)/b = 0.00541 < 0.01"

@@ -23,7 +23,7 @@ def program(folder: Path, text: str, then: str = "") -> tuple[str, str]:
     return sys.executable, str(path)
 
 
-def told_in(folder: Path) -> list[list[str]]:
+def piece_contents(folder: Path) -> list[list[str]]:
     return [json.loads(line) for line in (folder / "told").read_text().splitlines()]
 
 
@@ -33,7 +33,7 @@ def test_the_failure_of_a_session_is_told_with_its_cause(tmp_path: Path) -> None
     out = tmp_path / "out"
     done = rig("run", CONFIGS / "demo.toml", "-o", out, *set_words(short))
     assert done.returncode == 1
-    ((kind, text, folder),) = told_in(tmp_path)
+    ((kind, text, folder),) = piece_contents(tmp_path)
     assert (kind, folder) == ("failure", str(out))
     # the cause, and not only that there is one
     assert "run-1.mcap: " in text
@@ -43,7 +43,7 @@ def test_the_failure_of_a_session_is_told_with_its_cause(tmp_path: Path) -> None
 def test_a_command_that_hangs_delays_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(notices, "_CALL_S", 2.0)
+    monkeypatch.setattr(notices, "_MAX_CALL_S", 2.0)
     monkeypatch.setattr(notices, "_LAST_WAIT_S", 0.1)
     told = Notices(SessionSettings(notify_command=program(tmp_path, "''", "time.sleep(600)")), tmp_path)
     told.tell("alarm", "the laser is dark")
@@ -55,7 +55,7 @@ def test_a_command_that_hangs_delays_nothing(
     said = capsys.readouterr().err
     assert "did not answer within 0.1 s: it is unknown whether the message arrived" in said
     assert "was ended after 2 s" in said
-    assert not told.last_was_heard
+    assert not told.last_was_delivered
 
 
 def test_a_command_that_fails_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -63,7 +63,7 @@ def test_a_command_that_fails_is_said(tmp_path: Path, capsys: pytest.CaptureFixt
         told = Notices(SessionSettings(notify_command=command), tmp_path)
         told.tell("end", "every run was measured")
         told.wait()
-        assert not told.last_was_heard
+        assert not told.last_was_delivered
     said = capsys.readouterr().err
     assert "no-such-program" in said
     assert "ended with 3" in said
@@ -79,5 +79,5 @@ def test_an_end_that_reached_nobody_is_told_again(tmp_path: Path) -> None:
     for _ in range(2):
         rig("run", "--resume", out)
     # once in vain, once heard, and then no more
-    assert len(told_in(tmp_path)) == 2
-    assert told_in(tmp_path)[0][1].startswith("not every run was measured and fitted")
+    assert len(piece_contents(tmp_path)) == 2
+    assert piece_contents(tmp_path)[0][1].startswith("not every run was measured and fitted")

@@ -15,7 +15,7 @@ from processing.fit import fit_exact
 from processing.swing import HalfCycle, TurningPoints, turning_points
 from rig.instrument import configuration_attachments, pendulum_on_ball
 from rig.measure import FIRST_HALF_CYCLES, LivePosterior, Posterior
-from rig.measure.posterior_worker import following
+from rig.measure.posterior_worker import next_fit_half_cycles
 from rig.settings import load_configuration
 from tests.processing.fit.decays import decay, paper_pair
 from tests.rig.command_line import CONFIGS
@@ -103,8 +103,8 @@ def test_what_is_known_is_the_fit_of_the_half_cycles_so_far(growing: Growing) ->
     measured = swings(POINTS)[: FIRST_HALF_CYCLES + 12]
     known = list(growing.by(measured))
     counts = [FIRST_HALF_CYCLES]
-    while following(counts[-1]) <= len(measured):
-        counts.append(following(counts[-1]))
+    while next_fit_half_cycles(counts[-1]) <= len(measured):
+        counts.append(next_fit_half_cycles(counts[-1]))
     assert [one.half_cycles for one in known[FIRST_HALF_CYCLES - 2 :: 1]][:2] == [0, FIRST_HALF_CYCLES]
     assert sorted({one.half_cycles for one in known} - {0}) == counts
     last = known[-1]
@@ -132,7 +132,7 @@ def test_frames_that_wait_for_a_fit_on_purpose_say_so(
 ) -> None:
     """A run that `stop_when` may end said that its camera had stalled while the first fit compiled."""
     # no process starts within that
-    monkeypatch.setattr("rig.measure.posterior._WAITING_S", 0.02)
+    monkeypatch.setattr("rig.measure.posterior._CALL_INTERVAL_S", 0.02)
     measured = swings(POINTS)[:FIRST_HALF_CYCLES]
     growing.grow(measured[:-1])
     said: list[str] = []
@@ -164,7 +164,7 @@ def test_a_process_that_takes_its_time_to_die_is_waited_for_all_the_same(
     growing: Growing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What nobody waits for stays as a zombie, and warns when it is forgotten."""
-    monkeypatch.setattr("rig.measure.posterior._WAITING_S", 0.0)
+    monkeypatch.setattr("rig.measure.posterior._CALL_INTERVAL_S", 0.0)
     growing.grow(swings(POINTS)[:FIRST_HALF_CYCLES])
     pid = growing.posterior.worker_pid
     assert pid is not None

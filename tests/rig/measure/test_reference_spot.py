@@ -17,7 +17,7 @@ from rig.analysis import analyse_record, read_results
 from rig.analysis.passing_deflections import less_beam_motion
 from rig.devices import FrameStream
 from rig.instrument import (
-    LESS_BEAM,
+    BEAM_CORRECTED,
     BeamCorrection,
     Block,
     camera_settings,
@@ -139,20 +139,20 @@ def blocks_of(reader: RecordReader, config: Configuration, lost: range = range(0
     return found
 
 
-@pytest.mark.parametrize("beside", [False, True])
-def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path, beside: bool) -> None:
+@pytest.mark.parametrize("threaded", [False, True])
+def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path, threaded: bool) -> None:
     with RecordReader(recorded) as reader:
         config, raw = recorded_configuration(reader), scatter(reader.swings())
         blocks = blocks_of(reader, config)
     optics = optics_of(config, full_scale_dn=255.0)
     assert optics.reference_gain is not None
-    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, beside=beside)
+    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, threaded=threaded)
     shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
     swings = [swing for block in shown for swing in block.swings] + less.finish()
     assert scatter(swings)[0] < 0.5 * raw[0]
     # the picture's spot is where it is seen
     assert all(one.spots is block.spots for one, block in zip(shown, blocks, strict=True))
-    assert less.take_news() == [LESS_BEAM]
+    assert less.take_news() == [BEAM_CORRECTED]
 
 
 def test_a_live_fit_reads_the_record_less_the_beams_motion_as_a_run_shows_it(recorded: Path) -> None:
@@ -162,7 +162,7 @@ def test_a_live_fit_reads_the_record_less_the_beams_motion_as_a_run_shows_it(rec
         read = list(FollowedMotion(reader, config).unread())
     optics = optics_of(config, full_scale_dn=255.0)
     assert optics.reference_gain is not None
-    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, beside=False)
+    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, threaded=False)
     shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
     y, u_y = (np.concatenate([getattr(one.deflections, name) for one in shown]) for name in ("y", "u_y"))
     assert np.array_equal(np.concatenate([deflections.y for _, deflections in read]), y)
@@ -179,7 +179,7 @@ def test_a_reference_that_is_lost_is_said_and_moves_nothing_at_once(recorded: Pa
         blocks = blocks_of(reader, config, lost=range(1000, 1200))
     optics = optics_of(config, full_scale_dn=255.0)
     assert optics.reference_gain is not None
-    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, beside=False)
+    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, threaded=False)
     shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
     assert [one.split(":")[0] for one in less.take_news()[1:]] == [
         "reference spot lost",
@@ -199,7 +199,7 @@ def test_a_session_says_that_live_numbers_are_less_and_records_what_was_seen(rec
         said = [event.text for event in reader.events()]
         spots = reader.table(SPOT.topic)
         first = reader.deflections(next(reader.spot_blocks()))
-    assert said.count(LESS_BEAM) == 1
+    assert said.count(BEAM_CORRECTED) == 1
     deflector = optics_of(config, full_scale_dn=255.0).deflector((720, 160))
     count = len(first.times_ns)
     rows = [
@@ -251,7 +251,7 @@ def test_before_the_record_each_spot_is_followed_in_its_own_part() -> None:
     stream.start_camera()
     assert stream.begin() is not None
     frames = RecentFrames(stream, optics, 1.0, 1.0, lambda _, block: shown.append(block.references))
-    while frames.seen < 60:
+    while frames.count < 60:
         assert frames.advance()
     look = frames.look(resting=True, duration_s=1.0)
     stream.close()

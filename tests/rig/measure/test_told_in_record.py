@@ -18,7 +18,7 @@ from acquisition.record.topics import (
     RecordedPhase,
 )
 from rig.control import Light
-from rig.instrument import Phase, RunNow, told_in
+from rig.instrument import Phase, RunNow, piece_contents
 from rig.measure import measure_session
 from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunOutcome
@@ -34,7 +34,7 @@ def read_again(record: Path) -> RunNow:
         times_ns = reader.spots()["time_ns"]
         for piece in reader.unread():
             now = now.after(
-                told_in(reader, piece, int(times_ns[0]), int(times_ns[-1])), reader.deflection_unit
+                piece_contents(reader, piece, int(times_ns[0]), int(times_ns[-1])), reader.deflection_unit
             )
     return now
 

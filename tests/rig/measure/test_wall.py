@@ -86,10 +86,10 @@ def test_a_wall_retries_counts_and_leaves_out() -> None:
             raise RuntimeError("now and then")
         return 7
 
-    assert wall.past("it", 0, sometimes, True) == 0
-    assert wall.past("it", 0, sometimes, False) == 7
+    assert wall.call("it", 0, sometimes, True) == 0
+    assert wall.call("it", 0, sometimes, False) == 7
     for _ in range(30):
-        wall.past("it", 0, sometimes, True)
+        wall.call("it", 0, sometimes, True)
     assert calls == 12
     assert wall.text == "it 11 times"
     assert len(wall.take_news()) == 2

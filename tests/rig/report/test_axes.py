@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from processing.swing import TurningPoints
 from rig.analysis import Curves, ResultRow, RunResults
-from rig.report.drawing import ReportFigure, amplitude_axis, canvas, from_data, png, styled
+from rig.report.drawing import ReportFigure, amplitude_axis, canvas, nonnegative_limits, png, styled
 from rig.report.figures_contact import instrument_figures
 from rig.report.figures_laws import decay_figure, period_figure
 from rig.report.source import ShownUnit
@@ -76,10 +76,10 @@ def test_an_axis_of_amplitudes_has_marks(low: float, high: float) -> None:
 
 
 def test_limits_begin_at_zero_where_values_come_near_it() -> None:
-    assert from_data(np.array([2.0, 124.0]))[0] == 0.0
-    assert from_data(np.array([101.0, 140.0]))[0] == pytest.approx(101.0, abs=1.0)
-    assert from_data(np.array([np.nan])) == (0.0, 1.0)
-    low, high = from_data(np.array([7.0, 7.0]))
+    assert nonnegative_limits(np.array([2.0, 124.0]))[0] == 0.0
+    assert nonnegative_limits(np.array([101.0, 140.0]))[0] == pytest.approx(101.0, abs=1.0)
+    assert nonnegative_limits(np.array([np.nan])) == (0.0, 1.0)
+    low, high = nonnegative_limits(np.array([7.0, 7.0]))
     assert low < 7.0 < high
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from processing.units import _OTHERS, _PREFIXABLE
 from rig.presentation import Table, latex_table
-from rig.presentation.latex import _UNITS, _WITHOUT_NAME
+from rig.presentation.latex import _UNITS, _UNNAMED_UNITS
 from tests.rig.command_line import rig
 
 
@@ -51,7 +51,7 @@ def test_a_unit(unit: str, text: str) -> None:
 
 def test_every_unit_of_the_table_has_a_name_or_is_a_count() -> None:
     """But mas, in which nothing is reported."""
-    assert {*_OTHERS, *_PREFIXABLE} - {"mas"} == {*_UNITS, *_WITHOUT_NAME}
+    assert {*_OTHERS, *_PREFIXABLE} - {"mas"} == {*_UNITS, *_UNNAMED_UNITS}
 
 
 def test_a_heading_names_its_unit() -> None:

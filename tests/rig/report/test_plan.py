@@ -12,7 +12,7 @@ from processing.fit import LEAST_LEFT, Conditions, PlannedRun
 from rig.analysis import SessionResults, read_results
 from rig.commands.planning import plan
 from rig.instrument import complete, recorded_configuration
-from rig.report import expected_of, plan_figure, plan_table, planned_expectation
+from rig.report import plan_figure, plan_table, planned_contact, planned_contact_of_file
 from rig.report.plan import Plan
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
@@ -49,7 +49,7 @@ def test_a_run_is_planned_from_a_record(
 
 def test_a_drag_that_no_run_would_see_is_no_scale_of_its_uncertainty() -> None:
     """Of a rig in vacuum the fitted drag is nearly 0: thousands of per cent of it say nothing."""
-    conditions = expected_of(complete(load_configuration(CONFIGS / "demo.toml"))).conditions
+    conditions = planned_contact(complete(load_configuration(CONFIGS / "demo.toml"))).conditions
     run = PlannedRun(6e-4, 1e-5, 600.0, 290, {"b": 1e-5, "drag_s": 2e-6})
     vacuum = Plan(conditions, {"b": 4e-3, "drag_s": -3e-8}, (run,))
     ((*_, b, drag),) = plan_table(vacuum).shown
@@ -69,7 +69,7 @@ def test_amplitudes_that_make_no_run_are_named(measured_series: Path) -> None:
 def test_a_configuration_says_what_its_rig_will_measure(measured_series: Path) -> None:
     """Frames of the simulated rig, followed and detected, scatter as a plan of its configuration expects."""
     with RecordReader(measured_series / "run-1.mcap") as reader:
-        conditions = expected_of(recorded_configuration(reader)).conditions
+        conditions = planned_contact(recorded_configuration(reader)).conditions
     results = read_results(measured_series / "results.json")
     assert isinstance(results, SessionResults)
     points = results.runs[0].points
@@ -143,7 +143,7 @@ def test_what_a_plan_needs_of_a_configuration_is_named(overrides: list[str], mes
 
 def conditions_of(*overrides: str) -> Conditions:
     """Of the demonstration, changed."""
-    return expected_of(complete(load_configuration(CONFIGS / "demo.toml", overrides))).conditions
+    return planned_contact(complete(load_configuration(CONFIGS / "demo.toml", overrides))).conditions
 
 
 VAULT = CONFIGS / "vault.toml"
@@ -151,7 +151,7 @@ VAULT = CONFIGS / "vault.toml"
 
 def test_a_plan_of_a_configuration_has_its_own_witness_and_reference() -> None:
     both, bare = (
-        planned_expectation(VAULT, overrides, None, None).conditions
+        planned_contact_of_file(VAULT, overrides, None, None).conditions
         for overrides in ((), ("witness.kind='none'",))
     )
     assert bare.witness_noise is None
@@ -159,18 +159,18 @@ def test_a_plan_of_a_configuration_has_its_own_witness_and_reference() -> None:
     assert both.unknown_rad_per_s2_rthz < 0.03 * bare.unknown_rad_per_s2_rthz
     # the air that the reference takes off does not bend the swing
     plain = ("simulation.reference.relative=0", "simulation.disturbances.air_arcsec=0.1")
-    airy = planned_expectation(CONFIGS / "basement.toml", plain, None, None).conditions
-    less = planned_expectation(VAULT, ("simulation.disturbances.air_arcsec=0.1",), None, None).conditions
+    airy = planned_contact_of_file(CONFIGS / "basement.toml", plain, None, None).conditions
+    less = planned_contact_of_file(VAULT, ("simulation.disturbances.air_arcsec=0.1",), None, None).conditions
     assert less.u_amplitude_rad < 0.6 * airy.u_amplitude_rad
 
 
 def test_a_witness_that_hears_itself_more_than_the_ground_is_planned_so() -> None:
     noisy = ("simulation.witness.noise_m_per_s2_per_sqrt_hz=2.5e-4",)
-    found = planned_expectation(VAULT, noisy, None, None).conditions
+    found = planned_contact_of_file(VAULT, noisy, None, None).conditions
     assert found.witness_noise is not None
     assert found.witness_noise > 10
     louder = found.on_ground(100 * found.ground_rad_per_s2_rthz)
     assert louder.witness_noise == pytest.approx(0.01 * found.witness_noise)
     assert louder.on_ground(1e9).witness_noise == LEAST_LEFT
-    unknown = planned_expectation(VAULT, ("witness.kind='serial'", "witness.port='/dev/any'"), None, None)
+    unknown = planned_contact_of_file(VAULT, ("witness.kind='serial'", "witness.port='/dev/any'"), None, None)
     assert unknown.conditions.witness_noise == LEAST_LEFT

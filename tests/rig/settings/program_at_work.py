@@ -15,7 +15,7 @@ from acquisition.simulation.inputs import FaultSettings, RigInputs
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
 from processing.errors import RigError
-from rig.balance.balancing import LooksView, look
+from rig.balance.balancing import BalanceView, measure
 from rig.control import (
     Controller,
     ControllerSettings,
@@ -152,7 +152,7 @@ def look_at_the_balance() -> None:
     """Some periods of swinging."""
     config = complete(configuration(balance__seconds=9.1))
     with Devices(config) as devices:
-        look(config, devices, lambda _: None, LooksView(config, None, lambda _: "", lambda _: None))
+        measure(config, devices, lambda _: None, BalanceView(config, None, lambda _: "", lambda _: None))
 
 
 def talk_to_the_controller() -> None:

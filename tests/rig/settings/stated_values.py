@@ -21,7 +21,7 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.series import reduce_series
 from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import (
-    height_of,
+    mass_centre_height,
     nominal_effects,
     optics_of,
     pendulum_on_ball,
@@ -85,7 +85,7 @@ def balance(config: Configuration) -> Any:
     effects = {
         name: None if e is None else [v.tolist() for v in e] for name, e in nominal_effects(config).items()
     }
-    return repr((find_faults(seen, (1.0, 0.0), config.balance), height_of(config, seen), effects))
+    return repr((find_faults(seen, (1.0, 0.0), config.balance), mass_centre_height(config, seen), effects))
 
 
 def instrument(config: Configuration) -> Any:

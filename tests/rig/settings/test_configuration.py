@@ -230,6 +230,6 @@ def test_what_is_wrong_with_an_override_is_known_by_its_key() -> None:
     overrides = ("camera.exposure_us=-1", "session.runs=0")
     with pytest.raises(FaultyConfiguration) as raised:
         load_configuration(CONFIGS / "demo.toml", overrides)
-    told = dict(raised.value.of_overrides)
+    told = dict(raised.value.override_faults)
     assert set(told) == {"camera.exposure_us", "session.runs"}
     assert str(raised.value).splitlines() == [f"--set {line}" for line in told.values()]

@@ -263,7 +263,7 @@ def test_changes_of_parameters_are_counted_in_recorded_uncertainties() -> None:
         )
 
     changes = parameter_changes(run(2.0), run(3.0))
-    assert [(change.name, change.in_u) for change in changes] == [
+    assert [(change.name, change.change_u) for change in changes] == [
         ("fits.exact.b", 2.0),
         ("friction_moment", 2.0),
     ]
