@@ -1,11 +1,11 @@
-"""What changes while a pendulum swings: drifts over the whole run, and events that are found and dated.
+"""Changes while a pendulum swings: drifts over the whole run, and events that are found and dated.
 
 A friction that ages evenly is not seen in one decay: amplitude and time fall together, and an exponent takes
-up what the age does. What such drifts do to the parameters follows from the map, for a budget.
+up the effect of the age. The effect of such drifts on the parameters follows from the map, for a budget.
 
-An event is looked for at every half-cycle: a knock (both quadratures of the oscillation step), a friction
-that is another one from then on, a period that is. Each is judged by the restricted likelihood, with the
-drive of the ground estimated anew, and counts where no smooth error of the law explains the decay as well.
+An event is sought at every half-cycle: a knock (a step of both quadratures of the oscillation), a step of the
+friction, a step of the period. Each is judged by the restricted likelihood, with the drive of the ground
+estimated anew, and counts where no smooth error of the law explains the decay as well.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,11 +31,11 @@ DRIFTS = ("ageing", "adhesion_ageing", "drag_drift", "period_drift")
 """What may drift evenly over a run, by the names of `RigQuantities`: the growth of the friction b, of the
 constant friction c, of the drag and of the period from the first turning point to the last, relative.
 
-They have different causes, and one that is alone moves what their sum leaves where it is."""
+They have different causes, and one of them alone moves parameters that all together would leave in place."""
 
 
 class Share:
-    """A part of the loss of a half-swing, by the amplitude in units of the reference."""
+    """Share of a half-swing's loss, from 0 to 1, as a function of the amplitude in units of the reference."""
 
     def __init__(self, amplitude: Floats, share: Floats) -> None:
         self._log_amplitude, self._share = np.log(amplitude[::-1]), np.clip(share, 0.0, 1.0)[::-1]
@@ -45,7 +45,7 @@ class Share:
 
 
 def contact_share(model: ExactModel, columns: Floats) -> Share:
-    """What remains of the loss without the drag, which takes ``A w0 drag pi / 2`` in a half-swing."""
+    """The contact's share of the loss; the drag takes ``A w0 drag pi / 2`` in a half-swing."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
     of_air = pi**2 * values.get(DRAG.key, 0.0) / values["period0_s"]
     amplitude, loss = model.losses(columns)
@@ -53,7 +53,7 @@ def contact_share(model: ExactModel, columns: Floats) -> Share:
 
 
 def adhesion_share(model: ExactModel, columns: Floats) -> Share:
-    """What the friction takes that does not depend on the amplitude, ``2 c`` in a half-swing."""
+    """Share of the loss that the constant friction takes, ``2 c`` in a half-swing at any amplitude."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
     amplitude, loss = model.losses(columns)
     return Share(amplitude, 2.0 * values.get("c", 0.0) / model.reference / loss)
@@ -62,14 +62,14 @@ def adhesion_share(model: ExactModel, columns: Floats) -> Share:
 def drifts_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> dict[str, Floats]:
     """Derivatives (parameters,) of the contact parameters of an exact fit of these points by `DRIFTS`.
 
-    Parameters are those of the middle of the run. Raises DataError for another method.
+    The parameters refer to the middle of the run. Raises DataError for a fit by another method.
     """
     at = LinearisedFit.of(points, pendulum, fit)
     return dict(zip(DRIFTS, at.moved_by(-drift_term(at).columns).T, strict=True))
 
 
 def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -> Term:
-    """`DRIFTS` about zero with their standard uncertainties; without them nothing is known of any."""
+    """The term of `DRIFTS` about zero; without `u_drifts` they have no prior."""
     noise = at.model.noise_of(at.fit)
     columns = by_drifts(at.model, at.coordinates, noise, at.scale)[1]
     prior = np.inf if u_drifts is None else np.array([u_drifts.get(name, 0.0) for name in DRIFTS])
@@ -77,8 +77,8 @@ def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -
 
 
 def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
-    """Derivatives of the residuals by the columns, and by `DRIFTS`; `scale` is that of the stated
-    uncertainties."""
+    """Derivatives of the residuals by the columns and by `DRIFTS`, of turning points that scatter `scale`
+    times as much as stated."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
     contact, adhesion = contact_share(model, columns), adhesion_share(model, columns)
     lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
@@ -111,18 +111,18 @@ def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) ->
 
 
 def _since_middle(time_s: Floats, lasting_s: float) -> Floats:
-    """From -1/2 to 1/2."""
+    """Time from the middle of the run over its duration, -1/2 to 1/2."""
     return time_s / lasting_s - 0.5
 
 
 _CHUNK = 64
-"""Half-cycles whose changes are computed together."""
+"""Places at which changes are computed together."""
 _EDGE = 5
 """Half-cycles at both ends at which no change is looked for."""
 _CHANCE = 0.2
-"""Chance of a step of the friction in a run, before its data are seen."""
+"""Prior probability that a run has a step of the friction."""
 _DRIVES = (1.0, 0.3, 0.1, 0.03, 0.0)
-"""Drives that are tried, over the one that the law without changes needs."""
+"""Drives of the ground that are tried, over the likeliest one of the law without changes."""
 _CERTAIN = 20.0
 """Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
 _MOST = 3
@@ -131,19 +131,19 @@ _MOST = 3
 def with_changes(
     at: LinearisedFit, u_step: float, explained: float = 0.0, fit: FitResult | None = None
 ) -> FitResult:
-    """The fit with the changes during its decay, and with the uncertainty that a step of the friction leaves.
+    """The fit with the events in its decay, and with the uncertainty by a step of the friction not found.
 
-    A step too small to be found moves the parameters all the same. It is in their uncertainties by as much
-    as the data speak for one, wherever it is: nothing leaps where one is found.
+    A step too small to be found moves the parameters all the same. Their uncertainties hold it in proportion
+    to its probability at each place, so that no uncertainty leaps where a step is found.
 
     Parameters
     ----------
     u_step
-        Standard uncertainty of the relative size of a step, if there is one.
+        Prior standard uncertainty of the relative size of a step.
     explained
-        By how much -2 ln L is smaller with smooth errors of the law (`Misfit.against_law`).
+        By how much -2 ln L is smaller with smooth errors of the law (`DiscrepancySize.against_law`).
     fit
-        The fit near whose end this is found, where it has further terms already.
+        The fit that receives the changes, where it has terms that `at.fit` has not.
     """
     fit = at.fit if fit is None else fit
     scans = _scans(at) if fit.loss == "linear" else []
@@ -196,7 +196,7 @@ def _change(at: LinearisedFit, best: "_ClearestChange", gain: float) -> Change:
 
 
 def warnings_of(changes: Sequence[Change]) -> tuple[str, ...]:
-    """What is said of changes beside a fit."""
+    """Warnings of a fit, one for each change during its decay."""
     return tuple(f"{change.text}; fit the parts before and after it on their own" for change in changes)
 
 
@@ -211,9 +211,10 @@ class _ClearestChange(NamedTuple):
 
 
 class _Scan:
-    """Whitened residuals for one drive, and what every change would do to them.
+    """Whitened residuals for one drive, and their derivatives by a change at each place.
 
-    That is computed anew for each search, some places at a time: of a long decay all of it fills the memory.
+    The derivatives are computed anew for each search, some places at a time: all of a long decay's would fill
+    the memory.
     """
 
     def __init__(self, at: LinearisedFit, noise: Noise, rows: DrivenRows) -> None:
@@ -222,11 +223,11 @@ class _Scan:
         self._contact = contact_share(model, at.coordinates)
         self._nodes, self._loss = model.losses(at.coordinates)
         time_s = model.points.time_s - model.points.time_s[0]
-        # between the half-cycle before a place and the one at it
+        # a change lies between the half-cycle before its place and the one at it
         self._places_s = 0.5 * (time_s[1:] + time_s[:-1])[_EDGE - 1 : len(time_s) - _EDGE - 1]
         self._rate = 2 * pi / mean_period(model.points)
         self._amplitude = model.points.amplitude[_EDGE:] / model.reference
-        # the scatter of the points, by the median: a change is not to hide behind what it does
+        # by the median, which a change hardly moves: it must not hide in a scatter that it makes
         self._scale = max(1.0, float(np.median(np.abs(rows.residuals[: rows.points]))) / 0.6745)
         rows = rows.in_scatter(self._scale)
         self._law = FactoredJacobian(rows.jacobian)
@@ -243,13 +244,11 @@ class _Scan:
         return cls(at, noise, rows) if np.all(np.isfinite(rows.residuals)) else None
 
     def hidden_friction(self, u_size: float, explained: float) -> Floats:
-        """Changes of the coordinates by a step of the friction that may be there and that nothing takes off.
+        """Changes (coordinates, places) by one standard deviation of a friction step that was not corrected.
 
-        Shape (coordinates, places), of one standard deviation each.
-
-        Its size is believed to be zero with the standard uncertainty `u_size`, its time to be any, and
-        there to be one with the chance `_CHANCE`; the data say how much of it they want, less what is
-        `explained` otherwise.
+        Prior: there is a step with the probability `_CHANCE`, at any place alike, its size zero with the
+        standard uncertainty `u_size`. The data give each place its weight by the gain in -2 ln L beyond
+        `explained`.
         """
         sizes, chances, moved = [], [], []
         for first in range(0, len(self._places_s), _CHUNK):
@@ -267,10 +266,9 @@ class _Scan:
         return np.asarray(np.concatenate(moved, axis=1) * np.sqrt(weight))
 
     def _changes(self, first: int, count: int, *, whole: bool = False) -> Floats:
-        """What the kinds of change (4) do at some places to the rows that nothing explains yet; `whole`: to
-        the rows.
+        """Derivatives (rows, 4, places) of the rows by four unit changes at `count` places from `first` on.
 
-        Shape (rows, 4, places).
+        They are without what law and earlier changes take up, unless they are to be `whole`.
         """
         here_s = self._places_s[first : first + count]
 
@@ -304,7 +302,7 @@ class _Scan:
         return out
 
     def _best_of(self, first: int) -> _ClearestChange:
-        """The same of the places from `first` on."""
+        """The change that explains most at the places of a chunk from `first` on."""
         changes = self._changes(first, _CHUNK)
         out, now = None, self.deviance()
         score = np.einsum("r,rkp->kp", self._left, changes)
@@ -328,7 +326,7 @@ class _Scan:
         )
 
     def take(self, best: _ClearestChange) -> None:
-        """What is left once a change is allowed for."""
+        """Let a change explain its part of the residuals in all that follows."""
         kinds = {ChangeKind.FRICTION: [1], ChangeKind.PERIOD: [3], ChangeKind.KNOCK: [0, 2]}[best.kind]
         own = FactoredJacobian(self._changes(best.place, 1)[:, kinds, 0])
         self._left = own.left(self._left)

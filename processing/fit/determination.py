@@ -28,22 +28,22 @@ from processing.swing import TurningPoints
 _SURELY_PARABOLIC = 0.01
 """Relative standard uncertainty up to which chi2 is taken as a parabola, without a look at its profile."""
 _MOST_EVALUATIONS = 40
-"""Of the model in one refit; once more as many where it would set a limit and has not converged."""
+"""Most evaluations of the model in one refit; a second round where it would set a limit unconverged."""
 _MOST_IN_VAIN = 1
-"""After so many of those that never converge on one side, another one ends the search there."""
+"""Refits that never converge which the search on one side passes over; one more ends it."""
 _STEPS = 20
-"""Values at which a parameter is held on each side, at most."""
+"""Most values at which a parameter is held on each side."""
 _ALIKE = 0.15
-"""Part of a half-width by which the ends of both intervals may differ where value and uncertainty stand."""
+"""Largest difference of the two intervals' ends, over the half-width, at which value and uncertainty do."""
 _NAMED = Quantity("", "", unit=OF + "name")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Determination:
-    """What the data say of one parameter: a value, an interval, a bound or nothing.
+    """Verdict of the data on one parameter: a value, an interval, a bound or none.
 
     `lower_95` or `upper_95` is NaN if the data set no limit (0 if only physics does: friction dissipates
-    energy). `profile_likelihood` says whether the limits come from it.
+    energy). `profile_likelihood` is whether the limits come from it.
     """
 
     name: str
@@ -152,8 +152,8 @@ def profile_likelihood(
     logarithmic scale if their estimates are positive. The search ends at ten standard uncertainties (b and
     gamma: at a factor of a million), or at zero for parameters that cannot be negative. Where the fit itself
     lies below zero, the rise counts from the best fit at zero: a limit is never one of impossible values.
-    A refit that has not converged shows that chi2 rises by no more than it says: it may be passed, but sets
-    no limit. The search goes nearer then, and soon ends without one.
+    A refit that has not converged bounds the rise of chi2 from above: it may be passed, but sets no limit.
+    The search then goes nearer to the best fit, and soon ends without a limit.
     """
     from scipy.special import stdtrit
 
@@ -216,7 +216,7 @@ def profile_likelihood(
                         z = high
                         break
             if solution is None:
-                # its uncertainty may be thousands of times what the law allows
+                # the law has no value there: u may be thousands of times the range that it allows
                 farthest_step = (z - low) * (0.5 if low else 0.1)
                 z = low + farthest_step
                 nearest, there = at(sign * low), at(sign * z)
@@ -265,7 +265,7 @@ def profile_likelihood(
 
 
 def _widened(result: FitResult, name: str) -> float:
-    """By how many times a standard uncertainty is larger than the likelihood says."""
+    """Ratio of a standard uncertainty to that by the likelihood."""
     return 1.0 if result.widened is None else float(result.widened[result.names.index(name)])
 
 
@@ -284,10 +284,10 @@ def _refitted(
 def identifiability(
     points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
 ) -> tuple[Determination, ...]:
-    """Results for every parameter of an exact fit; for poorly determined ones by the profile likelihood.
+    """Verdict on every parameter of an exact fit; for poorly determined ones by the profile likelihood.
 
-    A parameter far below a zero that it cannot pass shows that the law is not that of the motion. Others that
-    would move by more than their uncertainty, were it brought back, are not determined.
+    A parameter that cannot be negative but lies far below zero shows that the law is not that of the motion.
+    Others that would move by more than their uncertainty, were it at zero, are not determined.
     """
     correlation = np.abs(result.correlation)
     withheld: dict[str, str] = {}

@@ -27,14 +27,14 @@ from processing.swing import TurningPoints
 _GOOD_CHI2 = 1.5
 """Reduced chi-square above which a minimum may be a local one; other start values are tried then."""
 _GOOD_EVIDENCE = 8.0
-"""Mean square of the residuals of the evidence above which it may be a local one, too: a strong drive gives
+"""Mean square of the evidence's residuals above which a minimum may be a local one, too: a strong drive gives
 any turning points a good chi-square."""
 _ROUNDS = 12
 """Most alternations of noise and parameters; two or three suffice."""
 _STEPS = 60
 """Most steps of one alternation; the last search has as many as it needs."""
 _MOST_LINEARISED = 24
-"""Most fits to a model that is linear in part; where it lacks what the data show, it settles slowly."""
+"""Most fits to a partly linearised model; one that lacks an effect in the data converges slowly."""
 _SETTLED = 0.02
 """Change of the parameters, in standard uncertainties, below which the alternation ends."""
 _NEAR = 0.5
@@ -52,7 +52,7 @@ class _Minimum(NamedTuple):
 
 
 def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minimum | None:
-    """Noise and parameters in turn from one start, until both stay; None if it does not converge."""
+    """The minimum from one start, noise and parameters in turn until both stay; None without convergence."""
     columns = start
     noise: Noise | None = None
     near: ExactModel | None = None
@@ -83,7 +83,7 @@ def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minim
         if same and np.all(moved[np.isfinite(moved)] < _SETTLED):
             break
         noise = likeliest.noise
-    # where no step was possible none would be found for a finer tolerance either
+    # where the last search found no step, a finer tolerance would find none either
     final = solution
     if not stays:
         final = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss)
@@ -221,7 +221,7 @@ def fit_exact_with(
 ) -> FitResult:
     """The exact fit of another model to the same turning points, with the noise of an earlier fit of them.
 
-    Models are compared with one noise: each with its own would call what it lacks a drive.
+    Models are compared with one noise: with its own, each would take an effect that it lacks for a drive.
     """
     if like.ground is None:
         raise DataError(f"the {like.method} fit has no noise that another fit could take over")
@@ -243,7 +243,7 @@ def fit_exact_with(
                     break
         except DataError:
             continue
-        # weights and evidence that belong to other columns give costs that are none of this model
+        # a cost whose weights and evidence are those of other columns is not this model's
         settled = linear or bool(np.all(moved[np.isfinite(moved)] < _NEAR))
         if solution.converged and settled and (best is None or solution.cost < best[1].cost):
             best = here, solution
@@ -255,17 +255,17 @@ def fit_exact_with(
 
 
 _DOWN_THE_VALLEY, _PLACES = 6.0, 25
-"""How far down from the largest friction starts are looked for, as a logarithm, and how many are tried."""
+"""Range of starts below the largest friction, as a logarithm, and their number."""
 _MUCH_BETTER = 0.25
-"""Chi-square of the evidence, over that where a start lies, for which the start is moved."""
+"""Chi-square of the evidence, over that at a start, below which the start is moved."""
 
 
 def starts_of(model: ExactModel) -> Iterator[Floats]:
     """Start values for which the map reaches the last half-cycle, the most promising first.
 
     Where none does, the first of each kind: a driven pendulum may swing for longer than any free one.
-    Where the waveform speaks against one, the place along the law's valley of friction and drag that it
-    likes best comes before.
+    Where the waveform contradicts the first start, the place along the law's valley of friction and drag that
+    describes the waveform best precedes it.
     """
     usable: list[Floats] = []
     others: list[Floats] = []
@@ -283,7 +283,7 @@ def starts_of(model: ExactModel) -> Iterator[Floats]:
 
 
 def _by_waveform(model: ExactModel, columns: Floats) -> Iterator[Floats]:
-    """The same with as much friction in the place of drag as the evidence says, if it says otherwise."""
+    """A start moved to the share of friction and drag that the evidence prefers, if that is much better."""
     valley = model.columns.valley
     if valley is None or model.evidence.waveform is None:
         return

@@ -29,15 +29,18 @@ from processing.fit.result import FitResult
 from processing.swing import TurningPoints
 
 _ABOVE, _BELOW = 1.05, 0.6
-"""Amplitudes up and down to which half-swings are tabulated, over those measured."""
+"""Highest and lowest amplitude of the tabulated half-swings, over the highest and lowest measured one."""
 _SLOWER = 4
 """Times the measured half-cycles after which a law's free decay is followed no further."""
 _STEP = 3.0
-"""Step of a derivative of the evidence, in what one column alone is uncertain by."""
+"""Step of a derivative of the evidence, in uncertainties of one column while the others are known."""
 
 
 class _EvidenceRows(NamedTuple):
-    """Residuals of the evidence, linear about the columns `at`; `scale` is that of the turning points."""
+    """Residuals of the evidence, linear about the columns `at`.
+
+    `scale` is by how many times turning points scatter more than stated.
+    """
 
     at: Floats
     residuals: Floats
@@ -50,7 +53,7 @@ class _EvidenceRows(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """What a law may be wrong by: functions of the nodes of a half-swing, for relative errors one a column.
+    """Relative errors that a law may have, one a column, as functions of the nodes of a half-swing.
 
     Each takes falling amplitudes in units of the reference and the times in s at which a free decay passes
     them, counted from the first turning point, and returns an array (nodes, m) of relative changes.
@@ -61,7 +64,7 @@ class Errors(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """Whitened innovations, their derivatives by the columns at fixed gains, and what `drive_filter` adds."""
+    """Whitened innovations, their derivatives by the columns at fixed gains, and more of `drive_filter`."""
 
     residuals: Floats
     jacobian: Floats
@@ -78,8 +81,8 @@ class ExactModel:
     of a Kalman filter: each turning point against the prediction from those before it. Steps are in
     units of `reference`.
 
-    Residuals of the `evidence` follow those of the amplitudes and times. They are linear about the columns at
-    which `about` was last called, and count as they do beside turning points that scatter as stated.
+    Residuals of the `evidence` follow those of the amplitudes and times. They are linear about the columns of
+    the last `about`, and are multiplied by `scale`, so that they scatter as the turning points do.
 
     Raises
     ------
@@ -147,11 +150,11 @@ class ExactModel:
 
     @property
     def scale(self) -> float:
-        """By how many times the turning points scatter more than stated, as `on_ground` was told."""
+        """By how many times the turning points scatter more than stated, as given to `on_ground`."""
         return self._beside.scale
 
     def beside(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Residuals of the evidence beside turning points that scatter as stated, and their derivatives."""
+        """Residuals of the evidence, in units of their scatter, and their derivatives by the columns."""
         return self._beside._replace(scale=1.0)(columns)
 
     def _point_residuals(self, columns: Floats) -> tuple[Floats, Floats]:
@@ -172,18 +175,18 @@ class ExactModel:
 
         The weights stay: the residuals then depend on the columns by the predictions alone, so that a minimum
         of their squares is where the predictions are best, and not where the weights are smallest. `scale` is
-        the one by which turning points scatter more than stated, which `noise` does not hold.
+        by how many times turning points scatter more than stated, where `noise` does not contain that.
         """
         out = copy(self)
         out._noise = noise
-        # what is known of the drive moves the state of the filter, even where nothing unknown does
+        # a known drive moves the state of the filter even without an unknown one
         free = noise == AT_REST and self.witnessed is None
         out._gains = None if free else self.filtered(columns, noise).gains
         out._beside = self._beside._replace(scale=scale)
         return out
 
     def about(self, columns: Floats) -> "ExactModel":
-        """The same model with the residuals of the evidence as they are near these columns.
+        """The same model with the residuals of the evidence linearised at these columns.
 
         Raises DataError if the law predicts no waveform there.
         """
@@ -191,7 +194,7 @@ class ExactModel:
         here = self.evidence_residuals(columns)
         jacobian = np.zeros((len(here), len(columns)))
         if len(here):
-            # steps of some uncertainties that the points leave to each column if the others are known
+            # steps of some uncertainties of each column by the points if the others are known
             size = np.linalg.norm(self._point_residuals(columns)[1], axis=0)
             steps = _STEP / np.where(size > 0.0, size, np.inf)
             # the first amplitude and time are none of the law's parameters
@@ -205,23 +208,23 @@ class ExactModel:
         return out
 
     def with_drive(self, drive: KnownDrive) -> "ExactModel":
-        """The same model, which has a witness, with another one."""
+        """The same model with another known drive in the place of its own."""
         assert self.witnessed is not None
         out = copy(self)
         out.columns = out.witnessed = self.witnessed.witnessed_by(drive)
         return out
 
     def evidence_at(self, columns: Floats, covariance: Floats) -> Evidence:
-        """The evidence with the gains of a witness as they were found."""
+        """The evidence, its known drive with the fitted gains if there is one."""
         if self.witnessed is None or self.evidence.drive is None:
             return self.evidence
         found = self.witnessed.gains(columns, covariance)
         return replace(self.evidence, drive=self.evidence.drive.with_gains(*found))
 
     def evidence_residuals(self, columns: Floats, more: Mapping[str, float] = MappingProxyType({})) -> Floats:
-        """Residuals of the evidence as the law itself predicts it there, with further values of the waveform.
+        """Residuals of the evidence by the law itself, not linearised, with further values of the waveform.
 
-        Raises DataError if it predicts none.
+        Raises DataError if the law predicts no waveform.
         """
         if self.evidence == NO_EVIDENCE:
             return np.zeros(0)
@@ -287,10 +290,10 @@ class ExactModel:
         return Filtered(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
 
     def losses(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Falling amplitudes through the decay, and what a half-swing from each loses, in units of the
+        """Falling amplitudes through the decay, and the loss of a half-swing from each, in units of the
         reference.
 
-        Raises DataError where the law does not swing so far.
+        Raises DataError where the law's pendulum stops earlier.
         """
         table = self._swings.through_the_decay(self.columns.map_parameters(columns)[0])
         if table is None:
@@ -313,7 +316,7 @@ class ExactModel:
         return self._gains is None
 
     def measuring_more(self, amplitude: Floats, time_s: Floats) -> "ExactModel":
-        """The same model of points whose amplitudes, in units of the reference, and times are larger."""
+        """The same model with larger measured amplitudes (in units of the reference) and times (s)."""
         out = copy(self)
         out._measured = self._measured + np.array([amplitude, time_s])
         return out
@@ -345,7 +348,7 @@ class ExactModel:
 class SwingsOfLaw:
     """Half-swings of a law for the half-cycles `index`, of measured amplitudes `x` in units of the reference.
 
-    Searches begin and end where others have been: copies of a model share what is kept here.
+    The last ones are cached, for all copies of a model: a search often begins where another one ended.
     """
 
     def __init__(self, law: Law, index: NDArray[np.int64], x: Floats) -> None:
@@ -365,7 +368,7 @@ class SwingsOfLaw:
         return self._swung[key]
 
     def through_the_decay(self, parameters: Floats) -> OneHalfSwing | None:
-        """One half-swing at all amplitudes of the data; None if it cannot be had for these parameters."""
+        """One half-swing at all amplitudes of the data; None if these parameters have none."""
         if not np.all(np.isfinite(parameters)):
             return None
         key = parameters[:-3].tobytes()

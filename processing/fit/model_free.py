@@ -1,4 +1,5 @@
-"""The contact's moments from one decay without any law, and what fitted laws say in the same terms."""
+"""The contact's moments from one decay without any law, those of fitted laws in the same terms, and how far a
+law lies from a decay (its discrepancy)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,17 +21,17 @@ from processing.least_squares import FactoredJacobian, solve
 from processing.swing import TurningPoints
 
 _HELD = 1e-4
-"""Relative uncertainty of a drag that is held."""
+"""Relative uncertainty of a drag that is held fixed."""
 _INWARDS = 1.1
-"""How far the angles shown stay from both ends of the amplitudes."""
+"""Factor by which the angles shown stay inside both ends of the amplitudes."""
 
 
 @dataclass(frozen=True, slots=True)
 class FreeMoments:
     """Friction against the motion, and elastic moment in the direction of phi, at angles `phi_rad` > 0.
 
-    The elastic moment is what departs from proportionality: it vanishes at `reference_rad`, where the period
-    is that of gravity alone by definition. `u_` are standard uncertainties; bands of one of them cover 68 %.
+    The elastic moment is the departure from proportionality: it vanishes at `reference_rad`, where the period
+    is that of gravity alone by definition. `u_` are standard uncertainties; bands of 1 u cover 68 %.
     """
 
     phi_rad: Floats
@@ -43,7 +44,7 @@ class FreeMoments:
 
 @dataclass(frozen=True, slots=True)
 class ModelFreeFit:
-    """The fit of splines to one decay, and what it says."""
+    """The fit of splines to one decay, and the moments by it."""
 
     points: TurningPoints
     pendulum: PendulumOnBall
@@ -73,7 +74,7 @@ class ModelFreeFit:
         )
 
     def moments_of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
-        """What a fitted law says in the same terms: the splines that have its turning points.
+        """Moments of a fitted law in the splines' terms: those of splines with the law's turning points.
 
         The uncertainties are 0.
         """
@@ -95,9 +96,9 @@ class ModelFreeFit:
 
 
 def _stiffer(fit: FitResult, period_s: float) -> float:
-    """A drag in the splines' terms over that in a law's.
+    """Ratio of a drag in the splines' terms to the same drag in a law's.
 
-    It is over the stiffness, which the splines take to be gravity's alone where the period is `period_s`.
+    A drag is stated over the stiffness, which the splines take as gravity's alone at the period `period_s`.
     """
     return (period_s / fit.estimate("period0_s").value) ** 2
 
@@ -116,8 +117,8 @@ def fit_model_free(
 ) -> ModelFreeFit:
     """Friction and elastic moment of one decay as splines, with the drive of the ground that they leave.
 
-    Where an exact fit `like` this one has a drag, so has this, and its evidence: without any of it splines
-    would take the drag for friction, and none is fitted then.
+    `like` is an exact fit of these points: the splines have its evidence, and its drag if it has both.
+    Without evidence splines would take a drag for friction, so that none is fitted then.
 
     Raises
     ------
@@ -135,19 +136,23 @@ def fit_model_free(
 
 
 _SPACING = 0.4
-"""Of the nodes of an error, in ln A."""
+"""Largest distance of an error's nodes, in ln A."""
 _REACH = 2.0
-"""Distance in ln A over which errors are alike: a wrong exponent or a term too few bends slowly."""
+"""Distance in ln A over which errors are correlated: a wrong exponent or a missing term bends slowly."""
 _GRID = 10.0 ** np.arange(-5.0, 0.51, 0.25)
-"""Sizes that are tried, of losses and harmonics; those of durations are smaller by `_OF_DURATION`."""
+"""Relative errors that are tried, of losses and harmonics; those of durations are times `_OF_DURATION`."""
 _OF_DURATION = 1e-3
 _STEPS = np.arange(0.0, -3.01, -0.25)
-"""Decimal logarithms of the drives that are tried, over the one that the law without errors needs."""
+"""Decimal logarithms of the drives that are tried, over the likeliest one of the law without errors."""
 _LEAST = 1e-9
+"""Added to the diagonal of a correlation matrix, so that rounding leaves it a root."""
 
 
 class _Sizes(NamedTuple):
-    """Sizes of the errors of each kind: the likeliest, the mean over what the data allow; and -2 ln L."""
+    """Sizes (3,) of the errors of losses, durations and harmonics; `deviance` is -2 ln L of the likeliest.
+
+    `averaged` is the rms over the sizes that the data allow.
+    """
 
     likeliest: Floats
     averaged: Floats
@@ -155,9 +160,9 @@ class _Sizes(NamedTuple):
 
 
 def with_misfit(at: LinearisedFit, fit: FitResult | None = None) -> FitResult:
-    """The fit with uncertainties that hold how far its law lies from the data.
+    """The fit with uncertainties that contain its law's discrepancy from the data.
 
-    `fit` is the fit near whose end this is found where it has further terms already.
+    `fit` is the fit that receives the term, where it has terms that `at.fit` has not.
     """
     fit = at.fit if fit is None else fit
     misfit, by = _misfit(at)
@@ -186,7 +191,7 @@ def _warnings(misfit: DiscrepancySize, factor: Floats) -> tuple[str, ...]:
 
 
 def _misfit(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
-    """The misfit, and changes of the values by errors of that size; None where it is not seen."""
+    """The discrepancy, and changes of the values by errors of its size; None where it is not seen."""
     if at.fit.loss != "linear":
         return DiscrepancySize(against_law=nan), None
     model = at.model
@@ -214,7 +219,7 @@ def _misfit(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
         return DiscrepancySize(against_law=max(against, 0.0)), None
     loss, duration, waveform = best.averaged.tolist()
     misfit = DiscrepancySize(loss=loss, duration=duration, waveform=waveform, against_law=float(against))
-    # what errors of these sizes do to the values, which were found with the law's own weights
+    # the effect of errors of these sizes on the values, which were fitted with the law's own weights
     here = driven(own.step)
     assert here is not None
     here = here.in_scatter(at.scale)
@@ -223,7 +228,7 @@ def _misfit(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
 
 
 class _HatFunctions:
-    """Smooth functions of ln A: hats at even distances, and the root of their correlation."""
+    """Smooth functions of ln A: linear interpolation between even nodes, with correlated values at them."""
 
     def __init__(self, amplitude: Floats) -> None:
         x = np.log(amplitude)
@@ -243,7 +248,7 @@ class _HatFunctions:
 
 
 def _drives(own: float, unit: float) -> list[float]:
-    """Steps of the drive that are tried, with none."""
+    """Steps of the drive that are tried, the last one zero."""
     largest = own if own > 0 else 1e-3 * unit
     return [*(largest * 10.0**_STEPS).tolist(), 0.0]
 
@@ -262,7 +267,7 @@ def _by_harmonics(at: LinearisedFit, nodes: _HatFunctions) -> Floats:
 
 
 def _scaled(here: DrivenRows, judge: Callable[[RestrictedLikelihood], _Sizes], tolerance: float) -> _Sizes:
-    """What is found with turning points that scatter as much more than stated as it leaves them to."""
+    """Sizes by `judge`, for turning points that scatter as much as their residuals with these sizes do."""
     scale2 = 1.0
     for _ in range(3):
         rows = here.in_scatter(sqrt(scale2))
@@ -294,7 +299,7 @@ def _sizes(here: RestrictedLikelihood) -> _Sizes:
             sizes[kind] = 0.0 if least == 0 else grid[least - 1]
             deviance = float(found[least])
             tried.append(found[1:])
-    # the mean square over what the data allow: of few nodes the likeliest size is often too small
+    # the mean square over the sizes that the data allow: with few nodes the likeliest is often too small
     averaged = sizes.copy()
     for kind, grid in enumerate(grids):
         if sizes[kind] > 0:

@@ -1,4 +1,4 @@
-"""What a run will tell: standard uncertainties of a law's parameters before the run is made.
+"""Planned runs: standard uncertainties of a law's parameters before a run is made.
 
 The turning points of a run follow from the law, their scatter from the measurement and the ground's drive.
 The information that they hold (Fisher's matrix of the driven model) bounds every uncertainty from below, and
@@ -26,22 +26,21 @@ from processing.least_squares import covariance_of
 from processing.swing import HALVES, TurningPoints
 
 _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
-"""Parameters that each run has for itself."""
+"""Parameters of which each run has its own."""
 _BLIND = 1e6
-"""Relative uncertainty above which nothing is known: what rounding leaves of a matrix that is singular."""
+"""Relative uncertainty above which nothing is known: that of a singular matrix but for rounding."""
 _LOST = 10.0
 """A run ends where the ground moves the pendulum in a half-swing by more than the amplitude over this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What makes turning points scatter: their measurement, and the drive.
+    """Conditions that make turning points scatter: their measurement, and the drive.
 
     `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude; `averaged` is that of
     `Noise`. `of_sine` is the covariance in rad^2 of the harmonics in quadrature of a piece (see `Waveform`),
-    None where they are not used, and `known_drag_s` what is known of the drag beside the run.
-    `witness_noise` is that of a witness of the ground over what it sees of it, at the pendulum's frequency;
-    None: there is none.
+    None where they are not used, and `known_drag_s` the prior of the drag. `witness_noise` is the noise of an
+    auxiliary seismometer over the ground's motion in it, at the pendulum's frequency; None without one.
     """
 
     u_amplitude_rad: float
@@ -54,14 +53,14 @@ class Conditions:
 
     @property
     def unknown_rad_per_s2_rthz(self) -> float:
-        """What a witness with that noise, weighted as its noise asks, leaves of the drive."""
+        """The drive that remains unknown with a seismometer of that noise, at its best weight."""
         if self.witness_noise is None:
             return self.ground_rad_per_s2_rthz
         return self.ground_rad_per_s2_rthz * self.witness_noise / hypot(1.0, self.witness_noise)
 
     @classmethod
     def of(cls, fit: FitResult, points: TurningPoints) -> "Conditions":
-        """Those of a run that has been made; its drive is the likeliest one."""
+        """The conditions of a finished run; its drive is the likeliest one."""
         scale = 1.0 if fit.ground is None else fit.ground.noise.scale
         waveform = fit.evidence.waveform
         return cls(
@@ -82,14 +81,14 @@ class Conditions:
         return Evidence(Waveform(middle, nothing, covariance, 1.0))
 
     def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":
-        """The same measurement on another ground; the noise of a witness stays what it is, not its ratio."""
+        """The same measurement on another ground; a seismometer's noise stays, and its ratio changes."""
         noise = self.witness_noise
         if noise is not None and rad_per_s2_rthz > 0:
             noise = max(LEAST_LEFT, noise * self.ground_rad_per_s2_rthz / rad_per_s2_rthz)
         return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz, witness_noise=noise)
 
     def with_witness(self, noise: float) -> "Conditions":
-        """The same ground, seen by a witness as well."""
+        """The same ground, recorded by an auxiliary seismometer as well."""
         return replace(self, witness_noise=noise)
 
 
@@ -97,10 +96,10 @@ class Conditions:
 class PlannedRun:
     """One run between two amplitudes: how long it lasts, and the uncertainty of every parameter after it.
 
-    `complete` is False where the drive drowns the pendulum before the amplitude at which it should end.
+    `complete` is False where the drive hides the swing before the amplitude at which the run should end.
     `values` are those of every parameter of the fit, and `root` (k, k + 1) is a square root of Fisher's
     information on relative changes of them (absolute ones of those that are 0), and on a relative growth of
-    the friction over the run. What is known of the drag is no part of it.
+    the friction over the run. It does not contain the prior of the drag.
     """
 
     first_rad: float
@@ -122,7 +121,7 @@ def planned_run(
     *,
     law: Law = DEFAULT_LAW,
 ) -> PlannedRun:
-    """What a run from one amplitude to another will tell of a law with these values.
+    """The planned run from one amplitude to another, for a law with these values.
 
     Raises
     ------
@@ -168,7 +167,7 @@ def by_relative_values(model: ExactModel, columns: Floats, noise: Noise) -> Floa
 
 
 def _air_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
-    """What is known of the drag, as a row beside those of a run; none where it is nothing."""
+    """The prior of the drag as one further row; no row without a prior."""
     if known_drag_s is None or DRAG.key not in values:
         return []
     size = abs(values[DRAG.key]) or 1.0
@@ -178,21 +177,21 @@ def _air_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list
 
 @dataclass(frozen=True, slots=True)
 class PlannedSeries:
-    """Runs of one contact, whose friction grows evenly while they are made and while one waits.
+    """Runs of one contact, whose friction grows evenly during the runs and between them.
 
-    In one decay amplitude and time fall together, and the exponent takes up what the age does. Runs that pass
-    the same amplitudes at other times tell them apart: from other first amplitudes, or after waiting.
+    In one decay amplitude and time fall together, and the exponent takes up the effect of the age. Runs that
+    pass the same amplitudes at other times separate the two: from other first amplitudes, or after waiting.
 
     Attributes
     ----------
     runs, waiting_s
-        In order, and the time between the end of one and the beginning of the next.
+        The runs in order, and the time between the end of one and the beginning of the next.
     u
-        Of what the runs share, by parameter, at the middle of all of it, with the ageing unknown.
+        Standard uncertainties of the shared parameters at the middle of the series, with the ageing unknown.
     u_steady
         The same for a contact that is known not to age.
     u_ageing_per_s
-        Of the relative growth of the friction; infinite where the runs do not tell it.
+        Standard uncertainty of the friction's relative growth; infinite where the runs do not determine it.
     """
 
     runs: tuple[PlannedRun, ...]
@@ -203,16 +202,16 @@ class PlannedSeries:
 
     @property
     def duration_s(self) -> float:
-        """Of all runs with the waiting."""
+        """Duration of all runs with the waiting between them."""
         return sum(run.duration_s for run in self.runs) + self.waiting_s * (len(self.runs) - 1)
 
 
 def planned_series(
     runs: Sequence[PlannedRun], waiting_s: float = 0.0, known_drag_s: Estimate | None = None
 ) -> PlannedSeries:
-    """What planned runs will tell one after the other.
+    """The series of planned runs, one after the other.
 
-    Every run has its own period, first amplitude and time; what is known of the air counts once.
+    Every run has its own period, first amplitude and time; the prior of the drag counts once.
     """
     names = list(runs[0].values)
     shared = [name for name in names if name not in _OWN]
@@ -240,7 +239,7 @@ def by_shared_and_ageing(
     """Derivatives of the residuals of runs, one after the other, from those of `by_relative_values` and the
     duration of each.
 
-    The first columns are relative changes of what the runs share, then the relative growth of the friction
+    The first columns are relative changes of the shared parameters, then the relative growth of the friction
     from the first turning point of all to the last, then each run's own parameters.
     """
     shared = [k for k, name in enumerate(names) if name not in _OWN]
@@ -251,7 +250,7 @@ def by_shared_and_ageing(
     for place, ((root, duration_s), end_s) in enumerate(zip(runs, ends_s.tolist(), strict=True)):
         row = np.zeros((len(root), len(shared) + 1 + len(own) * len(runs)))
         row[:, : len(shared)] = root[:, shared]
-        # the age of the run's middle makes all of its friction larger, a drift within it comes in addition
+        # the age at the run's middle makes all of its friction larger, and the drift within it is added
         later_s = end_s - 0.5 * duration_s - 0.5 * whole_s
         row[:, len(shared)] = (duration_s * root[:, -1] + later_s * root[:, friction].sum(axis=1)) / whole_s
         begin = len(shared) + 1 + len(own) * place

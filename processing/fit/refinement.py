@@ -33,7 +33,7 @@ from processing.swing import (
 from processing.units import seconds
 
 _MOST = 0.95
-"""Share of the half-cycles that must be found again."""
+"""Share of the half-cycles that the second measurement must find."""
 
 
 def known_motion(
@@ -44,7 +44,7 @@ def known_motion(
     Parameters
     ----------
     reference_rad
-        Reference amplitude of the waveform; any within the decay.
+        Reference amplitude of the waveform, anywhere within the decay.
     clock
         True seconds (the unit of the parameters) per second of the samples' clock.
 
@@ -85,20 +85,20 @@ def measured_again(
     blocks: Iterable[Deflections],
     motion: KnownMotion,
 ) -> list[HalfCycle]:
-    """Fit each half-cycle to its samples again, with a known waveform.
+    """Second measurement of half-cycles from their samples, with a known waveform.
 
     Parameters
     ----------
     swings
-        Half-cycles from the detector, in order. Flagged ones are returned unchanged; one that is not found
-        again, or is disturbed, is flagged.
+        Half-cycles from the detector, in order. Flagged ones are returned unchanged; one that the second
+        measurement does not find, or finds disturbed, is flagged.
     blocks
         The deflections in rad in which they were detected, along the slow axis, in order and in pieces of
         any length, so that they need not be in memory together.
 
     Returns
     -------
-    The half-cycles, the first ones with uncertainties from the noise that is learned later.
+    The half-cycles, the first ones with uncertainties from the noise that the later ones show.
     """
     found = swings_of_blocks(blocks, motion)
     found_ns = np.array([swing.turn_time_ns for swing in found], dtype=np.int64)
@@ -133,10 +133,10 @@ def _nearest(swings: Sequence[HalfCycle], times_ns: Ints, time_ns: int) -> HalfC
 
 
 class Shift(NamedTuple):
-    """How far a second measurement lies from the first: rms over half-cycles, in standard uncertainties.
+    """Shift of a second measurement from the first: rms over half-cycles, in standard uncertainties.
 
-    In time it is what they do not share: a shift of all moves the start of the motion and nothing else.
-    `found` is the share of the half-cycles that was found again. Both rms are NaN where none was.
+    `time` is without the shift that all share, which only moves the start of the motion. `found` is the share
+    of the half-cycles that the second measurement found. Both rms are NaN where it found none.
     """
 
     found: float
@@ -149,10 +149,10 @@ class Shift(NamedTuple):
 
 
 def shift_of(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> Shift:
-    """Shifts of the unflagged half-cycles.
+    """The shift of the unflagged half-cycles.
 
-    Normally 0.1 to 0.5. With few or noisy samples in a half-cycle the first measurement, which knows the
-    waveform from the half-cycles before alone, is off by more; that says nothing against the second.
+    It is normally 0.1 to 0.5. With few or noisy samples in a half-cycle the first measurement, which knows
+    the waveform only from earlier half-cycles, is off by more; the second may be right all the same.
     """
     pairs = [(a, b) for a, b in zip(swings, again, strict=True) if a.flags == 0]
     both = [(a, b) for a, b in pairs if b.flags == 0]
@@ -170,9 +170,9 @@ def shift_of(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> Shift:
 def describes_as_well(second: FitResult, first: FitResult) -> bool:
     """Whether the law describes a second measurement as well as the first, by the likelihood of both.
 
-    A waveform that is not the motion's shifts turning points by what the law does not follow. Errors that the
-    first measurement shares among half-cycles make its likelihood look better by chance; four deviations of
-    chi2 are allowed for it.
+    A wrong waveform shifts turning points in a way that the law does not follow. Errors that half-cycles of
+    the first measurement share make its likelihood look better by chance; four standard deviations of chi2
+    are allowed for that.
     """
     assert first.ground is not None
     assert second.ground is not None
@@ -181,7 +181,7 @@ def describes_as_well(second: FitResult, first: FitResult) -> bool:
 
 
 def widened(swings: Sequence[HalfCycle], shift: Shift) -> list[HalfCycle]:
-    """Half-cycles whose second measurement was refused; their uncertainties hold how much it differs."""
+    """Half-cycles whose second measurement was refused, with uncertainties enlarged by its difference."""
     time, amplitude = (math.hypot(1.0, part) if part == part else 1.0 for part in shift[1:])
     return [
         replace(
@@ -195,13 +195,13 @@ def widened(swings: Sequence[HalfCycle], shift: Shift) -> list[HalfCycle]:
 
 
 def points_in_true_time(swings: Sequence[HalfCycle], clock_rate: float) -> TurningPoints:
-    """Unflagged swings; `clock_rate` is how many true seconds pass in one of the swings' clock."""
+    """Turning points of unflagged half-cycles in true time; `clock_rate` is true seconds per clock second."""
     found = turning_points(swings)
     return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
 
 
 class FitOfSwings(NamedTuple):
-    """How half-cycles are fitted."""
+    """The exact fit of half-cycles, with its settings."""
 
     pendulum: PendulumOnBall
     clock_rate: float = 1.0
@@ -210,7 +210,7 @@ class FitOfSwings(NamedTuple):
     loss: Loss = "linear"
 
     def points(self, swings: Sequence[HalfCycle]) -> TurningPoints:
-        """The unflagged ones in true time."""
+        """Turning points of the unflagged half-cycles, in true time."""
         return points_in_true_time(swings, self.clock_rate)
 
     def of(self, swings: Sequence[HalfCycle], near: FitResult | None = None) -> FitResult:
@@ -225,15 +225,16 @@ class FitOfSwings(NamedTuple):
         )
 
     def motion(self, fit: FitResult, swings: Sequence[HalfCycle]) -> KnownMotion:
-        """The motion that a fit of half-cycles found, about their first amplitude."""
+        """The motion by a fit of half-cycles, its reference amplitude their first one."""
         reference_rad = next(swing.amplitude for swing in swings if not swing.flags)
         return known_motion(fit.parameters, self.pendulum, reference_rad, self.clock_rate)
 
 
 class Settlement(NamedTuple):
-    """Half-cycles that stand, and the motion on which they were measured again; None: they are as detected.
+    """Outcome of a second measurement: the half-cycles to use, and the motion that gave their waveform.
 
-    `exact` is the fit to those that were measured again, and `doubt` says why they were not.
+    `motion` is None where they stay as detected, with the reason in `doubt`; `exact` is the fit to the
+    half-cycles of an accepted second measurement.
     """
 
     swings: Sequence[HalfCycle]
@@ -251,18 +252,18 @@ def settled_by_either(
     again: Sequence[HalfCycle] | None = None,
     before: Sequence[HalfCycle] = (),
 ) -> Settlement:
-    """The second measurement; where it is refused, once more with the drive that the first fit has seen.
+    """The second measurement; where it is refused, another one with the drive that the first fit has seen.
 
-    A drive that is not known may pass for a rest position that moves: the uncertainties of the half-cycles
-    then grow until none of them says anything. It is not told at once, because a drive that the first fit saw
-    by mistake would be found again.
+    An unknown drive may look like a rest position that moves: the uncertainties of the half-cycles then grow
+    until they are useless. The drive is not given at once, because a drive that the first fit saw by mistake
+    would be confirmed.
 
     Parameters
     ----------
     again
-        The half-cycles measured again on the motion, where that is done already.
+        The second measurement of `swings` with the waveform of `motion`, where it exists already.
     before
-        Half-cycles before them, which are fitted with them and not measured again.
+        Earlier half-cycles, which are fitted with `swings` and not measured a second time.
     """
     every = [*before, *swings]
     if again is None:
@@ -282,7 +283,7 @@ def settlement(
     first: FitResult,
     fit: FitOfSwings,
 ) -> Settlement:
-    """The second measurement if the laws describe it as well as the first."""
+    """The second measurement `again` if the laws describe it as well as the first."""
     shift = shift_of(swings, again)
     reason = f"only {100 * shift.found:.0f} % of the half-cycles were found again"
     if shift.complete:
@@ -308,7 +309,7 @@ def fitted_twice(
     near: FitResult | None = None,
     before: Sequence[HalfCycle] = (),
 ) -> tuple[Settlement, FitResult]:
-    """Half-cycles fitted as detected, measured again on that fit's motion, and fitted again.
+    """Half-cycles fitted as detected, measured a second time with that fit's waveform, and fitted again.
 
     Parameters
     ----------
@@ -317,7 +318,7 @@ def fitted_twice(
     near
         A fit of fewer of them.
     before
-        Half-cycles before them, which are fitted with them and not measured again.
+        Earlier half-cycles, which are fitted with `swings` and not measured a second time.
 
     Returns
     -------

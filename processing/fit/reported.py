@@ -44,7 +44,7 @@ class InputQuantity:
 
 @dataclass(frozen=True)
 class RigQuantities:
-    """All input quantities of the results other than the swings (GUM type B).
+    """All input quantities of the results other than the half-cycles (GUM type B).
 
     `arm_m` and `pitch_m` are the values with which pixels were converted into angles; they contribute by
     their relative uncertainties, as does `clock`, true seconds per second of the camera's clock.
@@ -52,11 +52,11 @@ class RigQuantities:
     `fast_ratio` is the ratio of the fast to the slow mode's amplitude; if the directions are wrong, the fast
     mode contributes to the slow deflection. `skew` is that of the lever: a wrong one changes the scale where
     the pendulum rests, at the tilt `rest_rad` from the lever's reference. `balls` is the number of balls that
-    carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 if it is not one.
+    carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 of a global one.
     `ageing`, `adhesion_ageing`, `drag_drift` and `period_drift` are the relative growth over a run of the
-    friction b, of c, of the drag and of the period, all zero as the fit has it. `common_amplitude_rad` is
-    what all amplitudes are too small by, zero as well: the compression of a film takes as much from each.
-    `plane_of_swing_rad` is the error of the angle by which a decay was turned back whose plane of swing
+    friction b, of c, of the drag and of the period, which the fit takes as zero. `common_amplitude_rad` is an
+    amount by which all amplitudes are too small, zero as well: the compression of a film takes as much from
+    each. `plane_of_swing_rad` is the error of the angle by which a decay was turned back whose plane of swing
     turned, zero as well. `contact_radius_m` is a stated radius of the contact in the place of Hertz's: the
     materials are then not used, and the load does not change it.
     """
@@ -179,9 +179,9 @@ class FittedContact:
     """Fitted contact parameters with their type A covariance, from one fit or from a series.
 
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
-    freedom of the covariance, and `terms` are what it is made of, as `FitResult` has them. `by_log_rho` are
-    the derivatives by ln(R/a), and `by_inputs` those by what else the fit takes as known, by the names of
-    `RigQuantities`: the row time of a shutter, an error of all amplitudes, what drifts over a run.
+    freedom of the covariance, and `terms` are its parts, as those of `FitResult`. `by_log_rho` are the
+    derivatives by ln(R/a), and `by_inputs` those by other inputs that the fit takes as known, by the names of
+    `RigQuantities`: the row time of a shutter, an error of all amplitudes, drifts over a run.
     """
 
     names: tuple[str, ...]
@@ -296,9 +296,7 @@ def derived_quantities(
 def work_per_cycle_j(
     amplitude_rad: float, reported: Mapping[str, Floats], inputs: Mapping[str, Floats]
 ) -> Floats:
-    """Work per cycle 4A in J for random draws (n,) of reported parameters and inputs, to obtain its
-    uncertainty.
-    """
+    """Work per cycle 4A in J for values (n,) of reported parameters and inputs, to obtain its uncertainty."""
     moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
     b, p, c = reported["b"], reported["p"], reported["c"]
     dissipated = 4 * moment * (c * amplitude_rad + b * amplitude_rad ** (p + 1) / (p + 1))

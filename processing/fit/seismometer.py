@@ -1,7 +1,7 @@
-"""The exact fit with a witness of the ground: what it explains of the drive is taken off, where that pays.
+"""The exact fit with an auxiliary seismometer, whose part of the drive is taken off where predictions gain.
 
 A record that has nothing to do with the ground under the rig must not help. Gains are judged by half-cycles
-that they were not fitted to: with those of an unrelated record the predictions of the others become worse.
+that they were not fitted to: gains of an unrelated record make the predictions of those worse.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,16 +35,16 @@ from processing.quantity import Quantity
 from processing.swing import TurningPoints
 
 PAYS = 12.0
-"""Fall of -2 ln L of half-cycles that gains were not fitted to, from which on they are used. With an
-unrelated witness it rises, by about 2 for each gain."""
+"""Fall of -2 ln L, of half-cycles that gains were not fitted to, above which the gains are used. With an
+unrelated seismometer -2 ln L rises, by about 2 for each gain."""
 _FEWEST = 0.2
-"""Share of the half-swings that the witness has to cover."""
+"""Share of the half-swings that the seismometer has to cover."""
 _CORRECTIONS = 10
-"""Most times that a clock is corrected; each brings it nearer by a tenth of a second or by half."""
+"""Most corrections of a clock; each reduces its error by a tenth of a second or by half."""
 
 
 class SeismometerVerdict(StrEnum):
-    """Whether a witness was used."""
+    """Whether an auxiliary seismometer was used, and why not."""
 
     USED = "used"
     NO_GAIN = "refused: it explains nothing of the pendulum's motion"
@@ -53,10 +53,10 @@ class SeismometerVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """Response of the pendulum's angular acceleration to one component of a witness, at its frequency.
+    """Response of the pendulum's angular acceleration to a seismometer's component, at its frequency.
 
-    `gain` is in rad/s^2 per unit of the witness; `phase_rad` is the lead of the drive over it, with
-    deflections positive at the first turning point.
+    `gain` is in rad/s^2 per unit of the component; `phase_rad` is the lead of the drive over it, with
+    deflections positive at the first turning point. `with_slope` is whether both may change with frequency.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeismometerUse:
-    """What a witness of the ground revealed about a run.
+    """Use of an auxiliary seismometer in the fit of a run.
 
     Attributes
     ----------
@@ -80,18 +80,18 @@ class SeismometerUse:
     explained
         Share of the drive's power at the pendulum's frequency that it explains: the squared coherence.
     ground_alone, ground_left
-        Densities of the drive without the witness, and of the remainder, rad/s^2/sqrt(Hz).
+        Densities of the drive without the seismometer, and of the remainder, rad/s^2/sqrt(Hz).
     missing_half_cycles
-        Half-swings without a witness; the drive is unknown in them.
+        Half-swings that the seismometer does not cover; the drive is unknown in them.
     offset_s, offsets_tried
-        Offset added to the witness's times if it was searched for, and the number of offsets tried.
+        Offset added to the seismometer's times if it was searched for, and the number of offsets tried.
     delay_s, clock_drift
         Further correction of these times, in s and in s per second from the middle of the run, as the run
         shows it; it was applied if it exceeds four standard uncertainties.
     saved
         Factor by which the uncertainty of each parameter is smaller.
     spectra
-        Of the drive before and after, and its coherence with the witness's prediction.
+        Spectra of the drive before and after, and its coherence with the seismometer's prediction.
     """
 
     source: str = ""
@@ -116,7 +116,7 @@ class SeismometerUse:
         return self.verdict is SeismometerVerdict.USED
 
     def beside(self, alone: FitResult, fit: FitResult) -> "SeismometerUse":
-        """The same with what the witness saved of a fit's uncertainties, beside those of one without it."""
+        """The same with `saved`: the uncertainties of a fit `alone` over those of the fit with it."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = alone.standard_uncertainty / fit.standard_uncertainty
         saved = dict(zip(fit.names, ratio.tolist(), strict=True))
@@ -130,7 +130,7 @@ def use_of(
     names: Sequence[str],
     chosen: Sequence[tuple[int, Kind]],
 ) -> SeismometerUse:
-    """With what an accepted fit says; `names` are those of the components."""
+    """The use with the results of an accepted fit; `names` are those of the components."""
     assert alone.ground is not None
     assert fit.ground is not None
     drive = fit.evidence.drive
@@ -167,7 +167,7 @@ def use_of(
 
 @dataclass(frozen=True)
 class SeismometerFit:
-    """A fit with a witness; without it, where it was refused."""
+    """A fit with an auxiliary seismometer, or without it where it was refused, and its use."""
 
     fit: FitResult
     use: SeismometerUse
@@ -182,16 +182,16 @@ def fit_with_witness(
     averaged: bool = True,
     offset_known: bool = True,
 ) -> SeismometerFit:
-    """Fit the exact map with what a witness tells of the ground.
+    """Fit the exact map with an auxiliary seismometer.
 
     Parameters
     ----------
     alone
-        The exact fit of these points without a witness; it is returned where the witness does not pay.
+        The exact fit of these points without it, which is returned where predictions do not gain.
     averaged
-        As `fit_exact` has it.
+        That of `fit_exact`.
     offset_known
-        The times of the witness are on the clock of the points, up to a fraction of a period. False: where
+        The seismometer's times are on the clock of the points, up to a fraction of a period. False: where
         they explain nothing as they stand, an offset is sought.
     """
     search = _Search(points.first(alone.half_cycles), pendulum, alone, averaged)
@@ -202,7 +202,7 @@ def fit_with_witness(
         offset = found_offset(search.points, pendulum, witness, alone, averaged=averaged)
     except DataError as error:
         return replace(found, use=replace(found.use, reason=str(error)))
-    # the best of many is better than one by chance
+    # the best of many offsets gains by chance, so that more is asked of it
     found = search.with_corrected_clock(witness.delayed(offset.by_s), PAYS + 2 * log(offset.tried))
     return replace(
         found,
@@ -211,7 +211,7 @@ def fit_with_witness(
 
 
 class _TermSelection(NamedTuple):
-    """A fit with some terms, and by how much they made predictions better."""
+    """A fit with some of the seismometer's terms, and its gain of prediction by them."""
 
     fit: FitResult
     chosen: Terms
@@ -226,7 +226,7 @@ class _Search:
     averaged: bool
 
     def with_corrected_clock(self, witness: Witness, pays: float) -> SeismometerFit:
-        """The fit with the witness, its clock corrected where the run shows it to be wrong.
+        """The fit with the seismometer, its clock corrected where the run shows an error of it.
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
         """
@@ -272,9 +272,9 @@ class _Search:
     def _with(
         self, drives: Drives, accepted: _TermSelection, kinds: tuple[Kind, ...], pays: float
     ) -> _TermSelection:
-        """With those components whose terms of these kinds pay as well, the best one first.
+        """The selection with further components whose terms of these kinds pay, the best one first.
 
-        Of slopes, those of components that are used. Where none is, the gain is that of the best.
+        Slopes are added only to components in use. Where nothing is selected, the gain is that of the best.
         """
         used = sorted({component for component, _ in accepted.chosen})
         left = used if kinds is SLOPES else list(range(len(drives.names)))
@@ -296,7 +296,7 @@ class _Search:
         return gain_of_prediction(self.points, self.pendulum, accepted.fit, drives, accepted.chosen, more)
 
     def fitted_with(self, near: FitResult, drives: Drives, chosen: Terms) -> FitResult:
-        """The exact fit with some terms, sought from an earlier one with the first of them."""
+        """The exact fit with some terms, started at an earlier fit with the first of them."""
         drive = started(drives, near, chosen)
         return fit_exact(
             self.points,
