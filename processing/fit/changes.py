@@ -18,14 +18,14 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import DRAG, PendulumOnBall
 from processing.decay_summary import mean_period
-from processing.fit.exact_model import Errors, ExactModel
+from processing.fit.exact_model import ExactModel, LawErrors
 from processing.fit.ground import Noise
-from processing.fit.result import FITTED_DRIFTS, STEP, Change, ChangeKind, FitResult
+from processing.fit.result import FITTED_DRIFTS, FRICTION_STEP, Change, ChangeKind, FitResult
 from processing.fit.terms import DrivenRows, LinearisedFit, Term
 from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
 
-_GROWN = 1e-3
+_GROWTH_STEP = 1e-3
 """Relative growth of a friction by which the derivatives of its harmonics are taken."""
 DRIFTS = ("ageing", "adhesion_ageing", "drag_drift", "period_drift")
 """What may drift evenly over a run, by the names of `RigQuantities`: the growth of the friction b, of the
@@ -34,7 +34,7 @@ constant friction c, of the drag and of the period from the first turning point 
 They have different causes, and one of them alone moves parameters that all together would leave in place."""
 
 
-class Share:
+class LossShare:
     """Share of a half-swing's loss, from 0 to 1, as a function of the amplitude in units of the reference."""
 
     def __init__(self, amplitude: Floats, share: Floats) -> None:
@@ -44,22 +44,24 @@ class Share:
         return np.interp(np.log(amplitude), self._log_amplitude, self._share)
 
 
-def contact_share(model: ExactModel, columns: Floats) -> Share:
+def contact_share(model: ExactModel, columns: Floats) -> LossShare:
     """The contact's share of the loss; the drag takes ``A w0 drag pi / 2`` in a half-swing."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
     of_air = pi**2 * values.get(DRAG.key, 0.0) / values["period0_s"]
     amplitude, loss = model.losses(columns)
-    return Share(amplitude, 1.0 - of_air * amplitude / loss)
+    return LossShare(amplitude, 1.0 - of_air * amplitude / loss)
 
 
-def adhesion_share(model: ExactModel, columns: Floats) -> Share:
+def adhesion_share(model: ExactModel, columns: Floats) -> LossShare:
     """Share of the loss that the constant friction takes, ``2 c`` in a half-swing at any amplitude."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
     amplitude, loss = model.losses(columns)
-    return Share(amplitude, 2.0 * values.get("c", 0.0) / model.reference / loss)
+    return LossShare(amplitude, 2.0 * values.get("c", 0.0) / model.reference / loss)
 
 
-def drifts_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> dict[str, Floats]:
+def drift_effects(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
+) -> dict[str, Floats]:
     """Derivatives (parameters,) of the contact parameters of an exact fit of these points by `DRIFTS`.
 
     The parameters refer to the middle of the run. Raises DataError for a fit by another method.
@@ -71,12 +73,12 @@ def drifts_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitRe
 def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -> Term:
     """The term of `DRIFTS` about zero; without `u_drifts` they have no prior."""
     noise = at.model.noise_of(at.fit)
-    columns = by_drifts(at.model, at.coordinates, noise, at.scale)[1]
+    columns = drift_jacobians(at.model, at.coordinates, noise, at.scale)[1]
     prior = np.inf if u_drifts is None else np.array([u_drifts.get(name, 0.0) for name in DRIFTS])
     return Term(FITTED_DRIFTS, columns, prior)
 
 
-def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
+def drift_jacobians(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
     """Derivatives of the residuals by the columns and by `DRIFTS`, of turning points that scatter `scale`
     times as much as stated."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
@@ -91,8 +93,8 @@ def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) ->
     def slower(_: Floats, time_s: Floats) -> Floats:
         return _since_middle(time_s, lasting_s)[:, None]
 
-    found = model.filtered(columns, noise, errors=Errors(of_loss, slower))
-    beside = model.beside(columns)[1]
+    found = model.filtered(columns, noise, errors=LawErrors(of_loss, slower))
+    beside = model.evidence_rows(columns)[1]
     of_waveform = np.zeros((len(beside), len(DRIFTS)))
     waveform = model.evidence.waveform
     if waveform is not None and model.pendulum is not None:
@@ -101,8 +103,8 @@ def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) ->
         since = _since_middle(passed_s - model.points.time_s[0], lasting_s)[:, None]
         here = waveform.predicted_rad(model.law, values, model.pendulum)
         for column, name in enumerate(("b", "c")):
-            grown = values | {name: (1 + _GROWN) * values.get(name, 0.0)}
-            moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWN
+            grown = values | {name: (1 + _GROWTH_STEP) * values.get(name, 0.0)}
+            moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWTH_STEP
             reduced = waveform.reduced(since * moved)
             of_waveform[: len(reduced), column] = reduced
     law = len(columns)
@@ -119,13 +121,13 @@ _CHUNK = 64
 """Places at which changes are computed together."""
 _EDGE = 5
 """Half-cycles at both ends at which no change is looked for."""
-_CHANCE = 0.2
+_STEP_PROBABILITY = 0.2
 """Prior probability that a run has a step of the friction."""
-_DRIVES = (1.0, 0.3, 0.1, 0.03, 0.0)
+_DRIVE_FACTORS = (1.0, 0.3, 0.1, 0.03, 0.0)
 """Drives of the ground that are tried, over the likeliest one of the law without changes."""
-_CERTAIN = 20.0
+_CLEAR_GAIN = 20.0
 """Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
-_MOST = 3
+_MOST_CHANGES = 3
 
 
 def with_changes(
@@ -150,26 +152,26 @@ def with_changes(
     if not scans:
         return fit
     if u_step > 0:
-        fit = fit.with_term(STEP, at.to_physical @ scans[0].hidden_friction(u_step, explained))
-    changes = _found(at, scans, explained)
+        fit = fit.with_term(FRICTION_STEP, at.to_physical @ scans[0].hidden_friction(u_step, explained))
+    changes = _found_changes(at, scans, explained)
     return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings_of(changes)))
 
 
-def _scans(at: LinearisedFit) -> list["_Scan"]:
+def _scans(at: LinearisedFit) -> list["_ChangeScan"]:
     own = at.model.noise_of(at.fit)
     step = own.step if own.step > 0 else 1e-3 * float(np.median(at.model.u_amplitude))
-    found = (_Scan.of(at, replace(own, step=share * step)) for share in _DRIVES)
+    found = (_ChangeScan.of(at, replace(own, step=share * step)) for share in _DRIVE_FACTORS)
     return [scan for scan in found if scan is not None]
 
 
-def _found(at: LinearisedFit, scans: Sequence["_Scan"], explained: float) -> tuple[Change, ...]:
+def _found_changes(at: LinearisedFit, scans: Sequence["_ChangeScan"], explained: float) -> tuple[Change, ...]:
     chance = 2 * log(3 * len(at.points))
     found: list[Change] = []
     before = min(scan.deviance() for scan in scans)
-    for _ in range(_MOST):
+    for _ in range(_MOST_CHANGES):
         best = min((scan.best() for scan in scans), key=lambda one: one.deviance)
         gain = before - best.deviance
-        if not gain > _CERTAIN + chance or not (found or gain > _CERTAIN + chance + explained):
+        if not gain > _CLEAR_GAIN + chance or not (found or gain > _CLEAR_GAIN + chance + explained):
             break
         found.append(_change(at, best, gain))
         for scan in scans:
@@ -210,7 +212,7 @@ class _ClearestChange(NamedTuple):
     deviance: float
 
 
-class _Scan:
+class _ChangeScan:
     """Whitened residuals for one drive, and their derivatives by a change at each place.
 
     The derivatives are computed anew for each search, some places at a time: all of a long decay's would fill
@@ -236,7 +238,7 @@ class _Scan:
         self._constant = rows.log_det + self._law.log_det
 
     @classmethod
-    def of(cls, at: LinearisedFit, noise: Noise) -> "_Scan | None":
+    def of(cls, at: LinearisedFit, noise: Noise) -> "_ChangeScan | None":
         """None where the filter has no value for this drive, or there is no place to look at."""
         if len(at.points) <= 2 * _EDGE:
             return None
@@ -246,23 +248,22 @@ class _Scan:
     def hidden_friction(self, u_size: float, explained: float) -> Floats:
         """Changes (coordinates, places) by one standard deviation of a friction step that was not corrected.
 
-        Prior: there is a step with the probability `_CHANCE`, at any place alike, its size zero with the
-        standard uncertainty `u_size`. The data give each place its weight by the gain in -2 ln L beyond
-        `explained`.
+        Prior: a step with the probability `_STEP_PROBABILITY`, at any place alike, its size zero with the
+        standard uncertainty `u_size`. The data weigh each place by its gain in -2 ln L beyond `explained`.
         """
         sizes, chances, moved = [], [], []
         for first in range(0, len(self._places_s), _CHUNK):
             raw = self._changes(first, _CHUNK, whole=True)[:, 1]
             changes = self._law.left(raw)
             power = np.einsum("rp,rp->p", changes, changes) + 1e-30
-            told = 1.0 / (1.0 / u_size**2 + power)
-            size = -told * (self._left @ changes)
-            gain = np.maximum(size**2 / told - explained, 0.0)
-            sizes.append(size**2 + told)
-            chances.append(np.exp(np.minimum(0.5 * gain, 300.0)) * np.sqrt(told) / u_size)
+            variance = 1.0 / (1.0 / u_size**2 + power)
+            size = -variance * (self._left @ changes)
+            gain = np.maximum(size**2 / variance - explained, 0.0)
+            sizes.append(size**2 + variance)
+            chances.append(np.exp(np.minimum(0.5 * gain, 300.0)) * np.sqrt(variance) / u_size)
             moved.append(self._law.coefficients(raw))
-        chance = np.concatenate(chances) * _CHANCE / len(self._places_s)
-        weight = np.concatenate(sizes) * chance / (np.sum(chance) + 1.0 - _CHANCE)
+        chance = np.concatenate(chances) * _STEP_PROBABILITY / len(self._places_s)
+        weight = np.concatenate(sizes) * chance / (np.sum(chance) + 1.0 - _STEP_PROBABILITY)
         return np.asarray(np.concatenate(moved, axis=1) * np.sqrt(weight))
 
     def _changes(self, first: int, count: int, *, whole: bool = False) -> Floats:
@@ -282,7 +283,7 @@ class _Scan:
             knock = _impulses(node_s, here_s) / lasting[:, None]
             return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
 
-        changes = self._at.driven(self._noise, Errors(of_loss, of_duration)).by_errors / self._scale
+        changes = self._at.driven(self._noise, LawErrors(of_loss, of_duration)).by_errors / self._scale
         if not whole:
             changes = self._law.left(changes)
             for taken in self._taken:

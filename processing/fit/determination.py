@@ -18,7 +18,7 @@ from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Determinacy, FitMethod
 from processing.fit.exact_model import ExactModel
-from processing.fit.exact_result import impossible
+from processing.fit.exact_result import impossible_signs
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian, Solution, solve
 from processing.number_text import plain, with_uncertainty
@@ -29,13 +29,13 @@ _SURELY_PARABOLIC = 0.01
 """Relative standard uncertainty up to which chi2 is taken as a parabola, without a look at its profile."""
 _MOST_EVALUATIONS = 40
 """Most evaluations of the model in one refit; a second round where it would set a limit unconverged."""
-_MOST_IN_VAIN = 1
+_MOST_UNCONVERGED = 1
 """Refits that never converge which the search on one side passes over; one more ends it."""
-_STEPS = 20
+_MOST_HELD = 20
 """Most values at which a parameter is held on each side."""
-_ALIKE = 0.15
+_TOLERANCE = 0.15
 """Largest difference of the two intervals' ends, over the half-width, at which value and uncertainty do."""
-_NAMED = Quantity("", "", unit=OF + "name")
+_NAMED_UNIT = Quantity("", "", unit=OF + "name")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,10 +48,10 @@ class Determination:
 
     name: str
     verdict: Determinacy
-    value: Annotated[float, _NAMED]
-    standard_uncertainty: Annotated[float, _NAMED] = nan
-    lower_95: Annotated[float, _NAMED]
-    upper_95: Annotated[float, _NAMED]
+    value: Annotated[float, _NAMED_UNIT]
+    standard_uncertainty: Annotated[float, _NAMED_UNIT] = nan
+    lower_95: Annotated[float, _NAMED_UNIT]
+    upper_95: Annotated[float, _NAMED_UNIT]
     profile_likelihood: bool = False
     text: str = ""
 
@@ -165,7 +165,7 @@ def profile_likelihood(
     if not np.isfinite(u):
         u = abs(value) or 1.0
     scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
-    factor = _widened(result, name)
+    factor = _u_inflation(result, name)
     scale *= factor**2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     held = _ConditionalModel(model, name, best)
@@ -202,8 +202,8 @@ def profile_likelihood(
         high, high_root = np.inf, np.inf
         z = farthest_step = min(target * unit, farthest)
         was_below: bool | None = None
-        in_vain = 0
-        for _ in range(_STEPS):
+        unconverged = 0
+        for _ in range(_MOST_HELD):
             start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
             model_there = held.at(at(sign * z))
@@ -211,8 +211,8 @@ def profile_likelihood(
             if solution is not None and is_open(solution):
                 solution = _refitted(refitted, model_there, solution.values)
                 if solution is not None and is_open(solution):
-                    solution, in_vain = None, in_vain + 1
-                    if in_vain > _MOST_IN_VAIN:
+                    solution, unconverged = None, unconverged + 1
+                    if unconverged > _MOST_UNCONVERGED:
                         z = high
                         break
             if solution is None:
@@ -264,7 +264,7 @@ def profile_likelihood(
     return Profile(lower, upper, np.array(trace))
 
 
-def _widened(result: FitResult, name: str) -> float:
+def _u_inflation(result: FitResult, name: str) -> float:
     """Ratio of a standard uncertainty to that by the likelihood."""
     return 1.0 if result.widened is None else float(result.widened[result.names.index(name)])
 
@@ -291,7 +291,7 @@ def identifiability(
     """
     correlation = np.abs(result.correlation)
     withheld: dict[str, str] = {}
-    for cause, below in impossible(result).items():
+    for cause, below in impossible_signs(result).items():
         moved = below * correlation[result.names.index(cause)]
         withheld |= {
             name: cause
@@ -329,7 +329,7 @@ def _determination(
     if by_profile:
         found = profile_likelihood(points, pendulum, result, name)
         limits, half = np.array([found.lower, found.upper]), 0.5 * (upper - lower)
-        if u <= WELL_DETERMINED * abs(value) and np.all(np.abs(limits - (lower, upper)) < _ALIKE * half):
+        if u <= WELL_DETERMINED * abs(value) and np.all(np.abs(limits - (lower, upper)) < _TOLERANCE * half):
             by_profile = False
     if not by_profile:
         verdict = Determinacy.DETERMINED

@@ -18,7 +18,7 @@ from processing.estimate import NOT_DETERMINED, Estimate, FitMethod
 from processing.fit.determination import profile_likelihood
 from processing.fit.exact import fit_exact, fit_exact_with, start_near
 from processing.fit.exact_model import ExactModel
-from processing.fit.result import STEEPER, BoundaryLayerDrag, FitResult
+from processing.fit.result import BOUNDARY_LAYER, BoundaryLayerDrag, FitResult
 from processing.fit.terms import LinearisedFit, Term
 from processing.least_squares import FactoredJacobian, propagate
 from processing.number_text import plain, with_uncertainty
@@ -26,15 +26,15 @@ from processing.swing import TurningPoints
 
 SIGNIFICANT = 0.003
 """Significance level of the test: the two-sided probability of three standard deviations."""
-_POSSIBLE = 0.05
+_FIT_BELOW_CHANCE = 0.05
 """Probability by chance of the linear step's F below which a fit with a drag is made, whatever u(b) is."""
-_ALIKE = 0.2
+_PARABOLIC = 0.2
 """Difference of the drag's two tests, by curvature and by likelihood, up to which chi2 is a parabola."""
 _TWO_SIDED = 0.90
 """Coverage of an interval whose upper end is a bound of 95 %."""
 _UNIT = 1e-3
 """Size of the drag over the weight's moment at the reference amplitude for which derivatives are taken."""
-_LOST = sqrt(pi) * gamma(1.75) / gamma(2.25)
+_BOUNDARY_LAYER_INTEGRAL = sqrt(pi) * gamma(1.75) / gamma(2.25)
 """The integral of ``sin^2.5`` over half a swing."""
 
 
@@ -121,7 +121,7 @@ def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
         alone = fit_exact(points, pendulum, drag=True, evidence=of_waveform, loss=fit.loss, near=fit)
         before, after, like = fit, alone, alone
     without = before if fit.has_drag else fit_exact_with(points, pendulum, like, drag=False)
-    test = _test(points, pendulum, _as_wide(alone, fit), without)
+    test = _test(points, pendulum, _at_least_as_uncertain(alone, fit), without)
     after_s = after.estimate(DRAG.key)
     return Drag(
         drag_s=test.of_data_s if after.evidence.drag_s is None else after_s,
@@ -148,7 +148,7 @@ def _inseparable(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
     start = next(start_near(model, fit), None)
     if start is None or fit.ground is None:
         return None
-    here = model.on_ground(start, model.noise_of(fit), fit.ground.measurement_scale).about(start)
+    here = model.on_ground(start, model.noise_of(fit), fit.ground.measurement_scale).linearised_at(start)
     residuals, jacobian = here(start)
     step, by = FactoredJacobian(jacobian), model.columns.physical(start)[1]
     scale = max(1.0, fit.chi2_per_dof) if fit.loss == "linear" else 1.0
@@ -157,7 +157,7 @@ def _inseparable(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
     p_value = float(fdtrc(1, fit.dof - 1, f_statistic))
     b = model.names.index(fit.contact_names[0])
     u_b = sqrt(propagate(by, step.covariance())[b, b] * scale)
-    if p_value < _POSSIBLE or u_b < abs(fit.estimate(fit.contact_names[0]).value):
+    if p_value < _FIT_BELOW_CHANCE or u_b < abs(fit.estimate(fit.contact_names[0]).value):
         return None
     return Drag(f_statistic=f_statistic, p_value=p_value)
 
@@ -190,7 +190,7 @@ def _test(
     p_value = float(fdtrc(1, alone.dof, f_statistic))
     upper_95 = max(0.0, value) + float(stdtrit(alone.dof, 0.95)) * u if u < inf else inf
     by_curvature = abs(value) / u if u > 0 else inf
-    parabolic = abs(sqrt(f_statistic) - by_curvature) <= _ALIKE * max(1.0, by_curvature)
+    parabolic = abs(sqrt(f_statistic) - by_curvature) <= _PARABOLIC * max(1.0, by_curvature)
     if not parabolic:
         u = max(u, abs(value) / sqrt(f_statistic)) if f_statistic > 0 else inf
         found = profile_likelihood(points, pendulum, alone, DRAG.key, coverage=_TWO_SIDED)
@@ -198,7 +198,7 @@ def _test(
     return _Test(Estimate(value, u), upper_95, f_statistic, p_value, parabolic)
 
 
-def _as_wide(alone: FitResult, fit: FitResult) -> FitResult:
+def _at_least_as_uncertain(alone: FitResult, fit: FitResult) -> FitResult:
     """The fit of the data alone, its uncertainties enlarged at least as much as those of the reported fit."""
     if alone is fit or fit.widened is None or len(fit.widened) != len(alone.names):
         return alone
@@ -224,7 +224,7 @@ def _finding(alone: FitResult, reported: FitResult, test: _Test) -> DragFinding:
     return DragFinding.UNSEEN if test.parabolic and moved < u_b else DragFinding.OPEN
 
 
-def steeper_drag(at: LinearisedFit) -> BoundaryLayerDrag:
+def boundary_layer_drag(at: LinearisedFit) -> BoundaryLayerDrag:
     """A boundary layer's drag beside the linear drag of an exact fit, by one linear step.
 
     Raises DataError where the law predicts no waveform.
@@ -236,9 +236,9 @@ def steeper_drag(at: LinearisedFit) -> BoundaryLayerDrag:
     rate = 2 * pi / period0_s
     per_unit = _UNIT / (at.model.reference**0.5 * rate**1.5)
     # a softer pendulum is slower by the root of its stiffness
-    lost = _UNIT * _LOST * sqrt(period_s / period0_s)
+    lost = _UNIT * _BOUNDARY_LAYER_INTEGRAL * sqrt(period_s / period0_s)
     more = at.by_loss(lambda x: np.asarray(lost * np.maximum(x, 0.0) ** 1.5), {STEEPER_DRAG: per_unit})
-    found = at.solved(Term(STEEPER, more))
+    found = at.solved(Term(BOUNDARY_LAYER, more))
     # enlarged as the parameters of the fit are: by the scatter, and by the factors of their uncertainties
     scatter = sqrt(max(1.0, fit.chi2_per_dof)) if fit.loss == "linear" else 1.0
     widened = 1.0 if fit.widened is None else float(np.max(fit.widened))
@@ -258,7 +258,7 @@ def steeper_drag(at: LinearisedFit) -> BoundaryLayerDrag:
     )
 
 
-def with_steeper_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitResult:
+def with_boundary_layer_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitResult:
     """The fit with its boundary layer's drag; where that is seen, uncertainties hold its effect.
 
     The values and their curves stay: the linear step is right only to some tenths of itself.
@@ -270,9 +270,9 @@ def with_steeper_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitResult:
         f"a drag with the 3/2 power of the speed is in the data (chance without: {plain(found.p_value, 1)}); "
         f"with it b changes by {percent:+g} %, which its uncertainty covers"
     )
-    return fit.with_term(STEEPER, np.array(found.shift)[:, None], said, steeper=found)
+    return fit.with_term(BOUNDARY_LAYER, np.array(found.shift)[:, None], said, steeper=found)
 
 
 def _share(steeper_s: float, drag_s: float) -> float:
     """Ratio of both drags' work in a half-swing, by the integrals of ``sin^2.5`` and ``sin^2``."""
-    return _LOST * steeper_s / (0.5 * pi * drag_s) if drag_s else nan
+    return _BOUNDARY_LAYER_INTEGRAL * steeper_s / (0.5 * pi * drag_s) if drag_s else nan

@@ -24,13 +24,13 @@ from processing.swing import ORDERS, SwingHarmonics
 WAVEFORM, AIR = "waveform", "air"
 """Names of the parts of the evidence: the waveform, and the prior of the drag of the air."""
 _ODD = [ORDERS.index(order) for order in (3, 5, 7, 9)]
-_NODE = 1.6
+_NODE_RATIO = 1.6
 """Ratio of neighbouring nodes' amplitudes; between the nodes harmonics are interpolated."""
 _FEWEST = 8
 """Fewest pieces that make a waveform: half of their stated uncertainty then comes from their scatter."""
-_STATED = 10.0
+_STATED_PIECES = 10.0
 """Number of pieces as which the stated covariance counts against the scatter of the harmonics."""
-_KEPT = 32
+_MOST_CACHED = 32
 """Most predictions in a waveform's cache: a fit and the verdicts on it need the same ones again."""
 _GATE = 5.0
 """Standard deviations of a harmonic beyond which its piece counts as disturbed."""
@@ -63,7 +63,7 @@ class Waveform:
         """Weights (n, nodes) of linear interpolation in ln A."""
         x = np.log(self.amplitude_rad)
         span = float(x.max() - x.min())
-        nodes = np.linspace(x.min(), x.max(), max(2, round(span / log(_NODE)) + 1))
+        nodes = np.linspace(x.min(), x.max(), max(2, round(span / log(_NODE_RATIO)) + 1))
         place = (x - nodes[0]) / (nodes[1] - nodes[0])
         return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(len(nodes)))))
 
@@ -92,7 +92,7 @@ class Waveform:
         known = self._predictions.get(key)
         if known is None or known[0] is not law:
             sine = -law_harmonics(law, values, pendulum, self.amplitude_rad).imag[:, _ODD]
-            while len(self._predictions) >= _KEPT:
+            while len(self._predictions) >= _MOST_CACHED:
                 del self._predictions[next(iter(self._predictions))]
             known = self._predictions[key] = law, sine
         return known[1]
@@ -123,7 +123,7 @@ def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
     while len(amplitude) >= _FEWEST:
         whitening = np.linalg.inv(np.linalg.cholesky(stated))
         whole = _whole_scatter(amplitude, sine, whitening)
-        left = np.einsum("nab,nb->na", whitening, _left(amplitude, sine))
+        left = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
         kept = np.all(np.abs(left) < _GATE * np.sqrt(np.diag(whole)), axis=1)
         if np.all(kept):
             root = np.linalg.inv(whitening)
@@ -133,7 +133,7 @@ def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
     return None
 
 
-def _left(amplitude: Floats, sine: Floats) -> Floats:
+def _without_trend(amplitude: Floats, sine: Floats) -> Floats:
     """Harmonics less a smooth curve of them over the amplitudes."""
     x = np.log(amplitude)
     x = (x - x.mean()) / max(float(np.ptp(x)), 1e-9)
@@ -147,19 +147,21 @@ def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats
     Where they scatter more than stated, as in air, the prior gives only the ratios between the orders and not
     the size of the noise: it would else take a third off the variance of a dozen pieces.
     """
-    left = np.einsum("nab,nb->na", whitening, _left(amplitude, sine))
+    left = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
     # clipped, so that pieces far off are judged by the scatter of the others
     size = 1.4826 * np.median(np.abs(left), axis=0)
     left = np.clip(left, -_GATE * size, _GATE * size)
     scatter, degrees = left.T @ left, len(amplitude) - 3
     louder = max(1.0, float(np.trace(scatter)) / len(_ODD) / degrees)
-    own = (degrees + _STATED) ** 2 / degrees
+    own = (degrees + _STATED_PIECES) ** 2 / degrees
     return np.asarray(
-        _wider(own, len(_ODD)) * (scatter + _STATED * louder * np.eye(len(_ODD))) / (degrees + _STATED)
+        _weights_factor(own, len(_ODD))
+        * (scatter + _STATED_PIECES * louder * np.eye(len(_ODD)))
+        / (degrees + _STATED_PIECES)
     )
 
 
-def _wider(degrees: float, order: int) -> float:
+def _weights_factor(degrees: float, order: int) -> float:
     """Factor that a covariance matrix of so many degrees of freedom needs where its inverse weights a fit.
 
     Weights from the data themselves make a fit scatter more than the true ones would and, because they favour

@@ -35,9 +35,9 @@ _STEPS = 60
 """Most steps of one alternation; the last search has as many as it needs."""
 _MOST_LINEARISED = 24
 """Most fits to a partly linearised model; one that lacks an effect in the data converges slowly."""
-_SETTLED = 0.02
+_CONVERGED_U = 0.02
 """Change of the parameters, in standard uncertainties, below which the alternation ends."""
-_NEAR = 0.5
+_LINEAR_U = 0.5
 """Change of the parameters, in standard uncertainties, over which the evidence is taken as linear."""
 _WEAKEST = 10.0
 """Smallest amplitude fitted, in steps of the drive: amplitude and phase do not describe a smaller motion."""
@@ -51,7 +51,7 @@ class _Minimum(NamedTuple):
     likeliest: LikeliestNoise
 
 
-def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minimum | None:
+def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minimum | None:
     """The minimum from one start, noise and parameters in turn until both stay; None without convergence."""
     columns = start
     noise: Noise | None = None
@@ -59,12 +59,12 @@ def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minim
     moved = np.full(len(start), np.inf)
     for _ in range(_ROUNDS):
         try:
-            if near is None or not np.all(moved[np.isfinite(moved)] < _NEAR):
-                near = model.about(columns)
+            if near is None or not np.all(moved[np.isfinite(moved)] < _LINEAR_U):
+                near = model.linearised_at(columns)
             likeliest = NoiseSearch(near, columns, loss, kind).likeliest()
             if not np.isfinite(likeliest.deviance):
                 return None
-            here = near.on_ground(columns, _kept(likeliest.noise), likeliest.noise.scale)
+            here = near.on_ground(columns, _as_weights(likeliest.noise), likeliest.noise.scale)
             solution = solve(
                 here,
                 columns,
@@ -80,7 +80,7 @@ def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minim
         moved = np.abs(solution.values - columns) / np.sqrt(np.diag(solution.covariance))
         columns = solution.values
         same = noise is not None and abs(likeliest.noise.step - noise.step) <= 0.01 * noise.step
-        if same and np.all(moved[np.isfinite(moved)] < _SETTLED):
+        if same and np.all(moved[np.isfinite(moved)] < _CONVERGED_U):
             break
         noise = likeliest.noise
     # where the last search found no step, a finer tolerance would find none either
@@ -90,23 +90,23 @@ def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minim
     return _Minimum(here, final, likeliest) if final.converged else None
 
 
-def _kept(noise: Noise) -> Noise:
+def _as_weights(noise: Noise) -> Noise:
     """The noise by which residuals are weighted; chi2/dof then shows the scale of the uncertainties."""
     return AT_REST if noise.at_rest else noise.in_stated_uncertainties
 
 
-def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Minimum:
+def _likeliest_minimum(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Minimum:
     """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
     best: _Minimum | None = None
     tried = 0
     for start in chain(start_near(model, near), starts_of(model)):
         tried += 1
-        found = _settle(model, start, loss, kind)
+        found = _minimum_from(model, start, loss, kind)
         if found is None:
             continue
         if best is None or found.likeliest.deviance < best.likeliest.deviance:
             best = found
-        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and _believed(best):
+        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and _agrees_with_evidence(best):
             break
     if not tried:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
@@ -118,9 +118,9 @@ def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) ->
     return best
 
 
-def _believed(found: _Minimum) -> bool:
+def _agrees_with_evidence(found: _Minimum) -> bool:
     """Whether the minimum agrees with the evidence."""
-    beside = found.model.beside(found.solution.values)[0]
+    beside = found.model.evidence_rows(found.solution.values)[0]
     return float(beside @ beside) <= _GOOD_EVIDENCE * len(beside) + _GOOD_EVIDENCE
 
 
@@ -179,7 +179,7 @@ def fit_exact(
     kept = points
     while True:
         model = ExactModel(kept, pendulum, law=law, drag=drag, evidence=evidence)
-        found = _best(model, loss, kind, near)
+        found = _likeliest_minimum(model, loss, kind, near)
         weakest = _WEAKEST * found.likeliest.noise.step * model.reference
         lost = np.nonzero(kept.amplitude < weakest)[0]
         if not len(lost):
@@ -235,16 +235,16 @@ def fit_exact_with(
         moved = np.full(len(columns), np.inf)
         try:
             for _ in range(_MOST_LINEARISED):
-                here = model.on_ground(columns, noise, scale).about(columns)
+                here = model.on_ground(columns, noise, scale).linearised_at(columns)
                 solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=like.loss)
                 moved = np.abs(solution.values - columns) / np.sqrt(np.diag(solution.covariance))
                 columns = solution.values
-                if linear or np.all(moved[np.isfinite(moved)] < _SETTLED):
+                if linear or np.all(moved[np.isfinite(moved)] < _CONVERGED_U):
                     break
         except DataError:
             continue
         # a cost whose weights and evidence are those of other columns is not this model's
-        settled = linear or bool(np.all(moved[np.isfinite(moved)] < _NEAR))
+        settled = linear or bool(np.all(moved[np.isfinite(moved)] < _LINEAR_U))
         if solution.converged and settled and (best is None or solution.cost < best[1].cost):
             best = here, solution
         if best is not None and 2 * best[1].cost / best[1].dof < _GOOD_CHI2:

@@ -19,7 +19,7 @@ from processing.estimate import FitMethod
 from processing.fit.evidence import AIR, WAVEFORM
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, Ground, GroundFit
-from processing.fit.result import READING, FitResult, Whiteness, changes_of
+from processing.fit.result import MEASUREMENT, FitResult, Whiteness, independent_changes
 from processing.least_squares import FactoredJacobian, Loss, Solution, covariance_of, propagate
 from processing.number_text import plain
 from processing.swing import TurningPoints
@@ -151,7 +151,9 @@ def result_of(
         white = replace(white, widened=float(factor.max()))
         widened *= factor
     covariance = covariance * np.outer(widened, widened)
-    terms = {READING: changes_of(propagate(to_physical, _measurement_covariance(model, solution)))}
+    terms = {
+        MEASUREMENT: independent_changes(propagate(to_physical, _measurement_covariance(model, solution)))
+    }
     by_air = _by_air(model, solution)
     if by_air is not None:
         scale = max(1.0, chi2_per_dof) ** 0.5 if loss == "linear" else 1.0
@@ -190,7 +192,7 @@ def result_of(
         terms=terms,
         whiteness=white,
         evidence=model.evidence_at(solution.values, scatter),
-        worth=_worth(model, solution, to_physical),
+        worth=_gain_factors(model, solution, to_physical),
     )
 
 
@@ -221,9 +223,9 @@ def _remarks(points: TurningPoints, ground: Ground, solution: Solution, white: W
         )
 
 
-def _rows_beside(model: ExactModel) -> dict[str, slice]:
+def _evidence_parts(model: ExactModel) -> dict[str, slice]:
     """Rows of the residuals in which each part of the evidence stands."""
-    first, count = 2 * len(model.points), len(model.beside(np.zeros(len(model.lower)))[0])
+    first, count = 2 * len(model.points), len(model.evidence_rows(np.zeros(len(model.lower)))[0])
     last = first + count - (model.evidence.drag_s is not None and DRAG.key in model.names)
     rows = {WAVEFORM: slice(first, last), AIR: slice(last, first + count)}
     return {name: part for name, part in rows.items() if part.start < part.stop}
@@ -231,7 +233,7 @@ def _rows_beside(model: ExactModel) -> dict[str, slice]:
 
 def _by_air(model: ExactModel, solution: Solution) -> Floats | None:
     """Change of the columns by one standard uncertainty of the drag's prior; None without a prior."""
-    rows = _rows_beside(model).get(AIR)
+    rows = _evidence_parts(model).get(AIR)
     if rows is None or not np.all(np.isfinite(solution.covariance)):
         return None
     return np.asarray(solution.covariance @ solution.jacobian[rows][0])
@@ -240,16 +242,16 @@ def _by_air(model: ExactModel, solution: Solution) -> Floats | None:
 def _by_log_rho(model: ExactModel, columns: Floats) -> Floats:
     """Derivative of the fitted columns by ln(R/a)."""
     both = model.filtered_here(columns, with_rho=True).jacobian
-    beside = model.beside_here(columns)[1]
+    beside = model.weighted_evidence(columns)[1]
     both = np.concatenate([both, np.column_stack([beside, np.zeros(len(beside))])])
     return -FactoredJacobian(both[:, :-1]).coefficients(both[:, -1])
 
 
-def _worth(model: ExactModel, solution: Solution, to_physical: Floats) -> dict[str, dict[str, float]]:
+def _gain_factors(model: ExactModel, solution: Solution, to_physical: Floats) -> dict[str, dict[str, float]]:
     """Ratios of uncertainties without a part of the evidence to those with it, by part and parameter."""
     worth = {}
     whole = covariance_of(solution.jacobian)
-    for part, rows in _rows_beside(model).items():
+    for part, rows in _evidence_parts(model).items():
         without = covariance_of(np.delete(solution.jacobian, rows, axis=0))
         factor = _factor(to_physical, without, whole)
         blind = ~np.isfinite(np.einsum("ij,jk,ik->i", to_physical, without, to_physical))
@@ -386,14 +388,14 @@ def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall | None, fit:
             f"the period by {plain(first_rad**2 / 16, 1)} there, which the laws neglect; start below "
             f"{_SMALL_RAD:g} rad"
         )
-    for name, below in impossible(fit).items():
+    for name, below in impossible_signs(fit).items():
         yield (
             f"{name} = {plain(fit.estimate(name).value, 3)} is negative by {plain(below, 2)} u, which it "
             "cannot be: the law is not that of this motion"
         )
 
 
-def impossible(fit: FitResult) -> dict[str, float]:
+def impossible_signs(fit: FitResult) -> dict[str, float]:
     """Parameters negative beyond chance that cannot be: by how many standard uncertainties."""
     found = {}
     for name in fit.contact_names:

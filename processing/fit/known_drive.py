@@ -41,11 +41,11 @@ from processing.swing import TurningPoints
 
 _NEIGHBOURS = 4
 """Half-swings on either side over which the frequency is averaged: the ground makes single ones uneven."""
-_OF_LOSS = 15
+_LOSS_NEIGHBOURS = 15
 """Half-swings on either side over which the loss is averaged; a tenth of it is accurate enough."""
 _PARTS = 5
 """Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
-_FREE = 1 / 3
+_FREE_REST_WEIGHT = 1 / 3
 """Weight of a half-cycle's own samples, against the earlier ones, in the swing detector's point of rest.
 
 The detector adapts it to how much the point of rest wanders. It does not follow from the turning points:
@@ -53,7 +53,7 @@ their uncertainties imply 0.12, too small because they hold the drive's part, to
 white drive of 1e-7 rad/s^2/sqrt(Hz). An error of it moves the fitted delay, at a period of 4 s by -0.026 s
 for each 0.1: with 0.2, 1/3 and 0.5 a seismometer without delay got 0.067, 0.024 and -0.012 s (each 0.016, of
 four runs). At one frequency a delay is a phase, which the response takes up."""
-_OF_REST = np.pi**2 / 2 - 4
+_REST_DENOMINATOR = np.pi**2 / 2 - 4
 
 
 @kernel
@@ -203,8 +203,8 @@ def _rates(time: Floats) -> Floats:
 def _losses(amplitude: Floats) -> Floats:
     """Relative loss of amplitude in each half-swing, averaged over neighbours."""
     places = np.arange(len(amplitude))
-    after = np.minimum(places + _OF_LOSS, len(places) - 1)
-    before = np.maximum(places - _OF_LOSS, 0)
+    after = np.minimum(places + _LOSS_NEIGHBOURS, len(places) - 1)
+    before = np.maximum(places - _LOSS_NEIGHBOURS, 0)
     lost = (amplitude[before] - amplitude[after]) / ((after - before) * amplitude)
     return np.asarray(0.5 * (lost[1:] + lost[:-1]))
 
@@ -231,20 +231,20 @@ def _measurement_response(signals: Signals, time: Floats, side: Floats, rate: Fl
         # u = pi/2 - sign theta, sin|theta| = sign sin(theta)
         p = cosine - 0.5 * np.pi * sign * sine + x_sine
         r = alone - sign * sine
-        free = (0.5 * np.pi * p - 2 * r) / _OF_REST
-        out[0] += s / w * ((1 - _FREE) * p / np.pi + _FREE * free)
-        rest += (0.5 * np.pi * r - p) / (w * _OF_REST)
+        free = (0.5 * np.pi * p - 2 * r) / _REST_DENOMINATOR
+        out[0] += s / w * ((1 - _FREE_REST_WEIGHT) * p / np.pi + _FREE_REST_WEIGHT * free)
+        rest += (0.5 * np.pi * r - p) / (w * _REST_DENOMINATOR)
         out[1] += s / w**2 * sign * (0.5 * np.pi * cosine - sign * x_cosine) / np.pi
-    out[0, 1:] -= s[1:] * 4 / np.pi * (1 - _FREE) * _remembered(rest)[:-1]
+    out[0, 1:] -= s[1:] * 4 / np.pi * (1 - _FREE_REST_WEIGHT) * _detector_rest(rest)[:-1]
     return out
 
 
-def _remembered(rest: Floats) -> Floats:
+def _detector_rest(rest: Floats) -> Floats:
     """The point of rest (half-swings, terms) that the detector has after each half-cycle."""
     # its change in a gap is not known, and taken as zero
-    kept = np.nan_to_num(rest) * _FREE
+    kept = np.nan_to_num(rest) * _FREE_REST_WEIGHT
     for k in range(1, len(kept)):
-        kept[k] += (1 - _FREE) * kept[k - 1]
+        kept[k] += (1 - _FREE_REST_WEIGHT) * kept[k - 1]
     return kept
 
 
@@ -253,7 +253,7 @@ def _moments(signals: Signals, origin: Floats, rate: Floats, low: Floats, high: 
     return np.asarray(found)
 
 
-LEAST_LEFT = 0.022
+LEAST_UNEXPLAINED = 0.022
 """Share of a drive that a seismometer at best leaves unexplained: that between two of different make at one
 place, at 0.2 to 0.28 Hz. The measurement of the turning points hides so weak a drive, and yet it adds up."""
 
@@ -277,7 +277,7 @@ class DrivenCoordinates:
         size = np.sqrt(np.mean(drive.steps[0] ** 2, axis=0))
         self.unit = law.reference / np.where(size > 0.0, size, 1.0)
 
-    def witnessed_by(self, drive: KnownDrive) -> "DrivenCoordinates":
+    def with_drive(self, drive: KnownDrive) -> "DrivenCoordinates":
         """The coordinates of the same law with another drive."""
         return DrivenCoordinates(self._law, drive)
 
@@ -295,19 +295,19 @@ class DrivenCoordinates:
         unknown = self._drive.unknown_variance(gains * self.unit) / self.reference**2
         return KnownSteps(np.ascontiguousarray(steps @ gains), by, unknown)
 
-    def least_left(self, columns: Floats) -> float:
+    def least_unexplained(self, columns: Floats) -> float:
         """The least step of the drive that remains unexplained, in units of the reference."""
         known = self.known(columns, self.terms).steps[0]
         seen = known[~self._drive.missing]
-        return LEAST_LEFT * float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0
+        return LEAST_UNEXPLAINED * float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         values, matrix = self._law.map_parameters(columns[self.terms :])
-        return values, self._beside(matrix)
+        return values, self._padded(matrix)
 
     def physical(self, columns: Floats) -> tuple[Floats, Floats]:
         values, matrix = self._law.physical(columns[self.terms :])
-        return values, self._beside(matrix)
+        return values, self._padded(matrix)
 
     def from_physical(self, values: Mapping[str, float]) -> Floats:
         return self._with_gains(self._law.from_physical(values))
@@ -322,7 +322,7 @@ class DrivenCoordinates:
     def at_limit(self, columns: Floats) -> Sequence[str]:
         return self._law.at_limit(columns[self.terms :])
 
-    def _beside(self, matrix: Floats) -> Floats:
+    def _padded(self, matrix: Floats) -> Floats:
         return np.column_stack([np.zeros((len(matrix), self.terms)), matrix])
 
     def _with_gains(self, columns: Floats) -> Floats:

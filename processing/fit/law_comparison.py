@@ -24,14 +24,14 @@ from processing.contact.laws import Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE
 from processing.fit.exact import fit_exact
-from processing.fit.model_free import with_misfit
-from processing.fit.result import MISFIT, FitResult
+from processing.fit.model_free import with_discrepancy
+from processing.fit.result import DISCREPANCY, FitResult
 from processing.fit.terms import LinearisedFit
 from processing.swing import ORDERS, HarmonicClass, TurningPoints
 
 CONTRADICTED = 1e-4
 """Chance of so large a distance below which the waveform contradicts a law."""
-_OF_PREDICTION = 0.001
+_U_PREDICTION = 0.001
 """Relative error of a harmonic by `law_harmonics`."""
 _THIRD, _EVEN = ORDERS.index(3), [ORDERS.index(2), ORDERS.index(4)]
 
@@ -42,7 +42,7 @@ _THIRD, _EVEN = ORDERS.index(3), [ORDERS.index(2), ORDERS.index(4)]
 # moment at the decay's reference amplitude. Period, first amplitude and its time (over the period) lie about
 # their fitted values, within a tenth. The noise is taken as known.
 
-_SHARE = 0.1
+_PRIOR_SHARE = 0.1
 """Prior standard deviation of a parameter's effect, on times over the period and on moments over the
 weight's."""
 _LEAST_SHARE = 1e-15
@@ -56,11 +56,11 @@ def prior(fit: FitResult, pendulum: PendulumOnBall, name: str) -> tuple[float, f
     if isfinite(parameter.lower) and isfinite(parameter.upper):
         return 0.5 * (parameter.lower + parameter.upper), (parameter.upper - parameter.lower) / sqrt(12)
     if name in (TIME.key, _PERIOD):
-        return value, _SHARE * fit.mean_period_s.value
+        return value, _PRIOR_SHARE * fit.mean_period_s.value
     if name == AMPLITUDE.key:
-        return value, _SHARE * fit.reference_rad
+        return value, _PRIOR_SHARE * fit.reference_rad
     if name == DRAG.key:
-        return 0.0, _SHARE * fit.mean_period_s.value / (2 * pi)
+        return 0.0, _PRIOR_SHARE * fit.mean_period_s.value / (2 * pi)
     values = dict(zip(fit.names, fit.values.tolist(), strict=True))
     u = fit.estimate(name).standard_uncertainty
     step = 1e-3 * max(abs(value), u if isfinite(u) else 0.0, 1e-300)
@@ -70,7 +70,7 @@ def prior(fit: FitResult, pendulum: PendulumOnBall, name: str) -> tuple[float, f
         for change in (-step, step)
     )
     added = np.abs(np.subtract(after, before)).max() / (2 * step) / weight_moment(pendulum)
-    return 0.0, float(_SHARE * fit.reference_rad / added) if added > 0 else 1.0
+    return 0.0, float(_PRIOR_SHARE * fit.reference_rad / added) if added > 0 else 1.0
 
 
 def log_evidence(fit: FitResult, pendulum: PendulumOnBall) -> float:
@@ -85,7 +85,7 @@ def log_evidence(fit: FitResult, pendulum: PendulumOnBall) -> float:
     known = np.isfinite(u) & (u > 0)
     mean, sd = np.array([prior(fit, pendulum, name) for name in fit.names])[known].T
     # the model discrepancy is in the likelihood, and must not enlarge the posterior's volume
-    covariance = fit.covariance - fit.part(MISFIT)
+    covariance = fit.covariance - fit.part(DISCREPANCY)
     posterior = covariance[np.ix_(known, known)] / np.outer(sd, sd)
     distance = (fit.values[known] - mean) / sd
     size = np.sqrt(np.diag(posterior))
@@ -179,12 +179,12 @@ def compare_laws(
         An exact fit of these points. Each law has a linear drag if this fit has one, and the same evidence;
         with None it has neither.
     """
-    made = {} if like is None else {like.law.name: like}
+    fitted = {} if like is None else {like.law.name: like}
     drag, evidence = (False, NO_EVIDENCE) if like is None else (like.has_drag, like.evidence)
     trials = []
     for law in laws:
         try:
-            fit = made.get(law.name) or fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
+            fit = fitted.get(law.name) or fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
         except DataError as error:
             trials.append(LawTrial(law, None, problem=str(error)))
             continue
@@ -199,7 +199,7 @@ def compare_laws(
         trials.append(LawTrial(law, fit, bic, aic, log_evidence(fit, pendulum)))
     first, *others = sorted(trials, key=lambda trial: trial.bic)
     if first.fit is not None and first.fit.misfit is None:
-        misfit = with_misfit(LinearisedFit.of(points, pendulum, first.fit)).misfit
+        misfit = with_discrepancy(LinearisedFit.of(points, pendulum, first.fit)).misfit
         first = replace(first, fit=replace(first.fit, misfit=misfit))
     return LawComparison((first, *others))
 
@@ -223,7 +223,7 @@ def waveform_chances(
         chi2 = 0.0
         for one, harmonics in zip(classes, laws, strict=True):
             of_instrument = np.mean(np.abs(one.harmonics[_EVEN]) ** 2) / 2
-            variance = one.u[_THIRD] ** 2 + of_instrument + (_OF_PREDICTION * abs(harmonics[_THIRD])) ** 2
+            variance = one.u[_THIRD] ** 2 + of_instrument + (_U_PREDICTION * abs(harmonics[_THIRD])) ** 2
             distance = float(abs(one.harmonics[_THIRD] - harmonics[_THIRD]) ** 2 / variance)
             freedom = 2 * (len(one.amplitudes) - 2)
             chi2 += freedom * log1p(distance / freedom)

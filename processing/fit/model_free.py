@@ -14,15 +14,15 @@ from processing.contact import DRAG, MomentSplines, PendulumOnBall, spline_law, 
 from processing.estimate import Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact, start_near, starts_of
-from processing.fit.exact_model import Errors, ExactModel
-from processing.fit.result import MISFIT, MISFIT_SEEN, DiscrepancySize, FitResult
+from processing.fit.exact_model import ExactModel, LawErrors
+from processing.fit.result import DISCREPANCY, DISCREPANCY_SEEN, DiscrepancySize, FitResult
 from processing.fit.terms import DrivenRows, LinearisedFit, RestrictedLikelihood
 from processing.least_squares import FactoredJacobian, solve
 from processing.swing import TurningPoints
 
-_HELD = 1e-4
+_HELD_U = 1e-4
 """Relative uncertainty of a drag that is held fixed."""
-_INWARDS = 1.1
+_MARGIN = 1.1
 """Factor by which the angles shown stay inside both ends of the amplitudes."""
 
 
@@ -54,7 +54,7 @@ class ModelFreeFit:
     def moments(self, phi_rad: Floats | None = None) -> FreeMoments:
         """Moments with bands; by default at 41 angles between the lowest and the highest amplitude."""
         if phi_rad is None:
-            low, high = self.points.amplitude.min() * _INWARDS, self.points.amplitude.max() / _INWARDS
+            low, high = self.points.amplitude.min() * _MARGIN, self.points.amplitude.max() / _MARGIN
             phi_rad = np.geomspace(low, high, 41)
         return self._of(phi_rad, self.fit.values, self.fit.covariance)
 
@@ -85,17 +85,17 @@ class ModelFreeFit:
         drag = self.fit.has_drag
         # the drag is the law's, so that the splines hold its friction alone
         known_s = fit.estimate(DRAG.key).value if fit.has_drag else 0.0
-        known_s *= _stiffer(fit, self.fit.estimate("period0_s").value)
+        known_s *= _drag_ratio(fit, self.fit.estimate("period0_s").value)
         held = Evidence(drag_s=_exactly(known_s)) if drag else NO_EVIDENCE
         model = ExactModel(swung.first(reached), self.pendulum, law=self.fit.law, drag=drag, evidence=held)
         start = next(chain(start_near(model, self.fit), starts_of(model)))
-        model = model.about(start)
+        model = model.linearised_at(start)
         solution = solve(model, start, lower=model.lower, upper=model.upper)
         values, _ = model.columns.physical(solution.values)
         return self._of(phi_rad, values, np.zeros_like(self.fit.covariance))
 
 
-def _stiffer(fit: FitResult, period_s: float) -> float:
+def _drag_ratio(fit: FitResult, period_s: float) -> float:
     """Ratio of a drag in the splines' terms to the same drag in a law's.
 
     A drag is stated over the stiffness, which the splines take as gravity's alone at the period `period_s`.
@@ -104,7 +104,7 @@ def _stiffer(fit: FitResult, period_s: float) -> float:
 
 
 def _exactly(drag_s: float) -> Estimate:
-    return Estimate(drag_s, _HELD * max(abs(drag_s), 1e-6))
+    return Estimate(drag_s, _HELD_U * max(abs(drag_s), 1e-6))
 
 
 def _uncertainty(basis: Floats, covariance: Floats) -> Floats:
@@ -128,7 +128,7 @@ def fit_model_free(
     law, splines = spline_law(points)
     evidence = NO_EVIDENCE if like is None else like.evidence
     if like is not None and evidence.drag_s is not None:
-        factor = _stiffer(like, like.mean_period_s.value)
+        factor = _drag_ratio(like, like.mean_period_s.value)
         evidence = replace(evidence, drag_s=Estimate(*(factor * number for number in evidence.drag_s)))
     drag = like is not None and like.has_drag and evidence != NO_EVIDENCE
     fit = fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
@@ -139,12 +139,12 @@ _SPACING = 0.4
 """Largest distance of an error's nodes, in ln A."""
 _REACH = 2.0
 """Distance in ln A over which errors are correlated: a wrong exponent or a missing term bends slowly."""
-_GRID = 10.0 ** np.arange(-5.0, 0.51, 0.25)
-"""Relative errors that are tried, of losses and harmonics; those of durations are times `_OF_DURATION`."""
-_OF_DURATION = 1e-3
+_SIZES_TRIED = 10.0 ** np.arange(-5.0, 0.51, 0.25)
+"""Relative errors that are tried, of losses and harmonics; those of durations are times `_DURATION_SHARE`."""
+_DURATION_SHARE = 1e-3
 _STEPS = np.arange(0.0, -3.01, -0.25)
 """Decimal logarithms of the drives that are tried, over the likeliest one of the law without errors."""
-_LEAST = 1e-9
+_DIAGONAL = 1e-9
 """Added to the diagonal of a correlation matrix, so that rounding leaves it a root."""
 
 
@@ -159,16 +159,16 @@ class _Sizes(NamedTuple):
     deviance: float
 
 
-def with_misfit(at: LinearisedFit, fit: FitResult | None = None) -> FitResult:
+def with_discrepancy(at: LinearisedFit, fit: FitResult | None = None) -> FitResult:
     """The fit with uncertainties that contain its law's discrepancy from the data.
 
     `fit` is the fit that receives the term, where it has terms that `at.fit` has not.
     """
     fit = at.fit if fit is None else fit
-    misfit, by = _misfit(at)
+    misfit, by = _discrepancy(at)
     if by is None:
         return replace(fit, misfit=misfit)
-    wider = fit.with_term(MISFIT, by)
+    wider = fit.with_term(DISCREPANCY, by)
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.nan_to_num(wider.standard_uncertainty / fit.standard_uncertainty, nan=1.0)
     misfit = replace(misfit, widened=dict(zip(fit.names, factor.tolist(), strict=True)))
@@ -190,7 +190,7 @@ def _warnings(misfit: DiscrepancySize, factor: Floats) -> tuple[str, ...]:
     return (text,)
 
 
-def _misfit(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
+def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
     """The discrepancy, and changes of the values by errors of its size; None where it is not seen."""
     if at.fit.loss != "linear":
         return DiscrepancySize(against_law=nan), None
@@ -198,7 +198,7 @@ def _misfit(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
     nodes = _HatFunctions(at.points.amplitude / model.reference)
     of_waveform = _by_harmonics(at, nodes)
     own = model.noise_of(at.fit)
-    errors = Errors(nodes, nodes)
+    errors = LawErrors(nodes, nodes)
 
     def driven(step: float) -> DrivenRows | None:
         found = at.driven(replace(own, step=step), errors)
@@ -212,10 +212,10 @@ def _misfit(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
     tried = [here for here in map(driven, steps) if here is not None]
     if not tried:
         return DiscrepancySize(against_law=nan), None
-    best = min((_scaled(here, _sizes, 0.01) for here in tried), key=lambda one: one.deviance)
+    best = min((_scaled(here, _likeliest_sizes, 0.01) for here in tried), key=lambda one: one.deviance)
     # without errors the scatter may be larger instead
-    against = min(_scaled(here, _without, 0.001).deviance for here in tried) - best.deviance
-    if not against > MISFIT_SEEN:
+    against = min(_scaled(here, _without_errors, 0.001).deviance for here in tried) - best.deviance
+    if not against > DISCREPANCY_SEEN:
         return DiscrepancySize(against_law=max(against, 0.0)), None
     loss, duration, waveform = best.averaged.tolist()
     misfit = DiscrepancySize(loss=loss, duration=duration, waveform=waveform, against_law=float(against))
@@ -235,7 +235,7 @@ class _HatFunctions:
         count = max(3, int(np.ceil(np.ptp(x) / _SPACING)) + 1)
         self._at = np.linspace(x.min(), x.max(), count)
         apart = np.abs(self._at[:, None] - self._at) / _REACH
-        correlation = np.exp(-0.5 * apart**2) + _LEAST * np.eye(count)
+        correlation = np.exp(-0.5 * apart**2) + _DIAGONAL * np.eye(count)
         self._root = np.linalg.cholesky(correlation)
         self.count = count
 
@@ -281,14 +281,14 @@ def _scaled(here: DrivenRows, judge: Callable[[RestrictedLikelihood], _Sizes], t
     return found._replace(deviance=found.deviance + rows.log_det)
 
 
-def _without(here: RestrictedLikelihood) -> _Sizes:
+def _without_errors(here: RestrictedLikelihood) -> _Sizes:
     none = np.zeros(3)
     return _Sizes(none, none, here.deviance(none))
 
 
-def _sizes(here: RestrictedLikelihood) -> _Sizes:
+def _likeliest_sizes(here: RestrictedLikelihood) -> _Sizes:
     """The likeliest sizes, each sought in turn, and their means."""
-    grids = [_GRID, _OF_DURATION * _GRID, _GRID]
+    grids = [_SIZES_TRIED, _DURATION_SHARE * _SIZES_TRIED, _SIZES_TRIED]
     sizes, deviance = np.zeros(3), inf
     tried: list[Floats] = []
     for _ in range(2):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.fit.exact_model import ExactModel, Filtered
+from processing.fit.exact_model import ExactModel, FilterResult
 from processing.fit.exact_result import OUTLIER
 from processing.fit.ground import Noise
 from processing.least_squares import Loss
@@ -74,7 +74,7 @@ class NoiseSearch:
         self._model, self._columns, self._loss = model, columns, loss
         self._kind = kind
         self._unit = float(np.median(model.u_amplitude))
-        self._beside = model.beside(columns)
+        self._evidence_rows = model.evidence_rows(columns)
         self._highest = float(np.log10(_LARGEST * model.lowest / self._unit))
         self._known: dict[float, LikeliestNoise] = {}
         self._rest = self._at(-np.inf)
@@ -118,7 +118,8 @@ class NoiseSearch:
         exponent intervals come nearest to their coverage at rest and at weak drives together. With an
         auxiliary seismometer, steps below the least that it leaves unexplained are left out.
         """
-        least = 0.0 if self._model.witnessed is None else self._model.witnessed.least_left(self._columns)
+        known = self._model.known_drive
+        least = 0.0 if known is None else known.least_unexplained(self._columns)
         if bounds.u_step < _WELL_KNOWN * found.noise.step and found.noise.step > least:
             return None
         lowest = _LOWEST
@@ -158,12 +159,12 @@ class NoiseSearch:
             likeliest = self._with_scale(found, ratio, scale2)
             before, scale2 = scale2, likeliest.noise.scale**2
             # with evidence, which does not scatter with the turning points, the scale takes some rounds
-            if not len(self._beside[0]) or abs(scale2 - before) < _SAME_SCALE * scale2:
+            if not len(self._evidence_rows[0]) or abs(scale2 - before) < _SAME_SCALE * scale2:
                 return likeliest
 
-    def _with_scale(self, found: Filtered, ratio: float, weight: float) -> LikeliestNoise:
+    def _with_scale(self, found: FilterResult, ratio: float, weight: float) -> LikeliestNoise:
         """The noise of a step, the evidence weighted for a squared scale `weight` of the turning points."""
-        beside, beside_by = (np.sqrt(weight) * part for part in self._beside)
+        beside, beside_by = (np.sqrt(weight) * part for part in self._evidence_rows)
         residuals = np.concatenate([found.residuals, beside])
         jacobian = np.concatenate([found.jacobian, beside_by])
         linear = self._loss == "linear"

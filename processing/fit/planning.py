@@ -15,21 +15,21 @@ from processing.arrays import Floats
 from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.changes import by_drifts
+from processing.fit.changes import drift_jacobians
 from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import FEWEST_HALF_CYCLES
 from processing.fit.ground import Noise, step_of_density
-from processing.fit.known_drive import LEAST_LEFT
+from processing.fit.known_drive import LEAST_UNEXPLAINED
 from processing.fit.result import FitResult
 from processing.least_squares import covariance_of
 from processing.swing import HALVES, TurningPoints
 
 _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
 """Parameters of which each run has its own."""
-_BLIND = 1e6
+_UNKNOWN_U = 1e6
 """Relative uncertainty above which nothing is known: that of a singular matrix but for rounding."""
-_LOST = 10.0
+_HIDDEN_RATIO = 10.0
 """A run ends where the ground moves the pendulum in a half-swing by more than the amplitude over this."""
 
 
@@ -38,25 +38,25 @@ class Conditions:
     """Conditions that make turning points scatter: their measurement, and the drive.
 
     `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude; `averaged` is that of
-    `Noise`. `of_sine` is the covariance in rad^2 of the harmonics in quadrature of a piece (see `Waveform`),
-    None where they are not used, and `known_drag_s` the prior of the drag. `witness_noise` is the noise of an
-    auxiliary seismometer over the ground's motion in it, at the pendulum's frequency; None without one.
+    `Noise`. `sine_covariance` is the covariance in rad^2 of the harmonics in quadrature of a piece (see
+    `Waveform`), None where they are not used, and `known_drag_s` the prior of the drag. `seismometer_noise`
+    is the noise of a seismometer over the ground's motion in it, at the pendulum's frequency; None without.
     """
 
     u_amplitude_rad: float
     u_time_amplitude_s_rad: float
     ground_rad_per_s2_rthz: float = 0.0
     averaged: bool = True
-    of_sine: Floats | None = field(default=None, compare=False)
+    sine_covariance: Floats | None = field(default=None, compare=False)
     known_drag_s: Estimate | None = None
-    witness_noise: float | None = None
+    seismometer_noise: float | None = None
 
     @property
     def unknown_rad_per_s2_rthz(self) -> float:
         """The drive that remains unknown with a seismometer of that noise, at its best weight."""
-        if self.witness_noise is None:
+        if self.seismometer_noise is None:
             return self.ground_rad_per_s2_rthz
-        return self.ground_rad_per_s2_rthz * self.witness_noise / hypot(1.0, self.witness_noise)
+        return self.ground_rad_per_s2_rthz * self.seismometer_noise / hypot(1.0, self.seismometer_noise)
 
     @classmethod
     def of(cls, fit: FitResult, points: TurningPoints) -> "Conditions":
@@ -67,29 +67,29 @@ class Conditions:
             scale * float(np.median(points.u_amplitude)),
             scale * float(np.median(points.u_time_s * points.amplitude)),
             0.0 if fit.ground is None else fit.ground.density_rad_per_s2_rthz.value,
-            of_sine=None if waveform is None else np.median(waveform.covariance, axis=0),
+            sine_covariance=None if waveform is None else np.median(waveform.covariance, axis=0),
             known_drag_s=fit.evidence.drag_s,
         )
 
     def evidence(self, amplitude_rad: Floats) -> Evidence:
         """The waveform of a run through turning points of these amplitudes; its values are zero."""
-        if self.of_sine is None:
+        if self.sine_covariance is None:
             return Evidence()
         middle = amplitude_rad[HALVES // 2 :: HALVES]
-        covariance = np.tile(self.of_sine, (len(middle), 1, 1))
-        nothing = np.zeros((len(middle), len(self.of_sine)))
+        covariance = np.tile(self.sine_covariance, (len(middle), 1, 1))
+        nothing = np.zeros((len(middle), len(self.sine_covariance)))
         return Evidence(Waveform(middle, nothing, covariance, 1.0))
 
     def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":
         """The same measurement on another ground; a seismometer's noise stays, and its ratio changes."""
-        noise = self.witness_noise
+        noise = self.seismometer_noise
         if noise is not None and rad_per_s2_rthz > 0:
-            noise = max(LEAST_LEFT, noise * self.ground_rad_per_s2_rthz / rad_per_s2_rthz)
-        return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz, witness_noise=noise)
+            noise = max(LEAST_UNEXPLAINED, noise * self.ground_rad_per_s2_rthz / rad_per_s2_rthz)
+        return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz, seismometer_noise=noise)
 
-    def with_witness(self, noise: float) -> "Conditions":
+    def with_seismometer(self, noise: float) -> "Conditions":
         """The same ground, recorded by an auxiliary seismometer as well."""
-        return replace(self, witness_noise=noise)
+        return replace(self, seismometer_noise=noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ def planned_run(
     noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
     all_known = {name: known[name] for name in model.names}
     root = np.linalg.qr(by_relative_values(model, columns, noise)).R
-    rows = np.vstack([root[:, :-1], *_air_row(conditions.known_drag_s, all_known)])
+    rows = np.vstack([root[:, :-1], *_drag_prior_row(conditions.known_drag_s, all_known)])
     size = np.array([abs(known[name]) or 1.0 for name in model.names])
     u = np.sqrt(np.diag(covariance_of(rows))) * size
     told = dict(zip(model.names[:-2], u.tolist(), strict=False))
@@ -159,14 +159,14 @@ def planned_run(
 def by_relative_values(model: ExactModel, columns: Floats, noise: Noise) -> Floats:
     """Derivatives (n, k + 1) of a run's residuals by relative changes of the parameters, and by the growth of
     the friction from its first turning point to its last."""
-    jacobian, drifts = by_drifts(model.about(columns), columns, noise, 1.0)
+    jacobian, drifts = drift_jacobians(model.linearised_at(columns), columns, noise, 1.0)
     physical, to_physical = model.columns.physical(columns)
     size = np.where(physical == 0, 1.0, np.abs(physical))
     by_value = jacobian @ np.linalg.inv(to_physical / size[:, None])
     return np.column_stack([by_value, drifts[:, :2].sum(axis=1)])
 
 
-def _air_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
+def _drag_prior_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
     """The prior of the drag as one further row; no row without a prior."""
     if known_drag_s is None or DRAG.key not in values:
         return []
@@ -217,14 +217,14 @@ def planned_series(
     shared = [name for name in names if name not in _OWN]
     stacked = by_shared_and_ageing(names, [(run.root, run.duration_s) for run in runs], waiting_s)
     air = np.zeros((0, stacked.shape[1]))
-    for row in _air_row(known_drag_s, runs[0].values):
+    for row in _drag_prior_row(known_drag_s, runs[0].values):
         air = np.zeros((1, stacked.shape[1]))
         air[0, : len(shared)] = row[[names.index(name) for name in shared]]
     stacked = np.vstack([stacked, air])
     u = np.sqrt(np.diag(covariance_of(stacked)))
     steady = np.sqrt(np.diag(covariance_of(np.delete(stacked, len(shared), axis=1))))
     size = [abs(runs[0].values[name]) or 1.0 for name in shared]
-    told = float(u[len(shared)]) if u[len(shared)] < _BLIND else inf
+    told = float(u[len(shared)]) if u[len(shared)] < _UNKNOWN_U else inf
     found = PlannedSeries(
         tuple(runs), waiting_s,
         {name: u[k] * size[k] for k, name in enumerate(shared)},
@@ -287,7 +287,7 @@ def _decay(
         count *= 2
     time = found.time * parameters[-2]
     half_period_s = float(time[1]) if np.isfinite(time[1]) else inf
-    weakest = _LOST * step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s)
+    weakest = _HIDDEN_RATIO * step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s)
     lasting = np.isfinite(amplitude) & (amplitude >= max(last_rad, weakest))
     complete = bool(weakest <= last_rad and np.nanmin(amplitude) < last_rad)
     return amplitude[lasting], time[lasting], complete

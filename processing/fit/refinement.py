@@ -80,7 +80,7 @@ def known_motion(
     )
 
 
-def measured_again(
+def second_measurement(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     motion: KnownMotion,
@@ -132,7 +132,7 @@ def _nearest(swings: Sequence[HalfCycle], times_ns: Ints, time_ns: int) -> HalfC
     return swings[nearer]
 
 
-class Shift(NamedTuple):
+class MeasurementShift(NamedTuple):
     """Shift of a second measurement from the first: rms over half-cycles, in standard uncertainties.
 
     `time` is without the shift that all share, which only moves the start of the motion. `found` is the share
@@ -148,7 +148,7 @@ class Shift(NamedTuple):
         return self.found >= _MOST
 
 
-def shift_of(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> Shift:
+def measurement_shift(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> MeasurementShift:
     """The shift of the unflagged half-cycles.
 
     It is normally 0.1 to 0.5. With few or noisy samples in a half-cycle the first measurement, which knows
@@ -157,12 +157,12 @@ def shift_of(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> Shift:
     pairs = [(a, b) for a, b in zip(swings, again, strict=True) if a.flags == 0]
     both = [(a, b) for a, b in pairs if b.flags == 0]
     if not both:
-        return Shift(0.0, math.nan, math.nan)
+        return MeasurementShift(0.0, math.nan, math.nan)
     later_s = [seconds(b.turn_time_ns - a.turn_time_ns) for a, b in both]
     shared_s = float(np.median(later_s))
     time = [(later - shared_s) / a.u_turn_time_s for later, (a, _) in zip(later_s, both, strict=True)]
     amplitude = [(b.amplitude - a.amplitude) / a.u_amplitude for a, b in both]
-    return Shift(
+    return MeasurementShift(
         len(both) / len(pairs), *(math.sqrt(float(np.mean(np.square(found)))) for found in (time, amplitude))
     )
 
@@ -180,7 +180,7 @@ def describes_as_well(second: FitResult, first: FitResult) -> bool:
     return second.ground.deviance <= first.ground.deviance + allowed
 
 
-def widened(swings: Sequence[HalfCycle], shift: Shift) -> list[HalfCycle]:
+def with_enlarged_u(swings: Sequence[HalfCycle], shift: MeasurementShift) -> list[HalfCycle]:
     """Half-cycles whose second measurement was refused, with uncertainties enlarged by its difference."""
     time, amplitude = (math.hypot(1.0, part) if part == part else 1.0 for part in shift[1:])
     return [
@@ -200,7 +200,7 @@ def points_in_true_time(swings: Sequence[HalfCycle], clock_rate: float) -> Turni
     return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
 
 
-class FitOfSwings(NamedTuple):
+class HalfCycleFit(NamedTuple):
     """The exact fit of half-cycles, with its settings."""
 
     pendulum: PendulumOnBall
@@ -230,7 +230,7 @@ class FitOfSwings(NamedTuple):
         return known_motion(fit.parameters, self.pendulum, reference_rad, self.clock_rate)
 
 
-class Settlement(NamedTuple):
+class Refinement(NamedTuple):
     """Outcome of a second measurement: the half-cycles to use, and the motion that gave their waveform.
 
     `motion` is None where they stay as detected, with the reason in `doubt`; `exact` is the fit to the
@@ -243,15 +243,15 @@ class Settlement(NamedTuple):
     doubt: str = ""
 
 
-def settled_by_either(
+def refine(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     motion: KnownMotion,
     first: FitResult,
-    fit: FitOfSwings,
+    fit: HalfCycleFit,
     again: Sequence[HalfCycle] | None = None,
     before: Sequence[HalfCycle] = (),
-) -> Settlement:
+) -> Refinement:
     """The second measurement; where it is refused, another one with the drive that the first fit has seen.
 
     An unknown drive may look like a rest position that moves: the uncertainties of the half-cycles then grow
@@ -267,30 +267,30 @@ def settled_by_either(
     """
     every = [*before, *swings]
     if again is None:
-        again = measured_again(swings, blocks, motion)
-    found = settlement(every, [*before, *again], motion, first, fit)
+        again = second_measurement(swings, blocks, motion)
+    found = refinement(every, [*before, *again], motion, first, fit)
     if not found.doubt or first.ground is None or not first.ground.seen:
         return found
     driven = replace(motion, drive=first.ground.noise.step)
-    with_drive = settlement(every, [*before, *measured_again(swings, blocks, driven)], driven, first, fit)
+    with_drive = refinement(every, [*before, *second_measurement(swings, blocks, driven)], driven, first, fit)
     return found if with_drive.doubt else with_drive
 
 
-def settlement(
+def refinement(
     swings: Sequence[HalfCycle],
     again: Sequence[HalfCycle],
     motion: KnownMotion,
     first: FitResult,
-    fit: FitOfSwings,
-) -> Settlement:
+    fit: HalfCycleFit,
+) -> Refinement:
     """The second measurement `again` if the laws describe it as well as the first."""
-    shift = shift_of(swings, again)
+    shift = measurement_shift(swings, again)
     reason = f"only {100 * shift.found:.0f} % of the half-cycles were found again"
     if shift.complete:
         try:
             second = fit.of(again, first)
             if describes_as_well(second, first):
-                return Settlement(again, motion, second)
+                return Refinement(again, motion, second)
             reason = "the laws would describe them worse"
         except DataError as error:
             reason = str(error)
@@ -299,16 +299,16 @@ def settlement(
         f"move by {shift.time:.2g} standard uncertainties in time and {shift.amplitude:.2g} in amplitude; "
         "the uncertainties allow for it"
     )
-    return Settlement(widened(swings, shift), None, None, doubt)
+    return Refinement(with_enlarged_u(swings, shift), None, None, doubt)
 
 
 def fitted_twice(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
-    fit: FitOfSwings,
+    fit: HalfCycleFit,
     near: FitResult | None = None,
     before: Sequence[HalfCycle] = (),
-) -> tuple[Settlement, FitResult]:
+) -> tuple[Refinement, FitResult]:
     """Half-cycles fitted as detected, measured a second time with that fit's waveform, and fitted again.
 
     Parameters
@@ -334,6 +334,6 @@ def fitted_twice(
     try:
         motion = fit.motion(first, every)
     except DataError:
-        return Settlement(every, None), first
-    found = settled_by_either(every[len(before) :], blocks, motion, first, fit, before=every[: len(before)])
+        return Refinement(every, None), first
+    found = refine(every[len(before) :], blocks, motion, first, fit, before=every[: len(before)])
     return found, found.exact or fit.of(found.swings, first)

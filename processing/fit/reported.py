@@ -94,7 +94,7 @@ class RigQuantities:
 
     def inputs(self) -> dict[str, InputQuantity]:
         """All inputs by name; if both bodies are of the same material, it is listed once."""
-        found = {
+        contact = {
             "mass_kg": self.mass_kg,
             "ball_radius_m": self.ball_radius_m,
             "gravity_m_per_s2": self.gravity_m_per_s2,
@@ -103,22 +103,22 @@ class RigQuantities:
             "clock": self.clock,
         }
         if self.contact_radius_m is not None:
-            found["contact_radius_m"] = self.contact_radius_m
+            contact["contact_radius_m"] = self.contact_radius_m
         else:
-            found |= _elastic("flat", self.flat)
+            contact |= _elastic("flat", self.flat)
             if self.ball != self.flat:
-                found |= _elastic("ball", self.ball)
-        found["slow_angle_rad"] = self.slow_angle_rad
-        found["non_orthogonality_rad"] = self.non_orthogonality_rad
-        found["skew"] = self.skew
-        found["row_time_s"] = self.row_time_s
-        found["ageing"] = self.ageing
-        found["period_drift"] = self.period_drift
-        found["common_amplitude_rad"] = self.common_amplitude_rad
-        found["plane_of_swing_rad"] = self.plane_of_swing_rad
-        found["adhesion_ageing"] = self.adhesion_ageing
-        found["drag_drift"] = self.drag_drift
-        return found
+                contact |= _elastic("ball", self.ball)
+        contact["slow_angle_rad"] = self.slow_angle_rad
+        contact["non_orthogonality_rad"] = self.non_orthogonality_rad
+        contact["skew"] = self.skew
+        contact["row_time_s"] = self.row_time_s
+        contact["ageing"] = self.ageing
+        contact["period_drift"] = self.period_drift
+        contact["common_amplitude_rad"] = self.common_amplitude_rad
+        contact["plane_of_swing_rad"] = self.plane_of_swing_rad
+        contact["adhesion_ageing"] = self.adhesion_ageing
+        contact["drag_drift"] = self.drag_drift
+        return contact
 
     def skewed_scale(self, skew: Floats) -> Floats:
         """Ratio of true tilts about the rest position to the measured ones, for true skews (n,).
@@ -219,7 +219,7 @@ def fitted_contact(result: FitResult) -> FittedContact:
 
 
 def reported_quantities(
-    found: FittedContact, values: Floats, inputs: Mapping[str, Floats], rig: RigQuantities
+    contact: FittedContact, values: Floats, inputs: Mapping[str, Floats], rig: RigQuantities
 ) -> dict[str, Floats]:
     """The reported quantities for given fitted values and inputs.
 
@@ -237,8 +237,8 @@ def reported_quantities(
     second. The period determines gamma only in the combination ``2 gamma a^2/(m g)``. The small additional
     effect of R/a in Eq. 3 is taken from the fit's derivative by ln(R/a).
     """
-    if found.names[:6] != PAPER.names():
-        raise DataError(f"expected the parameters {PAPER.names()} first, got {found.names}")
+    if contact.names[:6] != PAPER.names():
+        raise DataError(f"expected the parameters {PAPER.names()} first, got {contact.names}")
     nominal = rig.pendulum()
     mass = inputs["mass_kg"] / rig.balls
     radius, gravity = inputs["ball_radius_m"], inputs["gravity_m_per_s2"]
@@ -258,9 +258,9 @@ def reported_quantities(
 
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m
     bent = np.log(radius / a / nominal_rho * scale)
-    moved = values + found.by_log_rho[:, None] * bent
+    moved = values + contact.by_log_rho[:, None] * bent
     assumed = rig.inputs()
-    for name, slope in found.by_inputs.items():
+    for name, slope in contact.by_inputs.items():
         moved = moved + slope[:, None] * (inputs[name] - assumed[name].value)
     b, p, c, n, period0, gamma = moved[:6]
     nominal_force = nominal.mass_kg * nominal.gravity_m_per_s2
@@ -273,8 +273,8 @@ def reported_quantities(
         "gamma_pa": gamma * (nominal.contact_radius_m / a) ** 2 * (force / nominal_force) * scale**-n,
         **derived_quantities(c, scale, force, radius, a),
     }
-    if DRAG.key in found.names:
-        out[DRAG.key] = moved[found.names.index(DRAG.key)] * second
+    if DRAG.key in contact.names:
+        out[DRAG.key] = moved[contact.names.index(DRAG.key)] * second
     return out
 
 

@@ -18,20 +18,20 @@ from processing.fit.ground import Ground, GroundFit
 from processing.least_squares import Loss
 from processing.quantity import PLAIN, Quantity
 
-READING = "swings"
+MEASUREMENT = "swings"
 """Name of a fit's term: the measurement of the turning points, on ground at rest."""
-PLACE = "position_errors"
+FIXED_PATTERN = "position_errors"
 """Name of a fit's term: what the correction leaves of the fixed-pattern position errors of the sensor."""
-MISFIT = "misfit"
+DISCREPANCY = "misfit"
 """Name of a fit's term: the discrepancy of the law from the decay."""
-STEP = "friction_step"
+FRICTION_STEP = "friction_step"
 """Name of a fit's term: a possible step of the friction during the run that was not found."""
 FITTED_DRIFTS = "drifts"
 """Name of a fit's term: drifts of contact, air and period that were fitted about zero."""
-STEEPER = "steeper_drag"
+BOUNDARY_LAYER = "steeper_drag"
 """Name of a fit's term: a boundary layer's drag, with the 3/2 power of the speed, that the data show."""
 
-MISFIT_SEEN = 10.0
+DISCREPANCY_SEEN = 10.0
 """Difference of -2 ln L from a law without errors above which a discrepancy is seen: chance about 0.3 %."""
 
 
@@ -58,7 +58,7 @@ class DiscrepancySize:
 
     @property
     def seen(self) -> bool:
-        return self.against_law > MISFIT_SEEN
+        return self.against_law > DISCREPANCY_SEEN
 
 
 class ChangeKind(StrEnum):
@@ -369,7 +369,7 @@ def part_of(terms: Mapping[str, Floats], count: int, *names: str) -> Floats:
     return out
 
 
-def changes_of(covariance: Floats) -> Floats:
+def independent_changes(covariance: Floats) -> Floats:
     """Independent changes (values, m) whose squares sum to a covariance; infinite where that is."""
     size: Floats = np.sqrt(np.diag(covariance))
     known = [i for i, one in enumerate(size.tolist()) if 0 < one < np.inf]

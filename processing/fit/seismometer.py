@@ -17,19 +17,19 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
-from processing.fit.seismometer_spectra import SeismometerSpectra, spectra_of
+from processing.fit.seismometer_spectra import SeismometerSpectra, seismometer_spectra
 from processing.fit.seismometer_terms import (
     PAIR,
     SLOPES,
-    Clock,
-    Drives,
-    Kind,
-    Terms,
-    Witness,
-    clock_of,
-    found_offset,
+    ClockCorrection,
+    Seismogram,
+    SignalDrives,
+    SignalKind,
+    SignalTerms,
+    best_offset,
+    clock_correction,
     gain_of_prediction,
-    started,
+    with_start_gains,
 )
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
@@ -84,7 +84,7 @@ class SeismometerUse:
     missing_half_cycles
         Half-swings that the seismometer does not cover; the drive is unknown in them.
     offset_s, offsets_tried
-        Offset added to the seismometer's times if it was searched for, and the number of offsets tried.
+        ClockOffset added to the seismometer's times if it was searched for, and the number of offsets tried.
     delay_s, clock_drift
         Further correction of these times, in s and in s per second from the middle of the run, as the run
         shows it; it was applied if it exceeds four standard uncertainties.
@@ -123,12 +123,12 @@ class SeismometerUse:
         return replace(self, saved={name: saved[name] for name in fit.contact_names})
 
 
-def use_of(
+def accepted_use(
     use: SeismometerUse,
     alone: FitResult,
     fit: FitResult,
     names: Sequence[str],
-    chosen: Sequence[tuple[int, Kind]],
+    chosen: Sequence[tuple[int, SignalKind]],
 ) -> SeismometerUse:
     """The use with the results of an accepted fit; `names` are those of the components."""
     assert alone.ground is not None
@@ -138,7 +138,7 @@ def use_of(
     assert drive.covariance is not None
     responses = []
     for component in sorted({component for component, _ in chosen}):
-        first = list(chosen).index((component, Kind.GAIN))
+        first = list(chosen).index((component, SignalKind.GAIN))
         a, b = drive.gains[first], -drive.gains[first + 1]
         gain = hypot(a, b)
         covariance = drive.covariance[first : first + 2, first : first + 2] * np.array([[1, -1], [-1, 1]])
@@ -150,7 +150,7 @@ def use_of(
                 u_gain=float(np.sqrt(along @ covariance @ along)),
                 phase_rad=atan2(b, a),
                 u_phase_rad=float(np.sqrt(across @ covariance @ across)) / gain,
-                with_slope=(component, Kind.SLOPE) in chosen,
+                with_slope=(component, SignalKind.SLOPE) in chosen,
             )
         )
     left = fit.ground.density_rad_per_s2_rthz
@@ -173,10 +173,10 @@ class SeismometerFit:
     use: SeismometerUse
 
 
-def fit_with_witness(
+def fit_with_seismometer(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
-    witness: Witness,
+    witness: Seismogram,
     alone: FitResult,
     *,
     averaged: bool = True,
@@ -199,7 +199,7 @@ def fit_with_witness(
     if found.use.used or offset_known:
         return found
     try:
-        offset = found_offset(search.points, pendulum, witness, alone, averaged=averaged)
+        offset = best_offset(search.points, pendulum, witness, alone, averaged=averaged)
     except DataError as error:
         return replace(found, use=replace(found.use, reason=str(error)))
     # the best of many offsets gains by chance, so that more is asked of it
@@ -214,7 +214,7 @@ class _TermSelection(NamedTuple):
     """A fit with some of the seismometer's terms, and its gain of prediction by them."""
 
     fit: FitResult
-    chosen: Terms
+    chosen: SignalTerms
     gain: float
 
 
@@ -225,7 +225,7 @@ class _Search:
     alone: FitResult
     averaged: bool
 
-    def with_corrected_clock(self, witness: Witness, pays: float) -> SeismometerFit:
+    def with_corrected_clock(self, witness: Seismogram, pays: float) -> SeismometerFit:
         """The fit with the seismometer, its clock corrected where the run shows an error of it.
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
@@ -236,7 +236,7 @@ class _Search:
         for left in reversed(range(_CORRECTIONS + 1)):
             moved = witness.delayed(delay_s, drift, middle_s)
             try:
-                drives = Drives(self.points, moved, averaged=self.averaged)
+                drives = SignalDrives(self.points, moved, averaged=self.averaged)
             except DataError as error:
                 return SeismometerFit(
                     self.alone, SeismometerUse(verdict=SeismometerVerdict.ABSENT, reason=str(error))
@@ -254,8 +254,8 @@ class _Search:
             found = self._with(drives, _TermSelection(self.alone, [], 0.0), PAIR, pays)
             if not found.chosen:
                 return SeismometerFit(self.alone, replace(use, gain_of_prediction=found.gain))
-            clock = clock_of(self.points, self.pendulum, found.fit, drives, found.chosen)
-            said = Clock(
+            clock = clock_correction(self.points, self.pendulum, found.fit, drives, found.chosen)
+            said = ClockCorrection(
                 Estimate(delay_s + clock.delay_s.value, clock.delay_s.standard_uncertainty),
                 Estimate(drift + clock.drift.value, clock.drift.standard_uncertainty),
             )
@@ -264,13 +264,13 @@ class _Search:
             delay_s, drift = said.delay_s.value, said.drift.value
         found = self._with(drives, found, SLOPES, pays)
         use = replace(use, gain_of_prediction=found.gain, delay_s=said.delay_s, clock_drift=said.drift)
-        use = use_of(use, self.alone, found.fit, drives.names, found.chosen)
+        use = accepted_use(use, self.alone, found.fit, drives.names, found.chosen)
         return SeismometerFit(
-            found.fit, replace(use, spectra=spectra_of(self.points, self.pendulum, found.fit))
+            found.fit, replace(use, spectra=seismometer_spectra(self.points, self.pendulum, found.fit))
         )
 
     def _with(
-        self, drives: Drives, accepted: _TermSelection, kinds: tuple[Kind, ...], pays: float
+        self, drives: SignalDrives, accepted: _TermSelection, kinds: tuple[SignalKind, ...], pays: float
     ) -> _TermSelection:
         """The selection with further components whose terms of these kinds pay, the best one first.
 
@@ -290,14 +290,18 @@ class _Search:
         return accepted
 
     def _gain(
-        self, drives: Drives, accepted: _TermSelection, component: int, kinds: tuple[Kind, ...]
+        self,
+        drives: SignalDrives,
+        accepted: _TermSelection,
+        component: int,
+        kinds: tuple[SignalKind, ...],
     ) -> float:
         more = [(component, kind) for kind in kinds]
         return gain_of_prediction(self.points, self.pendulum, accepted.fit, drives, accepted.chosen, more)
 
-    def fitted_with(self, near: FitResult, drives: Drives, chosen: Terms) -> FitResult:
+    def fitted_with(self, near: FitResult, drives: SignalDrives, chosen: SignalTerms) -> FitResult:
         """The exact fit with some terms, started at an earlier fit with the first of them."""
-        drive = started(drives, near, chosen)
+        drive = with_start_gains(drives, near, chosen)
         return fit_exact(
             self.points,
             self.pendulum,

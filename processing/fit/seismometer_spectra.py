@@ -19,7 +19,7 @@ from processing.decay_summary import mean_period
 from processing.fit.ground import density_of_step
 from processing.fit.known_drive import KnownDrive
 from processing.fit.result import FitResult
-from processing.fit.seismometer_terms import at_fit, model_of
+from processing.fit.seismometer_terms import fitted_state, model_of
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
 
@@ -70,7 +70,7 @@ class SeismometerSpectra:
     coherence_near: Annotated[float, Quantity("", "squared coherence near the pendulum's frequency")] = nan
 
 
-def spectra_of(
+def seismometer_spectra(
     points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
 ) -> SeismometerSpectra | None:
     """Spectra of a fit with an auxiliary seismometer; None for a run that is too short."""
@@ -129,7 +129,7 @@ def _steps(
     The steps are the innovations of a filter that takes each measurement as the state.
     """
     model = model_of(points, pendulum, fit, drive)
-    columns, noise = at_fit(model, fit)
+    columns, noise = fitted_state(model, fit)
     as_measured = np.tile([1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 1.0], (len(points), 1))
     found = model.filtered(columns, replace(noise, limit=np.inf), as_measured).residuals
     amplitude, time_s = np.split(-found, 2)

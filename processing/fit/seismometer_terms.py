@@ -42,7 +42,7 @@ _PADDED = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Witness:
+class Seismogram:
     """Samples of an auxiliary seismometer, near the rig or not far from it.
 
     Times (n,) in s on the clock of the turning points, rising; values (n, components) in any unit, NaN where
@@ -53,17 +53,17 @@ class Witness:
     value: Floats
     names: tuple[str, ...]
 
-    def delayed(self, by_s: float, drift: float = 0.0, about_s: float = 0.0) -> "Witness":
+    def delayed(self, by_s: float, drift: float = 0.0, about_s: float = 0.0) -> "Seismogram":
         """The same with times later by `by_s`, and by further `drift` for each second after `about_s`."""
         return replace(self, time_s=self.time_s + by_s + drift * (self.time_s - about_s))
 
-    def between(self, first_s: float, last_s: float) -> "Witness":
+    def between(self, first_s: float, last_s: float) -> "Seismogram":
         """The samples within these times."""
         low, high = np.searchsorted(self.time_s, (first_s, last_s)).tolist()
         return replace(self, time_s=self.time_s[low:high], value=self.value[low:high])
 
 
-class Kind(StrEnum):
+class SignalKind(StrEnum):
     """Kind of signal made of a seismometer's component."""
 
     GAIN = "gain"
@@ -72,12 +72,12 @@ class Kind(StrEnum):
     SLOPE_QUADRATURE = "slope of the quadrature"
 
 
-PAIR = (Kind.GAIN, Kind.QUADRATURE)
-SLOPES = (Kind.SLOPE, Kind.SLOPE_QUADRATURE)
+PAIR = (SignalKind.GAIN, SignalKind.QUADRATURE)
+SLOPES = (SignalKind.SLOPE, SignalKind.SLOPE_QUADRATURE)
 
 
-def signals_of(witness: Witness, period_s: float) -> Signals:
-    """Every component's four signals, in the order of `Kind`.
+def signals_of(witness: Seismogram, period_s: float) -> Signals:
+    """Every component's four signals, in the order of `SignalKind`.
 
     Raises DataError for samples that are too few or too far apart.
     """
@@ -105,12 +105,12 @@ def signals_of(witness: Witness, period_s: float) -> Signals:
     return Signals(time[usable], np.ascontiguousarray(found[usable]), _GAP * step_s)
 
 
-def plain_signals(witness: Witness, period_s: float) -> Signals:
+def plain_signals(witness: Seismogram, period_s: float) -> Signals:
     """Every component unchanged but for its drift, which is removed."""
-    return signals_of(witness, period_s).only([one * len(Kind) for one in range(len(witness.names))])
+    return signals_of(witness, period_s).only([one * len(SignalKind) for one in range(len(witness.names))])
 
 
-def _even(witness: Witness, period_s: float) -> tuple[Floats, Floats, float]:
+def _even(witness: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
     """Times, values (NaN where missing) and step in s of the samples at an even rate."""
     time, value = witness.time_s, witness.value
     if len(time) < 3:
@@ -144,7 +144,7 @@ def _near(lost: Flags, guard: int) -> Flags:
     return np.asarray(count[high] > count[low])
 
 
-Terms = Sequence[tuple[int, Kind]]
+SignalTerms = Sequence[tuple[int, SignalKind]]
 """Terms of a fit: of each the component's number and the kind of its signal."""
 
 _BLOCKS = 10
@@ -159,10 +159,10 @@ _COVERED = 0.6
 """Share of the half-swings that a seismometer has to cover at an offset that is tried."""
 
 
-class Drives:
+class SignalDrives:
     """The signals of a seismometer and the drive of a run's turning points by each, by component and kind."""
 
-    def __init__(self, points: TurningPoints, witness: Witness, *, averaged: bool) -> None:
+    def __init__(self, points: TurningPoints, witness: Seismogram, *, averaged: bool) -> None:
         self.period_s = mean_period(points)
         margin_s = _MARGIN * self.period_s
         beside = witness.between(points.time_s[0] - margin_s, points.time_s[-1] + margin_s)
@@ -171,7 +171,7 @@ class Drives:
         self._points, self._averaged = points, averaged
         self.every = known_drive(points, self.signals, averaged=averaged)
 
-    def of(self, terms: Terms) -> KnownDrive:
+    def of(self, terms: SignalTerms) -> KnownDrive:
         """The drive by some terms."""
         return self.every.only([place(*term) for term in terms])
 
@@ -183,12 +183,12 @@ class Drives:
         return known_drive(self._points, moved, averaged=self._averaged)
 
 
-def place(component: int, term: Kind) -> int:
+def place(component: int, term: SignalKind) -> int:
     """Column of a term among the signals."""
-    return component * len(Kind) + list(Kind).index(term)
+    return component * len(SignalKind) + list(SignalKind).index(term)
 
 
-def started(drives: Drives, near: FitResult, chosen: Terms) -> KnownDrive:
+def with_start_gains(drives: SignalDrives, near: FitResult, chosen: SignalTerms) -> KnownDrive:
     """The drive by some terms, the first with the gains of an earlier fit and the others at 0."""
     known = np.zeros(0) if near.evidence.drive is None else near.evidence.drive.gains
     return drives.of(chosen).with_gains(np.concatenate([known, np.zeros(len(chosen) - len(known))]))
@@ -202,32 +202,32 @@ def model_of(
     return ExactModel(points, pendulum, law=fit.law, drag=fit.has_drag, evidence=evidence)
 
 
-def at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
+def fitted_state(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
     """Columns and noise of a model at the end of a fit."""
     assert fit.ground is not None
     columns = model.columns.from_physical({name: fit.estimate(name).value for name in model.names})
     return columns, replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
 
 
-def residuals_with(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats, Floats]:
+def residuals_at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats, Floats]:
     """Whitened residuals at a fit, their derivatives by the gains of the drive and by the other columns."""
-    assert model.witnessed is not None
-    found = model.filtered(*at_fit(model, fit))
-    by_gains = found.jacobian[:, : model.witnessed.terms] / model.witnessed.unit
-    return found.residuals, by_gains, found.jacobian[:, model.witnessed.terms :]
+    assert model.known_drive is not None
+    found = model.filtered(*fitted_state(model, fit))
+    by_gains = found.jacobian[:, : model.known_drive.terms] / model.known_drive.unit
+    return found.residuals, by_gains, found.jacobian[:, model.known_drive.terms :]
 
 
 def gain_of_prediction(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
     fit: FitResult,
-    drives: Drives,
-    chosen: Terms,
-    more: Terms,
+    drives: SignalDrives,
+    chosen: SignalTerms,
+    more: SignalTerms,
 ) -> float:
     """Fall of -2 ln L of blocks of half-cycles by further terms, each time fitted to the other blocks."""
-    drive = started(drives, fit, [*chosen, *more])
-    residuals, by_gains, by_law = residuals_with(model_of(points, pendulum, fit, drive), fit)
+    drive = with_start_gains(drives, fit, [*chosen, *more])
+    residuals, by_gains, by_law = residuals_at_fit(model_of(points, pendulum, fit, drive), fit)
     fitted = np.column_stack([by_law, by_gains[:, : len(chosen)]])
     return cross_validated(residuals, by_gains[:, len(chosen) :], fitted)
 
@@ -252,7 +252,7 @@ def cross_validated(residuals: Floats, candidates: Floats, fitted: Floats) -> fl
     return fall
 
 
-class Clock(NamedTuple):
+class ClockCorrection(NamedTuple):
     """Correction to add to a seismometer's times, in s, and in s per second from the middle of the run."""
 
     delay_s: Estimate
@@ -264,15 +264,19 @@ class Clock(NamedTuple):
         return any(abs(one.value) > 4 * one.standard_uncertainty for one in self)
 
 
-def clock_of(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, drives: Drives, chosen: Terms
-) -> Clock:
+def clock_correction(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    fit: FitResult,
+    drives: SignalDrives,
+    chosen: SignalTerms,
+) -> ClockCorrection:
     """Correction of the seismometer's clock by a fit with some terms, with free gain and phase.
 
     A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes that
     up; the delay shows in the change of the phase within the band to which a half-swing responds.
     """
-    drive = started(drives, fit, chosen)
+    drive = with_start_gains(drives, fit, chosen)
     places = [place(*term) for term in chosen]
     by_s = _SHIFT * drives.period_s
     half_s = 0.5 * float(points.time_s[-1] - points.time_s[0])
@@ -288,28 +292,28 @@ def clock_of(
         drive.missing,
         np.concatenate([drive.gains, np.zeros(2)]),
     )
-    residuals, by_gains, by_law = residuals_with(model_of(points, pendulum, fit, both), fit)
+    residuals, by_gains, by_law = residuals_at_fit(model_of(points, pendulum, fit, both), fit)
     fitted = np.column_stack([by_law, by_gains[:, :-2]])
     found = solve(residuals, fitted, [Term("clock", by_gains[:, -2:])])
     u = np.sqrt(np.diag(found.covariance)) * found.scatter(fit.dof)
-    return Clock(*(Estimate(float(a), float(b)) for a, b in zip(found.values, u, strict=True)))
+    return ClockCorrection(*(Estimate(float(a), float(b)) for a, b in zip(found.values, u, strict=True)))
 
 
-class Offset(NamedTuple):
+class ClockOffset(NamedTuple):
     """Offset to add to a seismometer's times so that it explains most, and how many were tried."""
 
     by_s: float
     tried: int
 
 
-def found_offset(
+def best_offset(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
-    witness: Witness,
+    witness: Seismogram,
     alone: FitResult,
     *,
     averaged: bool = True,
-) -> Offset:
+) -> ClockOffset:
     """The offset at which gain and quadrature of all components explain most of the pendulum's motion.
 
     Raises
@@ -349,11 +353,11 @@ def found_offset(
     coarse = lowest + step_s * np.arange(tried)
     best = float(coarse[int(np.argmax([explained(one) for one in coarse.tolist()]))])
     near = best + step_s * np.linspace(-1, 1, 17)
-    return Offset(float(near[int(np.argmax([explained(one) for one in near.tolist()]))]), tried)
+    return ClockOffset(float(near[int(np.argmax([explained(one) for one in near.tolist()]))]), tried)
 
 
 def _explained(model: ExactModel, alone: FitResult, drive: KnownDrive) -> float:
     """Fall of the sum of squared residuals by the gains of a drive."""
-    residuals, by_gains, by_law = residuals_with(model.with_drive(drive), alone)
+    residuals, by_gains, by_law = residuals_at_fit(model.with_drive(drive), alone)
     law = FactoredJacobian(by_law)
     return float(np.sum((FactoredJacobian(law.left(by_gains)).directions.T @ law.left(residuals)) ** 2))

@@ -20,7 +20,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.fit.reported import RigQuantities
-from processing.fit.result import PLACE, FitResult
+from processing.fit.result import FIXED_PATTERN, FitResult
 from processing.fit.terms import LinearisedFit, Term, TermSolution, solve
 from processing.number_text import with_uncertainty
 from processing.quantity import Quantity
@@ -34,7 +34,7 @@ CERTAIN = 1e-6
 """Chance of so large an alternation, below which it is called a shutter's."""
 
 
-class PlaceErrors(NamedTuple):
+class PositionErrors(NamedTuple):
     """Position errors that amplitudes share, by a fit.
 
     `values` (m,) and `covariance` (m, m) are those of the coordinates, whose prior is 0 with the variance 1.
@@ -46,9 +46,9 @@ class PlaceErrors(NamedTuple):
     of_parameters: Floats
 
 
-def place_errors(
+def fit_position_errors(
     points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, errors: Floats
-) -> PlaceErrors:
+) -> PositionErrors:
     """Errors and parameters that describe the turning points best together, near an exact fit.
 
     Parameters
@@ -64,14 +64,16 @@ def place_errors(
     noise = 1.0
     for _ in range(2):
         # the scatter that position errors do not explain is noise
-        found = solve(at.residuals / noise, at.jacobian / noise, [Term(PLACE, by_errors / noise, 1.0)])
+        found = solve(
+            at.residuals / noise, at.jacobian / noise, [Term(FIXED_PATTERN, by_errors / noise, 1.0)]
+        )
         noise *= found.scatter(fit.dof)
     values, covariance = np.zeros(len(felt)), np.eye(len(felt))
     values[felt], covariance[np.ix_(felt, felt)] = found.values, found.covariance
-    return PlaceErrors(values, covariance, at.to_physical @ found.by @ found.root)
+    return PositionErrors(values, covariance, at.to_physical @ found.by @ found.root)
 
 
-def by_sensor(at: LinearisedFit, rig: RigQuantities) -> dict[str, Floats]:
+def sensor_derivatives(at: LinearisedFit, rig: RigQuantities) -> dict[str, Floats]:
     """Derivatives (parameters,) of the contact parameters by row time and common amplitude, if uncertain.
 
     Turning points at the two ends of the swing lie on rows above and below that of rest: a row time wrong by
@@ -90,7 +92,7 @@ def by_sensor(at: LinearisedFit, rig: RigQuantities) -> dict[str, Floats]:
     return out
 
 
-def by_amplitude_errors(
+def amplitude_error_effects(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult, errors: Floats
 ) -> Floats:
     """Changes (parameters,) of the contact parameters by one standard uncertainty of errors that amplitudes
@@ -147,7 +149,7 @@ class Alternation:
         )
 
 
-def delay_of_rows(harmonics: SwingHarmonics, period_s: float) -> Alternation:
+def row_delay(harmonics: SwingHarmonics, period_s: float) -> Alternation:
     """Delay in proportion to the place of the spot, from the swing's second harmonic.
 
     A delay by k phi makes ``-(k w A^2 / 2) sin(2 w t)`` of A cos(w t). A friction that differs between both
@@ -167,7 +169,7 @@ def sides(points: TurningPoints) -> Floats:
     return np.asarray(1.0 - 2.0 * (points.index % 2))
 
 
-def alternation_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Alternation:
+def time_alternation(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Alternation:
     """Alternation of the times of these points, estimated together with the parameters of an exact fit.
 
     Raises DataError for another method.

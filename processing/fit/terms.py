@@ -17,7 +17,7 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import FitMethod
-from processing.fit.exact_model import Errors, ExactModel
+from processing.fit.exact_model import ExactModel, LawErrors
 from processing.fit.ground import Noise
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian
@@ -127,8 +127,8 @@ class RestrictedLikelihood:
         self.left = self.law.left(residuals)
         self.groups = np.repeat(np.arange(len(groups)), [group.shape[1] for group in groups])
         columns = np.column_stack(groups) if len(groups) else np.zeros((len(residuals), 0))
-        self._beside = self.law.left(columns)
-        self._gram, self._score = self._beside.T @ self._beside, self._beside.T @ self.left
+        self._projected = self.law.left(columns)
+        self._gram, self._score = self._projected.T @ self._projected, self._projected.T @ self.left
         self._of_law = self.law.log_det + float(self.left @ self.left)
 
     def deviance(self, sizes: Floats) -> float:
@@ -156,7 +156,7 @@ class RestrictedLikelihood:
         """Residuals that neither law nor groups of these sizes explain."""
         size = sizes[self.groups]
         inner = np.eye(len(size)) + self._gram * np.outer(size, size)
-        return np.asarray(self.left - self._beside @ (size * np.linalg.solve(inner, self._score * size)))
+        return np.asarray(self.left - self._projected @ (size * np.linalg.solve(inner, self._score * size)))
 
 
 class DrivenRows(NamedTuple):
@@ -237,13 +237,13 @@ class LinearisedFit:
         physical = self.model.columns.physical(self.coordinates)[0]
         return dict(zip(self.model.names, physical.tolist(), strict=True))
 
-    def driven(self, noise: Noise, errors: Errors | None = None) -> DrivenRows:
+    def driven(self, noise: Noise, errors: LawErrors | None = None) -> DrivenRows:
         """The rows for another drive, with their derivatives by errors of the law.
 
         They are NaN where the filter has no value.
         """
         found = self.model.filtered(self.coordinates, noise, errors=errors)
-        beside, by_law = self.model.beside(self.coordinates)
+        beside, by_law = self.model.evidence_rows(self.coordinates)
         law, points = len(self.coordinates), len(found.residuals)
         by_errors = np.zeros((points + len(beside), found.jacobian.shape[1] - law))
         by_errors[:points] = found.jacobian[:, law:]
@@ -275,7 +275,7 @@ class LinearisedFit:
                 float(np.max(np.abs(by_time / points.u_time_s))),
             )
             step = _SMALL / max(felt, 1e-300)
-            moved = model.measuring_more(step * by_amplitude, step * by_time)(self.coordinates)[0]
+            moved = model.with_larger_measurements(step * by_amplitude, step * by_time)(self.coordinates)[0]
             changes.append((moved / self.scale - self.residuals) / step)
         return np.asarray(changes, dtype=np.float64).T
 
@@ -286,7 +286,7 @@ class LinearisedFit:
         `waveform` is added to the law's own values for the waveform that belongs to a size of 1.
         """
         _, lost = self.model.losses(self.coordinates)
-        further = Errors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 1)))
+        further = LawErrors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 1)))
         found = self.model.filtered_here(self.coordinates, errors=further)
         of_points = found.jacobian[:, -2] / self.scale
         before = self.model.evidence_residuals(self.coordinates)
@@ -302,7 +302,7 @@ class LinearisedFit:
         """The terms and the law together, near the end of the fit."""
         return solve(self.residuals, self.jacobian, terms)
 
-    def described(self, *terms: Term) -> FitResult:
+    def with_terms(self, *terms: Term) -> FitResult:
         """The fit with terms, each a line in `FitResult.terms` and in the budget.
 
         Terms that `move` the values are solved together, and so are those that `cover` their effect. An

@@ -17,7 +17,7 @@ from processing.fit.reported import (
     RigQuantities,
     reported_quantities,
 )
-from processing.fit.result import READING
+from processing.fit.result import MEASUREMENT
 from processing.quantity import OF, OWN, PART, PER, Quantity
 
 GROUND = "ground"
@@ -221,28 +221,28 @@ def _budget(
 def _by_term(found: FittedContact, by_value: Floats, type_a: float) -> tuple[dict[str, float], float]:
     """Type A uncertainty by the terms of the fit, and that by the air; the parts never exceed the whole."""
     if not isfinite(type_a):
-        return {READING: type_a}, 0.0
+        return {MEASUREMENT: type_a}, 0.0
     parts, left = {}, type_a**2
     for name in found.terms:
-        if name not in (READING, AIR):
-            parts[name] = min(_of(found.part(name), by_value), sqrt(left))
+        if name not in (MEASUREMENT, AIR):
+            parts[name] = min(_u_by(found.part(name), by_value), sqrt(left))
             left = max(left - parts[name] ** 2, 0.0)
     described = sqrt(left)
-    reading = _of(found.part(READING), by_value) if READING in found.terms else described
+    reading = _u_by(found.part(MEASUREMENT), by_value) if MEASUREMENT in found.terms else described
     # equal but for rounding, which must not become a part of the ground
     reading = reading if reading < 0.999 * described else described
     ground = sqrt(max(left - reading**2, 0.0))
-    air = min(_of(found.part(AIR), by_value), described)
-    return {READING: reading, GROUND: ground, **parts}, air
+    air = min(_u_by(found.part(AIR), by_value), described)
+    return {MEASUREMENT: reading, GROUND: ground, **parts}, air
 
 
 def _type_a(found: FittedContact, by_value: Floats) -> float:
     """Standard uncertainty by the fit; infinite where the quantity depends on an undetermined parameter."""
     blind = ~np.isfinite(np.diag(found.covariance))
-    return inf if np.any(by_value[blind] != 0) else _of(found.covariance, by_value)
+    return inf if np.any(by_value[blind] != 0) else _u_by(found.covariance, by_value)
 
 
-def _of(covariance: Floats, by_value: Floats) -> float:
+def _u_by(covariance: Floats, by_value: Floats) -> float:
     """Standard uncertainty by the finite elements of a covariance of the values."""
     known = np.where(np.isfinite(covariance), covariance, 0.0)
     return sqrt(max(float(by_value @ known @ by_value), 0.0))

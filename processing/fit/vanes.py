@@ -167,7 +167,7 @@ class _SharedParameters:
         known = dict(zip(_COMMON, contact.tolist(), strict=True)) | {DRAG.key: drag_s + drag_off_s}
         known |= dict(zip(_OWN, (centre + size * own[: len(_OWN)]).tolist(), strict=True))
         columns = run.model.columns.from_physical(known)
-        residuals, jacobian = run.model.about(columns)(columns)
+        residuals, jacobian = run.model.linearised_at(columns)(columns)
         physical = np.linalg.inv(run.model.columns.physical(columns)[1])
         by_physical = dict(zip(run.model.names, (jacobian @ physical).T, strict=True))
         by = np.zeros((len(residuals), len(values)))
@@ -200,10 +200,10 @@ def air_of_vanes(
     from scipy.special import chdtrc
 
     _check(runs, by_ratio)
-    models = [_of(run, pendulum) for run in runs]
+    models = [_run_model(run, pendulum) for run in runs]
     shared = _SharedParameters(models, by_ratio)
     free = np.full(len(shared.start), np.inf)
-    found = solve(partial(_finite, shared), shared.start, lower=-free, upper=free, loss="linear")
+    found = solve(partial(_finite_or_nan, shared), shared.start, lower=-free, upper=free, loss="linear")
     if not found.converged:
         raise DataError("no fit with one contact common to all runs converges; check which run differs")
     alone = sum(float(np.sum((run.model(run.columns)[0] / run.size) ** 2)) for run in models)
@@ -249,7 +249,7 @@ def _check(runs: Sequence[VanedRun], by_ratio: bool) -> None:
             raise DataError(f"run {number} does not determine contact and drag; start higher, or shield it")
 
 
-def _of(run: VanedRun, pendulum: PendulumOnBall) -> _RunModel:
+def _run_model(run: VanedRun, pendulum: PendulumOnBall) -> _RunModel:
     """The model of a run, its residuals scaled so that the drag has the uncertainty of the run's own fit."""
     model, columns = ExactModel.of(run.points, pendulum, run.fit)
     size = max(1.0, run.fit.chi2_per_dof) ** 0.5
@@ -258,7 +258,7 @@ def _of(run: VanedRun, pendulum: PendulumOnBall) -> _RunModel:
     return _RunModel(run, model, columns, size)
 
 
-def _finite(shared: _SharedParameters, values: Floats) -> tuple[Floats, Floats]:
+def _finite_or_nan(shared: _SharedParameters, values: Floats) -> tuple[Floats, Floats]:
     """Those of `_SharedParameters`, with NaN residuals and no error for a trial where no pendulum swings."""
     try:
         return shared(values)

@@ -10,7 +10,7 @@ import numpy as np
 
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit import AIR, MISFIT, FitResult, FittedContact, fitted_contact
+from processing.fit import AIR, DISCREPANCY, FitResult, FittedContact, fitted_contact
 from processing.quantity import PART
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
@@ -177,7 +177,7 @@ def _combined(name: str, results: Sequence[FitResult]) -> Combined:
     of_law, runs = [], []
     for result in results:
         at, (value, u) = result.names.index(name), result.estimate(name)
-        part = float(result.part(MISFIT)[at, at])
+        part = float(result.part(DISCREPANCY)[at, at])
         of_law.append(part)
         runs.append(Estimate(value, sqrt(max(u**2 - part, 0.0)) if isfinite(u) else u))
     found, added = combine(name, runs, _by_air(name, results)), float(np.mean(of_law))

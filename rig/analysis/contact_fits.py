@@ -10,33 +10,33 @@ from processing.contact import PendulumOnBall
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import (
-    MISFIT,
+    DISCREPANCY,
+    FIXED_PATTERN,
     NO_EVIDENCE,
-    PLACE,
     Evidence,
     FitMethod,
-    FitOfSwings,
     FitResult,
+    HalfCycleFit,
     LinearisedFit,
-    PlaceErrors,
+    PositionErrors,
+    Seismogram,
     SeismometerUse,
-    Witness,
-    alternation_of,
+    boundary_layer_drag,
     describes_as_well,
     domain_warnings,
     drift_term,
     fit_asymptotic,
     fit_exact,
-    fit_with_witness,
+    fit_position_errors,
+    fit_with_seismometer,
     known_motion,
-    measured_again,
-    place_errors,
-    settled_by_either,
-    shift_of,
-    steeper_drag,
+    measurement_shift,
+    refine,
+    second_measurement,
+    time_alternation,
+    with_boundary_layer_drag,
     with_changes,
-    with_misfit,
-    with_steeper_drag,
+    with_discrepancy,
     without_alternation,
 )
 from processing.least_squares import Loss
@@ -94,7 +94,7 @@ def settled_swings(
         return RefinedHalfCycles(swings, None)
     swings = with_learned_weights(swings)
     harmonics = _harmonics_of(blocks, swings)
-    fit = FitOfSwings(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
+    fit = HalfCycleFit(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
     try:
         first = fit.of(swings)
         motion = fit.motion(first, swings)
@@ -103,10 +103,8 @@ def settled_swings(
     watch = CycleWatch(swings, motion)
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
-    again = measured_again(swings, _watched(blocks, watch, search), motion)
-    settled = RefinedHalfCycles(
-        *settled_by_either(swings, blocks, motion, first, fit, again), harmonics=harmonics
-    )
+    again = second_measurement(swings, _watched(blocks, watch, search), motion)
+    settled = RefinedHalfCycles(*refine(swings, blocks, motion, first, fit, again), harmonics=harmonics)
     found = search.found()
     if found is None:
         return settled
@@ -135,7 +133,7 @@ def _without_position_errors(
     motion: KnownMotion,
     before: FitResult,
     found: PositionMap,
-    fit: FitOfSwings,
+    fit: HalfCycleFit,
     drag: FittedDrag,
 ) -> RefinedHalfCycles | None:
     """Measured again in deflections without the map's errors; None where the laws describe that worse.
@@ -154,8 +152,8 @@ def _without_position_errors(
             if step == 2:
                 errors = _place_errors(found, again, exact, fit)
                 final = found.adjusted(errors.values, errors.covariance)
-            again = measured_again(swings, map(final.corrected, blocks), motion)
-            if not shift_of(swings, again).complete:
+            again = second_measurement(swings, map(final.corrected, blocks), motion)
+            if not measurement_shift(swings, again).complete:
                 return None
             exact = fit.of(again, exact)
             if step < 2:
@@ -165,7 +163,7 @@ def _without_position_errors(
         left = _place_errors(found, again, exact, fit).of_parameters
     except DataError:
         return None
-    return RefinedHalfCycles(again, motion, exact.with_term(PLACE, left), "", final, harmonics)
+    return RefinedHalfCycles(again, motion, exact.with_term(FIXED_PATTERN, left), "", final, harmonics)
 
 
 def _with_what_is_left(
@@ -191,13 +189,13 @@ def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) ->
 
 
 def _place_errors(
-    found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: FitOfSwings
-) -> PlaceErrors:
+    found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: HalfCycleFit
+) -> PositionErrors:
     """What the fit says of errors of place that the residuals leave open."""
     good = [swing for swing in swings if not swing.flags]
     amplitude, centre, side = np.array([(one.amplitude, one.centre, one.side) for one in good]).T
     errors = found.amplitude_errors(amplitude, centre, side)
-    return place_errors(fit.points(swings), fit.pendulum, exact, errors)
+    return fit_position_errors(fit.points(swings), fit.pendulum, exact, errors)
 
 
 def loss_of(settings: FitSettings) -> Loss:
@@ -214,7 +212,7 @@ def fit_decay(
     drag: bool = True,
     evidence: Evidence = NO_EVIDENCE,
     drifts: Mapping[str, float] | None = None,
-    witness: tuple[Witness, bool] | None = None,
+    witness: tuple[Seismogram, bool] | None = None,
 ) -> tuple[Mapping[str, FitResult], TurningPoints, SeismometerUse | None]:
     """Asymptotic and exact fit of turning points, by name; the points that were fitted; a witness's use.
 
@@ -231,7 +229,7 @@ def fit_decay(
     if exact is None:
         exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
     exact, points = _without_row_times(points, pendulum, exact)
-    steeper = steeper_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
+    steeper = boundary_layer_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
     asymptotic = fit_asymptotic(
         points,
         pendulum,
@@ -244,19 +242,19 @@ def fit_decay(
     def judged(fit: FitResult) -> FitResult:
         fit = _judged(LinearisedFit.of(points, pendulum, fit), drifts, settings)
         fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
-        return fit if steeper is None else with_steeper_drag(fit, steeper)
+        return fit if steeper is None else with_boundary_layer_drag(fit, steeper)
 
     use, alone = None, exact
     if witness is not None:
         seen, clock_known = witness
-        found = fit_with_witness(points, pendulum, seen, alone, offset_known=clock_known)
+        found = fit_with_seismometer(points, pendulum, seen, alone, offset_known=clock_known)
         use = found.use
-        exact = found.fit.with_terms_of(alone, PLACE) if use.used else found.fit
+        exact = found.fit.with_terms_of(alone, FIXED_PATTERN) if use.used else found.fit
     exact = judged(exact)
     if use is not None and use.used:
         # of the uncertainties as they are reported
         use = use.beside(judged(alone), exact)
-    asymptotic = asymptotic.with_terms_of(exact, PLACE, MISFIT)
+    asymptotic = asymptotic.with_terms_of(exact, FIXED_PATTERN, DISCREPANCY)
     return {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}, points, use
 
 
@@ -264,14 +262,14 @@ def _without_row_times(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
 ) -> tuple[FitResult, TurningPoints]:
     """The fit and its points without row times of a shutter that nobody stated, where it has any."""
-    found = alternation_of(points, pendulum, exact)
+    found = time_alternation(points, pendulum, exact)
     if not found.seen:
         return exact, points
     at_once = without_alternation(points, found)
     fit = fit_exact(
         at_once, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
     )
-    fit = fit.with_terms_of(exact, PLACE)
+    fit = fit.with_terms_of(exact, FIXED_PATTERN)
     return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once
 
 
@@ -282,6 +280,6 @@ def _judged(at: LinearisedFit, drifts: Mapping[str, float] | None, settings: Fit
     law explain is no change.
     """
     terms = [] if drifts is None else [drift_term(at, drifts)]
-    fit = with_misfit(at, at.described(*terms))
+    fit = with_discrepancy(at, at.with_terms(*terms))
     explained = 0.0 if fit.misfit is None else fit.misfit.against_law
     return with_changes(at, settings.u_ageing, explained, fit)

@@ -19,9 +19,9 @@ from processing.contact import (
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import (
-    PLACE,
-    READING,
-    STEEPER,
+    BOUNDARY_LAYER,
+    FIXED_PATTERN,
+    MEASUREMENT,
     BaseMotion,
     Budget,
     Determination,
@@ -33,14 +33,14 @@ from processing.fit import (
     LinearisedFit,
     RigQuantities,
     Work,
+    amplitude_error_effects,
     budgets,
-    by_amplitude_errors,
-    by_sensor,
     drag_verdict,
-    drifts_of,
+    drift_effects,
     fitted_contact,
     identifiability,
     reported_quantities,
+    sensor_derivatives,
     standard_uncertainties,
     work_per_cycle_j,
 )
@@ -149,10 +149,10 @@ def with_contact(
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, Budget] = {}
     if rig is not None:
-        drifts = drifts_of(points, pendulum, exact)
-        by_inputs = {**drifts, **by_sensor(LinearisedFit.of(points, pendulum, exact), rig)}
+        drifts = drift_effects(points, pendulum, exact)
+        by_inputs = {**drifts, **sensor_derivatives(LinearisedFit.of(points, pendulum, exact), rig)}
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
-            by_plane = by_amplitude_errors(points, pendulum, exact, plane_errors)
+            by_plane = amplitude_error_effects(points, pendulum, exact, plane_errors)
             by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
         contact = replace(fitted_contact(exact), by_inputs=by_inputs)
         notes += filter(
@@ -210,9 +210,9 @@ def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit
 
 
 def _widening(fit: FitResult) -> dict[str, float]:
-    if READING not in fit.terms:
+    if MEASUREMENT not in fit.terms:
         return {}
-    at_rest = fit.part(READING, PLACE, STEEPER)
+    at_rest = fit.part(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = fit.standard_uncertainty / np.sqrt(np.diag(at_rest))
     known = dict(zip(fit.names, ratio.tolist(), strict=True))

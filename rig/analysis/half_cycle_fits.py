@@ -15,13 +15,7 @@ from processing.ambient import AmbientConditions
 from processing.decay_summary import mean_period
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, RecordError
-from processing.fit import (
-    FitResult,
-    InputQuantity,
-    Witness,
-    delay_of_rows,
-    points_in_true_time,
-)
+from processing.fit import FitResult, InputQuantity, Seismogram, points_in_true_time, row_delay
 from processing.instruments import SharedError
 from processing.swing import HalfCycle, TurningPoints
 from rig.analysis.air import OPEN_DRAG, believed_drifts, evidence_of, known_drag
@@ -104,7 +98,7 @@ def analyse_swings(
     errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
     warnings = list(dict.fromkeys([*_fit_warnings(fits), *filter(None, [settled.doubt])]))
     if settled.harmonics is not None and config.lever is not None and len(points) > 1:
-        of_rows = delay_of_rows(settled.harmonics, mean_period(points))
+        of_rows = row_delay(settled.harmonics, mean_period(points))
         if of_rows.seen:
             warnings.append(of_rows.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
@@ -145,7 +139,7 @@ def analyse_swings(
 
 def _witness_beside(
     swings: Sequence[HalfCycle], witness: SeismometerBeside | None
-) -> tuple[Witness, bool] | None:
+) -> tuple[Seismogram, bool] | None:
     """A seismometer on the clock of the turning points of these swings, and whether that is known."""
     first_ns = next((swing.turn_time_ns for swing in swings if not swing.flags), None)
     if witness is None or first_ns is None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from processing.arrays import Floats, Ints
 from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
-from processing.fit import Witness
+from processing.fit import Seismogram
 from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.intake import read_columns
 
@@ -86,7 +86,7 @@ class SeismometerRecord:
     offset_stated: bool = False
     understood: tuple[str, ...] = ()
 
-    def beside(self, begin: "FitStart") -> tuple[Witness, bool]:
+    def beside(self, begin: "FitStart") -> tuple[Seismogram, bool]:
         """On the clock of turning points, and whether that is known up to a fraction of a period."""
         known = self.offset_stated
         if not self.absolute or (self.offset_stated and begin.utc_ns is None):
@@ -96,7 +96,7 @@ class SeismometerRecord:
         else:
             # neither's clock says anything of the other's
             zero_ns, known = self.first_ns, False
-        return Witness(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names), known
+        return Seismogram(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names), known
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from processing.fit import (
     InputQuantity,
     RigQuantities,
     budgets,
-    drifts_of,
+    drift_effects,
     fit_asymptotic,
 )
 from processing.instruments import Check, Description, ValueWithSharedErrors, check, over_places, ratio
@@ -138,7 +138,7 @@ def _by_drifts(
     points: Sequence[TurningPoints], pendulum: PendulumOnBall, fits: Sequence[FitResult]
 ) -> dict[str, Floats]:
     """What drifts that every run has alike do to the mean."""
-    found = [drifts_of(one, pendulum, fit) for one, fit in zip(points, fits, strict=True)]
+    found = [drift_effects(one, pendulum, fit) for one, fit in zip(points, fits, strict=True)]
     return {name: np.mean([drifts[name] for drifts in found], axis=0) for name in DRIFTS}
 
 

@@ -27,12 +27,12 @@ from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError, RecordError
 from processing.estimate import Estimate
 from processing.fit import (
-    FitOfSwings,
     FitResult,
+    HalfCycleFit,
     LinearisedFit,
     fitted_twice,
     points_in_true_time,
-    with_misfit,
+    with_discrepancy,
 )
 from processing.spot import Spot
 from processing.swing import HalfCycle, HarmonicsWatch, TurningPoints, turning_points
@@ -152,7 +152,7 @@ class MeasuredRun:
         if self._making is not None:
             self._balances += self._making.of(deflections)
 
-    def fitted(self, fit: FitOfSwings) -> tuple[Sequence[HalfCycle], FitResult]:
+    def fitted(self, fit: HalfCycleFit) -> tuple[Sequence[HalfCycle], FitResult]:
         """All of them as they stand, and the fit to them; raises DataError where there is none.
 
         Where the plane of swing turns, they are those in it.
@@ -161,7 +161,9 @@ class MeasuredRun:
         found, self._near = fitted_twice(swings, blocks, fit, self._near, self._stand)
         if found.exact is not None and self.samples > self._most:
             self._let_go(found.swings)
-        return found.swings, with_misfit(LinearisedFit.of(fit.points(found.swings), fit.pendulum, self._near))
+        return found.swings, with_discrepancy(
+            LinearisedFit.of(fit.points(found.swings), fit.pendulum, self._near)
+        )
 
     def _in_plane(self) -> tuple[Sequence[HalfCycle], Iterable[Deflections]]:
         """The half-cycles that do not stand yet and their deflections, turned into the plane of swing."""
@@ -281,7 +283,9 @@ class FollowedRun:
             period_s = mean_period(points_in_true_time(self._swings, self._clock_rate))
             drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
             evidence = evidence_of(drag, self._waveform.found())
-            how = FitOfSwings(pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit))
+            how = HalfCycleFit(
+                pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit)
+            )
             swings, fit = self._run.fitted(how)
             points = fitted_points(swings, how.points(swings), fit, pendulum)
             return Posterior(self._taken, {name: fit.estimate(name) for name in fit.contact_names}, points)

@@ -12,7 +12,7 @@ import numpy as np
 from acquisition.record.topics import RecordedWitness
 from processing.arrays import Floats
 from processing.errors import DataError
-from processing.fit import Witness
+from processing.fit import Seismogram
 from processing.pendulum_at_rest import SeismometerAtRest, ground_at_rest, swing_at_rest, witness_at_rest
 from processing.reference_gain import ReferenceAtRest, gain_in_swings, reference_at_rest
 from processing.reference_spot import common_motion
@@ -65,7 +65,7 @@ def witness(
         arrived_ns, value = arrived_ns[order], value[order]
         samples = [one for one, kept in zip(samples, order.tolist(), strict=True) if kept]
     times_ns = taken(arrived_ns, np.array([one.own_time_s for one in samples])).times_ns
-    record = Witness(seconds(times_ns - at.times_ns[0]), value, tuple(names))
+    record = Seismogram(seconds(times_ns - at.times_ns[0]), value, tuple(names))
     try:
         found = witness_at_rest(at.times_s, _less_beam(look, stated), record)
         ground_seen = ground_at_rest(at.times_s, at.y).density.value > 0
