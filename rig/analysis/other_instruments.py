@@ -31,7 +31,7 @@ from processing.instruments import (
     herbert_hardness,
     inferred_swings,
     joined_swings,
-    refined,
+    refined_turning_points,
     rolling_friction,
     with_drive,
     with_release,
@@ -259,7 +259,7 @@ def reduce_run(
     deflections = joined(followed.deflections, DeflectionUnit.RAD)
     if len(deflections):
         if len(swings) > 1:
-            swings = refined(deflections.times_ns, deflections.y, deflections.u_y, swings)
+            swings = refined_turning_points(deflections.times_ns, deflections.y, deflections.u_y, swings)
         swings, inferred = _with_inferred(swings, deflections, lines)
         report.add(inferred_half_cycles=inferred)
         if description.report == "hardness":

@@ -10,7 +10,7 @@ from processing.errors import ConfigurationError
 from processing.estimate import NOT_DETERMINED, WELL_DETERMINED, Determinacy, Estimate
 from processing.fit import Budget, Determination, FitMethod, FitResult
 from processing.quantity import OF, Quantity
-from processing.series import Combined
+from processing.series import CombinedValue
 from rig.presentation import QuantityDisplay, interval, law_parameters, plain, quantity, unit_of
 
 SURFACE_ENERGY: Final = "surface_energy_table2_j_per_m2"
@@ -155,7 +155,7 @@ def result_rows(
 
 
 def series_rows(
-    combined: Mapping[str, Combined], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+    combined: Mapping[str, CombinedValue], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
     """The rows of several runs together, each quantity by the interval of their mean."""
     rows = []

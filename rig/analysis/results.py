@@ -21,7 +21,7 @@ from processing.estimate import Estimate
 from processing.fit import Budget, Drag, SeismometerUse, Work
 from processing.position_map import PositionMap
 from processing.quantity import IN_UNIT, STATED, Quantity
-from processing.series import Combined, Disagreement
+from processing.series import CombinedValue, Disagreement
 from processing.swing import HalfCycle, KnownMotion, TurningPoints
 from processing.units import seconds
 from rig.analysis.contact_results import ComparedLaws, Fit
@@ -286,7 +286,7 @@ class Series(RowsByName):
     runs: int = 0
     combined_runs: tuple[int, ...] = ()
     table: tuple[ResultRow, ...] = ()
-    fits: Annotated[Mapping[str, Mapping[str, Combined]], Entries] = field(default_factory=dict)
+    fits: Annotated[Mapping[str, Mapping[str, CombinedValue]], Entries] = field(default_factory=dict)
     budget: Mapping[str, Budget] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
     averaged_curves: Annotated[AveragedCurves, MergedField("parameters")] | None = None

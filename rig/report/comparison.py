@@ -14,7 +14,7 @@ from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from processing.series import Combined, Comparison, combine, compare_series
+from processing.series import CombinedValue, Comparison, combine, compare_series
 from rig.analysis import SURFACE_ENERGY, ResultRow, SessionResults, read_results
 from rig.presentation import (
     Cell,
@@ -219,7 +219,7 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
     return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
 
 
-def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
+def series_of(session: SessionResults, folder: Path) -> Mapping[str, CombinedValue]:
     """The exact parameters of a session: the combined ones of a series, else those of its one fitted run.
 
     Raises RecordError where nothing was fitted.
@@ -237,7 +237,7 @@ def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
     return alone
 
 
-def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
+def decays_of(session: SessionResults, folder: Path) -> Mapping[str, CombinedValue]:
     """Period and decrement of a session without fits: means of its decays, or those of its only one.
 
     Raises RecordError where it has no decay.
@@ -259,7 +259,7 @@ def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
     }
 
 
-def rows_of(session: SessionResults, series: Mapping[str, Combined]) -> Mapping[str, ResultRow]:
+def rows_of(session: SessionResults, series: Mapping[str, CombinedValue]) -> Mapping[str, ResultRow]:
     """The table of results of a session: of its series, of its one fitted run, or of its mean decay."""
     if rows := {row.quantity: row for row in session.table if row.fit == FitMethod.EXACT}:
         return rows
@@ -276,14 +276,14 @@ def rows_of(session: SessionResults, series: Mapping[str, Combined]) -> Mapping[
     }
 
 
-def _combined_of(session: SessionResults) -> Mapping[str, Combined]:
+def _combined_of(session: SessionResults) -> Mapping[str, CombinedValue]:
     return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
 
 
-def _single_run(estimate: Estimate, dof: int) -> Combined:
+def _single_run(estimate: Estimate, dof: int) -> CombinedValue:
     """One run as a series of its own: how runs scatter is not known, and no test is made."""
     value, u = estimate
-    return Combined(
+    return CombinedValue(
         value=value,
         standard_uncertainty=u,
         degrees_of_freedom=dof,
@@ -294,7 +294,7 @@ def _single_run(estimate: Estimate, dof: int) -> Combined:
 
 
 def values_table(
-    series: Mapping[str, Mapping[str, Combined]], found: Mapping[str, Mapping[str, ResultRow]], note: str
+    series: Mapping[str, Mapping[str, CombinedValue]], found: Mapping[str, Mapping[str, ResultRow]], note: str
 ) -> Table:
     """One row a quantity, one column a series; undetermined ones as interval or bound."""
     known = {name for rows in found.values() for name in rows}

@@ -22,7 +22,7 @@ from processing.fit.refinement import (
 from processing.swing import HalfCycle, KnownMotion, estimate_scatter, swings_of_blocks, turning_points
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
-from tests.processing.fit.second_measurement import again_with_fit, contact_truth, in_blocks, in_rad, noisy
+from tests.processing.fit.measured_again import again_with_fit, contact_truth, in_blocks, in_rad, noisy
 from tests.processing.swing.truth import (
     ARCSEC_RAD,
     Errors,
