@@ -1,4 +1,4 @@
-"""Half-cycles as they stand once the motion is known, and both fits of their decay."""
+"""Second measurement of a run's half-cycles with the fitted motion, and both fits of their decay."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -55,12 +55,12 @@ from rig.settings import FitSettings
 
 
 class RefinedHalfCycles(NamedTuple):
-    """Half-cycles, and the motion on which they were measured again; None: they are as detected.
+    """Half-cycles of a run, and the motion of their second measurement; None: they are as detected.
 
-    `exact` is the fit to them, where one was made, and `doubt` says why they were not measured again.
-    `position_map` are the errors of position that were taken off the deflections, where the run shows any;
-    the uncertainties of `exact` then hold what is left of them. `harmonics` are those of the swing, for which
-    there have to be deflections in rad.
+    `exact` is the fit to them, where one was made, and `doubt` the reason for no second measurement.
+    `position_map` are the fixed-pattern position errors that were taken off the deflections, if the run shows
+    any; the uncertainties of `exact` then contain the remaining errors. `harmonics` are those of the swing,
+    None without deflections in rad.
     """
 
     swings: Sequence[HalfCycle]
@@ -80,15 +80,15 @@ def settled_swings(
     clock_rate: float = 1.0,
     drag: FittedDrag = OPEN_DRAG,
 ) -> RefinedHalfCycles:
-    """The half-cycles as they stand once the motion is known from all of them.
+    """Half-cycles measured a second time with the motion that was fitted to all of them.
 
-    `blocks` are consecutive deflections, in `unit`, in which the swings were detected; they pass once for
-    the harmonics of the swing, once for the motion, and again where the run shows errors of position: the
-    harmonics are then those of the deflections without them.
+    `blocks` are consecutive deflections, in `unit`, in which the half-cycles were detected; they pass once
+    for the harmonics of the swing, once for the motion, and again where the run shows position errors: the
+    harmonics are then those of the corrected deflections.
 
-    They stay as they were detected where the laws cannot be fitted, which need deflections in rad, and where
-    the laws describe the second measurement worse than the first; their uncertainties then hold by how much
-    the two differ. One repetition is enough: a second one shifts them by some hundredths of an uncertainty.
+    Half-cycles stay as detected where the laws cannot be fitted, which need deflections in rad, and where the
+    laws describe the second measurement worse than the first; their uncertainties then contain the difference
+    of both. One repetition is enough: a second one shifts them by some hundredths of an uncertainty.
     """
     if pendulum is None or unit is not DeflectionUnit.RAD:
         return RefinedHalfCycles(swings, None)
@@ -136,10 +136,10 @@ def _without_position_errors(
     fit: HalfCycleFit,
     drag: FittedDrag,
 ) -> RefinedHalfCycles | None:
-    """Measured again in deflections without the map's errors; None where the laws describe that worse.
+    """Half-cycles measured in deflections without the map's errors; None where the laws describe them worse.
 
-    The motion was fitted with the errors in it, and is therefore fitted and used once more, and so is the
-    search for errors. What the map leaves open is then adjusted with what the law sees of it.
+    The motion was fitted to deflections with the errors, so that motion and search for errors are repeated
+    without them. The part of the map that the residuals leave open is then adjusted by the fitted law.
     """
     exact, final, again = before, found, swings
     harmonics: SwingHarmonics | None = None
@@ -169,9 +169,9 @@ def _without_position_errors(
 def _with_what_is_left(
     found: PositionMap, blocks: Iterable[Deflections], swings: Sequence[HalfCycle], motion: KnownMotion
 ) -> PositionMap:
-    """The map with what the deflections without its errors show of others.
+    """The map with the errors that the corrected deflections still show.
 
-    It was found at places that the errors themselves had moved, which is much where the scale is bent.
+    It was found at places that the errors themselves had moved, far where the scale is not linear.
     """
     watch = CycleWatch(swings, motion)
     search = PositionMapSearch(*found.stretch, watch.cycles)
@@ -191,7 +191,7 @@ def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) ->
 def _place_errors(
     found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: HalfCycleFit
 ) -> PositionErrors:
-    """What the fit says of errors of place that the residuals leave open."""
+    """The position errors that the residuals leave open, by the fit."""
     good = [swing for swing in swings if not swing.flags]
     amplitude, centre, side = np.array([(one.amplitude, one.centre, one.side) for one in good]).T
     errors = found.amplitude_errors(amplitude, centre, side)
@@ -199,7 +199,7 @@ def _place_errors(
 
 
 def loss_of(settings: FitSettings) -> Loss:
-    """Robust or not, as the settings say."""
+    """The loss function of the settings."""
     return "soft_l1" if settings.robust else "linear"
 
 
@@ -214,11 +214,11 @@ def fit_decay(
     drifts: Mapping[str, float] | None = None,
     witness: tuple[Seismogram, bool] | None = None,
 ) -> tuple[Mapping[str, FitResult], TurningPoints, SeismometerUse | None]:
-    """Asymptotic and exact fit of turning points, by name; the points that were fitted; a witness's use.
+    """Asymptotic and exact fit of turning points, by name; the points fitted; the use of a seismometer.
 
-    `exact` is the exact fit of these points where it has been made; otherwise a `drag` is fitted or not, and
-    `evidence` restrains the fit. `witness` is an auxiliary seismometer on the clock of the points, and
-    whether that is known; Eqs. 5 and 6 keep the paper's procedure.
+    `exact` is an exact fit of these points, if there is one; otherwise `drag` is whether a drag is fitted,
+    and `evidence` restrains the fit. `witness` is an auxiliary seismometer on the clock of the points, and
+    whether that clock is known; Eqs. 5 and 6 keep the paper's procedure.
     Raises DataError for a decay that cannot be fitted.
     """
     if pendulum is None:
@@ -252,7 +252,7 @@ def fit_decay(
         exact = found.fit.with_terms_of(alone, FIXED_PATTERN) if use.used else found.fit
     exact = judged(exact)
     if use is not None and use.used:
-        # of the uncertainties as they are reported
+        # the factor is that of the reported uncertainties, with all findings
         use = use.beside(judged(alone), exact)
     asymptotic = asymptotic.with_terms_of(exact, FIXED_PATTERN, DISCREPANCY)
     return {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}, points, use
@@ -261,7 +261,7 @@ def fit_decay(
 def _without_row_times(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
 ) -> tuple[FitResult, TurningPoints]:
-    """The fit and its points without row times of a shutter that nobody stated, where it has any."""
+    """The fit and its points without the effect of a rolling shutter that is not stated, if they show one."""
     found = time_alternation(points, pendulum, exact)
     if not found.seen:
         return exact, points
@@ -274,10 +274,10 @@ def _without_row_times(
 
 
 def _judged(at: LinearisedFit, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
-    """A fit with what it does not describe: drifts, errors of the law, changes during the run.
+    """A fit with drifts, the model discrepancy, and changes during the run.
 
-    Each is found beside the fit as it ended, so that their order does not matter; what smooth errors of the
-    law explain is no change.
+    Each is estimated about the fit as it ended, so that their order does not matter; a deviation that smooth
+    errors of the law explain is no change.
     """
     terms = [] if drifts is None else [drift_term(at, drifts)]
     fit = with_discrepancy(at, at.with_terms(*terms))
