@@ -84,7 +84,7 @@ class SeismometerUse:
     missing_half_cycles
         Half-swings that the seismometer does not cover; the drive is unknown in them.
     offset_s, offsets_tried
-        ClockOffset added to the seismometer's times if it was searched for, and the number of offsets tried.
+        Offset added to the seismometer's times if it was searched for, and the number of offsets tried.
     delay_s, clock_drift
         Further correction of these times, in s and in s per second from the middle of the run, as the run
         shows it; it was applied if it exceeds four standard uncertainties.
@@ -115,7 +115,7 @@ class SeismometerUse:
     def used(self) -> bool:
         return self.verdict is SeismometerVerdict.USED
 
-    def beside(self, alone: FitResult, fit: FitResult) -> "SeismometerUse":
+    def with_saved(self, alone: FitResult, fit: FitResult) -> "SeismometerUse":
         """The same with `saved`: the uncertainties of a fit `alone` over those of the fit with it."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = alone.standard_uncertainty / fit.standard_uncertainty
@@ -157,7 +157,7 @@ def accepted_use(
     known = float(np.mean((drive.steps[0][~drive.missing] @ drive.gains) ** 2))
     step = fit.ground.noise.step
     return replace(
-        use.beside(alone, fit),
+        use.with_saved(alone, fit),
         verdict=SeismometerVerdict.USED,
         explained=float(known / (known + step**2)),
         ground_left_rad_per_s2_rthz=left,

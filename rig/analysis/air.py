@@ -24,7 +24,7 @@ _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
 _FEWEST_READINGS = 4
 """Fewest readings that show a change."""
-_SINCE = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
+_HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
 
 
 def stated_surroundings(config: Configuration) -> AmbientConditions:
@@ -33,25 +33,25 @@ def stated_surroundings(config: Configuration) -> AmbientConditions:
     return AmbientConditions(**{name: float(value) for name, value in stated.items() if value is not None})
 
 
-def surroundings_of_table(config: Configuration, began_s: float | None) -> AmbientConditions:
+def table_surroundings(config: Configuration, began_s: float | None) -> AmbientConditions:
     """Stated ambient conditions, with the contact's history up to the first row of a table.
 
     `began_s` is that row's time in s since 1970, None where the table does not have it.
     """
-    since = {name: getattr(config.session, key) for name, key in _SINCE.items()}
+    since = {name: getattr(config.session, key) for name, key in _HISTORY_KEYS.items()}
     known = {} if began_s is None else {name: began_s - at.timestamp() for name, at in since.items() if at}
     return replace(stated_surroundings(config), **known)
 
 
 def recorded_surroundings(reader: RecordReader, config: Configuration | None = None) -> AmbientConditions:
-    """Ambient conditions of a record: its readings, else those stated in `config` or, without, in the record."""
+    """Ambient conditions of a record: its readings, else those stated in `config` or else in the record."""
     if config is None:
         air = {name: _number(text) for name, text in reader.metadata.get("environment", {}).items()}
         session = reader.metadata.get("session", {})
-        times = {name: session.get(key, "") for name, key in _SINCE.items()}
+        times = {name: session.get(key, "") for name, key in _HISTORY_KEYS.items()}
     else:
         air = asdict(stated_surroundings(config))
-        stated = {name: getattr(config.session, key) for name, key in _SINCE.items()}
+        stated = {name: getattr(config.session, key) for name, key in _HISTORY_KEYS.items()}
         times = {name: at.isoformat() if at is not None else "" for name, at in stated.items()}
     return AmbientConditions(**_read(reader, air), **_since(reader, times))
 
@@ -88,12 +88,12 @@ def _number(text: str) -> float:
         return nan
 
 
-def doubts_of(found: AmbientConditions) -> list[str]:
+def air_doubts(found: AmbientConditions) -> list[str]:
     """Warnings of stated times that are impossible, and of a humidity that was hardly meant."""
     said = [doubtful_humidity(found.humidity_percent)]
     return [*filter(None, said)] + [
         f"session.{key} lies {-getattr(found, name):.0f} s after the run began: correct its date or offset"
-        for name, key in _SINCE.items()
+        for name, key in _HISTORY_KEYS.items()
         if getattr(found, name) < 0
     ]
 
@@ -117,7 +117,7 @@ def expected_drag(
     )
 
 
-_DOUBT, _DOUBT_OF_STATED = 0.75, 0.3
+_U_RELATIVE, _U_RELATIVE_STATED = 0.75, 0.3
 """Relative standard uncertainty of a bar's drag as that of the pendulum: a factor of two up or down, and the
 effect of ends, mirror and weights where length and width are stated."""
 _GEOMETRY = frozenset({"length_m", "width_m"})
@@ -144,7 +144,7 @@ def known_drag(
         return FittedDrag(), of_air
     if settings.drag_s is not None:
         return FittedDrag(known_s=Estimate(settings.drag_s, settings.u_drag_s)), of_air
-    doubt = _DOUBT if _GEOMETRY & set(of_air.assumed) else _DOUBT_OF_STATED
+    doubt = _U_RELATIVE if _GEOMETRY & set(of_air.assumed) else _U_RELATIVE_STATED
     return FittedDrag(known_s=Estimate(of_air.drag_s, doubt * of_air.drag_s)), of_air
 
 
@@ -156,10 +156,10 @@ def evidence_of(drag: FittedDrag, harmonics: SwingHarmonics | None) -> Evidence:
 
 _DRAG_PER_K = 2.7e-3
 """Relative growth of the air's viscosity per kelvin."""
-_SAID = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
+_DRIFT_NAMES = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
 
 
-def believed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, InputQuantity]:
+def assumed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, InputQuantity]:
     """Relative changes over a run by the names of `RigQuantities`: 0 with the uncertainties of [fit].
 
     Those of period and drag follow from the change of the temperature, read or stated: by the pendulum's
@@ -181,7 +181,7 @@ def believed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, 
 def limit_sentence(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit: FitResult) -> str:
     """Note on the effect of drifts that a decay alone does not reveal; empty where it is below 1 u."""
     said = []
-    for source, what in _SAID.items():
+    for source, what in _DRIFT_NAMES.items():
         moved = []
         for name, slope in zip(fit.contact_names, drifts[source].tolist(), strict=True):
             by = abs(slope) * u_drifts[source]

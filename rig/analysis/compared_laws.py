@@ -47,7 +47,7 @@ from rig.analysis.results import RunResults
 from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"
-_TELLING, _MOST_RUNS = 3.0, 100
+_DISTINCT_U, _MOST_RUNS = 3.0, 100
 """Standard uncertainties by which two laws have to differ, and the most runs that are proposed for it."""
 
 
@@ -64,7 +64,7 @@ def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
     return tuple(law for law in LAWS.values() if law is DEFAULT_LAW or {law.name, "all"} & set(names))
 
 
-def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws | None:
+def compared_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws | None:
     """Fit the laws to the turning points of a fitted run; None where it has no fit."""
     exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
@@ -72,7 +72,7 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
     like = dict(zip(exact.names, exact.values.tolist(), strict=True))
     made = [law.of(run.points, pendulum, like) if isinstance(law, StatedLaw) else law for law in laws]
     compared = compare_laws(run.points, pendulum, made, like=exact)
-    free = _without_law(run.points, pendulum, compared, exact)
+    free = _model_free_moments(run.points, pendulum, compared, exact)
     remaining = [trial.law.name for trial in compared.remaining]
     verdict = compared.text()
     if free is not None and len(remaining) > 1:
@@ -86,13 +86,13 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
         if trial.fit is not None
     }
     chances = waveform_chances(classes, predicted)
-    verdict = f"{verdict}; {_said(classes, chances)}"
-    return ComparedLaws(_law_fits(compared, chances), verdict, free, _stored(classes, predicted))
+    verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
+    return ComparedLaws(_law_fits(compared, chances), verdict, free, _waveform_classes(classes, predicted))
 
 
 def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     """The run with these laws compared."""
-    return replace(run, laws=laws_of(run, laws))
+    return replace(run, laws=compared_laws(run, laws))
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
@@ -104,7 +104,7 @@ def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
     }
     name, apart = max(by_moment.items(), key=lambda item: float(item[1].max()))
     most = float(apart.max())
-    runs = np.ceil((_TELLING / most) ** 2)
+    runs = np.ceil((_DISTINCT_U / most) ** 2)
     where = f"they differ most in {name} at {free.phi_rad[int(apart.argmax())] / ARCSEC_RAD:.2g} arcsec"
     if not 2 <= runs <= _MOST_RUNS:
         return f"{where}; a larger first amplitude or more runs may decide"
@@ -113,7 +113,7 @@ def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
     )
 
 
-def _without_law(
+def _model_free_moments(
     points: TurningPoints, pendulum: PendulumOnBall, compared: LawComparison, exact: FitResult
 ) -> ModelFreeMoments | None:
     """Moments as splines, and those of the fitted laws in the same terms; None where splines have no fit."""
@@ -160,7 +160,7 @@ def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str
 _THIRD = ORDERS.index(3)
 
 
-def _said(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str:
+def _waveform_verdict(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str:
     """Verdict of the third harmonic on the laws, in words."""
     first = classes[0]
     third_mas, u_mas = np.array([abs(first.harmonics[_THIRD]), first.u[_THIRD]]) / ARCSEC_RAD * 1e3
@@ -174,7 +174,7 @@ def _said(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str
     return f"{measured} contradicts {', '.join(against)}"
 
 
-def _stored(
+def _waveform_classes(
     classes: Sequence[HarmonicClass], predicted: Mapping[str, Sequence[NDArray[np.complex128]]]
 ) -> tuple[WaveformClass, ...]:
     return tuple(

@@ -146,11 +146,11 @@ def _without_position_errors(
     try:
         for step in range(3):
             if step == 1:
-                found = final = _with_what_is_left(found, blocks, again, motion)
+                found = final = _with_remaining_errors(found, blocks, again, motion)
                 harmonics = _harmonics_of(map(found.corrected, blocks), again)
                 fit = fit._replace(evidence=evidence_of(drag, harmonics))
             if step == 2:
-                errors = _place_errors(found, again, exact, fit)
+                errors = _position_errors(found, again, exact, fit)
                 final = found.adjusted(errors.values, errors.covariance)
             again = second_measurement(swings, map(final.corrected, blocks), motion)
             if not measurement_shift(swings, again).complete:
@@ -160,13 +160,13 @@ def _without_position_errors(
                 motion = known_motion(exact.parameters, fit.pendulum, motion.reference, fit.clock_rate)
         if not describes_as_well(exact, before):
             return None
-        left = _place_errors(found, again, exact, fit).of_parameters
+        left = _position_errors(found, again, exact, fit).of_parameters
     except DataError:
         return None
     return RefinedHalfCycles(again, motion, exact.with_term(FIXED_PATTERN, left), "", final, harmonics)
 
 
-def _with_what_is_left(
+def _with_remaining_errors(
     found: PositionMap, blocks: Iterable[Deflections], swings: Sequence[HalfCycle], motion: KnownMotion
 ) -> PositionMap:
     """The map with the errors that the corrected deflections still show.
@@ -188,7 +188,7 @@ def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) ->
     return watch.found()
 
 
-def _place_errors(
+def _position_errors(
     found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: HalfCycleFit
 ) -> PositionErrors:
     """The position errors that the residuals leave open, by the fit."""
@@ -228,7 +228,7 @@ def fit_decay(
     loss, printed_curvature = loss_of(settings), settings.printed_055
     if exact is None:
         exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
-    exact, points = _without_row_times(points, pendulum, exact)
+    exact, points = _without_rolling_shutter(points, pendulum, exact)
     steeper = boundary_layer_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
     asymptotic = fit_asymptotic(
         points,
@@ -239,8 +239,8 @@ def fit_decay(
         exact=exact,
     )
 
-    def judged(fit: FitResult) -> FitResult:
-        fit = _judged(LinearisedFit.of(points, pendulum, fit), drifts, settings)
+    def with_findings(fit: FitResult) -> FitResult:
+        fit = _with_findings(LinearisedFit.of(points, pendulum, fit), drifts, settings)
         fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
         return fit if steeper is None else with_boundary_layer_drag(fit, steeper)
 
@@ -250,15 +250,15 @@ def fit_decay(
         found = fit_with_seismometer(points, pendulum, seen, alone, offset_known=clock_known)
         use = found.use
         exact = found.fit.with_terms_of(alone, FIXED_PATTERN) if use.used else found.fit
-    exact = judged(exact)
+    exact = with_findings(exact)
     if use is not None and use.used:
         # the factor is that of the reported uncertainties, with all findings
-        use = use.beside(judged(alone), exact)
+        use = use.with_saved(with_findings(alone), exact)
     asymptotic = asymptotic.with_terms_of(exact, FIXED_PATTERN, DISCREPANCY)
     return {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}, points, use
 
 
-def _without_row_times(
+def _without_rolling_shutter(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
 ) -> tuple[FitResult, TurningPoints]:
     """The fit and its points without the effect of a rolling shutter that is not stated, if they show one."""
@@ -273,7 +273,7 @@ def _without_row_times(
     return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once
 
 
-def _judged(at: LinearisedFit, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
+def _with_findings(at: LinearisedFit, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
     """A fit with drifts, the model discrepancy, and changes during the run.
 
     Each is estimated about the fit as it ended, so that their order does not matter; a deviation that smooth

@@ -122,7 +122,7 @@ class Harmonics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaveformClass:
-    """Harmonics (of `ORDERS`) measured about one amplitude, their standard uncertainties, and the laws' own."""
+    """Harmonics (of `ORDERS`) measured about one amplitude, their standard uncertainties, and the laws'."""
 
     amplitude_rad: float
     measured: Harmonics

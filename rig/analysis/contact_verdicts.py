@@ -241,7 +241,7 @@ def _adhesion(
 
 
 def _shown_amplitudes(points: TurningPoints) -> Sequence[float]:
-    """Amplitudes in arcsec for the work: that of the paper's Table 4 or the nearest measured, and the first."""
+    """Amplitudes of the work in arcsec: that of Table 4, or the nearest measured, and the first."""
     first, last = float(np.max(points.amplitude)), float(np.min(points.amplitude))
     nearest = min(max(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, last), first)
     if nearest == first:

@@ -115,18 +115,18 @@ def decay_values(
     that all half-cycles share, in the unit of the points: of their amplitudes and, as a lag of the position
     at the turning points, of their times. Its effect is in the uncertainties.
     """
-    found = _of(points, summary, unit_size)
+    found = _decay_values(points, summary, unit_size)
     period_s, u_s = found.mean_period_s
     found = found._replace(mean_period_s=Estimate(period_s, hypot(u_s, u_clock * period_s)))
     if not u_common > 0:
         return found
     lag_s = u_common * period_s / (2.0 * pi * points.amplitude)
     moved = replace(points, amplitude=points.amplitude + u_common, time_s=points.time_s + lag_s)
-    other = _of(moved, summarise_decay(moved), unit_size)
-    return DecayValues(*map(_wider, found, other))
+    other = _decay_values(moved, summarise_decay(moved), unit_size)
+    return DecayValues(*map(_with_change, found, other))
 
 
-def _of(points: TurningPoints, summary: DecaySummary, unit_size: float) -> DecayValues:
+def _decay_values(points: TurningPoints, summary: DecaySummary, unit_size: float) -> DecayValues:
     return DecayValues(
         Estimate(summary.period_s.value, summary.period_s.u),
         Estimate(summary.decrement.value, summary.decrement.u),
@@ -143,7 +143,7 @@ def values_of_points(points: TurningPoints, unit_size: float, u_clock: float = 0
         return None
 
 
-def _wider(found: Any, other: Any) -> Any:
+def _with_change(found: Any, other: Any) -> Any:
     """An estimate, or a damping with all of its estimates, whose u contains the difference from `other`."""
     if isinstance(found, Estimate):
         if other is None:
@@ -152,12 +152,12 @@ def _wider(found: Any, other: Any) -> Any:
     if isinstance(found, AmplitudeDamping | DampingAt) and other is not None:
         names = [each.name for each in fields(found)]
         changed = {
-            name: _wider(getattr(found, name), getattr(other, name))
+            name: _with_change(getattr(found, name), getattr(other, name))
             for name in names
             if isinstance(getattr(found, name), Estimate)
         }
         if isinstance(found, AmplitudeDamping) and len(found.curve) == len(other.curve):
-            changed["curve"] = tuple(map(_wider, found.curve, other.curve))
+            changed["curve"] = tuple(map(_with_change, found.curve, other.curve))
         return replace(found, **changed)
     return found
 

@@ -18,7 +18,7 @@ from processing.errors import DataError, RecordError
 from processing.fit import FitResult, InputQuantity, Seismogram, points_in_true_time, row_delay
 from processing.instruments import SharedError
 from processing.swing import HalfCycle, TurningPoints
-from rig.analysis.air import OPEN_DRAG, believed_drifts, evidence_of, known_drag
+from rig.analysis.air import OPEN_DRAG, assumed_drifts, evidence_of, known_drag
 from rig.analysis.contact_fits import fit_decay, settled_swings
 from rig.analysis.contact_verdicts import rig_quantities, with_contact
 from rig.analysis.decay_values import decay_rows, values_of_points
@@ -40,7 +40,7 @@ _MUCH: Final = 100.0
 _FEWEST: Final = 4
 """Fewest half-cycles that have a period and a decrement (`processing/decay_summary.py`)."""
 
-SeismometerBeside = tuple[SeismometerRecord, Callable[[int], FitStart]]
+TimedSeismometer = tuple[SeismometerRecord, Callable[[int], FitStart]]
 """A seismometer's record, and a function that gives the first fitted turning point on its clocks, from its
 time in ns on the run's clock."""
 
@@ -52,7 +52,7 @@ def analyse_swings(
     deflections: PassingDeflections,
     air: AmbientConditions,
     u_clock: float = 0.0,
-    witness: SeismometerBeside | None = None,
+    witness: TimedSeismometer | None = None,
     *,
     u_common_rad: float = 0.0,
     followed: FollowedPlane | None = None,
@@ -74,7 +74,7 @@ def analyse_swings(
     detected = points_in_true_time(swings, clock_rate)
     if pendulum is not None and len(detected) > 1:
         drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
-    believed = believed_drifts(config, air)
+    believed = assumed_drifts(config, air)
     settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
     fits: Mapping[str, FitResult] = {}
@@ -140,14 +140,14 @@ def analyse_swings(
 
 
 def _witness_beside(
-    swings: Sequence[HalfCycle], witness: SeismometerBeside | None
+    swings: Sequence[HalfCycle], witness: TimedSeismometer | None
 ) -> tuple[Seismogram, bool] | None:
     """A seismometer on the clock of the turning points of these half-cycles, and whether that is known."""
     first_ns = next((swing.turn_time_ns for swing in swings if not swing.flags), None)
     if witness is None or first_ns is None:
         return None
     record, start_at = witness
-    return record.beside(start_at(first_ns))
+    return record.seismogram(start_at(first_ns))
 
 
 def _reduced(

@@ -209,7 +209,7 @@ def _law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:
     }
 
 
-_OF_KIND: Final = {"hardness": _hardness, "circular": _circular, "rolling": _rolling}
+_REPORTERS: Final = {"hardness": _hardness, "circular": _circular, "rolling": _rolling}
 """Functions that add the rows of a kind of report; for all others `_damping`."""
 
 
@@ -226,7 +226,7 @@ def _range_and_period(report: Reduction) -> None:
     report.add(mean_period_s=mean_period(points))
 
 
-_FELT: Final = 0.01
+_NEGLIGIBLE: Final = 0.01
 """Error of an amplitude, in its uncertainties, below which it changes no reported value."""
 
 
@@ -270,11 +270,11 @@ def reduce_run(
     try:
         if followed.problem:
             raise DataError(followed.problem)
-        _OF_KIND.get(description.report, _damping)(report)
+        _REPORTERS.get(description.report, _damping)(report)
     except DataError as error:
         problems.append(str(error))
         _range_and_period(report)
-    report.checks = [*_held_against_air(description, air, lines), *_check_mass(settings, lines)]
+    report.checks = [*_check_air(description, air, lines), *_check_mass(settings, lines)]
     report.problem = "; ".join(dict.fromkeys(problems))
     return report
 
@@ -311,7 +311,7 @@ def _errors_of_plane(followed: FollowedPlane, points: TurningPoints) -> list[Sha
     columns = followed.amplitude_errors(points)
     if columns is None:
         return []
-    felt = np.max(np.abs(columns) / points.u_amplitude[:, None], axis=0) > _FELT
+    felt = np.max(np.abs(columns) / points.u_amplitude[:, None], axis=0) > _NEGLIGIBLE
     return [SharedError("", amplitude_rad=column) for column in columns.T[felt]]
 
 
@@ -350,9 +350,7 @@ def _from_the_release(
     return swings
 
 
-def _held_against_air(
-    description: Description, air: AmbientConditions, lines: list[str]
-) -> tuple[Check, ...]:
+def _check_air(description: Description, air: AmbientConditions, lines: list[str]) -> tuple[Check, ...]:
     wanted = (
         ("temperature", air.temperature_c, description.temperature_c, "°C"),
         ("humidity", air.humidity_percent, description.humidity_percent, "%"),

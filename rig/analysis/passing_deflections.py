@@ -25,7 +25,7 @@ from rig.instrument import NO_STRAY_LIGHT, optics_of, sensor_model
 from rig.presentation import Verdict, percent, with_uncertainty
 from rig.settings import Configuration
 
-_SHORT = 300_000
+_MOST_IN_MEMORY = 300_000
 """Most frames whose deflections stay in memory: some twenty megabytes, fifty minutes at 100 frames/s."""
 
 
@@ -79,7 +79,7 @@ class PassingDeflections:
             self.lost_spots += len(block) - int(np.count_nonzero(block.found))
             self._x.append(block.x)
             self._y.append(block.y)
-            if self.frames > _SHORT:
+            if self.frames > _MOST_IN_MEMORY:
                 self._kept = None
             if self._kept is not None:
                 self._kept.append(block)
@@ -120,23 +120,23 @@ def _finite(blocks: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     return values[:count]
 
 
-_SEEN = 4.0
+_GAIN_SEEN = 4.0
 """Standard uncertainties by which a fitted gain has to differ from zero."""
 _PLACES = ("x_px", "y_px", "u_x_px", "u_y_px")
 _FIELDS = ("sequence", "flags", *_PLACES)
 
 
-def less_beam_motion(reader: RecordReader, config: Configuration) -> "WithoutBeamMotion | None":
+def without_beam_motion(reader: RecordReader, config: Configuration) -> "BeamMotionCorrection | None":
     """The correction by the record's reference spot; None without one, or where it was hardly ever found."""
     if config.reference is None or REFERENCE.topic not in reader.counts:
         return None
     try:
-        return WithoutBeamMotion(reader, config)
+        return BeamMotionCorrection(reader, config)
     except DataError:
         return None
 
 
-class WithoutBeamMotion:
+class BeamMotionCorrection:
     """Correction of a record's deflections for the motion of the beam, by its reference spot.
 
     `change` corrects deflections of any of the record's frames; `found` has the corrected positions by
@@ -160,15 +160,15 @@ class WithoutBeamMotion:
             place[ours], u[ours] = reference[name][theirs], reference[f"u_{name}"][theirs]
             common = common_motion(spots["time_ns"], place, u)
             ours_px, u_ours_px = spots[name], spots[f"u_{name}"]
-            stated = self._stated or _fitted(spots["time_ns"], ours_px, u_ours_px, place, u)
-            if stated is None or not stated.value > _SEEN * stated.standard_uncertainty:
+            stated = self._stated or _fitted_gain(spots["time_ns"], ours_px, u_ours_px, place, u)
+            if stated is None or not stated.value > _GAIN_SEEN * stated.standard_uncertainty:
                 unknown = stated or Estimate(np.nan, np.inf)
                 less = uncorrected(ours_px, u_ours_px, unknown, ReferenceVerdict.UNKNOWN_GAIN)
             else:
                 less = subtract_common_motion(ours_px, u_ours_px, common, stated, quiet)
             self.found[name] = less
             moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
-        self.change = change_of_places(config, spots, moved)
+        self.change = deflection_change(config, spots, moved)
 
     @property
     def used(self) -> bool:
@@ -189,7 +189,7 @@ class WithoutBeamMotion:
         return f" with a gain of {with_uncertainty(*one.gain)} from the run itself"
 
 
-def change_of_places(
+def deflection_change(
     config: Configuration, spots: np.ndarray, moved: np.ndarray
 ) -> Callable[[Deflections], Deflections]:
     """Function that changes deflections, and their variances, as if the record's spots were at `moved`."""
@@ -215,7 +215,7 @@ def change_of_places(
     return changed
 
 
-class Changed:
+class ChangedDeflections:
     """Deflections with a change of each block, at every iteration."""
 
     def __init__(self, blocks: Iterable[Deflections], change: Callable[[Deflections], Deflections]) -> None:
@@ -227,15 +227,15 @@ class Changed:
 
 _PICTURES = 48
 """Whole frames of a record in which fixed light is sought."""
-_FINER = 16
+_STEPS_PER_DN = 16
 """Steps a DN in which the light is subtracted from a picture."""
 _MOST_LOST = 0.1
 """Largest share of the affected frames that may have no spot without the light."""
-_DEEPEST = 4095
-"""Largest full scale in DN at which `_FINER` steps a DN fit into 16 bits."""
+_LARGEST_FULL_SCALE_DN = 4095
+"""Largest full scale in DN at which `_STEPS_PER_DN` steps a DN fit into 16 bits."""
 
 
-class WithoutFixedLight:
+class FixedLightCorrection:
     """Correction of a record's deflections for fixed light, by tracking the affected frames without it.
 
     Attributes
@@ -263,7 +263,7 @@ class WithoutFixedLight:
         # a lost spot stays in its place with an uncertainty of 1 px, so that it has hardly any weight
         for name in _PLACES:
             moved[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
-        self.change = change_of_places(config, spots, moved)
+        self.change = deflection_change(config, spots, moved)
 
     @property
     def verdict(self) -> Verdict:
@@ -273,7 +273,7 @@ class WithoutFixedLight:
         return Verdict("fixed light", self.used, self._light.text, NO_STRAY_LIGHT, f"{part}, {done}", "none")
 
 
-def without_fixed_light(reader: RecordReader, config: Configuration) -> WithoutFixedLight | None:
+def without_fixed_light(reader: RecordReader, config: Configuration) -> FixedLightCorrection | None:
     """The correction for fixed light in the whole frames of a record; None where there is none."""
     every = max(1, reader.counts.get(IMAGE.topic, 0) // _PICTURES)
     images = {one.sequence: one.image for one in reader.images(every=every)}
@@ -283,14 +283,14 @@ def without_fixed_light(reader: RecordReader, config: Configuration) -> WithoutF
             spot = Spot(*(block[name][row].item() for name in Spot._fields))
             pictures.append((images[int(block["sequence"][row])], spot))
     light = fixed_light(pictures)
-    return None if light is None else WithoutFixedLight(reader, config, light)
+    return None if light is None else FixedLightCorrection(reader, config, light)
 
 
 def _tracked_again(
     reader: RecordReader, config: Configuration, light: FixedLight, sequences: Ints
 ) -> dict[int, Spot]:
     """The spots of some frames, tracked again in their pixels less the light; without those lost."""
-    fine = _FINER if reader.full_scale_dn <= _DEEPEST else 1
+    fine = _STEPS_PER_DN if reader.full_scale_dn <= _LARGEST_FULL_SCALE_DN else 1
     stated = sensor_model(config, reader.full_scale_dn)
     full, less = fine * int(stated.full_scale_dn), np.rint(fine * light.taken_off_dn).astype(np.int64)
     tracker = SpotTracker(
@@ -314,7 +314,7 @@ def _tracked_again(
     return found
 
 
-def _fitted(
+def _fitted_gain(
     times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
 ) -> Estimate | None:
     try:

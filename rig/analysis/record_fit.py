@@ -17,12 +17,12 @@ from processing.fit import (
 )
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
-from rig.analysis.air import doubts_of, recorded_surroundings
-from rig.analysis.half_cycle_fits import SeismometerBeside, analyse_swings
+from rig.analysis.air import air_doubts, recorded_surroundings
+from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
 from rig.analysis.passing_deflections import (
-    Changed,
+    ChangedDeflections,
     PassingDeflections,
-    less_beam_motion,
+    without_beam_motion,
     without_fixed_light,
 )
 from rig.analysis.run_conditions import Beam, run_clock, run_conditions
@@ -110,17 +110,17 @@ def analyse_run(
     counts of their spots, and `dropped` gives the number of missing frames from that of the frames present.
     The motion of the beam by a reference spot, and fixed light, are taken off.
     """
-    less, pulled = less_beam_motion(reader, config), without_fixed_light(reader, config)
+    less, pulled = without_beam_motion(reader, config), without_fixed_light(reader, config)
     for one in (less, pulled):
         if one is not None and one.used:
-            blocks = Changed(blocks, one.change)
+            blocks = ChangedDeflections(blocks, one.change)
             swings = swings_of_blocks(blocks)
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
     own = recorded_witness(reader, config) if witness is None else None
-    beside: SeismometerBeside | None = None
+    beside: TimedSeismometer | None = None
     if own is not None:
         beside = own, FitStart
     elif witness is not None:
@@ -131,7 +131,7 @@ def analyse_run(
     run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    warnings = [*run.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
+    warnings = [*run.warnings, *doubts, *reader.doubts(), *air_doubts(surroundings)]
     end = end_of(reader.events())
     frames, judged = deflections.frames, Beam.of(beam, noise_is_known=config.sensor is not None)
     dropped_frames, exact = dropped(frames), run.fits.get(FitMethod.EXACT)

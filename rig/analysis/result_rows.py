@@ -22,10 +22,10 @@ _SHORT_NAMES: Final = {
     "drag": DRAG.key,
     "a": "contact_radius_m",
 }
-_TANGENT: Final = 3.0
+_MOST_LOGARITHMIC: Final = 3.0
 """Relative uncertainty by the apparatus up to which it is added in the logarithm of a parameter: near zero it
 could be any number."""
-_OWN = Quantity("", "", unit=OF + "quantity")
+_QUANTITY_UNIT = Quantity("", "", unit=OF + "quantity")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -45,11 +45,11 @@ class ResultRow:
 
     quantity: str
     fit: str = FitMethod.EXACT.value
-    value: Annotated[float, _OWN] = nan
-    u: Annotated[float, _OWN] = nan
-    u_total: Annotated[float, _OWN] = nan
-    lower: Annotated[float, _OWN] = nan
-    upper: Annotated[float, _OWN] = nan
+    value: Annotated[float, _QUANTITY_UNIT] = nan
+    u: Annotated[float, _QUANTITY_UNIT] = nan
+    u_total: Annotated[float, _QUANTITY_UNIT] = nan
+    lower: Annotated[float, _QUANTITY_UNIT] = nan
+    upper: Annotated[float, _QUANTITY_UNIT] = nan
     verdict: Determinacy = Determinacy.DETERMINED
     unit: str = ""
     run: str = ""
@@ -208,11 +208,14 @@ def _wider_ends(row: ResultRow, expanded: float) -> tuple[float, float]:
     parameter = law_parameters().get(row.quantity)
     logarithmic = parameter is not None and parameter.logarithmic and ends[0] > 0
     relative = expanded / value if value > 0 else inf
-    if logarithmic and relative < _TANGENT:
+    if logarithmic and relative < _MOST_LOGARITHMIC:
         # the unit contains an exponent, so that the interval is symmetric in the logarithm
         low, high = (_wider(side, relative) for side in (log(value / ends[0]), log(ends[1] / value)))
         return value * exp(-low), value * exp(high)
-    lower, upper = value - _wider(value - ends[0], expanded), value + _wider(ends[1] - value, expanded)
+    lower, upper = (
+        value - _wider(value - ends[0], expanded),
+        value + _wider(ends[1] - value, expanded),
+    )
     # 0 is a limit by physics, which no apparatus moves
     return 0.0 if ends[0] == 0 or (logarithmic and lower < 0) else lower, upper
 

@@ -32,7 +32,7 @@ from rig.analysis.run_conditions import Beam, RunClock
 from rig.presentation import Verdict
 
 SCHEMA = 1
-_OF_A_RUN = re.compile(r"run-(\d+)(-recovered)?\.mcap")
+_RECORD_NAME = re.compile(r"run-(\d+)(-recovered)?\.mcap")
 _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
 
@@ -78,7 +78,7 @@ class StoredTurningPoints:
         unit: DeflectionUnit | TableUnit,
         clock_rate: float,
     ) -> "StoredTurningPoints":
-        """The `points` made of `swings`, and the half-cycles left out; `clock_rate` is true seconds a second."""
+        """The `points` of `swings`, and the half-cycles left out; `clock_rate` is true seconds a second."""
         first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), None)
         if first_ns is None:
             first_ns = swings[0].turn_time_ns if swings else 0
@@ -317,7 +317,7 @@ class SessionResults(RowsByName):
     @property
     def numbers(self) -> tuple[int, ...]:
         """Numbers of the runs: those in the names of their records, else their places from 1."""
-        named = [_OF_A_RUN.fullmatch(Path(run.record).name) for run in self.runs]
+        named = [_RECORD_NAME.fullmatch(Path(run.record).name) for run in self.runs]
         numbers = tuple(int(found[1]) for found in named if found is not None)
         is_whole = len(set(numbers)) == len(self.runs)
         return numbers if is_whole else tuple(range(1, len(self.runs) + 1))

@@ -292,7 +292,7 @@ def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdi
 
 
 def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
-    """A warning of saturated spots: only their flanks are fitted, whose centre is right for Gaussian beams."""
+    """A warning of saturated spots: their flanks alone are fitted, which is right only for Gaussian beams."""
     found = _fraction(
         "saturation",
         beam.flags.get(SpotFlag.SATURATED.name or "", 0),

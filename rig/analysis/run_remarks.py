@@ -69,7 +69,7 @@ def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
 
 _SHOWN_SHARE = 0.02
 _LIMITS_FROM = 0.25
-_DO: Final[Mapping[str, str]] = {
+_STEPS: Final[Mapping[str, str]] = {
     "swings": "measure longer, or make more runs",
     "ground": "measure while the ground is quieter, or record it beside the run (rig fit --witness)",
     "misfit": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
@@ -114,7 +114,7 @@ class WholeResult(NamedTuple):
         """Steps against each of the sources of most of the uncertainty."""
         large = [one for one in self.limits if one.share >= _LIMITS_FROM]
         # a drive of the ground that is not seen has a bound, which more half-cycles lower
-        do = _DO if self.ground_seen else {**_DO, "ground": _DO["swings"]}
+        do = _STEPS if self.ground_seen else {**_STEPS, "ground": _STEPS["swings"]}
         steps = [do.get(one.source, f"determine {one.name} more accurately") for one in large]
         return list(dict.fromkeys(steps))
 
@@ -146,7 +146,7 @@ def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
     return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol, ground_seen)
 
 
-_FOUND = {
+_FINDINGS = {
     DragFinding.SEEN: "The decay shows a linear drag",
     DragFinding.NEGATIVE: "A negative drag fits best, so something is missing from the model",
     DragFinding.UNSEEN: "No linear drag is seen",
@@ -189,7 +189,7 @@ class Remark(NamedTuple):
 
 def remark_rows(run: RunResults, *levels: RemarkLevel) -> list[Remark]:
     """The table of remarks of a run in the order of reading; of some `levels`, or of all without any."""
-    rows = [row for row in (*_of_fit(run), *_of_run(run)) if row.text]
+    rows = [row for row in (*_fit_remarks(run), *_run_remarks(run)) if row.text]
     return [row for row in rows if not levels or row.level in levels]
 
 
@@ -198,7 +198,7 @@ def remarks(run: RunResults) -> list[str]:
     return [row.text for row in remark_rows(run, RemarkLevel.RESULT, RemarkLevel.DETAIL)]
 
 
-def _of_fit(run: RunResults) -> Iterator[Remark]:
+def _fit_remarks(run: RunResults) -> Iterator[Remark]:
     """Remarks on the numbers of a run, without warnings."""
     exact, result, detail = run.fits.get(FitMethod.EXACT), RemarkLevel.RESULT, RemarkLevel.DETAIL
     parameters = {} if exact is None else exact.parameters
@@ -218,7 +218,7 @@ def _of_fit(run: RunResults) -> Iterator[Remark]:
     if run.drag is not None and not (run.drag.significant and is_withheld):
         yield Remark("drag", detail, _drag_sentence(run.drag, run.rows, fitted=is_fitted))
     if exact is not None:
-        yield Remark("waveform", detail, _worth_sentence(exact.worth))
+        yield Remark("waveform", detail, _waveform_sentence(exact.worth))
         yield Remark("correlation", detail, _correlation_sentence(exact.correlation))
         yield Remark("advice", RemarkLevel.ADVICE, _advice(whole_result(run)))
     for row in run.contact:
@@ -229,7 +229,7 @@ def _of_fit(run: RunResults) -> Iterator[Remark]:
         yield Remark("note", detail, note)
 
 
-def _of_run(run: RunResults) -> Iterator[Remark]:
+def _run_remarks(run: RunResults) -> Iterator[Remark]:
     """Remarks on conditions that were not met or are doubtful, and warnings."""
     for one in run.conditions:
         if not one.ok or one.remedy:
@@ -264,7 +264,7 @@ def ground_sentence(ground: Ground) -> str:
         else ""
     )
     drive = drive_text(ground.density_rad_per_s2_rthz, ground.upper_95, ground.base, seen=ground.seen)
-    return f"Ground at the pendulum's frequency: {drive}{left_out}.{_cost(ground)}"
+    return f"Ground at the pendulum's frequency: {drive}{left_out}.{_ground_cost(ground)}"
 
 
 def drive_text(
@@ -284,7 +284,7 @@ def _density(found: Estimate, upper_95: float, unit: str, seen: bool) -> str:
     return f"{with_uncertainty(*found)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
 
 
-def _cost(ground: Ground) -> str:
+def _ground_cost(ground: Ground) -> str:
     """Sentence on the ground's part of the uncertainties, with remedies; empty where it is small."""
     widened = {name: factor for name, factor in ground.widening.items() if factor > _MUCH}
     if not widened or not ground.seen:
@@ -299,7 +299,7 @@ def _cost(ground: Ground) -> str:
     )
 
 
-def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
+def _waveform_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
     """Sentence on the information gain by the waveform; empty where it is small."""
     gained = {name: one for name, one in worth.get(WAVEFORM, {}).items() if one > _MUCH}
     if not gained:
@@ -341,7 +341,7 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
             said = (
                 f"{shown.text(*drag.of_data_s)} s, with a probability of {plain(drag.p_value, 2)} by chance"
             )
-    return f"{_FOUND[drag.finding]}: {said}.".replace("-", "−")
+    return f"{_FINDINGS[drag.finding]}: {said}.".replace("-", "−")
 
 
 def _by_the_data(drag: Drag) -> bool:

@@ -21,8 +21,8 @@ from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, wr
 from rig.analysis.run_remarks import RemarkLevel, damping_lines, decay_lines, remark_rows
 from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.table_fit import (
+    AnalysedDecay,
     AnalysedTable,
-    FoundDecay,
     analyse_envelope,
     analyse_trajectory,
     series_of_runs,
@@ -103,7 +103,7 @@ _FLAGS = {
 }
 
 
-class TableFit(NamedTuple):
+class TableOptions(NamedTuple):
     """Options of a fit of tables: configuration with its overrides, laws to compare, auxiliary seismometer.
 
     `report` writes the report.
@@ -116,14 +116,14 @@ class TableFit(NamedTuple):
     witness: SeismometerSource | None = None
 
 
-def fit_trajectory(path: Path, output: Path | None, columns: TableColumns, wanted: TableFit) -> int:
+def fit_trajectory(path: Path, output: Path | None, columns: TableColumns, wanted: TableOptions) -> int:
     """Analyse a table, print the results of every decay, write results.json. Returns the exit status."""
     inputs = [(run.run, path, lambda run=run: run) for run in columns.read_runs(path)]
     return fit_several(inputs, output, wanted)
 
 
 def fit_several(
-    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, wanted: TableFit
+    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, wanted: TableOptions
 ) -> int:
     """Analyse runs, each given by its name, file and a function that reads it; several have a folder each.
 
@@ -170,7 +170,7 @@ def _folder_name(name: str) -> str:
 
 
 def _fit(
-    path: Path, trajectory: Trajectory, output: Path | None, wanted: TableFit, *, alone: bool = False
+    path: Path, trajectory: Trajectory, output: Path | None, wanted: TableOptions, *, alone: bool = False
 ) -> AnalysedTable:
     """Analyse one run, print and write it; with the series of its decays if it is `alone`."""
     laws, report = wanted.laws, wanted.report
@@ -267,7 +267,7 @@ def _print_series(series: Series | None) -> None:
             print_line(line)
 
 
-def _print_decay(number: int, decay: FoundDecay) -> None:
+def _print_decay(number: int, decay: AnalysedDecay) -> None:
     results, summary = decay.results, decay.summary
     flagged = len(decay.swings) - summary.half_cycles
     rows = {row.quantity: row for row in results.table if row.fit == DECAY}
@@ -295,7 +295,7 @@ def _print_decay(number: int, decay: FoundDecay) -> None:
     print_run(results, head, lines)
 
 
-def _reasons(decay: FoundDecay) -> str:
+def _reasons(decay: AnalysedDecay) -> str:
     """Flags of the half-cycles that are left out, with their numbers, the most frequent first."""
     counts = Counter(name for swing in decay.swings for flag, name in _FLAGS.items() if swing.flags & flag)
     return "".join(f"{', ' if k else ': '}{n} {name}" for k, (name, n) in enumerate(counts.most_common()))

@@ -39,7 +39,7 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> Seismometer
     if len(table) < _FEWEST:
         return None
     names = config.witness.components
-    times_ns, steps_s = taken(table["time_ns"], table["own_time_s"])
+    times_ns, steps_s = sample_times(table["time_ns"], table["own_time_s"])
     order = np.concatenate([[True], np.diff(times_ns) > 0])
     stray = int(np.count_nonzero(~order))
     value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
@@ -67,7 +67,7 @@ class SampleTimes(NamedTuple):
     steps_s: tuple[float, ...]
 
 
-def taken(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
+def sample_times(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
     """Times at which samples were taken, from those of their arrival: in bursts, late by parts of a second.
 
     They are those of a line through the arrivals over the instrument's own time or, without one, over the
@@ -78,7 +78,7 @@ def taken(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
     steps_s: dict[int, float] = {}
     if np.all(np.isfinite(own_s)) and np.all(np.diff(own_s) > 0):
         over, begins = own_s - own_s[0], [0, len(since_s)]
-        steps_s = _steps_of(since_s - over, over)
+        steps_s = _clock_steps(since_s - over, over)
         for place, step_s in steps_s.items():
             # a clock counts as right after it was set
             since_s[:place] += step_s
@@ -91,12 +91,12 @@ def taken(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
     for begin, end in pairwise(begins):
         if end - begin >= _LINE:
             part = slice(begin, end)
-            taken_s[part] = _line_of(over[part], since_s[part])
+            taken_s[part] = _arrival_line(over[part], since_s[part])
     times_ns = np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
     return SampleTimes(times_ns, tuple(steps_s.values()))
 
 
-def _line_of(over: Floats, since_s: Floats) -> Floats:
+def _arrival_line(over: Floats, since_s: Floats) -> Floats:
     """The line through arrivals without late ones, which may have waited for minutes; none arrives early.
 
     It is that of all arrivals where none is later than their usual scatter.
@@ -114,7 +114,7 @@ def _line_of(over: Floats, since_s: Floats) -> Floats:
     return np.asarray(line)
 
 
-def _steps_of(late_s: Floats, own_s: Floats) -> dict[int, float]:
+def _clock_steps(late_s: Floats, own_s: Floats) -> dict[int, float]:
     """Steps (s) of lateness (n,), by the number of the first sample after each.
 
     A step lasts. Lateness that falls back, as of lines that waited for a thread, is no step, however long it
@@ -157,17 +157,17 @@ def _falls(late_s: Floats, own_s: Floats) -> bool:
     return fell > _FALLS * float(np.median(own_s[later]) - np.median(own_s[first]))
 
 
-_WELL = 1.05
+_NAMED_FACTOR = 1.05
 """Factor by which an uncertainty is smaller, above which it is named."""
 
 
 def witness_sentences(use: SeismometerUse) -> list[str]:
     """Sentences on the use of a seismometer, or its refusal, and on samples that were left out."""
     lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
-    return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
+    return [*_use_sentences(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
 
 
-def _told(use: SeismometerUse) -> list[str]:
+def _use_sentences(use: SeismometerUse) -> list[str]:
     if not use.used:
         gain = use.gain_of_prediction
         judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
@@ -190,7 +190,7 @@ def _told(use: SeismometerUse) -> list[str]:
     saved = ", ".join(
         f"{plain(factor, 3)} ({quantity(name).symbol})"
         for name, factor in use.saved.items()
-        if factor > _WELL
+        if factor > _NAMED_FACTOR
     )
     if saved:
         lines.append(f"The witness reduces the uncertainties by factors of {saved}.")

@@ -86,7 +86,7 @@ class SeismometerRecord:
     offset_stated: bool = False
     understood: tuple[str, ...] = ()
 
-    def beside(self, begin: "FitStart") -> tuple[Seismogram, bool]:
+    def seismogram(self, begin: "FitStart") -> tuple[Seismogram, bool]:
         """The samples on the clock of turning points, and whether it is known to a fraction of a period."""
         known = self.offset_stated
         if not self.absolute or (self.offset_stated and begin.utc_ns is None):
@@ -143,13 +143,13 @@ def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
             pieces = _records(data) or [_trace_piece(one) for one in obspy.read(str(path))]
     except Exception as error:  # ObsPy's readers raise whatever their libraries do
         raise DataError(f"{path}: is read by ObsPy as neither miniSEED nor SAC: {error}") from None
-    chosen, others = _chosen(path, sorted({one.name for one in pieces}), wanted)
+    chosen, others = _chosen_channels(path, sorted({one.name for one in pieces}), wanted)
     left_out = Counter[str]()
     runs = {name: _runs([one for one in pieces if one.name == name], left_out) for name in chosen}
     if empty := [name for name, found in runs.items() if not found]:
         raise DataError(f"{path}: {empty[0]} holds no samples that can be read; name another file or channel")
     times_ns = _grid(runs)
-    value = np.column_stack([_on(times_ns, found) for found in runs.values()])
+    value = np.column_stack([_at_times(times_ns, found) for found in runs.values()])
     lost = int(np.count_nonzero(np.isnan(value).any(axis=1)))
     rate = NS_PER_S / float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else math.nan
     understood = (
@@ -218,7 +218,7 @@ def _sensor(name: str) -> str:
     return f"{name[:-1]}?" if "." in name else name
 
 
-def _chosen(path: Path, known: Sequence[str], wanted: Sequence[str]) -> tuple[list[str], list[str]]:
+def _chosen_channels(path: Path, known: Sequence[str], wanted: Sequence[str]) -> tuple[list[str], list[str]]:
     """Names of the channels to use, all of one sensor, and the others; `wanted` are names in full or in part.
 
     Raises ConfigurationError where a name fits no channel, or several sensors.
@@ -346,7 +346,7 @@ def _grid(runs: Mapping[str, Sequence[_GaplessSamples]]) -> Ints:
     return np.concatenate(parts)
 
 
-def _on(times_ns: Ints, runs: Sequence[_GaplessSamples]) -> Floats:
+def _at_times(times_ns: Ints, runs: Sequence[_GaplessSamples]) -> Floats:
     """A channel's samples at the common times; NaN where it has none."""
     out = np.full(len(times_ns), np.nan)
     for run in runs:

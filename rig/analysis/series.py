@@ -82,7 +82,7 @@ def combined_series(
         except DataError as error:
             problems.append(f"the budget has no lines for drifts: {error}")
     if measured is not None and rig is not None and of_runs and all(of_runs):
-        measured, rig = _with_lines_of(of_runs, measured, rig)
+        measured, rig = _with_run_sources(of_runs, measured, rig)
     budget = budgets(measured, rig) if measured and rig else {}
     table = () if default is None else series_rows(default.parameters, budget, pendulum)
     return Series(
@@ -96,7 +96,7 @@ def combined_series(
     )
 
 
-def _with_lines_of(
+def _with_run_sources(
     of_runs: Sequence[Mapping[str, Budget]], measured: FittedContact, rig: RigQuantities
 ) -> tuple[FittedContact, RigQuantities]:
     """The series with sources of its runs' budgets: row time and film, which runs share, and plane of swing.
@@ -160,25 +160,25 @@ def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> Ins
     places = [one for number, one in numbered if one and number not in settings.reference_runs]
     glass = [one for number, one in numbered if one and number in settings.reference_runs]
     lines: list[str] = []
-    made: dict[str, Any] = {"kind": description.kind}
+    values: dict[str, Any] = {"kind": description.kind}
     if places:
-        made["time_s"] = _over_places(places, "time_s", "damping time", " s", lines)
-        made["swings"] = _over_places(places, "swings", "swings", "", lines)
+        values["time_s"] = _over_places(places, "time_s", "damping time", " s", lines)
+        values["swings"] = _over_places(places, "swings", "swings", "", lines)
     reference, problem = _reference(settings, glass), _reference_fault(settings, numbered)
     if reference is None:
         problem += ": no ratio"
-        return InstrumentSeries(**made, problem=problem, text=(*lines, problem))
+        return InstrumentSeries(**values, problem=problem, text=(*lines, problem))
     lines += [problem] if problem else []
-    made["reference_time_s"] = reference.estimate
+    values["reference_time_s"] = reference.estimate
     if glass:
-        made["acceptance"] = _acceptance(description, glass, lines)
+        values["acceptance"] = _acceptance(description, glass, lines)
     if places:
-        made["ratio"] = relative = ratio(_mean(places, "time_s"), reference)
+        values["ratio"] = relative = ratio(_mean(places, "time_s"), reference)
         lines.append(f"ratio of damping times, sample to reference: {with_uncertainty(*relative)}")
     if places and glass:
-        made["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
+        values["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
         lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
-    return InstrumentSeries(**made, text=tuple(lines))
+    return InstrumentSeries(**values, text=tuple(lines))
 
 
 def _mean(readings: _Readings, name: str) -> ValueWithSharedErrors:

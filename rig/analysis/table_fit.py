@@ -28,10 +28,10 @@ from processing.swing import (
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
-from rig.analysis.air import doubts_of, stated_surroundings, surroundings_of_table
+from rig.analysis.air import air_doubts, stated_surroundings, table_surroundings
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import DECAY, amplitude_damping, decay_rows, decay_values
-from rig.analysis.half_cycle_fits import SeismometerBeside, analyse_swings
+from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import (
     EnvelopeResults,
@@ -67,16 +67,16 @@ _STATED = ("sample", "operator", "contact_history", "notes")
 _USABLE = 4  # what the summary of a decay needs (processing/decay_summary.py)
 _EDGE = 0.75
 """Half periods before the first and after the last turning point of a decay whose samples belong to it."""
-_GROWN = 1.2
+_PUSHED_RATIO = 1.2
 """Ratio of neighbouring amplitudes above which the pendulum was pushed again: 20 % of its amplitude are
 nearly half of its energy."""
-_CLEARLY = 6.0
+_PUSHED_U = 6.0
 """Standard uncertainties by which such an amplitude has to be larger: faint amplitudes grow by noise, by so
 much once in 10^9 half-cycles."""
 
 
 @dataclass(frozen=True)
-class FoundDecay:
+class AnalysedDecay:
     """One decay of a table: its half-cycles with their means, and its results."""
 
     swings: Sequence[HalfCycle]
@@ -93,12 +93,12 @@ class AnalysedTable:
 
     trajectory: Trajectory
     noise: float
-    decays: Sequence[FoundDecay]
+    decays: Sequence[AnalysedDecay]
     passed_over: Sequence[Sequence[HalfCycle]]
     results: SessionResults
 
     @property
-    def longest(self) -> FoundDecay:
+    def longest(self) -> AnalysedDecay:
         """The decay with most half-cycles."""
         return max(self.decays, key=lambda decay: decay.summary.half_cycles)
 
@@ -151,7 +151,7 @@ def analyse_trajectory(
             f"flagged or of other decays), at least {_USABLE} are needed: {reason}"
         )
     judge_time_unit(path, trajectory, usable)
-    both = _in_both(trajectory.times_ns, across, deflection, scatter)
+    both = _both_deflections(trajectory.times_ns, across, deflection, scatter)
     decays = [_analyse(path, part, trajectory, both, scatter, config, laws, witness) for part in usable]
     results = SessionResults(
         trajectory=path.as_posix(),
@@ -164,7 +164,7 @@ def analyse_trajectory(
     return AnalysedTable(trajectory, noise / scale, decays, passed_over, results)
 
 
-def _series(decays: Sequence[FoundDecay], run: str) -> Series | None:
+def _series(decays: Sequence[AnalysedDecay], run: str) -> Series | None:
     """The series of the decays of one run, numbered by the run's number if it has one, else by place."""
     runs = [decay.results for decay in decays]
     return instrument_series(runs, [int(run)] * len(runs) if run.isdecimal() else ())
@@ -240,7 +240,7 @@ def _analyse(
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw],
     witness: SeismometerRecord | None,
-) -> FoundDecay:
+) -> AnalysedDecay:
     """Results of one decay, by the same steps as those of a record."""
     u_common = trajectory.u_common_in_noises * scatter.noise
     edge_ns = _EDGE * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
@@ -259,7 +259,7 @@ def _analyse(
     run = AnalysedRun(path=path, record=relative_record(path, Path.cwd()), sha256=sha256, problem=problem)
     if config is not None and not problem:
         zero_ns, absolute = trajectory.first_ns, seconds(trajectory.first_ns) > FIRST_UTC_S
-        beside: SeismometerBeside | None = None
+        beside: TimedSeismometer | None = None
         if witness is not None:
             beside = witness, lambda ns: FitStart(ns + zero_ns, ns + zero_ns if absolute else None)
         air = stated_surroundings(config)
@@ -304,10 +304,10 @@ def _analyse(
     session: dict[str, str] = {}
     if config is not None:
         began_s = seconds(trajectory.first_ns)
-        found = surroundings_of_table(config, began_s if began_s > FIRST_UTC_S else None)
+        found = table_surroundings(config, began_s if began_s > FIRST_UTC_S else None)
         run = replace(run, surroundings=found)
         session = {key: text for key in _STATED if (text := getattr(config.session, key))}
-        warnings += doubts_of(found)
+        warnings += air_doubts(found)
         warnings += strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config)
         notes += _taken_as_exact(config) if run.budget else []
     results = replace(
@@ -330,7 +330,7 @@ def _analyse(
             session=session,
         ),
     )
-    return FoundDecay(swings, summary, results)
+    return AnalysedDecay(swings, summary, results)
 
 
 def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
@@ -351,7 +351,7 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
     return replace(followed, swings=swings_of_blocks(passing), deflections=passing)
 
 
-def _in_both(
+def _both_deflections(
     times_ns: NDArray[np.int64], x: NDArray[np.float64], y: NDArray[np.float64], scatter: SampleScatter
 ) -> Deflections:
     """Deflections along the motion, y, and across it; NaN across where a table has one position alone."""
@@ -413,6 +413,6 @@ def _pushed(before: HalfCycle, swing: HalfCycle) -> bool:
     grown = swing.amplitude - before.amplitude
     return (
         not swing.flags
-        and swing.amplitude > _GROWN * before.amplitude
-        and grown > _CLEARLY * hypot(swing.u_amplitude, before.u_amplitude)
+        and swing.amplitude > _PUSHED_RATIO * before.amplitude
+        and grown > _PUSHED_U * hypot(swing.u_amplitude, before.u_amplitude)
     )

@@ -15,7 +15,7 @@ from processing.decay_summary import mean_period
 from processing.deflections import Deflections
 from processing.swing import HalfCycle, TurningPoints, swings_of_blocks, turning_points
 from processing.units import seconds
-from rig.analysis.passing_deflections import Changed, PassingDeflections
+from rig.analysis.passing_deflections import ChangedDeflections, PassingDeflections
 from rig.presentation import with_uncertainty
 
 DEGREE_RAD: Final = math.pi / 180.0
@@ -24,7 +24,7 @@ MATTERS: Final = 0.05
 """Largest change of any parameter of a fit, in standard uncertainties, by a rotation that is neglected."""
 _FIRST: Final = 10
 """Number of balances at the beginning, where the fast mode is largest."""
-_A_PERIOD: Final = 100
+_SAMPLES_PER_PERIOD: Final = 100
 """Least number of samples of a slow period, where there are as many, that make its balance."""
 _PER_MIN: Final = 60.0 / DEGREE_RAD
 
@@ -103,7 +103,7 @@ class PlaneBalances:
         """The balances that are complete with this block, which continues the last one."""
         if not self._stride and len(block) > 1:
             step_s = float(seconds(block.times_ns[-1] - block.times_ns[0])) / (len(block) - 1)
-            self._stride = max(1, int(self._period_s / step_s / _A_PERIOD))
+            self._stride = max(1, int(self._period_s / step_s / _SAMPLES_PER_PERIOD))
         stride = max(self._stride, 1)
         few = block[-self._passed % stride :: stride]
         self._passed += len(block)
@@ -163,7 +163,9 @@ def follow_plane(
         return replace(found, plane=plane, problem=problem.replace("-", "−"))
     angle_rad = plane.direction_rad if along_line else plane.turned_rad
     back = PassingDeflections(
-        Changed(deflections, lambda block: turned(block, angle_rad(block.times_ns), _oblique_rad(axes))),
+        ChangedDeflections(
+            deflections, lambda block: turned(block, angle_rad(block.times_ns), _oblique_rad(axes))
+        ),
         deflections.unit,
     )
     return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)

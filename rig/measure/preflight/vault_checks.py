@@ -18,7 +18,7 @@ from processing.reference_gain import ReferenceAtRest, gain_in_swings, reference
 from processing.reference_spot import common_motion
 from processing.spot import Spot, SpotFlag
 from processing.units import seconds
-from rig.analysis import taken
+from rig.analysis import sample_times
 from rig.control import SeismometerSettings
 from rig.measure.preflight.rest_checks import TrialFrames, judged, longer, not_at_rest
 from rig.presentation import Verdict, percent, plain, with_uncertainty
@@ -64,7 +64,7 @@ def witness(
         order = np.concatenate([[True], np.diff(np.maximum.accumulate(arrived_ns)) > 0])
         arrived_ns, value = arrived_ns[order], value[order]
         samples = [one for one, kept in zip(samples, order.tolist(), strict=True) if kept]
-    times_ns = taken(arrived_ns, np.array([one.own_time_s for one in samples])).times_ns
+    times_ns = sample_times(arrived_ns, np.array([one.own_time_s for one in samples])).times_ns
     record = Seismogram(seconds(times_ns - at.times_ns[0]), value, tuple(names))
     try:
         found = witness_at_rest(at.times_s, _less_beam(look, stated), record)
