@@ -23,8 +23,7 @@ from processing.least_squares import FactoredJacobian, Loss, Solution, propagate
 from processing.swing import TurningPoints
 
 _PIECE, _PIECES = 0.1, 400
-"""Length and number of the pieces of ln x over which a decay is integrated, 8 nodes each: accurate to 1e-13,
-down to e^-40 of the start."""
+"""Length and number of the pieces of ln x, 8 nodes each, of an integration: to 1e-13, down to e^-40."""
 _NEWTON_TOLERANCE = 1e-9
 """Change of ln x at which Newton's iteration ends; the next change would be its square."""
 

@@ -67,9 +67,8 @@ class Parameter:
     symbol, unit
         Symbol in tables and figures, and SI unit, "1" for a plain number.
     lower, upper
-        Range in which a value makes sense. An interval is not extended beyond it; a fit may still
-        return a value below a lower limit of 0, so that a quantity that is truly 0 is estimated
-        without bias.
+        Range in which a value makes sense. An interval is not extended beyond it; a fit may still return a
+        value below a lower limit of 0, so that a quantity that is truly 0 is estimated without bias.
     logarithmic
         The scatter of a positive value is nearly normal in its logarithm, not in the value itself:
         intervals are taken about the logarithm.

@@ -21,12 +21,7 @@ from typing import Annotated
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.law import (
-    ContactParameters,
-    Law,
-    PendulumOnBall,
-    weight_moment,
-)
+from processing.contact.law import ContactParameters, Law, PendulumOnBall, weight_moment
 from processing.contact.laws import DEFAULT_LAW, turning_points_of
 from processing.errors import DataError
 from processing.estimate import Estimate

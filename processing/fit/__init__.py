@@ -20,7 +20,7 @@ from processing.fit.law_comparison import (
 from processing.fit.model_free import fit_model_free, with_discrepancy
 from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.fit.refinement import (
-    HalfCycleFit,
+    DecayFit,
     describes_as_well,
     fitted_twice,
     known_motion,
@@ -53,7 +53,7 @@ from processing.fit.seismometer import Response, SeismometerUse, fit_with_seismo
 from processing.fit.seismometer_spectra import SeismometerSpectra
 from processing.fit.seismometer_terms import Seismogram, plain_signals
 from processing.fit.sensor_errors import (
-    PositionErrors,
+    PositionErrorFit,
     amplitude_error_effects,
     fit_position_errors,
     row_delay,

@@ -28,7 +28,7 @@ _NODE_RATIO = 1.6
 """Ratio of neighbouring nodes' amplitudes; between the nodes harmonics are interpolated."""
 _FEWEST = 8
 """Fewest pieces that make a waveform: half of their stated uncertainty then comes from their scatter."""
-_STATED_PIECES = 10.0
+_STATED = 10.0
 """Number of pieces as which the stated covariance counts against the scatter of the harmonics."""
 _MOST_CACHED = 32
 """Most predictions in a waveform's cache: a fit and the verdicts on it need the same ones again."""
@@ -153,11 +153,11 @@ def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats
     left = np.clip(left, -_GATE * size, _GATE * size)
     scatter, degrees = left.T @ left, len(amplitude) - 3
     louder = max(1.0, float(np.trace(scatter)) / len(_ODD) / degrees)
-    own = (degrees + _STATED_PIECES) ** 2 / degrees
+    own = (degrees + _STATED) ** 2 / degrees
     return np.asarray(
         _weights_factor(own, len(_ODD))
-        * (scatter + _STATED_PIECES * louder * np.eye(len(_ODD)))
-        / (degrees + _STATED_PIECES)
+        * (scatter + _STATED * louder * np.eye(len(_ODD)))
+        / (degrees + _STATED)
     )
 
 

@@ -79,13 +79,12 @@ class Ground:
     """How strongly the ground drove the pendulum during a run, as the turning points show it.
 
     `density_rad_per_s2_rthz` is the one-sided spectral density of the angular acceleration at the pendulum's
-    frequency (without a calibration in the unit of the amplitudes instead of rad), `upper_95` its bound of
-    95 %; `seen` is false where the run sets no more than that bound. `measurement_scale` is the factor by
-    which turning points scatter more than their stated uncertainties. `left_out_half_cycles` at the end were
-    not fitted: the ground moves the pendulum in one half-swing by more than a tenth of its amplitude there,
-    and amplitude and phase do not describe its motion. `widening` says for each parameter how many times
-    larger its uncertainty is than on ground at rest. `base` is there where the height of the mass centre is
-    stated.
+    frequency (without a calibration in the unit of the amplitudes instead of rad), `upper_95` its bound of 95
+    %; `seen` is false where the run sets no more than that bound. `measurement_scale` is the factor by which
+    turning points scatter more than their stated uncertainties. `left_out_half_cycles` at the end were not
+    fitted: the ground moves the pendulum in one half-swing by more than a tenth of its amplitude there, and
+    amplitude and phase do not describe its motion. `widening` says for each parameter how many times larger
+    its uncertainty is than on ground at rest. `base` is there where the height of the mass centre is stated.
     """
 
     density_rad_per_s2_rthz: Estimate = NOT_DETERMINED

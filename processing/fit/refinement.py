@@ -200,7 +200,7 @@ def points_in_true_time(swings: Sequence[HalfCycle], clock_rate: float) -> Turni
     return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
 
 
-class HalfCycleFit(NamedTuple):
+class DecayFit(NamedTuple):
     """The exact fit of half-cycles, with its settings."""
 
     pendulum: PendulumOnBall
@@ -248,7 +248,7 @@ def refine(
     blocks: Iterable[Deflections],
     motion: KnownMotion,
     first: FitResult,
-    fit: HalfCycleFit,
+    fit: DecayFit,
     again: Sequence[HalfCycle] | None = None,
     before: Sequence[HalfCycle] = (),
 ) -> Refinement:
@@ -281,7 +281,7 @@ def refinement(
     again: Sequence[HalfCycle],
     motion: KnownMotion,
     first: FitResult,
-    fit: HalfCycleFit,
+    fit: DecayFit,
 ) -> Refinement:
     """The second measurement `again` if the laws describe it as well as the first."""
     shift = measurement_shift(swings, again)
@@ -305,7 +305,7 @@ def refinement(
 def fitted_twice(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
-    fit: HalfCycleFit,
+    fit: DecayFit,
     near: FitResult | None = None,
     before: Sequence[HalfCycle] = (),
 ) -> tuple[Refinement, FitResult]:

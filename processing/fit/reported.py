@@ -135,10 +135,9 @@ class RigQuantities:
         (n,).
 
         If the slow axis is wrong by d and the angle between the axes by e, a motion of amplitude A along the
-        slow axis and r A along the fast axis is measured along the assumed slow axis as
-        ``A (cos d + sin d tan q) - r A sin(d + e) / cos q``, with the assumed non-orthogonality q. The sign
-        of the fast mode's contribution varies from one turning point to another; using one sign gives an
-        upper limit.
+        slow axis and r A along the fast axis is measured along the assumed slow axis as ``A (cos d + sin d
+        tan q) - r A sin(d + e) / cos q``, with the assumed non-orthogonality q. The sign of the fast mode's
+        contribution varies from one turning point to another; using one sign gives an upper limit.
         """
         assumed = self.non_orthogonality_rad.value
         off = slow_angle_rad - self.slow_angle_rad.value

@@ -34,7 +34,7 @@ CERTAIN = 1e-6
 """Chance of so large an alternation, below which it is called a shutter's."""
 
 
-class PositionErrors(NamedTuple):
+class PositionErrorFit(NamedTuple):
     """Position errors that amplitudes share, by a fit.
 
     `values` (m,) and `covariance` (m, m) are those of the coordinates, whose prior is 0 with the variance 1.
@@ -48,7 +48,7 @@ class PositionErrors(NamedTuple):
 
 def fit_position_errors(
     points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, errors: Floats
-) -> PositionErrors:
+) -> PositionErrorFit:
     """Errors and parameters that describe the turning points best together, near an exact fit.
 
     Parameters
@@ -70,7 +70,7 @@ def fit_position_errors(
         noise *= found.scatter(fit.dof)
     values, covariance = np.zeros(len(felt)), np.eye(len(felt))
     values[felt], covariance[np.ix_(felt, felt)] = found.values, found.covariance
-    return PositionErrors(values, covariance, at.to_physical @ found.by @ found.root)
+    return PositionErrorFit(values, covariance, at.to_physical @ found.by @ found.root)
 
 
 def sensor_derivatives(at: LinearisedFit, rig: RigQuantities) -> dict[str, Floats]:

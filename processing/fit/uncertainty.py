@@ -10,13 +10,7 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact.laws import DRAG
 from processing.fit.evidence import AIR
-from processing.fit.reported import (
-    OUTPUTS,
-    FittedContact,
-    InputQuantity,
-    RigQuantities,
-    reported_quantities,
-)
+from processing.fit.reported import OUTPUTS, FittedContact, InputQuantity, RigQuantities, reported_quantities
 from processing.fit.result import MEASUREMENT
 from processing.quantity import OF, OWN, PART, PER, Quantity
 

@@ -257,9 +257,8 @@ def passage(points: TurningPoints, level_rad: float) -> Passage:
     """Passage of the falling amplitude through `level_rad`.
 
     Noise may make the amplitude cross the level several times; the last turning point at or above it and the
-    next one are used. If the record starts less than 3 % below the level, as after a release at
-    the level itself, the decay of the first half-cycles is extrapolated back (the half-cycle is negative
-    then).
+    next one are used. If the record starts less than 3 % below the level, as after a release at the level
+    itself, the decay of the first half-cycles is extrapolated back (the half-cycle is negative then).
 
     Raises
     ------

@@ -13,12 +13,12 @@ from processing.fit import (
     DISCREPANCY,
     FIXED_PATTERN,
     NO_EVIDENCE,
+    DecayFit,
     Evidence,
     FitMethod,
     FitResult,
-    HalfCycleFit,
     LinearisedFit,
-    PositionErrors,
+    PositionErrorFit,
     Seismogram,
     SeismometerUse,
     boundary_layer_drag,
@@ -94,7 +94,7 @@ def settled_swings(
         return RefinedHalfCycles(swings, None)
     swings = with_learned_weights(swings)
     harmonics = _harmonics_of(blocks, swings)
-    fit = HalfCycleFit(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
+    fit = DecayFit(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
     try:
         first = fit.of(swings)
         motion = fit.motion(first, swings)
@@ -133,7 +133,7 @@ def _without_position_errors(
     motion: KnownMotion,
     before: FitResult,
     found: PositionMap,
-    fit: HalfCycleFit,
+    fit: DecayFit,
     drag: FittedDrag,
 ) -> RefinedHalfCycles | None:
     """Half-cycles measured in deflections without the map's errors; None where the laws describe them worse.
@@ -189,8 +189,8 @@ def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) ->
 
 
 def _position_errors(
-    found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: HalfCycleFit
-) -> PositionErrors:
+    found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: DecayFit
+) -> PositionErrorFit:
     """The position errors that the residuals leave open, by the fit."""
     good = [swing for swing in swings if not swing.flags]
     amplitude, centre, side = np.array([(one.amplitude, one.centre, one.side) for one in good]).T

@@ -9,13 +9,7 @@ import numpy as np
 
 from calibration import Axes, Lever
 from processing.arrays import Floats
-from processing.contact import (
-    ExpectedDrag,
-    Material,
-    PendulumOnBall,
-    adhesive_contacts,
-    cycle_work,
-)
+from processing.contact import ExpectedDrag, Material, PendulumOnBall, adhesive_contacts, cycle_work
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import (

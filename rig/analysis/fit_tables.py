@@ -5,17 +5,11 @@ from math import hypot, isnan, nan
 
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import (
-    FitMethod,
-    FitQuality,
-)
+from processing.fit import FitMethod, FitQuality
 from processing.quantity import quantities_of
 from processing.swing import ORDERS
 from processing.units import ARCSEC_RAD
-from rig.analysis.contact_results import (
-    ComparedLaws,
-    Fit,
-)
+from rig.analysis.contact_results import ComparedLaws, Fit
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.run_remarks import dominant_text, has_apparatus

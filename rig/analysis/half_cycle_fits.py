@@ -28,9 +28,7 @@ from rig.analysis.results import PositionErrors, StoredTurningPoints
 from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
-from rig.instrument import (
-    pendulum_on_ball,
-)
+from rig.instrument import pendulum_on_ball
 from rig.settings import Configuration
 
 _ACROSS: Final = 3.0

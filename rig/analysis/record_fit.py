@@ -12,9 +12,7 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
-from processing.fit import (
-    FitMethod,
-)
+from processing.fit import FitMethod
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
 from rig.analysis.air import air_doubts, recorded_surroundings

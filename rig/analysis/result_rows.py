@@ -212,10 +212,7 @@ def _wider_ends(row: ResultRow, expanded: float) -> tuple[float, float]:
         # the unit contains an exponent, so that the interval is symmetric in the logarithm
         low, high = (_wider(side, relative) for side in (log(value / ends[0]), log(ends[1] / value)))
         return value * exp(-low), value * exp(high)
-    lower, upper = (
-        value - _wider(value - ends[0], expanded),
-        value + _wider(ends[1] - value, expanded),
-    )
+    lower, upper = value - _wider(value - ends[0], expanded), value + _wider(ends[1] - value, expanded)
     # 0 is a limit by physics, which no apparatus moves
     return 0.0 if ends[0] == 0 or (logarithmic and lower < 0) else lower, upper
 

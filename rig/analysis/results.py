@@ -171,22 +171,21 @@ class RunResults(RowsByName):
     `record` is relative to the folder of the file where possible. `sha256` is its hash, `inputs_sha256` those
     of the configuration, the calibrations and the pixels that belong to it. `simulated`: its frames are those
     of the simulated rig; None for a table. `losses` counts the missing frames by cause; None if the record
-    does not say. `beam` names the model fitted to the spots and counts their flags.
-    `table` has a row for every number that is reported: those of the exact fit and the apparatus, then those
-    of any decay, with or without a law: period and decrement (means over the decay), quality factor (none
-    where the decrement changes, does not differ from zero, or is larger than pi), first and last amplitude,
-    in arcsec, or in px for a record without a lever, or in the unit of a table.
-    `measured_again_on` is the motion of the second measurement of the turning points (see
-    `processing.fit.refinement`); None: they are as detected. `position_errors` were subtracted from the
-    deflections before that; None if the run shows none. `laws` compares several laws, if requested.
-    `adhesion` names the theory that the Tabor parameter selects for the contact spot, if c is determined and
-    the spot's radius is Hertz's; the rows have the spot by every theory. `ended` is the reason of the run's
-    end in its record. `clock` compares the camera's clock with the computer's; None for frames made on
-    demand. `surroundings` are the air and the history of the contact; `conditions` are verdicts on the
-    conditions of the run. `witness` is the use of an auxiliary seismometer, if there was one. Results of a
-    fit (`pendulum` to `notes`) are empty without one. `damping` is the damping as a function of the
-    amplitude, in `amplitude_unit`; None for fewer than twelve half-cycles, and for amplitudes that do not
-    fall. `decay` is None for a record.
+    does not say. `beam` names the model fitted to the spots and counts their flags. `table` has a row for
+    every number that is reported: those of the exact fit and the apparatus, then those of any decay, with or
+    without a law: period and decrement (means over the decay), quality factor (none where the decrement
+    changes, does not differ from zero, or is larger than pi), first and last amplitude, in arcsec, or in px
+    for a record without a lever, or in the unit of a table. `measured_again_on` is the motion of the second
+    measurement of the turning points (see `processing.fit.refinement`); None: they are as detected.
+    `position_errors` were subtracted from the deflections before that; None if the run shows none. `laws`
+    compares several laws, if requested. `adhesion` names the theory that the Tabor parameter selects for the
+    contact spot, if c is determined and the spot's radius is Hertz's; the rows have the spot by every theory.
+    `ended` is the reason of the run's end in its record. `clock` compares the camera's clock with the
+    computer's; None for frames made on demand. `surroundings` are the air and the history of the contact;
+    `conditions` are verdicts on the conditions of the run. `witness` is the use of an auxiliary seismometer,
+    if there was one. Results of a fit (`pendulum` to `notes`) are empty without one. `damping` is the damping
+    as a function of the amplitude, in `amplitude_unit`; None for fewer than twelve half-cycles, and for
+    amplitudes that do not fall. `decay` is None for a record.
     """
 
     record: str

@@ -9,15 +9,7 @@ from processing.contact import DRAG
 from processing.contact.laws import DEFAULT_LAW
 from processing.damping import PARTS
 from processing.estimate import Determinacy, Estimate
-from processing.fit import (
-    WAVEFORM,
-    BaseMotion,
-    Budget,
-    Drag,
-    DragFinding,
-    FitMethod,
-    Ground,
-)
+from processing.fit import WAVEFORM, BaseMotion, Budget, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.contact_results import Correlation
 from rig.analysis.decay_values import DECAY, AmplitudeDamping
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named

@@ -27,8 +27,8 @@ from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError, RecordError
 from processing.estimate import Estimate
 from processing.fit import (
+    DecayFit,
     FitResult,
-    HalfCycleFit,
     LinearisedFit,
     fitted_twice,
     points_in_true_time,
@@ -152,7 +152,7 @@ class MeasuredRun:
         if self._making is not None:
             self._balances += self._making.of(deflections)
 
-    def fitted(self, fit: HalfCycleFit) -> tuple[Sequence[HalfCycle], FitResult]:
+    def fitted(self, fit: DecayFit) -> tuple[Sequence[HalfCycle], FitResult]:
         """All of them as they stand, and the fit to them; raises DataError where there is none.
 
         Where the plane of swing turns, they are those in it.
@@ -283,9 +283,7 @@ class FollowedRun:
             period_s = mean_period(points_in_true_time(self._swings, self._clock_rate))
             drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
             evidence = evidence_of(drag, self._waveform.found())
-            how = HalfCycleFit(
-                pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit)
-            )
+            how = DecayFit(pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit))
             swings, fit = self._run.fitted(how)
             points = fitted_points(swings, how.points(swings), fit, pendulum)
             return Posterior(self._taken, {name: fit.estimate(name) for name in fit.contact_names}, points)

@@ -11,7 +11,7 @@ from processing.estimate import Estimate
 from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.refinement import (
-    HalfCycleFit,
+    DecayFit,
     describes_as_well,
     fitted_twice,
     known_motion,
@@ -155,7 +155,7 @@ def test_a_drive_that_passes_for_a_rest_position_that_moves_is_told_the_second_m
     samples = slow_deflections(times_ns, position, scatter.u_deflection)
     known = Evidence(drag_s=Estimate(1.7e-3, 1e-5))
     swings = swings_of_blocks([samples])
-    found, fit = fitted_twice(swings, [samples], HalfCycleFit(pendulum, evidence=known))
+    found, fit = fitted_twice(swings, [samples], DecayFit(pendulum, evidence=known))
     assert found.doubt == ""
     assert found.motion is not None
     assert found.motion.drive > 0.0
