@@ -52,12 +52,12 @@ def expected_of(config: Configuration, frame_noise_rad: float | None = None) -> 
     truth = contact.model_dump() | {DRAG.key: contact.whole_drag_s}
     values = {name: float(truth[name]) for name in DEFAULT_LAW.names(drag=drag.fitted)}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
-    u_rad, u_time_s, sine_covariance = _half_cycle_uncertainties(config, noise_rad)
+    u_rad, u_time_s, harmonics_covariance = _half_cycle_uncertainties(config, noise_rad)
     conditions = Conditions(
         u_rad,
         u_time_s * _AMPLITUDE_RAD,
         _drive(config, pendulum),
-        sine_covariance=sine_covariance,
+        sine_covariance=harmonics_covariance,
         known_drag_s=drag.known_s,
         seismometer_noise=_witness_noise(config),
     )
