@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from processing.arrays import Flags, Floats
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit import GROUND_SEEN, LEAST_LEFT, Signals, Witness, density_of_step, plain_signals
+from processing.fit import GROUND_SEEN, LEAST_UNEXPLAINED, Seismogram, Signals, density_of_step, plain_signals
 
 _FEWEST_PERIODS = 8
 _PERIODS_S = (1.5, 15.0)
@@ -193,7 +193,7 @@ _FEWEST_FREE = 5
 _PERIOD_ITERATIONS = 3
 _CHANCE_LEVEL = 0.95
 _NORMAL_95 = 1.96
-_LARGEST_FACTOR = 1 / LEAST_LEFT
+_LARGEST_FACTOR = 1 / LEAST_UNEXPLAINED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,7 +227,7 @@ class SeismometerAtRest:
         return self.coherence > self.chance_coherence
 
 
-def witness_at_rest(time_s: Floats, deflection: Floats, witness: Witness) -> SeismometerAtRest:
+def witness_at_rest(time_s: Floats, deflection: Floats, witness: Seismogram) -> SeismometerAtRest:
     """Compare an auxiliary seismometer with a free pendulum at rest, along its slow mode.
 
     Parameters

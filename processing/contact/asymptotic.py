@@ -1,4 +1,4 @@
-"""The asymptotic theory of a decay, its fit, and from it start values of an exact fit.
+"""The asymptotic theory of a decay, its fit, and start values of an exact fit.
 
 Amplitude in first approximation (Eq. 5), period in second (Eq. 6):
 
@@ -23,9 +23,9 @@ from processing.least_squares import FactoredJacobian, Loss, Solution, propagate
 from processing.swing import TurningPoints
 
 _PIECE, _PIECES = 0.1, 400
-"""Pieces of ln x over which a decay is integrated, 8 nodes each: to 1e-13, and to e^-40 of the start."""
-_SETTLED = 1e-9
-"""Last change of ln x; each squares it."""
+"""Length and number of the pieces of ln x, 8 nodes each, of an integration: to 1e-13, down to e^-40."""
+_NEWTON_TOLERANCE = 1e-9
+"""Change of ln x at which Newton's iteration ends; the next change would be its square."""
 
 PRINTED_CURVATURE = 0.55
 """The number printed in Eq. 6; averaging Eq. 3 gives `curvature(n)` instead."""
@@ -47,7 +47,7 @@ def decay_path(
     nodes, weights = _path_nodes()
 
     def powers(y: Floats) -> tuple[Floats, Floats, Floats]:
-        """x and x^p where ln x is y, and the rate."""
+        """x, x^p and the rate of the decay at y = ln x."""
         x, power = np.exp(y), np.exp(p * y)
         return x, power, c + b * power + d * x
 
@@ -59,12 +59,12 @@ def decay_path(
         return y, x, power, np.where(np.all(r > 0, axis=1, keepdims=True), weights * half * x / r, np.nan), r
 
     def integrals(low: Floats, high: Floats) -> Floats:
-        """Of 1/r, and of its derivatives by b, p, c and d."""
+        """Integrals over x of 1/r, r the rate, and of its derivatives by b, p, c and d; one row a piece."""
         y, x, power, over, r = nodes_of(low, high)
         by = -over / r
         return np.array([part.sum(axis=1) for part in (over, by * power, b * by * power * y, by, by * x)]).T
 
-    with np.errstate(all="ignore"):  # a search tries anything
+    with np.errstate(all="ignore"):  # a search tries values for which terms overflow
         y: Floats = np.linspace(log(start), log(start) - _PIECE * _PIECES, _PIECES + 1)
         passed = np.concatenate([np.zeros((1, 5)), np.cumsum(integrals(y[1:], y[:-1]), axis=0)])
         ends = int(np.count_nonzero(np.isfinite(passed[:, 0]))) - 1
@@ -79,7 +79,7 @@ def decay_path(
             x, _power, r = powers(at)
             late = passed[k, 0] + nodes_of(at, y[k])[3].sum(axis=1) - wanted
             before, at = at, np.clip(at + late * r / x, y[following], y[k])
-            if not np.any(np.abs(at - before) > _SETTLED):
+            if not np.any(np.abs(at - before) > _NEWTON_TOLERANCE):
                 break
         x, _power, r = powers(at)
         total = passed[k] + integrals(at, y[k])
@@ -155,7 +155,7 @@ _EXPONENTS_N = np.array([0.03, 0.06, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0])
 
 
 class DecayStart(NamedTuple):
-    """Rate of the decay per s = 4 t/T: ``c + b x^p + d x`` (b stands for b/(p+1))."""
+    """First amplitude, and rate of the decay per s = 4 t/T: ``c + b x^p + d x`` (b stands for b/(p+1))."""
 
     start: float
     b: float
@@ -165,6 +165,8 @@ class DecayStart(NamedTuple):
 
 
 class PeriodStart(NamedTuple):
+    """Parameters of Eq. 6, kappa in units of the reference amplitude."""
+
     period0_s: float
     n: float
     kappa: float
@@ -239,7 +241,7 @@ def start_values(points: TurningPoints, rho: float, *, drag: bool) -> StartValue
 
 
 _B, _P, _C, _D = range(4)
-"""Columns by name; the last one is always the first amplitude."""
+"""Columns of the fit; the last column, whatever their number, is the first amplitude."""
 
 
 def fit_decay(
@@ -250,7 +252,7 @@ def fit_decay(
     loss: Loss,
     known: Estimate | None = None,
 ) -> tuple[Solution, Floats]:
-    """Fit ``dx/ds = -(c + b x^p/(p+1) + d x)`` to the amplitudes, where d may be `known` otherwise.
+    """Fit ``dx/ds = -(c + b x^p/(p+1) + d x)`` to the amplitudes; `known` is a prior of d.
 
     Returns the solution with columns b, p, c, (d,) first amplitude, in units of the reference and of
     s = 4 t/T, and the fitted amplitudes in the unit of the points. With d the search runs in the

@@ -26,9 +26,9 @@ from processing.swing import TurningPoints
 ComplexOrReal = NDArray[Any]
 
 _AT_LIMIT = 1e-4
-"""How near its limit a value is said to be at it."""
+"""Distance from a limit below which a value is reported as being at it."""
 _LARGEST = 1e100
-"""No column is that large: a solver that tries more finds nothing there, before products overflow."""
+"""Largest column for which parameters are computed; beyond it, where products overflow, they are NaN."""
 _SLOWER = (1.0, 0.9, 0.7, 0.4)
 """Rates of decay tried, over those of a start."""
 
@@ -54,7 +54,7 @@ def scaled_values(
     pendulum: PendulumOnBall | None,
     reference: float,
 ) -> dict[str, float]:
-    """SI values in the units of a fit; a parameter that replaces another has its scaling by place."""
+    """SI values in the units of a fit, by key."""
     found = {}
     for key, scaling in scalings.items():
         power = scaling.power
@@ -71,9 +71,9 @@ class ValleyCoordinates(NamedTuple):
     Both functions take and return one number for each of the law's own parameters, the drag (0 if it is not
     fitted) and the period: `scaled` the scaled values of coordinates, which may be complex (derivatives are
     taken so) and have further axes, and `coordinates` the inverse. `held` gives for each own parameter the
-    coordinate that moves it most, `limits` the range of coordinates by place, as a function of the relative
-    loss that was seen in a half-swing. `valley` is the coordinate along which friction and drag take each
-    other's place. `at_limit` tells places of parameters at limits that no coordinate has, of scaled values.
+    coordinate that moves it most, `limits` the range of coordinates by place, as a function of the measured
+    relative loss in a half-swing. `valley` is the coordinate along which friction and drag replace each
+    other. `at_limit` gives, from scaled values, the places of parameters at limits that no coordinate has.
     """
 
     scaled: Callable[[ComplexOrReal], ComplexOrReal]
@@ -85,7 +85,7 @@ class ValleyCoordinates(NamedTuple):
 
 
 def logarithms_of(*places: int) -> ValleyCoordinates:
-    """The scaled values themselves, but for those at the given places, which stay positive."""
+    """Coordinates that are the scaled values, but their logarithms at `places`, which stay positive."""
 
     def scaled(values: ComplexOrReal) -> ComplexOrReal:
         out = values.copy()
@@ -101,11 +101,11 @@ def logarithms_of(*places: int) -> ValleyCoordinates:
 
 
 class Coordinates:
-    """`processing.contact.law.Columns` of any law: coordinates of its own parameters (`ValleyCoordinates`),
-    of a
-    fitted drag, first amplitude, coordinate of T0, first time.
+    """`SolverCoordinates` of any law: coordinates of its own parameters (`ValleyCoordinates`) and of a fitted
+    drag, first amplitude, coordinate of T0, first time.
 
-    `likely` proposes scaled start values for a decay of the paper's form and the reference amplitude.
+    `likely` proposes scaled start values, from those of a decay of the paper's form and the reference
+    amplitude. A parameter that replaces another without a calibration has its scaling by place.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class Coordinates:
         """Scaled own parameters, drag, first amplitude, T0 and first time, and their derivatives."""
         key = columns.tobytes()
         if key not in self._found:
-            self._found.clear()  # a search of the noise asks for the same columns a hundred times
+            self._found.clear()  # the last columns stay: a search of the noise needs them a hundred times
             self._found[key] = self._differentiated(columns)
         return self._found[key]
 

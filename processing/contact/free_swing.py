@@ -1,14 +1,14 @@
-"""The path of a free swing of any law over some half-swings, by quadrature, at several amplitudes at once.
+"""Free swings of any law by quadrature, their harmonics, and the drag that air is expected to have.
 
 In units of the weight's moment and of 1/w0, ``phi'' = -phi + m`` with the moment m of contact and air. From
 the turning point at A downwards ``v^2/2 = (A^2 - phi^2)/2 - W`` with the work W done against m, and the next
 turning point is where the kinetic energy vanishes. The substitution ``phi = middle + half cos(theta)``
 between both makes ``dt = half sin(theta) dtheta / v``, which has no singularity. W is taken from the nearer
-end, so that v keeps its digits at both. The moment of the air follows the speed, which is found with the next
-turning point by iteration.
+end, so that v keeps its digits at both. The moment of the air depends on the speed, which is found with the
+next turning point by iteration.
 
-Over the swing the phase is counted evenly; the terms of `swing_terms` describe an oscillation whose amplitude
-and phase change as a square of time, and its harmonics.
+Harmonics are those of `SwingTerms` at even phases over the swing: an oscillation whose amplitude and phase
+change with the square of time, and its harmonics.
 """
 
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ _NODES = 256
 _ROUNDS = 5
 """Iterations of the next amplitude and of the air's work: each gains the ratio of moment to weight, 1 %."""
 _AMPLITUDES, _BEYOND = 8, 1.02
-"""Amplitudes at which a law is computed, and how far above the highest wanted the first begins."""
+"""Number of amplitudes at which a law is computed, and the highest of them over the highest wanted."""
 _SAMPLES = 256
 """Samples of a swing of `PIECE_HALF_CYCLES` from which its harmonics are taken."""
 
@@ -52,9 +52,9 @@ class FreeSwing(NamedTuple):
 def free_swing(
     law: Law, values: Mapping[str, float], pendulum: PendulumOnBall, amplitudes_rad: Floats, halves: int
 ) -> FreeSwing:
-    """Free swings from turning points at positive `amplitudes_rad` (n,) over so many half-swings.
+    """Free swings from turning points at positive `amplitudes_rad` (n,) over `halves` half-swings.
 
-    `values` are the law's parameters by key in SI units, and where there are ``drag_s`` and `STEEPER_DRAG`.
+    `values` are the law's parameters by key in SI units, and optionally ``drag_s`` and `STEEPER_DRAG`.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def _projection() -> Floats:
 
 
 _PERIOD_RATIO = 5.0
-"""Slow over fast period of the paper's pendulum, and so length over width."""
+"""Slow over fast period of the paper's pendulum, and so length over width of its bar."""
 
 
 class UniformBar(NamedTuple):
@@ -167,7 +167,7 @@ class UniformBar(NamedTuple):
 def bar_of(
     pendulum: PendulumOnBall, period_s: float, length_m: float | None = None, width_m: float | None = None
 ) -> UniformBar:
-    """The bar of even mass that swings so slowly, where its length is not stated; a fifth as wide as long.
+    """The pendulum as a uniform bar: stated sizes, else the length by the period, and a fifth of it as width.
 
     Its moment of inertia is ``m L^2/12 = m g R T^2/(4 pi^2)``.
     """
@@ -205,7 +205,7 @@ def expected_drag_s(air: Air, bar: UniformBar, pendulum: PendulumOnBall, period_
 
 
 def vane_drag_s_per_m2(air: Air, distance_m: float, pendulum: PendulumOnBall, period_s: float) -> float:
-    """What a thin vane that moves in its own plane adds to the drag, per area of one of its faces.
+    """Drag added by a thin vane that moves in its own plane, per area of one of its faces.
 
     Both faces rub as walls that swing in still air do (Stokes 1851): ``sqrt(omega rho eta/2)`` of force per
     area and velocity; edges add to that. `distance_m` is that of the vane's middle from the axis.

@@ -1,9 +1,9 @@
 """Half-swings of any law as a table over ln A, and decays as walks through it.
 
-A law without memory of earlier swings (`moments`) or one that follows from its last reversal (`memory`)
-gives for each amplitude A what a half-swing from it leads to: the next amplitude and the duration, with
-their derivatives by the law's parameters. Everything else reads that table: a free decay is a walk through
-it, and where the ground moves the pendulum, the filter goes from any amplitude to the next.
+A law without memory (`memoryless`) or one that depends on the last reversal (`memory`) gives for each
+amplitude A the result of a half-swing from it: the next amplitude and the duration, with their derivatives by
+the law's parameters. Everything else reads that table: a free decay is a walk through it, and where the
+ground moves the pendulum, the filter goes from any amplitude to the next.
 
 Angles are in units of a reference amplitude, times in units of T0.
 """
@@ -18,9 +18,9 @@ import numpy as np
 from processing.arrays import Flags, Floats, Ints
 
 TABLE_RATIO = 8.0
-"""Largest amplitude over the smallest one of a table, where nothing else is known of a decay."""
+"""Largest amplitude over the smallest one of a table, where the range of a decay is not known."""
 _MOST_GROWTH = 2.0
-"""Of the first amplitude; a swing that grows by more is no decay, and such a law is searched no further."""
+"""Largest amplitude over the first one to which a walk goes: a swing that grows by more is no decay."""
 
 
 class HalfSwings(NamedTuple):
@@ -41,8 +41,8 @@ class OneHalfSwing(NamedTuple):
 
     Amplitudes and losses are in units of the reference, durations in units of T0. `loss_slope` and
     `duration_slope` are derivatives by the amplitude; `loss_gradient` and `duration_gradient`, shape
-    ``(amplitudes, parameters)``, are those by the map's parameters at fixed amplitude. The map's last
-    parameter, the first amplitude, is none of a half-swing: its column is zero.
+    ``(amplitudes, parameters)``, are those by the map's parameters at fixed amplitude. The column of the
+    map's last parameter, the first amplitude, is zero.
     """
 
     amplitude: Floats
@@ -77,9 +77,9 @@ class OneHalfSwing(NamedTuple):
 class SwingTable(NamedTuple):
     """Half-swings from amplitudes between `lowest` and the highest knot, of a law with k parameters.
 
-    Between `knots`, which rise evenly in ln A, cubics (4, knots - 1, 2 + 2 k) of the distance from the lower
-    knot, the highest power first, give next amplitude over A, duration (T0), then the derivatives of each by
-    the parameters at fixed A.
+    Between `knots`, which rise evenly in ln A, `cubics` (4, knots - 1, 2 + 2 k) of the distance from the
+    lower knot, the highest power first, give next amplitude over A, duration (T0), then the derivatives of
+    each by the parameters at fixed A.
     """
 
     lowest: float
@@ -91,8 +91,8 @@ class SwingTable(NamedTuple):
         """The table of rows (2 + 2 k, amplitudes) at evenly rising ln A; None unless the last `fewest`
         amplitudes are finite.
 
-        Below the highest that is not finite, the pendulum sticks. The lowest `beyond` are there for the
-        interpolation.
+        Below the highest that is not finite, the pendulum sticks. The lowest `beyond` amplitudes serve the
+        interpolation alone.
         """
         usable = np.all(np.isfinite(rows), axis=0)
         if not usable[-fewest:].all():
@@ -116,10 +116,7 @@ class SwingTable(NamedTuple):
 
 
 def _cubics(rows: Floats, step: float) -> Floats:
-    """Cubics (4, n - 1, columns) through n rows whose places rise by `step`, smooth to the second derivative.
-
-    The first two and the last two are the same cubic.
-    """
+    """Cubic spline (4, n - 1, columns) through n rows whose places rise by `step`, with not-a-knot ends."""
     slope = _slopes(len(rows)) @ rows / step
     rise = np.diff(rows, axis=0) / step
     low, high = slope[:-1], slope[1:]
@@ -136,8 +133,8 @@ def _slopes(count: int) -> Floats:
 
 
 TableMaker = Callable[[Floats, float, float], SwingTable | None]
-"""Of a law: its table for the map's parameters without the first amplitude, from the highest to the lowest
-amplitude or to the one at which the pendulum sticks; None where it does so at once."""
+"""Function of a law: its table for the map's parameters without the first amplitude, from the highest to the
+lowest amplitude or to the one at which the pendulum sticks; None where it sticks at once."""
 
 
 def walk(

@@ -1,4 +1,4 @@
-"""The pendulum on its ball, and the interface of a contact law: parameters, moments, how they are fitted."""
+"""The pendulum on its ball, and the interface of a contact law: parameters, moments, solver's coordinates."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -65,16 +65,15 @@ class Parameter:
     key
         Name in results.json; it ends in the SI unit, if there is one.
     symbol, unit
-        As printed in tables and figures; the unit is the SI unit, "1" for a plain number.
+        Symbol in tables and figures, and SI unit, "1" for a plain number.
     lower, upper
-        Range in which a value makes sense. An interval is not extended beyond it; a fit may still
-        return a value below a lower limit of 0, so that a quantity that is truly 0 is estimated
-        without bias.
+        Range in which a value makes sense. An interval is not extended beyond it; a fit may still return a
+        value below a lower limit of 0, so that a quantity that is truly 0 is estimated without bias.
     logarithmic
         The scatter of a positive value is nearly normal in its logarithm, not in the value itself:
         intervals are taken about the logarithm.
     shown
-        Unit in which a person reads it; empty: the SI unit.
+        Unit of tables and figures; empty: the SI unit.
     """
 
     key: str
@@ -89,7 +88,7 @@ class Parameter:
 
     @property
     def quantity(self) -> Quantity:
-        """How it is shown."""
+        """Symbol, description and units with which it is shown."""
         return Quantity(self.symbol, self.description, self.shown, self.unit)
 
 
@@ -153,8 +152,8 @@ class SolverCoordinates(Protocol):
         Derivative of the map's parameters by ln(R/a), which a fit takes as known; 0 if the law does not
         contain it.
     valley
-        Column along which a friction and a drag take each other's place in the turning points; None where
-        there is none, or where it is not known.
+        Column along which friction and drag replace each other without a change of the turning points; None
+        where there is none, or where it is not known.
     """
 
     reference: float
@@ -165,8 +164,8 @@ class SolverCoordinates(Protocol):
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         """The map's parameters, T0 (s) and the time of the first turning point (s) in one array, and their
-        derivatives by the columns; NaN for columns without a solution. The map's are the law's own, the
-        drag, the reference (rad), R/a times it, and the first amplitude."""
+        derivatives by the columns; NaN for columns without a solution. The map's parameters are the law's
+        own, the drag, the reference (rad), R/a times it, and the first amplitude."""
 
     def physical(self, columns: Floats) -> tuple[Floats, Floats]:
         """SI values in the order of `Law.fit_names`, and their derivatives by the columns."""
@@ -205,7 +204,7 @@ class Law:
         returns the half-swings in that range.
     columns
         Function of the turning points, the pendulum (None: amplitudes not calibrated) and the keys of the
-        fit (`fit_names`), which returns the solver's columns.
+        fit (`fit_names`), which returns the solver's coordinates.
     uncalibrated
         Parameters that replace others if amplitudes are not known as angles (px, V).
     """
@@ -230,15 +229,15 @@ class Law:
         )
         return swings.turning_points(first, index)
 
-    def fitted(self, *, calibrated: bool = True, drag: bool = False) -> tuple[Parameter, ...]:
+    def fit_parameters(self, *, calibrated: bool = True, drag: bool = False) -> tuple[Parameter, ...]:
         """The parameters of a fit, without the initial amplitude and time."""
         replaced = {} if calibrated else self.uncalibrated
         own = tuple(replaced.get(parameter.key, parameter) for parameter in self.parameters)
         return (*own, DRAG) if drag and DRAG not in own else own
 
     def names(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
-        """Keys of `fitted`."""
-        return tuple(parameter.key for parameter in self.fitted(calibrated=calibrated, drag=drag))
+        """Keys of `fit_parameters`."""
+        return tuple(parameter.key for parameter in self.fit_parameters(calibrated=calibrated, drag=drag))
 
     def fit_names(self, *, calibrated: bool = True, drag: bool = False) -> tuple[str, ...]:
         """Keys of all parameters that a fit varies: `names`, then the initial amplitude and time."""

@@ -1,10 +1,10 @@
-"""No law: the moments of the contact as splines of the angle, whatever they are.
+"""The contact's moments as splines of the angle, a law that assumes no form of them.
 
     M = -m g R f(|phi|) sign(phi') + m g R phi g(|phi|)
 
-A moment proportional to phi is gravity's: g is zero at the reference amplitude by definition, and T0 the
-period of what is proportional there. A swing of a law with memory loses and lasts as one of this kind does;
-f and g are then those of the contact without memory that has the same turning points.
+A moment proportional to phi cannot be told from gravity's: g is zero at the reference amplitude by
+definition, and T0 is the period by the proportional moment there. Swings of a law with memory have losses and
+durations that some f and g give as well: those of the contact without memory with the same turning points.
 """
 
 from collections.abc import Callable
@@ -31,7 +31,7 @@ _DEGREE = 3
 _RATIO = 2.0
 """Ratio of neighbouring knots: a power of the angle is followed to 1e-3 of its value."""
 _BEYOND = 1.08
-"""How far the splines reach beyond the first amplitude."""
+"""Highest angle of the splines over the first amplitude."""
 _FINE = 40
 """Points at which works are tabulated between two knots."""
 _PER_FIT = 100
@@ -58,11 +58,11 @@ class MomentSplines:
         knots = np.concatenate([np.repeat(knots[0], _DEGREE), knots, np.repeat(knots[-1], _DEGREE)])
         self._of_root = BSpline(np.exp(0.5 * knots), np.eye(steps + _DEGREE), _DEGREE)
         self._of_log = BSpline(knots, np.eye(steps + _DEGREE), _DEGREE)
-        # that g vanishes at x = 1 costs one of its splines
+        # the condition that g vanishes at x = 1 takes one coefficient
         at_one = self._of_log(0.0)
-        self._kept = np.delete(np.arange(len(at_one)), np.argmax(at_one))
-        self._at_one = at_one[self._kept]
-        self._slope = np.append(self._of_log(log(lowest), 1)[self._kept], 1.0)
+        self._free = np.delete(np.arange(len(at_one)), np.argmax(at_one))
+        self._at_one = at_one[self._free]
+        self._slope = np.append(self._of_log(log(lowest), 1)[self._free], 1.0)
         self.friction_count, self.elastic_count = len(at_one) + 1, len(self._slope)
         u = np.linspace(log(lowest), log(top), _FINE * steps + 1)
         self._friction_work = self._works(u, self.friction, self._friction_below)
@@ -76,7 +76,7 @@ class MomentSplines:
     def elastic(self, x: Floats) -> Floats:
         """x g of unit coefficients, shape (..., elastic_count)."""
         beyond = np.minimum(np.log(x / self._lowest), 0.0)[..., None]
-        own = self._of_log(np.log(np.maximum(x, self._lowest)))[..., self._kept] - self._at_one
+        own = self._of_log(np.log(np.maximum(x, self._lowest)))[..., self._free] - self._at_one
         own = np.concatenate([own, np.zeros_like(beyond)], axis=-1)
         return np.asarray(x[..., None] * (own + beyond * self._slope))
 
@@ -122,7 +122,7 @@ def _moment(
     first: int,
     unit: float,
 ) -> Moment:
-    """The moment of coefficients, the parameters from place `first` on, in other units than the splines."""
+    """A moment by its spline coefficients, the map's parameters from place `first` on; x is times `unit`."""
 
     def work(x: Floats) -> Floats:
         by = works(unit * x)
@@ -135,7 +135,7 @@ def _moment(
     )
 
 
-def _moments_of(splines: MomentSplines, parameters: Floats, _: float, __: float) -> Moments:
+def _spline_moments(splines: MomentSplines, parameters: Floats, _: float, __: float) -> Moments:
     """The moments in units of the map's reference, which need not be the splines'."""
     count, more = splines.friction_count, splines.elastic_count
     unit = float(parameters[-2]) / splines.unit_rad
@@ -185,7 +185,7 @@ def spline_law(points: TurningPoints) -> tuple[Law, MomentSplines]:
         "no law: moments as splines of the angle",
         "",
         parameters,
-        partial(_moments_of, splines),
+        partial(_spline_moments, splines),
         scalings,
         lambda _: logarithms_of(),
         likely,

@@ -1,9 +1,9 @@
-"""A law whose moment follows from the last reversal: by the distance from it and the moment there.
+"""Half-swings of a law with memory, whose moment depends on the last reversal.
 
-In a decay every reversal lies inside the one before, so that a law with memory needs no more than this. From
-a reversal at the amplitude A the resisting moment, over m g R, is a function of the distance s = A - phi, and
-the moment at the next reversal is the one at the end of the branch. The kinetic energy after the distance s
-is, over m g R and in units of the reference,
+In a decay every reversal lies inside the one before, so that no earlier one matters. From a reversal at the
+amplitude A the resisting moment, over m g R, is a function of the distance s = A - phi and of the moment at
+the reversal; the moment at the next reversal is the one at the end of the branch. The kinetic energy after
+the distance s is, over m g R and in units of the reference,
 
     v^2/2 = s [A - s/2 - L(s)],      L(s) = 1/s integral_0^s (resistance) ds'
 
@@ -15,8 +15,8 @@ is smooth at both ends but for powers of s, which theta = pi v^3 smooths; the ha
 ``integral dtheta / (2 pi sqrt(G))`` in units of T0. A linear drag adds ``drag r^2 integral sin^2 sqrt(G)
 dtheta`` to the work, found by iteration.
 
-The amplitudes fall slowly, so that the moment at a reversal is a function of the amplitude, too: the steady
-one, corrected by the moment that the branch before ends with.
+The amplitudes fall slowly, so that the moment at a reversal is a function of the amplitude, too: that of
+steady swings, corrected by the moment at the end of the branch before.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -35,9 +35,9 @@ from processing.contact.law import DRAG, PERIOD, BranchMoments, Law, Parameter, 
 Arrays = Mapping[str, Floats]
 
 _NODES = 24
-"""With so many, decays by smooth laws agree with an integration of their motion to 3e-7 (test_branches)."""
+"""Nodes of a half-swing; decays by smooth laws then agree with an integration of their motion to 3e-7."""
 _PER_OCTAVE, _BEYOND, _FEWEST = 12, 1, 4
-"""Amplitudes of a table in a factor of two, how many of them lie beyond either end, and the fewest."""
+"""Number of a table's amplitudes in a factor of two, beyond either end, and at least."""
 _STEP = 1e-5
 """Relative step of the numerical derivatives by the parameters."""
 
@@ -47,11 +47,10 @@ class Branch(NamedTuple):
 
     Angles are in units of a reference, which divides moments, too. `resistance` and `mean_resistance` take
     the distance from the reversal, the moment there and the parameters by key; the first is the moment
-    against the motion at that distance (negative: the contact pushes), the second its mean over the way.
-    `at_reversal` takes the amplitude and the parameters: the moment at a reversal if all swings were as
-    large. The
-    parameters include ``reference``, the unit of angles in rad. `constant` is the key of a constant friction
-    beside all this, if there is one; it remembers nothing.
+    against the motion at that distance (negative: the contact pushes), the second its mean over the distance.
+    `at_reversal` takes the amplitude and the parameters and gives the moment at a reversal of steady swings.
+    The parameters include ``reference``, the unit of angles in rad. `constant` is the key of an additional
+    constant friction without memory; empty if there is none.
     """
 
     resistance: Callable[[Floats, Floats, Arrays], Floats]
@@ -64,15 +63,15 @@ class Branch(NamedTuple):
     ) -> BranchMoments:
         """Moments over a closed loop between the largest deflection and its opposite.
 
-        What both directions have in common is elastic, what differs is friction.
+        The part that both directions share is elastic, the part that differs is friction.
         """
         amplitude = np.max(np.abs(phi_rad), axis=-1, keepdims=True)
         known = {**values, "reference": np.ones(())}
         # a fit may leave a parameter so small that its quotients overflow
         with np.errstate(all="ignore"):
-            held = self.at_reversal(amplitude, known)
-            down = self.resistance(amplitude - phi_rad, held, known)
-            up = self.resistance(amplitude + phi_rad, held, known)
+            turn_moment = self.at_reversal(amplitude, known)
+            down = self.resistance(amplitude - phi_rad, turn_moment, known)
+            up = self.resistance(amplitude + phi_rad, turn_moment, known)
         weight = weight_moment(pendulum)
         friction = 0.5 * (down + up)
         if self.constant:
@@ -83,16 +82,16 @@ class Branch(NamedTuple):
 def masing(
     backbone: Callable[[Floats, Arrays], Floats], work: Callable[[Floats, Arrays], Floats], *, constant: str
 ) -> Branch:
-    """Branches that are the backbone curve doubled (Masing's rule), and a constant friction beside them.
+    """Branches that are the backbone curve doubled (Masing's rule), with an additional constant friction.
 
     ``M = 2 f(s/2) - M_reversal``. `work` is the integral of the backbone f.
     """
 
-    def resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
-        return 2 * backbone(s / 2, q) - held
+    def resistance(s: Floats, turn_moment: Floats, q: Arrays) -> Floats:
+        return 2 * backbone(s / 2, q) - turn_moment
 
-    def mean_resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
-        return 4 * work(s / 2, q) / s - held
+    def mean_resistance(s: Floats, turn_moment: Floats, q: Arrays) -> Floats:
+        return 4 * work(s / 2, q) / s - turn_moment
 
     return Branch(resistance, mean_resistance, backbone, constant)
 
@@ -129,10 +128,12 @@ def _nodes() -> _QuadraturePoints:
     )
 
 
-def _half_swing(branch: Branch, amplitude: Floats, held: Floats, q: Arrays) -> tuple[Floats, Floats, Floats]:
+def _half_swing(
+    branch: Branch, amplitude: Floats, turn_moment: Floats, q: Arrays
+) -> tuple[Floats, Floats, Floats]:
     """Next amplitude, duration (T0) and moment at the next reversal; NaN where the pendulum sticks.
 
-    `amplitude` and `held` have the shape ``(sets, amplitudes)``, the parameters ``(sets, 1)``.
+    `amplitude` and `turn_moment` have the shape ``(sets, amplitudes)``, the parameters ``(sets, 1)``.
     """
     nodes = _nodes()
     drag, dry = q["drag"], q[branch.constant] if branch.constant else 0.0
@@ -142,17 +143,17 @@ def _half_swing(branch: Branch, amplitude: Floats, held: Floats, q: Arrays) -> t
         for _ in range(60):
             for _ in range(50):
                 way = 2 * radius
-                mean = branch.mean_resistance(way, held, q)
-                slope = 1 + (branch.resistance(way, held, q) - mean) / radius + 0.5 * drag * lost
+                mean = branch.mean_resistance(way, turn_moment, q)
+                slope = 1 + (branch.resistance(way, turn_moment, q) - mean) / radius + 0.5 * drag * lost
                 change = (amplitude - radius - mean - dry - 0.5 * drag * lost * radius) / slope
                 radius += np.clip(change, -0.5 * radius, 0.5 * radius)
                 if not np.any(np.abs(change) > 3e-16 * amplitude):
                     break
             way = 2 * radius[..., None]
             s = way * nodes.share
-            at_end = branch.mean_resistance(way, held[..., None], wide)
+            at_end = branch.mean_resistance(way, turn_moment[..., None], wide)
             root = np.ones_like(s)
-            over = at_end - branch.mean_resistance(s, held[..., None], wide)
+            over = at_end - branch.mean_resistance(s, turn_moment[..., None], wide)
             if not np.any(drag):
                 root = np.sqrt(1 + 2 * over / (way - s))
                 break
@@ -172,7 +173,7 @@ def _half_swing(branch: Branch, amplitude: Floats, held: Floats, q: Arrays) -> t
         stuck = ~(following > 0)
         following = np.where(stuck, np.nan, following)
         duration = (1 / root) @ nodes.weight / (2 * np.pi)
-        return following, duration, branch.resistance(2 * radius, held, q)
+        return following, duration, branch.resistance(2 * radius, turn_moment, q)
 
 
 # a search tries values whose quotients overflow; rows that are not finite are left out
@@ -193,22 +194,22 @@ def _table(
     q: Arrays = {name: sets[:, [k]] for k, name in enumerate(names)}
     amplitude = np.repeat(np.exp(log_a)[None, :], len(sets), axis=0)
     steady = branch.at_reversal(amplitude, q)
-    held = steady
+    turn_moment = steady
     for again in (True, False):
-        following, duration, next_held = _half_swing(branch, amplitude, held, q)
+        following, duration, next_turn_moment = _half_swing(branch, amplitude, turn_moment, q)
         if again:
-            # the moment at the next reversal is linear in the one at this
+            # the moment at the next reversal is linear in the moment at this one
             way = amplitude + following
-            fading = (branch.resistance(way, 0.0 * held, q) - next_held) / held
-            more = (next_held / branch.at_reversal(following, q) - 1) / (1 + fading)
-            held = steady * (1 + _on_grid(log_a, np.log(following), more))
+            fading = (branch.resistance(way, 0.0 * turn_moment, q) - next_turn_moment) / turn_moment
+            more = (next_turn_moment / branch.at_reversal(following, q) - 1) / (1 + fading)
+            turn_moment = steady * (1 + _on_grid(log_a, np.log(following), more))
     ratio = following / amplitude
     by = [(one[1 : 1 + count] - one[1 + count :]) / (2 * change[:, None]) for one in (ratio, duration)]
     return SwingTable.of(log_a, np.concatenate([ratio[:1], duration[:1], *by]), _FEWEST, _BEYOND)
 
 
 def _on_grid(log_a: Floats, at: Floats, values: Floats) -> Floats:
-    """Values given at other places, one row a parameter set, interpolated linearly; 0 where unknown."""
+    """Values at places `at`, one row a parameter set, interpolated linearly to `log_a`; 0 where unknown."""
     out = np.zeros_like(values)
     for row in range(len(values)):
         known = np.isfinite(at[row]) & np.isfinite(values[row])
@@ -232,8 +233,8 @@ def branch_law(
     *,
     in_angles: bool = False,
 ) -> Law:
-    """A law of a branch; see `Coordinates` for `scalings`, `straight` and `likely`. The linear drag of `DRAG`
-    may be one of the parameters.
+    """The law with memory of a branch; see `Coordinates` for `scalings`, `straight` and `likely`. The linear
+    drag of `DRAG` may be one of the parameters.
     """
     own = tuple(p.key for p in parameters if p.key not in (PERIOD, DRAG.key))
 

@@ -39,17 +39,17 @@ from processing.contact.law import (
 )
 
 _PER_OCTAVE, _BEYOND, _FEWEST = 24, 2, 4
-"""Amplitudes of a table in a factor of two, how many of them lie beyond either end, and the fewest."""
+"""Number of a table's amplitudes in a factor of two, beyond either end, and at least."""
 _NODES = 20
 """Nodes of a quarter; the error is below 1e-12 of a half period for any exponent above zero."""
-_ROUNDS, _SETTLED, _NEAR = 60, 1e-12, 1e-9
-"""Most iterations, and the relative change at which they end: of those by a drag, which gain its moment over
-the weight's each time, and of Newton's, which square it."""
-_OF_DRAG = 1e-9
-"""Last change of derivatives through the speed at which a drag works, relative."""
-_TIGHT, _TIGHT_ENOUGH = 5, 1e-9
-"""Rounds of the next amplitude and the drag before it, and the change at which they end: each gains a
-hundredth of the drag's moment."""
+_ROUNDS, _DRAG_TOLERANCE, _NEWTON_TOLERANCE = 60, 1e-12, 1e-9
+"""Most iterations, and the relative change at which they end: of those for a drag, each of which reduces the
+change by its moment over the weight's, and of Newton's, which square it."""
+_DERIVATIVE_TOLERANCE = 1e-9
+"""Relative change at which the iteration of derivatives by a drag ends."""
+_AMPLITUDE_ROUNDS, _AMPLITUDE_TOLERANCE = 5, 1e-9
+"""Most iterations of the next amplitude with the drag's work before it, and the relative change at which they
+end: each reduces the change by a hundredth of the drag's moment."""
 
 
 class Moment(NamedTuple):
@@ -73,9 +73,9 @@ class Moments(NamedTuple):
     elastic: Moment
 
 
-MomentsOf = Callable[[Floats, float, float], Moments | None]
-"""Of a law: its moments for the map's parameters without the first amplitude (`Columns.map_parameters`),
-needed between two angles; None where the parameters have none."""
+MomentsFunction = Callable[[Floats, float, float], Moments | None]
+"""Function of a law: its moments between two angles, for the map's parameters without the first amplitude
+(`SolverCoordinates.map_parameters`); None where these have none."""
 
 
 # The substitution ``phi = A cos(theta)`` removes the square-root singularity of the duration at the turning
@@ -119,9 +119,9 @@ def _quarter_nodes() -> _QuarterNodes:
 
 
 class _Quarter(NamedTuple):
-    """Quarters from or to turning points: time in T0, work of the drag over ``drag A^2``, and derivatives by
-    the friction's parameters, the elastic moment's, the drag and ln A, first axis. `friction` and `elastic`
-    are the works at the turning points.
+    """Quarters from or to turning points: time in T0, `lost`, the work of the drag over ``drag A^2``, and the
+    derivatives `by` and `lost_by` (first axis: the friction's parameters, the elastic moment's, the drag,
+    ln A). `friction` and `elastic` are the works at the turning points.
     """
 
     time: Floats
@@ -133,7 +133,7 @@ class _Quarter(NamedTuple):
 
 
 def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: bool = True) -> _Quarter:
-    """After (sign 1) or before (-1) turning points at `a`."""
+    """Quarters after (`sign` 1) or before (-1) turning points at `a`; `derived` is with derivatives."""
     nodes = _quarter_nodes()
     x = a[:, None] * nodes.turn_and_cos
     per_size = 2 / (a[:, None] ** 2 * nodes.sin2)
@@ -145,7 +145,7 @@ def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: 
     for _ in range(_ROUNDS if drag else 1):
         travelled = np.sqrt(factor) @ nodes.travelled.T
         before, factor = factor, without - 2 * sign * drag * travelled
-        if not np.any(np.abs(factor - before) > _SETTLED):
+        if not np.any(np.abs(factor - before) > _DRAG_TOLERANCE):
             break
     speed = np.sqrt(factor)
     root = 1 / speed
@@ -164,10 +164,10 @@ def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: 
     )
     by = explicit
     if drag:
-        # the drag works on a speed that all of them change
+        # the drag's work depends on the speed, which all parameters change
         for _ in range(_ROUNDS):
             again = explicit - sign * drag * ((by * root) @ nodes.travelled.T)
-            settled = not np.any(np.abs(again - by) > _OF_DRAG * np.max(np.abs(by), initial=0.0))
+            settled = not np.any(np.abs(again - by) > _DERIVATIVE_TOLERANCE * np.max(np.abs(by), initial=0.0))
             by = again
             if settled:
                 break
@@ -179,9 +179,9 @@ def _quarter(moments: Moments, a: Floats, drag: float, sign: float, *, derived: 
 def _turning(
     moments: Moments, highest: Floats, energy: Floats, lost: Floats, near: Floats | None = None
 ) -> Floats:
-    """The amplitudes below `highest` at which A'^2/2 - V + D + lost A'^2 is an energy; NaN where none is.
+    """Amplitudes A' below `highest` at which A'^2/2 - V + D + lost A'^2 is `energy`; NaN where there is none.
 
-    The search begins `near` them, or at the highest.
+    The search begins at `near`, or at the highest.
     """
     friction, elastic = moments.friction, moments.elastic
     x = highest if near is None else np.where(np.isfinite(near), near, highest)
@@ -189,13 +189,13 @@ def _turning(
         above = (0.5 + lost) * x**2 - elastic.work(x)[0] + friction.work(x)[0]
         slope = (1 + 2 * lost) * x - elastic.moment(x) + friction.moment(x)
         before, x = x, np.clip(x - (above - energy) / slope, 0.1 * x, 1.5 * x)
-        if not np.any(np.abs(x - before) > _NEAR * highest):
+        if not np.any(np.abs(x - before) > _NEWTON_TOLERANCE * highest):
             break
     return np.where((energy > 0) & (x > 1e-6 * highest), x, np.nan)
 
 
 def memoryless_table(
-    moments_of: MomentsOf, parameters: Floats, highest: float, lowest: float
+    moments_function: MomentsFunction, parameters: Floats, highest: float, lowest: float
 ) -> SwingTable | None:
     """The law's table (`Law.table`)."""
     steps = max(_FEWEST, ceil(_PER_OCTAVE * log(highest / lowest, 2)))
@@ -203,8 +203,8 @@ def memoryless_table(
     step = log_a[1] - log_a[0]
     log_a = log_a[0] + step * np.arange(-_BEYOND, steps + 1 + _BEYOND)
     a = np.exp(log_a)
-    with np.errstate(all="ignore"):  # where a search goes too far
-        moments = moments_of(parameters, float(a[0]), float(a[-1]))
+    with np.errstate(all="ignore"):  # a search tries values for which terms overflow
+        moments = moments_function(parameters, float(a[0]), float(a[-1]))
         if moments is None:
             return None
         rows = _rows(moments, a, float(parameters[-3]), len(parameters))
@@ -212,15 +212,15 @@ def memoryless_table(
 
 
 def _rows(moments: Moments, a: Floats, drag: float, count: int) -> Floats:
-    """Of a table (`SwingTable.of`)."""
+    """Rows (2 + 2 k, amplitudes) of a table, see `SwingTable.of`."""
     leaving = _quarter(moments, a, drag, 1.0)
     energy = (0.5 - drag * leaving.lost) * a**2 - leaving.elastic[0] - leaving.friction[0]
     following = _turning(moments, a, energy, drag * leaving.lost)
     if drag:
-        for _ in range(_TIGHT):
+        for _ in range(_AMPLITUDE_ROUNDS):
             lost = _quarter(moments, following, drag, -1.0, derived=False).lost
             before, following = following, _turning(moments, a, energy, drag * lost, following)
-            if not np.any(np.abs(following - before) > _TIGHT_ENOUGH * a):
+            if not np.any(np.abs(following - before) > _AMPLITUDE_TOLERANCE * a):
                 break
     coming = _quarter(moments, following, drag, -1.0)
     by = np.concatenate(
@@ -248,7 +248,7 @@ def memoryless_law(
     title: str,
     source: str,
     parameters: Sequence[Parameter],
-    moments_of: MomentsOf,
+    moments_function: MomentsFunction,
     scalings: Mapping[str, Scaling],
     straight: Callable[[bool], ValleyCoordinates],
     likely: Callable[[StartValues, float], Sequence[Mapping[str, float]]],
@@ -260,9 +260,9 @@ def memoryless_law(
         phi_rad: Floats, direction: Floats, values: Mapping[str, float], pendulum: PendulumOnBall
     ) -> BranchMoments:
         own = scaled_values(scalings, values, pendulum, 1.0).values()
-        found = moments_of(np.array([*own, 0.0, 1.0, relative_curvature(pendulum)]), 0.0, 0.0)
+        found = moments_function(np.array([*own, 0.0, 1.0, relative_curvature(pendulum)]), 0.0, 0.0)
         if found is None:
-            # a fit may end outside of what the law takes; what is withheld is drawn nowhere
+            # a fit may end where the law has no moments; NaN is not plotted
             undefined = np.full(np.shape(phi_rad), np.nan)
             return BranchMoments(undefined, undefined)
         weight, size = weight_moment(pendulum), np.abs(phi_rad)
@@ -276,7 +276,7 @@ def memoryless_law(
         source=source,
         parameters=tuple(parameters),
         branch_moments=moments,
-        table=partial(memoryless_table, moments_of),
+        table=partial(memoryless_table, moments_function),
         columns=partial(
             Coordinates, parameters=parameters, scalings=scalings, straight=straight, likely=likely
         ),

@@ -1,9 +1,9 @@
 """Loops and work of a swing, losses of a decay, surface energy; the contact spot with adhesion.
 
 Hertz leaves adhesion out. The adhesion that resists rolling (c of Eq. 1) also pulls the surfaces together, so
-that the spot is larger and the surface energy that follows from c, which is divided by the spot's area, is
-smaller. Both are found together, by iteration. With the work of adhesion w = 2 sigma (two equal surfaces are
-parted), the reduced modulus K = 4/3 / (sum of (1 - nu^2)/E) and the load F:
+that the spot is larger and the surface energy, which is c over the spot's area, is smaller. Both are found
+together, by iteration. With the work of adhesion w = 2 sigma (two equal surfaces are separated), the reduced
+modulus K = 4/3 / (sum of (1 - nu^2)/E) and the load F:
 
     Hertz             a^3 = F R / K
     DMT               a^3 = (F + 2 pi w R) R / K
@@ -21,12 +21,7 @@ from typing import Annotated
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact.law import (
-    ContactParameters,
-    Law,
-    PendulumOnBall,
-    weight_moment,
-)
+from processing.contact.law import ContactParameters, Law, PendulumOnBall, weight_moment
 from processing.contact.laws import DEFAULT_LAW, turning_points_of
 from processing.errors import DataError
 from processing.estimate import Estimate
@@ -69,7 +64,7 @@ class SurfaceEnergy:
 
 
 def surface_energy(c: Estimate, pendulum: PendulumOnBall) -> SurfaceEnergy:
-    """Both forms of sigma for an adhesion coefficient c of Eq. 1; each is proportional to c."""
+    """Both forms of sigma for a coefficient c of Eq. 1, to which they are proportional."""
     force = pendulum.mass_kg * pendulum.gravity_m_per_s2
     a = pendulum.contact_radius_m
     return SurfaceEnergy(
@@ -180,10 +175,10 @@ def model_losses(
 ATOMIC_DISTANCE_M = 0.3e-9
 """z0, the distance of the surfaces' atoms in contact, on which the Tabor parameter depends: 0.2 to 0.4 nm."""
 _MAUGIS_PER_TABOR = 1.157
-"""Maugis' parameter lambda over Tabor's mu: the step of Dugdale's force with the work and the peak force of
+"""Maugis' parameter lambda over Tabor's mu, if Dugdale's step of the force has the work and the peak force of
 Lennard-Jones'."""
 _JKR_FROM = 5.0
-"""Tabor parameter above which JKR is meant to hold; DMT below 0.1 (Johnson & Greenwood 1997)."""
+"""Tabor parameter above which JKR holds; DMT holds below 0.1 (Johnson & Greenwood 1997)."""
 _DMT_UP_TO = 0.1
 
 
@@ -197,7 +192,7 @@ class AdhesiveContact:
 
 @dataclass(frozen=True, slots=True)
 class AdhesiveContacts:
-    """The spot after each theory; `tabor` says which of them holds."""
+    """The contact spot by each theory; the Tabor parameter `tabor` decides which holds."""
 
     tabor: float
     jkr: AdhesiveContact
@@ -206,7 +201,7 @@ class AdhesiveContacts:
 
     @property
     def holds(self) -> str:
-        """Name of the theory that the Tabor parameter asks for."""
+        """Name of the theory that holds at the Tabor parameter."""
         if self.tabor > _JKR_FROM:
             return "JKR"
         return "DMT" if self.tabor < _DMT_UP_TO else "Maugis-Dugdale"
@@ -250,7 +245,7 @@ def adhesive_contacts(c: float, pendulum: PendulumOnBall) -> AdhesiveContacts:
 
 
 def tabor_parameter(work_j_per_m2: float, ball_radius_m: float, stiffness_pa: float) -> float:
-    """How far surface forces reach, over the deformation that they cause."""
+    """Tabor's mu: the deformation by surface forces over their range."""
     reduced_pa = 0.75 * stiffness_pa
     return float((ball_radius_m * work_j_per_m2**2 / (reduced_pa**2 * ATOMIC_DISTANCE_M**3)) ** (1 / 3))
 
@@ -283,14 +278,14 @@ def maugis_radius(
     load = force_n / (pi * work_j_per_m2 * ball_radius_m)
 
     def at(m: float) -> tuple[float, float]:
-        """a and P for the ratio m; a solves a quadratic equation."""
+        """a and P for the ratio m; a is the root of a quadratic equation."""
         s, t = sqrt(m * m - 1), acos(1 / m)
         half = 0.5 * transition * (s + (m * m - 2) * t)
         whole = 4 / 3 * transition**2 * (s * t - m + 1)
         a = 2 / (whole + sqrt(whole**2 + 4 * half))
         return a, a**3 - transition * a * a * (s + m * m * t)
 
-    # the load falls as the ring of attraction grows; close to m = 1 it exceeds any
+    # the load falls as the ring of attraction grows; close to m = 1 it is larger than any given one
     near, far = 1.0 + 1e-12, 2.0
     while at(far)[1] > load:
         far *= 2

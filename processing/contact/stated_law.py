@@ -1,8 +1,8 @@
-"""A law that somebody states as a function: its friction, and if wanted its elastic moment, of the angle.
+"""A law that a user states as functions of the angle: its friction and, optionally, its elastic moment.
 
     M = -m g R f(|phi|) sign(phi') + m g R e(|phi|) sign(phi)
 
-The works of f and e follow by quadrature, their derivatives by the parameters by differences.
+The works of f and e are computed by quadrature, their derivatives by the parameters by differences.
 """
 
 import inspect
@@ -24,25 +24,25 @@ from processing.errors import DataError
 from processing.swing import TurningPoints
 
 _ELASTIC = ("n", "gamma_pa")
-"""Of Eq. 3, which is fitted where no other elastic moment is stated."""
+"""Parameters of Eq. 3, which is fitted where no other elastic moment is stated."""
 _LOWEST, _PER_OCTAVE = 1e-5, 40
 """Angle, over the smallest amplitude, below which a moment is taken as constant, and the points at which its
 work is tabulated in a factor of two."""
-_TIMES = (1.0, 0.3, 3.0)
-"""Of the stated starts, from which the fit begins one after the other."""
+_START_FACTORS = (1.0, 0.3, 3.0)
+"""Factors of the stated start values, with each of which a fit begins."""
 _COMPARED = 24
-"""Angles at which a friction is compared with the paper's, to find where its fit begins."""
+"""Angles at which a friction is compared with the paper's, for start values of its fit."""
 _STEP = 1e-4
-"""Of a parameter, for derivatives."""
+"""Relative step of a parameter, for derivatives."""
 
 StatedMoment = Callable[..., Floats]
-"""Of |phi| in rad and of parameters by name, over m g R; their defaults are where a fit begins."""
+"""A moment over m g R: function of |phi| (rad) and of parameters by name, whose defaults are start values."""
 
 
-def _called(moment: StatedMoment, name: str) -> StatedMoment:
-    """A stated moment that gives an array of floats, or DataError with what is wrong in it.
+def _checked(moment: StatedMoment, name: str) -> StatedMoment:
+    """A stated moment whose result is an array of floats; it raises DataError with the fault of any other.
 
-    It has angles of its own: what it writes into them reaches nobody else.
+    It gets a copy of the angles, so that a function that writes into them changes no others.
     """
 
     def result(phi_rad: Floats, **own: float) -> Floats:
@@ -63,7 +63,9 @@ def _called(moment: StatedMoment, name: str) -> StatedMoment:
     return result
 
 
-def _refuse_odd(moment: StatedMoment, start: Mapping[str, float], points: TurningPoints, name: str) -> None:
+def _require_finite(
+    moment: StatedMoment, start: Mapping[str, float], points: TurningPoints, name: str
+) -> None:
     """Raise DataError unless a moment has a finite value where a fit begins."""
     probe = np.geomspace(1e-3, 1, 9) * float(points.amplitude.max())
     found = moment(probe, **start)
@@ -83,7 +85,7 @@ def _by_quadrature(
     lowest: float,
     highest: float,
 ) -> Moment:
-    """A stated moment of parameters, some of `names`, in units of the reference."""
+    """A stated moment in units of the reference; its parameters are those of `values`, in `names`."""
     first = _LOWEST * lowest
 
     def at(x: Floats, changed: Mapping[str, float]) -> Floats:
@@ -120,7 +122,7 @@ def _by_quadrature(
 
 
 def _starts_of(moment: StatedMoment) -> dict[str, float]:
-    """The parameters of a stated moment and where a fit begins: the defaults in its signature.
+    """The parameters of a stated moment with their start values, the defaults in its signature.
 
     Raises
     ------
@@ -146,8 +148,8 @@ def _starts_of(moment: StatedMoment) -> dict[str, float]:
 class StatedLaw:
     """A friction f(phi_rad, a=..., b=...) over m g R, and an elastic moment in the direction of phi likewise.
 
-    Angles are above 0, arrays of any shape; without `elastic` that of Eq. 3 is fitted beside the friction.
-    The defaults of the parameters are where a fit begins.
+    Angles are above 0, arrays of any shape; without `elastic` that of Eq. 3 is fitted with the friction.
+    The defaults of the parameters are the start values of a fit.
     """
 
     friction: StatedMoment
@@ -155,26 +157,26 @@ class StatedLaw:
 
     @property
     def name(self) -> str:
-        """The function's own, where it has one."""
+        """Name of the friction's function, or ``stated`` if it has none or that of another law."""
         name = getattr(self.friction, "__name__", "")
         return name if name.isidentifier() and name not in LAWS else "stated"
 
     def of(self, points: TurningPoints, pendulum: PendulumOnBall, like: Mapping[str, float]) -> Law:
-        """The law of one decay; from `like`, the values of the paper's law for it, period and Eq. 3 begin.
+        """The law of one decay; `like`, the paper's law fitted to it, gives start values of period and Eq. 3.
 
         Raises
         ------
         DataError
-            A parameter without a start, or a friction that has no finite value there.
+            A parameter without a start value, or a moment without finite values there.
         """
         return _law(self, points, pendulum, like)
 
 
-def _as_the_papers(
+def _starts_near_paper(
     friction: StatedMoment, start: Mapping[str, float], like: Mapping[str, float], points: TurningPoints
 ) -> list[dict[str, float]]:
-    """The parameters by which a friction is nearest to the paper's as fitted, found from its own start; none
-    where the search for them fails.
+    """Start values with which a friction is nearest to the paper's fitted one, searched from its own; none
+    where the search fails.
     """
     from scipy.optimize import least_squares  # here, as it would slow down every command
 
@@ -202,8 +204,8 @@ def _law(
     elastic, name = stated.elastic, stated.name
     start = _starts_of(stated.friction)
     own = tuple(start)
-    friction = _called(stated.friction, name)
-    _refuse_odd(friction, start, points, name)
+    friction = _checked(stated.friction, name)
+    _require_finite(friction, start, points, name)
     if elastic is None:
         if taken := set(own) & set(_ELASTIC):
             raise DataError(f"{name}: its parameter {min(taken)} is one of Eq. 3, which is fitted with it")
@@ -212,14 +214,14 @@ def _law(
         if taken := set(own) & set(_starts_of(elastic)):
             raise DataError(f"{name}: its parameter {min(taken)} is one of the elastic moment, too")
         of_elastic = _starts_of(elastic)
-        elastic = _called(elastic, getattr(elastic, "__name__", "elastic"))
-        _refuse_odd(elastic, of_elastic, points, f"{name}, elastic")
+        elastic = _checked(elastic, getattr(elastic, "__name__", "elastic"))
+        _require_finite(elastic, of_elastic, points, f"{name}, elastic")
         start |= of_elastic
     names = tuple(start)
     scale = {name: 1e-3 * (abs(value) or 1.0) for name, value in start.items()}
     rest = tuple(name for name in names if name not in own)
 
-    def moments_of(parameters: Floats, lowest: float, highest: float) -> Moments:
+    def moments_function(parameters: Floats, lowest: float, highest: float) -> Moments:
         known = dict(zip(names, parameters[:-3].tolist(), strict=True))
         steps = {name: _STEP * max(abs(value), scale[name]) for name, value in known.items()}
         _, reference, rho = parameters[-3:].tolist()
@@ -244,11 +246,11 @@ def _law(
         scaled[gamma] *= stiffness_ratio(1.0, pendulum) * reference ** start[n]
 
     stated_start = {key: start[key] for key in own}
-    as_papers = _as_the_papers(friction, stated_start, like, points)
+    near_paper = _starts_near_paper(friction, stated_start, like, points)
 
     def likely(_: StartValues, __: float) -> list[dict[str, float]]:
-        stated = [{key: times * value for key, value in stated_start.items()} for times in _TIMES]
-        return [{**scaled, **each, PERIOD: like[PERIOD]} for each in [*as_papers, *stated]]
+        stated = [{key: times * value for key, value in stated_start.items()} for times in _START_FACTORS]
+        return [{**scaled, **each, PERIOD: like[PERIOD]} for each in [*near_paper, *stated]]
 
     known = {each.key: each for each in PAPER.parameters}
     parameters = (
@@ -265,7 +267,7 @@ def _law(
         (inspect.getdoc(stated.friction) or "stated").splitlines()[0].rstrip("."),
         "stated",
         parameters,
-        moments_of,
+        moments_function,
         scalings,
         lambda _: logarithms_of(),
         likely,

@@ -2,20 +2,14 @@
 
 from processing.estimate import FitMethod
 from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.changes import DRIFTS, drift_term, drifts_of, with_changes
+from processing.fit.changes import DRIFTS, drift_effects, drift_term, with_changes
 from processing.fit.determination import Determination, identifiability
-from processing.fit.drag import (
-    Drag,
-    DragFinding,
-    drag_verdict,
-    steeper_drag,
-    with_steeper_drag,
-)
+from processing.fit.drag import Drag, DragFinding, boundary_layer_drag, drag_verdict, with_boundary_layer_drag
 from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, sine_covariance, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.exact_result import domain_warnings
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
-from processing.fit.known_drive import LEAST_LEFT, Signals
+from processing.fit.known_drive import LEAST_UNEXPLAINED, Signals
 from processing.fit.law_comparison import (
     CONTRADICTED,
     LawComparison,
@@ -23,17 +17,17 @@ from processing.fit.law_comparison import (
     predicted_harmonics,
     waveform_chances,
 )
-from processing.fit.model_free import fit_model_free, with_misfit
+from processing.fit.model_free import fit_model_free, with_discrepancy
 from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.fit.refinement import (
-    FitOfSwings,
+    DecayFit,
     describes_as_well,
     fitted_twice,
     known_motion,
-    measured_again,
+    measurement_shift,
     points_in_true_time,
-    settled_by_either,
-    shift_of,
+    refine,
+    second_measurement,
 )
 from processing.fit.reported import (
     FittedContact,
@@ -45,26 +39,26 @@ from processing.fit.reported import (
     work_per_cycle_j,
 )
 from processing.fit.result import (
-    MISFIT,
-    PLACE,
-    READING,
-    STEEPER,
+    BOUNDARY_LAYER,
+    DISCREPANCY,
+    FIXED_PATTERN,
+    MEASUREMENT,
     Change,
     ChangeKind,
     DiscrepancySize,
     FitQuality,
     FitResult,
 )
-from processing.fit.seismometer import Response, SeismometerUse, fit_with_witness
+from processing.fit.seismometer import Response, SeismometerUse, fit_with_seismometer
 from processing.fit.seismometer_spectra import SeismometerSpectra
-from processing.fit.seismometer_terms import Witness, plain_signals
+from processing.fit.seismometer_terms import Seismogram, plain_signals
 from processing.fit.sensor_errors import (
-    PlaceErrors,
-    alternation_of,
-    by_amplitude_errors,
-    by_sensor,
-    delay_of_rows,
-    place_errors,
+    PositionErrorFit,
+    amplitude_error_effects,
+    fit_position_errors,
+    row_delay,
+    sensor_derivatives,
+    time_alternation,
     without_alternation,
 )
 from processing.fit.terms import LinearisedFit, Term

@@ -62,8 +62,8 @@ def fit_asymptotic(
     printed_curvature
         Use 0.55 in Eq. 6 as printed, instead of the value for the fitted n.
     exact
-        The exact fit of the same points. If it found that the ground drives the pendulum, its turning
-        points are fitted, and the uncertainties contain the drive (`driven_covariance`). The bias is stated.
+        The exact fit of the same points. Its turning points are fitted, the bias is stated by it and, if it
+        found a drive of the ground, the uncertainties contain that (`driven_covariance`).
 
     Raises
     ------
@@ -178,9 +178,10 @@ def fit_asymptotic(
 def _bias(
     exact: FitResult, points: TurningPoints, pendulum: PendulumOnBall | None, printed_curvature: bool
 ) -> dict[str, float] | None:
-    """What both equations make of the exact fit's own free decay, less its parameters; None if they cannot.
+    """Bias of both equations: their parameters for the exact fit's free decay, less those of the exact fit.
 
-    The decay is taken at the half-cycles of `points`, with their uncertainties as weights.
+    The decay is taken at the half-cycles of `points`, with their uncertainties as weights. None if the
+    equations cannot be fitted to it.
     """
     model, columns = ExactModel.of(points, pendulum, exact)
     amplitude, time_s, _, _ = model.curve(columns)
@@ -208,7 +209,7 @@ def fit_period(
     printed_curvature: bool,
     loss: Loss,
 ) -> tuple[Solution, Floats]:
-    """Fit with the columns T0 (s), n and kappa, the last for amplitudes in units of the reference; curve."""
+    """Solution of Eq. 6 (T0 in s, n, kappa for amplitudes in units of the reference), and its periods (s)."""
     x = points.amplitude[periods.where] / reference
     drop_of = partial(frequency_drop, x, rho=rho, printed_curvature=printed_curvature)
 
@@ -231,7 +232,7 @@ def fit_period(
 
 
 def by_turning_time(solution: Solution, points: TurningPoints, periods: Periods) -> Floats:
-    """Derivatives of the fit's score by the turning times; the covariance makes them those of the values."""
+    """Derivatives (half-cycles, 3) of the fit's score by the turning times; of the values by `covariance`."""
     weighted = solution.jacobian / periods.u_period_s[:, None]
     by_time = np.zeros((len(points), 3))
     np.add.at(by_time, periods.where + 1, weighted)
@@ -267,11 +268,9 @@ def period_by_log_rho(
     return -FactoredJacobian(solution.jacobian).coefficients(change)
 
 
-# Scatter of a least-squares fit to a driven pendulum, although the fit takes its errors as independent.
-#
-# A drive moves all turning points after it: the errors are sums of steps. The covariance of the fitted
-# values follows from how they depend on each measured amplitude and time, and from how a step at one
-# turning point moves the later ones.
+# A least-squares fit takes the errors of turning points as independent, which those of a driven pendulum are
+# not: a step of the drive moves all later turning points. The covariance of the fitted values follows from
+# their derivatives by each measured amplitude and time, and from how a step moves the later turning points.
 
 
 def driven_covariance(
@@ -290,13 +289,13 @@ def driven_covariance(
     points
         The turning points that `exact` was fitted to.
     exact
-        The exact fit of them, which knows how strongly the ground drove the pendulum.
+        The exact fit of `points`, with the drive of the ground that it found.
     """
     assert exact.ground is not None
     noise, rate = exact.ground.noise, 2 * np.pi / exact.mean_period_s.value
     model, columns = ExactModel.of(points, pendulum, exact)
     _, _, amplitude_jacobian, time_jacobian = model.curve(columns)
-    # what a change of the first amplitude makes of the later amplitudes and times
+    # derivatives of all amplitudes and times by the first amplitude
     amplitude_slope = _to_the_end(amplitude_jacobian[:, -3])
     time_slope = _to_the_end(time_jacobian[:, -3] / model.reference)
 
@@ -318,7 +317,7 @@ def driven_covariance(
 
 
 def _to_the_end(values: Floats) -> Floats:
-    """The last finite value goes on: a free decay may end before a driven one."""
+    """Values with the last finite one repeated to the end: a free decay may end before a driven one."""
     reached = int(np.count_nonzero(np.isfinite(values)))
     out = values.copy()
     out[reached:] = values[reached - 1]

@@ -1,11 +1,11 @@
-"""What changes while a pendulum swings: drifts over the whole run, and events that are found and dated.
+"""Changes while a pendulum swings: drifts over the whole run, and events that are found and dated.
 
 A friction that ages evenly is not seen in one decay: amplitude and time fall together, and an exponent takes
-up what the age does. What such drifts do to the parameters follows from the map, for a budget.
+up the effect of the age. The effect of such drifts on the parameters follows from the map, for a budget.
 
-An event is looked for at every half-cycle: a knock (both quadratures of the oscillation step), a friction
-that is another one from then on, a period that is. Each is judged by the restricted likelihood, with the
-drive of the ground estimated anew, and counts where no smooth error of the law explains the decay as well.
+An event is sought at every half-cycle: a knock (a step of both quadratures of the oscillation), a step of the
+friction, a step of the period. Each is judged by the restricted likelihood, with the drive of the ground
+estimated anew, and counts where no smooth error of the law explains the decay as well.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,24 +18,24 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import DRAG, PendulumOnBall
 from processing.decay_summary import mean_period
-from processing.fit.exact_model import Errors, ExactModel
+from processing.fit.exact_model import ExactModel, LawErrors
 from processing.fit.ground import Noise
-from processing.fit.result import FITTED_DRIFTS, STEP, Change, ChangeKind, FitResult
+from processing.fit.result import FITTED_DRIFTS, FRICTION_STEP, Change, ChangeKind, FitResult
 from processing.fit.terms import DrivenRows, LinearisedFit, Term
 from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
 
-_GROWN = 1e-3
+_GROWTH_STEP = 1e-3
 """Relative growth of a friction by which the derivatives of its harmonics are taken."""
 DRIFTS = ("ageing", "adhesion_ageing", "drag_drift", "period_drift")
 """What may drift evenly over a run, by the names of `RigQuantities`: the growth of the friction b, of the
 constant friction c, of the drag and of the period from the first turning point to the last, relative.
 
-They have different causes, and one that is alone moves what their sum leaves where it is."""
+They have different causes, and one of them alone moves parameters that all together would leave in place."""
 
 
-class Share:
-    """A part of the loss of a half-swing, by the amplitude in units of the reference."""
+class LossShare:
+    """Share of a half-swing's loss, from 0 to 1, as a function of the amplitude in units of the reference."""
 
     def __init__(self, amplitude: Floats, share: Floats) -> None:
         self._log_amplitude, self._share = np.log(amplitude[::-1]), np.clip(share, 0.0, 1.0)[::-1]
@@ -44,41 +44,43 @@ class Share:
         return np.interp(np.log(amplitude), self._log_amplitude, self._share)
 
 
-def contact_share(model: ExactModel, columns: Floats) -> Share:
-    """What remains of the loss without the drag, which takes ``A w0 drag pi / 2`` in a half-swing."""
+def contact_share(model: ExactModel, columns: Floats) -> LossShare:
+    """The contact's share of the loss; the drag takes ``A w0 drag pi / 2`` in a half-swing."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
     of_air = pi**2 * values.get(DRAG.key, 0.0) / values["period0_s"]
     amplitude, loss = model.losses(columns)
-    return Share(amplitude, 1.0 - of_air * amplitude / loss)
+    return LossShare(amplitude, 1.0 - of_air * amplitude / loss)
 
 
-def adhesion_share(model: ExactModel, columns: Floats) -> Share:
-    """What the friction takes that does not depend on the amplitude, ``2 c`` in a half-swing."""
+def adhesion_share(model: ExactModel, columns: Floats) -> LossShare:
+    """Share of the loss that the constant friction takes, ``2 c`` in a half-swing at any amplitude."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
     amplitude, loss = model.losses(columns)
-    return Share(amplitude, 2.0 * values.get("c", 0.0) / model.reference / loss)
+    return LossShare(amplitude, 2.0 * values.get("c", 0.0) / model.reference / loss)
 
 
-def drifts_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> dict[str, Floats]:
+def drift_effects(
+    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
+) -> dict[str, Floats]:
     """Derivatives (parameters,) of the contact parameters of an exact fit of these points by `DRIFTS`.
 
-    Parameters are those of the middle of the run. Raises DataError for another method.
+    The parameters refer to the middle of the run. Raises DataError for a fit by another method.
     """
     at = LinearisedFit.of(points, pendulum, fit)
     return dict(zip(DRIFTS, at.moved_by(-drift_term(at).columns).T, strict=True))
 
 
 def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -> Term:
-    """`DRIFTS` about zero with their standard uncertainties; without them nothing is known of any."""
+    """The term of `DRIFTS` about zero; without `u_drifts` they have no prior."""
     noise = at.model.noise_of(at.fit)
-    columns = by_drifts(at.model, at.coordinates, noise, at.scale)[1]
+    columns = drift_jacobians(at.model, at.coordinates, noise, at.scale)[1]
     prior = np.inf if u_drifts is None else np.array([u_drifts.get(name, 0.0) for name in DRIFTS])
     return Term(FITTED_DRIFTS, columns, prior)
 
 
-def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
-    """Derivatives of the residuals by the columns, and by `DRIFTS`; `scale` is that of the stated
-    uncertainties."""
+def drift_jacobians(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
+    """Derivatives of the residuals by the columns and by `DRIFTS`, of turning points that scatter `scale`
+    times as much as stated."""
     values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
     contact, adhesion = contact_share(model, columns), adhesion_share(model, columns)
     lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
@@ -91,8 +93,8 @@ def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) ->
     def slower(_: Floats, time_s: Floats) -> Floats:
         return _since_middle(time_s, lasting_s)[:, None]
 
-    found = model.filtered(columns, noise, errors=Errors(of_loss, slower))
-    beside = model.beside(columns)[1]
+    found = model.filtered(columns, noise, errors=LawErrors(of_loss, slower))
+    beside = model.evidence_rows(columns)[1]
     of_waveform = np.zeros((len(beside), len(DRIFTS)))
     waveform = model.evidence.waveform
     if waveform is not None and model.pendulum is not None:
@@ -101,8 +103,8 @@ def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) ->
         since = _since_middle(passed_s - model.points.time_s[0], lasting_s)[:, None]
         here = waveform.predicted_rad(model.law, values, model.pendulum)
         for column, name in enumerate(("b", "c")):
-            grown = values | {name: (1 + _GROWN) * values.get(name, 0.0)}
-            moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWN
+            grown = values | {name: (1 + _GROWTH_STEP) * values.get(name, 0.0)}
+            moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWTH_STEP
             reduced = waveform.reduced(since * moved)
             of_waveform[: len(reduced), column] = reduced
     law = len(columns)
@@ -111,65 +113,65 @@ def by_drifts(model: ExactModel, columns: Floats, noise: Noise, scale: float) ->
 
 
 def _since_middle(time_s: Floats, lasting_s: float) -> Floats:
-    """From -1/2 to 1/2."""
+    """Time from the middle of the run over its duration, -1/2 to 1/2."""
     return time_s / lasting_s - 0.5
 
 
 _CHUNK = 64
-"""Half-cycles whose changes are computed together."""
+"""Places at which changes are computed together."""
 _EDGE = 5
 """Half-cycles at both ends at which no change is looked for."""
-_CHANCE = 0.2
-"""Chance of a step of the friction in a run, before its data are seen."""
-_DRIVES = (1.0, 0.3, 0.1, 0.03, 0.0)
-"""Drives that are tried, over the one that the law without changes needs."""
-_CERTAIN = 20.0
+_STEP_PROBABILITY = 0.2
+"""Prior probability that a run has a step of the friction."""
+_DRIVE_FACTORS = (1.0, 0.3, 0.1, 0.03, 0.0)
+"""Drives of the ground that are tried, over the likeliest one of the law without changes."""
+_CLEAR_GAIN = 20.0
 """Gain in -2 ln L that a change must have beyond that of choosing among all half-cycles."""
-_MOST = 3
+_MOST_CHANGES = 3
 
 
 def with_changes(
     at: LinearisedFit, u_step: float, explained: float = 0.0, fit: FitResult | None = None
 ) -> FitResult:
-    """The fit with the changes during its decay, and with the uncertainty that a step of the friction leaves.
+    """The fit with the events in its decay, and with the uncertainty by a step of the friction not found.
 
-    A step too small to be found moves the parameters all the same. It is in their uncertainties by as much
-    as the data speak for one, wherever it is: nothing leaps where one is found.
+    A step too small to be found moves the parameters all the same. Their uncertainties hold it in proportion
+    to its probability at each place, so that no uncertainty leaps where a step is found.
 
     Parameters
     ----------
     u_step
-        Standard uncertainty of the relative size of a step, if there is one.
+        Prior standard uncertainty of the relative size of a step.
     explained
-        By how much -2 ln L is smaller with smooth errors of the law (`Misfit.against_law`).
+        By how much -2 ln L is smaller with smooth errors of the law (`DiscrepancySize.against_law`).
     fit
-        The fit near whose end this is found, where it has further terms already.
+        The fit that receives the changes, where it has terms that `at.fit` has not.
     """
     fit = at.fit if fit is None else fit
     scans = _scans(at) if fit.loss == "linear" else []
     if not scans:
         return fit
     if u_step > 0:
-        fit = fit.with_term(STEP, at.to_physical @ scans[0].hidden_friction(u_step, explained))
-    changes = _found(at, scans, explained)
+        fit = fit.with_term(FRICTION_STEP, at.to_physical @ scans[0].hidden_friction(u_step, explained))
+    changes = _found_changes(at, scans, explained)
     return replace(fit, changes=changes, warnings=(*fit.warnings, *warnings_of(changes)))
 
 
-def _scans(at: LinearisedFit) -> list["_Scan"]:
+def _scans(at: LinearisedFit) -> list["_ChangeScan"]:
     own = at.model.noise_of(at.fit)
     step = own.step if own.step > 0 else 1e-3 * float(np.median(at.model.u_amplitude))
-    found = (_Scan.of(at, replace(own, step=share * step)) for share in _DRIVES)
+    found = (_ChangeScan.of(at, replace(own, step=share * step)) for share in _DRIVE_FACTORS)
     return [scan for scan in found if scan is not None]
 
 
-def _found(at: LinearisedFit, scans: Sequence["_Scan"], explained: float) -> tuple[Change, ...]:
+def _found_changes(at: LinearisedFit, scans: Sequence["_ChangeScan"], explained: float) -> tuple[Change, ...]:
     chance = 2 * log(3 * len(at.points))
     found: list[Change] = []
     before = min(scan.deviance() for scan in scans)
-    for _ in range(_MOST):
+    for _ in range(_MOST_CHANGES):
         best = min((scan.best() for scan in scans), key=lambda one: one.deviance)
         gain = before - best.deviance
-        if not gain > _CERTAIN + chance or not (found or gain > _CERTAIN + chance + explained):
+        if not gain > _CLEAR_GAIN + chance or not (found or gain > _CLEAR_GAIN + chance + explained):
             break
         found.append(_change(at, best, gain))
         for scan in scans:
@@ -196,7 +198,7 @@ def _change(at: LinearisedFit, best: "_ClearestChange", gain: float) -> Change:
 
 
 def warnings_of(changes: Sequence[Change]) -> tuple[str, ...]:
-    """What is said of changes beside a fit."""
+    """Warnings of a fit, one for each change during its decay."""
     return tuple(f"{change.text}; fit the parts before and after it on their own" for change in changes)
 
 
@@ -210,10 +212,11 @@ class _ClearestChange(NamedTuple):
     deviance: float
 
 
-class _Scan:
-    """Whitened residuals for one drive, and what every change would do to them.
+class _ChangeScan:
+    """Whitened residuals for one drive, and their derivatives by a change at each place.
 
-    That is computed anew for each search, some places at a time: of a long decay all of it fills the memory.
+    The derivatives are computed anew for each search, some places at a time: all of a long decay's would fill
+    the memory.
     """
 
     def __init__(self, at: LinearisedFit, noise: Noise, rows: DrivenRows) -> None:
@@ -222,11 +225,11 @@ class _Scan:
         self._contact = contact_share(model, at.coordinates)
         self._nodes, self._loss = model.losses(at.coordinates)
         time_s = model.points.time_s - model.points.time_s[0]
-        # between the half-cycle before a place and the one at it
+        # a change lies between the half-cycle before its place and the one at it
         self._places_s = 0.5 * (time_s[1:] + time_s[:-1])[_EDGE - 1 : len(time_s) - _EDGE - 1]
         self._rate = 2 * pi / mean_period(model.points)
         self._amplitude = model.points.amplitude[_EDGE:] / model.reference
-        # the scatter of the points, by the median: a change is not to hide behind what it does
+        # by the median, which a change hardly moves: it must not hide in a scatter that it makes
         self._scale = max(1.0, float(np.median(np.abs(rows.residuals[: rows.points]))) / 0.6745)
         rows = rows.in_scatter(self._scale)
         self._law = FactoredJacobian(rows.jacobian)
@@ -235,7 +238,7 @@ class _Scan:
         self._constant = rows.log_det + self._law.log_det
 
     @classmethod
-    def of(cls, at: LinearisedFit, noise: Noise) -> "_Scan | None":
+    def of(cls, at: LinearisedFit, noise: Noise) -> "_ChangeScan | None":
         """None where the filter has no value for this drive, or there is no place to look at."""
         if len(at.points) <= 2 * _EDGE:
             return None
@@ -243,34 +246,30 @@ class _Scan:
         return cls(at, noise, rows) if np.all(np.isfinite(rows.residuals)) else None
 
     def hidden_friction(self, u_size: float, explained: float) -> Floats:
-        """Changes of the coordinates by a step of the friction that may be there and that nothing takes off.
+        """Changes (coordinates, places) by one standard deviation of a friction step that was not corrected.
 
-        Shape (coordinates, places), of one standard deviation each.
-
-        Its size is believed to be zero with the standard uncertainty `u_size`, its time to be any, and
-        there to be one with the chance `_CHANCE`; the data say how much of it they want, less what is
-        `explained` otherwise.
+        Prior: a step with the probability `_STEP_PROBABILITY`, at any place alike, its size zero with the
+        standard uncertainty `u_size`. The data weigh each place by its gain in -2 ln L beyond `explained`.
         """
         sizes, chances, moved = [], [], []
         for first in range(0, len(self._places_s), _CHUNK):
             raw = self._changes(first, _CHUNK, whole=True)[:, 1]
             changes = self._law.left(raw)
             power = np.einsum("rp,rp->p", changes, changes) + 1e-30
-            told = 1.0 / (1.0 / u_size**2 + power)
-            size = -told * (self._left @ changes)
-            gain = np.maximum(size**2 / told - explained, 0.0)
-            sizes.append(size**2 + told)
-            chances.append(np.exp(np.minimum(0.5 * gain, 300.0)) * np.sqrt(told) / u_size)
+            variance = 1.0 / (1.0 / u_size**2 + power)
+            size = -variance * (self._left @ changes)
+            gain = np.maximum(size**2 / variance - explained, 0.0)
+            sizes.append(size**2 + variance)
+            chances.append(np.exp(np.minimum(0.5 * gain, 300.0)) * np.sqrt(variance) / u_size)
             moved.append(self._law.coefficients(raw))
-        chance = np.concatenate(chances) * _CHANCE / len(self._places_s)
-        weight = np.concatenate(sizes) * chance / (np.sum(chance) + 1.0 - _CHANCE)
+        chance = np.concatenate(chances) * _STEP_PROBABILITY / len(self._places_s)
+        weight = np.concatenate(sizes) * chance / (np.sum(chance) + 1.0 - _STEP_PROBABILITY)
         return np.asarray(np.concatenate(moved, axis=1) * np.sqrt(weight))
 
     def _changes(self, first: int, count: int, *, whole: bool = False) -> Floats:
-        """What the kinds of change (4) do at some places to the rows that nothing explains yet; `whole`: to
-        the rows.
+        """Derivatives (rows, 4, places) of the rows by four unit changes at `count` places from `first` on.
 
-        Shape (rows, 4, places).
+        They are without what law and earlier changes take up, unless they are to be `whole`.
         """
         here_s = self._places_s[first : first + count]
 
@@ -284,7 +283,7 @@ class _Scan:
             knock = _impulses(node_s, here_s) / lasting[:, None]
             return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
 
-        changes = self._at.driven(self._noise, Errors(of_loss, of_duration)).by_errors / self._scale
+        changes = self._at.driven(self._noise, LawErrors(of_loss, of_duration)).by_errors / self._scale
         if not whole:
             changes = self._law.left(changes)
             for taken in self._taken:
@@ -304,7 +303,7 @@ class _Scan:
         return out
 
     def _best_of(self, first: int) -> _ClearestChange:
-        """The same of the places from `first` on."""
+        """The change that explains most at the places of a chunk from `first` on."""
         changes = self._changes(first, _CHUNK)
         out, now = None, self.deviance()
         score = np.einsum("r,rkp->kp", self._left, changes)
@@ -328,7 +327,7 @@ class _Scan:
         )
 
     def take(self, best: _ClearestChange) -> None:
-        """What is left once a change is allowed for."""
+        """Let a change explain its part of the residuals in all that follows."""
         kinds = {ChangeKind.FRICTION: [1], ChangeKind.PERIOD: [3], ChangeKind.KNOCK: [0, 2]}[best.kind]
         own = FactoredJacobian(self._changes(best.place, 1)[:, kinds, 0])
         self._left = own.left(self._left)

@@ -18,7 +18,7 @@ from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Determinacy, FitMethod
 from processing.fit.exact_model import ExactModel
-from processing.fit.exact_result import impossible
+from processing.fit.exact_result import impossible_signs
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian, Solution, solve
 from processing.number_text import plain, with_uncertainty
@@ -28,30 +28,30 @@ from processing.swing import TurningPoints
 _SURELY_PARABOLIC = 0.01
 """Relative standard uncertainty up to which chi2 is taken as a parabola, without a look at its profile."""
 _MOST_EVALUATIONS = 40
-"""Of the model in one refit; once more as many where it would set a limit and has not converged."""
-_MOST_IN_VAIN = 1
-"""After so many of those that never converge on one side, another one ends the search there."""
-_STEPS = 20
-"""Values at which a parameter is held on each side, at most."""
-_ALIKE = 0.15
-"""Part of a half-width by which the ends of both intervals may differ where value and uncertainty stand."""
-_NAMED = Quantity("", "", unit=OF + "name")
+"""Most evaluations of the model in one refit; a second round where it would set a limit unconverged."""
+_MOST_UNCONVERGED = 1
+"""Refits that never converge which the search on one side passes over; one more ends it."""
+_MOST_HELD = 20
+"""Most values at which a parameter is held on each side."""
+_TOLERANCE = 0.15
+"""Largest difference of the two intervals' ends, over the half-width, at which value and uncertainty do."""
+_NAMED_UNIT = Quantity("", "", unit=OF + "name")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Determination:
-    """What the data say of one parameter: a value, an interval, a bound or nothing.
+    """Verdict of the data on one parameter: a value, an interval, a bound or none.
 
     `lower_95` or `upper_95` is NaN if the data set no limit (0 if only physics does: friction dissipates
-    energy). `profile_likelihood` says whether the limits come from it.
+    energy). `profile_likelihood` is whether the limits come from it.
     """
 
     name: str
     verdict: Determinacy
-    value: Annotated[float, _NAMED]
-    standard_uncertainty: Annotated[float, _NAMED] = nan
-    lower_95: Annotated[float, _NAMED]
-    upper_95: Annotated[float, _NAMED]
+    value: Annotated[float, _NAMED_UNIT]
+    standard_uncertainty: Annotated[float, _NAMED_UNIT] = nan
+    lower_95: Annotated[float, _NAMED_UNIT]
+    upper_95: Annotated[float, _NAMED_UNIT]
     profile_likelihood: bool = False
     text: str = ""
 
@@ -152,8 +152,8 @@ def profile_likelihood(
     logarithmic scale if their estimates are positive. The search ends at ten standard uncertainties (b and
     gamma: at a factor of a million), or at zero for parameters that cannot be negative. Where the fit itself
     lies below zero, the rise counts from the best fit at zero: a limit is never one of impossible values.
-    A refit that has not converged shows that chi2 rises by no more than it says: it may be passed, but sets
-    no limit. The search goes nearer then, and soon ends without one.
+    A refit that has not converged bounds the rise of chi2 from above: it may be passed, but sets no limit.
+    The search then goes nearer to the best fit, and soon ends without a limit.
     """
     from scipy.special import stdtrit
 
@@ -165,7 +165,7 @@ def profile_likelihood(
     if not np.isfinite(u):
         u = abs(value) or 1.0
     scale = max(1.0, 2 * result.cost / result.dof) if result.loss == "linear" else 1.0
-    factor = _widened(result, name)
+    factor = _u_inflation(result, name)
     scale *= factor**2
     target = float(stdtrit(result.dof, 0.5 * (1 + coverage)))
     held = _ConditionalModel(model, name, best)
@@ -202,8 +202,8 @@ def profile_likelihood(
         high, high_root = np.inf, np.inf
         z = farthest_step = min(target * unit, farthest)
         was_below: bool | None = None
-        in_vain = 0
-        for _ in range(_STEPS):
+        unconverged = 0
+        for _ in range(_MOST_HELD):
             start = held.follow(at(sign * low), free, at(sign * z))
             start = np.clip(start, low_end + 1e-9, high_end - 1e-9)
             model_there = held.at(at(sign * z))
@@ -211,12 +211,12 @@ def profile_likelihood(
             if solution is not None and is_open(solution):
                 solution = _refitted(refitted, model_there, solution.values)
                 if solution is not None and is_open(solution):
-                    solution, in_vain = None, in_vain + 1
-                    if in_vain > _MOST_IN_VAIN:
+                    solution, unconverged = None, unconverged + 1
+                    if unconverged > _MOST_UNCONVERGED:
                         z = high
                         break
             if solution is None:
-                # its uncertainty may be thousands of times what the law allows
+                # the law has no value there: u may be thousands of times the range that it allows
                 farthest_step = (z - low) * (0.5 if low else 0.1)
                 z = low + farthest_step
                 nearest, there = at(sign * low), at(sign * z)
@@ -264,8 +264,8 @@ def profile_likelihood(
     return Profile(lower, upper, np.array(trace))
 
 
-def _widened(result: FitResult, name: str) -> float:
-    """By how many times a standard uncertainty is larger than the likelihood says."""
+def _u_inflation(result: FitResult, name: str) -> float:
+    """Ratio of a standard uncertainty to that by the likelihood."""
     return 1.0 if result.widened is None else float(result.widened[result.names.index(name)])
 
 
@@ -284,14 +284,14 @@ def _refitted(
 def identifiability(
     points: TurningPoints, pendulum: PendulumOnBall | None, result: FitResult
 ) -> tuple[Determination, ...]:
-    """Results for every parameter of an exact fit; for poorly determined ones by the profile likelihood.
+    """Verdict on every parameter of an exact fit; for poorly determined ones by the profile likelihood.
 
-    A parameter far below a zero that it cannot pass shows that the law is not that of the motion. Others that
-    would move by more than their uncertainty, were it brought back, are not determined.
+    A parameter that cannot be negative but lies far below zero shows that the law is not that of the motion.
+    Others that would move by more than their uncertainty, were it at zero, are not determined.
     """
     correlation = np.abs(result.correlation)
     withheld: dict[str, str] = {}
-    for cause, below in impossible(result).items():
+    for cause, below in impossible_signs(result).items():
         moved = below * correlation[result.names.index(cause)]
         withheld |= {
             name: cause
@@ -329,7 +329,7 @@ def _determination(
     if by_profile:
         found = profile_likelihood(points, pendulum, result, name)
         limits, half = np.array([found.lower, found.upper]), 0.5 * (upper - lower)
-        if u <= WELL_DETERMINED * abs(value) and np.all(np.abs(limits - (lower, upper)) < _ALIKE * half):
+        if u <= WELL_DETERMINED * abs(value) and np.all(np.abs(limits - (lower, upper)) < _TOLERANCE * half):
             by_profile = False
     if not by_profile:
         verdict = Determinacy.DETERMINED

@@ -1,7 +1,7 @@
-"""What a decay says of the air: a linear drag, and one that grows with the 3/2 power of the speed.
+"""Drag of the air in a decay: a linear one, and a boundary layer's, with the 3/2 power of the speed.
 
-The latter is a boundary layer's. It takes ``I A^1.5`` from the amplitude in a half-swing, I the integral of
-``sin^2.5``, and within the swing it makes a small third harmonic, which the exact path of the moment gives.
+The latter takes ``I A^1.5`` from the amplitude in a half-swing, I the integral of ``sin^2.5``, and makes a
+small third harmonic within the swing, which the exact path of the moment gives.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from processing.estimate import NOT_DETERMINED, Estimate, FitMethod
 from processing.fit.determination import profile_likelihood
 from processing.fit.exact import fit_exact, fit_exact_with, start_near
 from processing.fit.exact_model import ExactModel
-from processing.fit.result import STEEPER, BoundaryLayerDrag, FitResult
+from processing.fit.result import BOUNDARY_LAYER, BoundaryLayerDrag, FitResult
 from processing.fit.terms import LinearisedFit, Term
 from processing.least_squares import FactoredJacobian, propagate
 from processing.number_text import plain, with_uncertainty
@@ -26,26 +26,26 @@ from processing.swing import TurningPoints
 
 SIGNIFICANT = 0.003
 """Significance level of the test: the two-sided probability of three standard deviations."""
-_POSSIBLE = 0.05
-"""Probability by chance of what a linear look finds, below which a fit with a drag is made whatever b is."""
-_ALIKE = 0.2
-"""Difference of two tests of the drag, by curvature and by likelihood, above which chi2 is no parabola."""
+_FIT_BELOW_CHANCE = 0.05
+"""Probability by chance of the linear step's F below which a fit with a drag is made, whatever u(b) is."""
+_PARABOLIC = 0.2
+"""Difference of the drag's two tests, by curvature and by likelihood, up to which chi2 is a parabola."""
 _TWO_SIDED = 0.90
 """Coverage of an interval whose upper end is a bound of 95 %."""
 _UNIT = 1e-3
-"""Size of the step over the weight's moment at the reference amplitude: that of air and friction."""
-_LOST = sqrt(pi) * gamma(1.75) / gamma(2.25)
+"""Size of the drag over the weight's moment at the reference amplitude for which derivatives are taken."""
+_BOUNDARY_LAYER_INTEGRAL = sqrt(pi) * gamma(1.75) / gamma(2.25)
 """The integral of ``sin^2.5`` over half a swing."""
 
 
 class DragFinding(StrEnum):
-    """What the data say about a linear drag, whatever else is known of it."""
+    """Finding on a linear drag by the data alone, without prior knowledge."""
 
     SEEN = "a linear drag is in the data"
     NEGATIVE = "the data ask for a negative drag"
     """It would drive the pendulum: something else is missing from the model."""
     UNSEEN = "no linear drag is seen"
-    """Its bound is below what would move b by its uncertainty."""
+    """The bound is below the drag that would move b by its uncertainty."""
     OPEN = "the data do not tell a drag from friction"
 
 
@@ -56,9 +56,9 @@ class Drag:
     Attributes
     ----------
     drag_s
-        Of the reported fit, with prior knowledge; for a fit in vacuum, from the data.
+        Drag of the reported fit, with prior knowledge; for a fit in vacuum, from the data.
     of_data_s
-        From decay and waveform alone; not determined where a drag could be all of the friction.
+        Drag from decay and waveform alone; not determined where a drag could be all of the friction.
         Where chi2 is not a parabola, the uncertainty agrees with the test:
         infinite if the decay is described equally well without a drag.
     known_s
@@ -91,7 +91,7 @@ class Drag:
 
     @property
     def text(self) -> str:
-        """In one line."""
+        """Finding, value and test in one line."""
         value, u = self.drag_s
         return (
             f"{self.finding}: drag {with_uncertainty(value, u)} s, F = {plain(self.f_statistic, 3)} "
@@ -100,7 +100,7 @@ class Drag:
 
 
 def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Drag:
-    """What the data of an exact fit say of a drag; without one in the fit, it is fitted with it.
+    """The linear drag by the data of an exact fit; a fit without drag is repeated with one.
 
     Where a drag could be all of the friction, no such fit is made: it would end anywhere along a valley.
     Value, bound and shifts are not determined then.
@@ -117,11 +117,11 @@ def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
         alone = fit if known_s is None else fit_exact_with(points, pendulum, like, drag=True)
         before, after = fit_exact_with(points, pendulum, like, drag=False), fit
     else:
-        # the noise of a fit in vacuum may be what it lacks
+        # the noise of a fit without drag may hold the drag that it lacks
         alone = fit_exact(points, pendulum, drag=True, evidence=of_waveform, loss=fit.loss, near=fit)
         before, after, like = fit, alone, alone
     without = before if fit.has_drag else fit_exact_with(points, pendulum, like, drag=False)
-    test = _test(points, pendulum, _as_wide(alone, fit), without)
+    test = _test(points, pendulum, _at_least_as_uncertain(alone, fit), without)
     after_s = after.estimate(DRAG.key)
     return Drag(
         drag_s=test.of_data_s if after.evidence.drag_s is None else after_s,
@@ -137,10 +137,10 @@ def drag_verdict(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
 
 
 def _inseparable(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Drag | None:
-    """The verdict on a decay that cannot tell a drag from friction at all; None where fits must say.
+    """The verdict on a decay that cannot tell a drag from friction at all; None where fits must decide.
 
-    One step from the fit without a drag: a drag is likely by chance, and beside it b is as uncertain as it is
-    large.
+    By one linear step from the fit without a drag: F is likely by chance, and with a drag b is as uncertain
+    as it is large.
     """
     from scipy.special import fdtrc
 
@@ -148,7 +148,7 @@ def _inseparable(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
     start = next(start_near(model, fit), None)
     if start is None or fit.ground is None:
         return None
-    here = model.on_ground(start, model.noise_of(fit), fit.ground.measurement_scale).about(start)
+    here = model.on_ground(start, model.noise_of(fit), fit.ground.measurement_scale).linearised_at(start)
     residuals, jacobian = here(start)
     step, by = FactoredJacobian(jacobian), model.columns.physical(start)[1]
     scale = max(1.0, fit.chi2_per_dof) if fit.loss == "linear" else 1.0
@@ -157,13 +157,13 @@ def _inseparable(points: TurningPoints, pendulum: PendulumOnBall | None, fit: Fi
     p_value = float(fdtrc(1, fit.dof - 1, f_statistic))
     b = model.names.index(fit.contact_names[0])
     u_b = sqrt(propagate(by, step.covariance())[b, b] * scale)
-    if p_value < _POSSIBLE or u_b < abs(fit.estimate(fit.contact_names[0]).value):
+    if p_value < _FIT_BELOW_CHANCE or u_b < abs(fit.estimate(fit.contact_names[0]).value):
         return None
     return Drag(f_statistic=f_statistic, p_value=p_value)
 
 
 class _Test(NamedTuple):
-    """What the data alone say: value and uncertainty, a bound, and the test against no drag."""
+    """The drag by the data alone: value and uncertainty, a bound, and the test against no drag."""
 
     of_data_s: Estimate
     upper_95_s: float
@@ -177,8 +177,8 @@ def _test(
 ) -> _Test:
     """The test by the rise of chi2 where the drag is left out, and an uncertainty that agrees with it.
 
-    Friction and drag can cancel each other along a curved valley, where the curvature at its bottom says
-    little of its length. There the bound is the profile likelihood's.
+    Friction and drag can replace each other along a curved valley, whose length does not follow from the
+    curvature at its bottom. There the bound is the profile likelihood's.
     """
     from scipy.special import fdtrc, stdtrit
 
@@ -190,7 +190,7 @@ def _test(
     p_value = float(fdtrc(1, alone.dof, f_statistic))
     upper_95 = max(0.0, value) + float(stdtrit(alone.dof, 0.95)) * u if u < inf else inf
     by_curvature = abs(value) / u if u > 0 else inf
-    parabolic = abs(sqrt(f_statistic) - by_curvature) <= _ALIKE * max(1.0, by_curvature)
+    parabolic = abs(sqrt(f_statistic) - by_curvature) <= _PARABOLIC * max(1.0, by_curvature)
     if not parabolic:
         u = max(u, abs(value) / sqrt(f_statistic)) if f_statistic > 0 else inf
         found = profile_likelihood(points, pendulum, alone, DRAG.key, coverage=_TWO_SIDED)
@@ -198,8 +198,8 @@ def _test(
     return _Test(Estimate(value, u), upper_95, f_statistic, p_value, parabolic)
 
 
-def _as_wide(alone: FitResult, fit: FitResult) -> FitResult:
-    """The fit of the data alone with what widened the uncertainties of the one that is reported."""
+def _at_least_as_uncertain(alone: FitResult, fit: FitResult) -> FitResult:
+    """The fit of the data alone, its uncertainties enlarged at least as much as those of the reported fit."""
     if alone is fit or fit.widened is None or len(fit.widened) != len(alone.names):
         return alone
     widened = fit.widened if alone.widened is None else np.maximum(fit.widened, alone.widened)
@@ -213,19 +213,19 @@ def _shift(before: float, after: float) -> float:
 
 
 def _finding(alone: FitResult, reported: FitResult, test: _Test) -> DragFinding:
-    """Judged by the u of b that is reported, which in vacuum is that of a fit without a drag."""
+    """The finding by the reported uncertainty of b, which in vacuum is that of a fit without a drag."""
     if test.p_value < SIGNIFICANT:
         return DragFinding.SEEN if test.of_data_s.value > 0 else DragFinding.NEGATIVE
     fit = reported if reported.has_drag else alone
     b, drag = fit.names.index(fit.contact_names[0]), fit.names.index(DRAG.key)
     moved = test.upper_95_s * abs(fit.covariance[b, drag] / fit.covariance[drag, drag])
     u_b = reported.estimate(reported.contact_names[0]).standard_uncertainty
-    # along a curved valley b moves by more than the slope at its bottom says
+    # along a curved valley b moves by more than the slope at its bottom predicts
     return DragFinding.UNSEEN if test.parabolic and moved < u_b else DragFinding.OPEN
 
 
-def steeper_drag(at: LinearisedFit) -> BoundaryLayerDrag:
-    """What an exact fit with a linear drag leaves of a steeper one.
+def boundary_layer_drag(at: LinearisedFit) -> BoundaryLayerDrag:
+    """A boundary layer's drag beside the linear drag of an exact fit, by one linear step.
 
     Raises DataError where the law predicts no waveform.
     """
@@ -236,10 +236,10 @@ def steeper_drag(at: LinearisedFit) -> BoundaryLayerDrag:
     rate = 2 * pi / period0_s
     per_unit = _UNIT / (at.model.reference**0.5 * rate**1.5)
     # a softer pendulum is slower by the root of its stiffness
-    lost = _UNIT * _LOST * sqrt(period_s / period0_s)
+    lost = _UNIT * _BOUNDARY_LAYER_INTEGRAL * sqrt(period_s / period0_s)
     more = at.by_loss(lambda x: np.asarray(lost * np.maximum(x, 0.0) ** 1.5), {STEEPER_DRAG: per_unit})
-    found = at.solved(Term(STEEPER, more))
-    # as the parameters of the fit are: by the scatter about it, and by what widened them
+    found = at.solved(Term(BOUNDARY_LAYER, more))
+    # enlarged as the parameters of the fit are: by the scatter, and by the factors of their uncertainties
     scatter = sqrt(max(1.0, fit.chi2_per_dof)) if fit.loss == "linear" else 1.0
     widened = 1.0 if fit.widened is None else float(np.max(fit.widened))
     u = sqrt(found.covariance[0, 0]) * widened * scatter / at.scale
@@ -258,10 +258,10 @@ def steeper_drag(at: LinearisedFit) -> BoundaryLayerDrag:
     )
 
 
-def with_steeper_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitResult:
-    """The fit with what it was found to leave; where that is seen, uncertainties hold its effect.
+def with_boundary_layer_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitResult:
+    """The fit with its boundary layer's drag; where that is seen, uncertainties hold its effect.
 
-    The values stay, and curves with them: the step is right to some tenths of itself.
+    The values and their curves stay: the linear step is right only to some tenths of itself.
     """
     if not found.seen:
         return replace(fit, steeper=found)
@@ -270,9 +270,9 @@ def with_steeper_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitResult:
         f"a drag with the 3/2 power of the speed is in the data (chance without: {plain(found.p_value, 1)}); "
         f"with it b changes by {percent:+g} %, which its uncertainty covers"
     )
-    return fit.with_term(STEEPER, np.array(found.shift)[:, None], said, steeper=found)
+    return fit.with_term(BOUNDARY_LAYER, np.array(found.shift)[:, None], said, steeper=found)
 
 
 def _share(steeper_s: float, drag_s: float) -> float:
-    """Ratio of the works in a swing: the integrals of ``sin^2.5`` and ``sin^2`` over half of one."""
-    return _LOST * steeper_s / (0.5 * pi * drag_s) if drag_s else nan
+    """Ratio of both drags' work in a half-swing, by the integrals of ``sin^2.5`` and ``sin^2``."""
+    return _BOUNDARY_LAYER_INTEGRAL * steeper_s / (0.5 * pi * drag_s) if drag_s else nan

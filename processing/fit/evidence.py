@@ -1,10 +1,10 @@
-"""What a fit knows beside the turning points: the waveform of the swing, and what the air is expected to do.
+"""Evidence of a fit beyond the turning points: the waveform of the swing, and the expected drag of the air.
 
-A drag takes energy as friction does that grows with the amplitude, so that turning points hardly tell them
-apart on ground that moves. Within a swing they differ: friction turns over at each turning point and makes
-odd harmonics in quadrature, a drag makes none. Neither a lever that is not straight nor errors of place on
-the sensor make such harmonics, whatever the ground does slowly makes none, and even orders, to which rows
-exposed in turn belong, are left out.
+A drag takes energy as a friction does that grows with the amplitude, so that turning points hardly tell them
+apart on ground that moves. Within a swing they differ: friction reverses at each turning point and makes
+odd harmonics in quadrature, a drag makes none. Neither a lever that is not straight, nor fixed-pattern
+position errors of the sensor, nor slow motion of the ground make such harmonics; even orders, which rows
+exposed in turn make, are left out.
 """
 
 from collections.abc import Mapping
@@ -22,23 +22,23 @@ from processing.least_squares import FactoredJacobian
 from processing.swing import ORDERS, SwingHarmonics
 
 WAVEFORM, AIR = "waveform", "air"
-"""Names of what restrains a fit beside the turning points."""
+"""Names of the parts of the evidence: the waveform, and the prior of the drag of the air."""
 _ODD = [ORDERS.index(order) for order in (3, 5, 7, 9)]
-_NODE = 1.6
-"""Ratio of neighbouring amplitudes at which the harmonics are kept; between them they are interpolated."""
+_NODE_RATIO = 1.6
+"""Ratio of neighbouring nodes' amplitudes; between the nodes harmonics are interpolated."""
 _FEWEST = 8
-"""Fewest pieces that are a waveform: their scatter is half of what is said of their uncertainty."""
+"""Fewest pieces that make a waveform: half of their stated uncertainty then comes from their scatter."""
 _STATED = 10.0
-"""How many pieces the stated uncertainties of the samples count for in the covariance of the harmonics."""
-_KEPT = 32
-"""Predictions that a waveform keeps: a fit and the verdicts on it ask for those at the same values again."""
+"""Number of pieces as which the stated covariance counts against the scatter of the harmonics."""
+_MOST_CACHED = 32
+"""Most predictions in a waveform's cache: a fit and the verdicts on it need the same ones again."""
 _GATE = 5.0
-"""Standard deviations beyond which a harmonic is one of a disturbed piece."""
+"""Standard deviations of a harmonic beyond which its piece counts as disturbed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Waveform:
-    """Odd harmonics in quadrature of the swing over a decay, with the covariance that they show.
+    """Odd harmonics in quadrature of the swing over a decay, with their covariance.
 
     Attributes
     ----------
@@ -47,10 +47,10 @@ class Waveform:
     sine_rad
         Their harmonics of orders 3, 5, 7 and 9 (n, 4).
     covariance
-        Of one piece's harmonics, (n, 4, 4): that of the samples, enlarged to what neighbours scatter. The
-        ground's part is in it, whatever its spectrum.
+        Covariance (n, 4, 4) of each piece's harmonics: that of the samples, enlarged to the scatter of
+        neighbours, which contains the ground's part whatever its spectrum.
     scatter
-        Ratio of the scatter to what the stated uncertainties of the samples say, as standard deviations.
+        Ratio of the scatter to that by the stated uncertainties of the samples, as standard deviations.
     """
 
     amplitude_rad: Floats
@@ -63,7 +63,7 @@ class Waveform:
         """Weights (n, nodes) of linear interpolation in ln A."""
         x = np.log(self.amplitude_rad)
         span = float(x.max() - x.min())
-        nodes = np.linspace(x.min(), x.max(), max(2, round(span / log(_NODE)) + 1))
+        nodes = np.linspace(x.min(), x.max(), max(2, round(span / log(_NODE_RATIO)) + 1))
         place = (x - nodes[0]) / (nodes[1] - nodes[0])
         return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(len(nodes)))))
 
@@ -71,7 +71,7 @@ class Waveform:
     def _reduction(self) -> Floats:
         """Matrix (m, 4 n) that reduces the pieces to m independent numbers of unit variance.
 
-        Nodes with no piece about them, and what rounding leaves of orders that scatter alike, give none.
+        Nodes without pieces, and combinations of orders that vanish but for rounding, give none.
         """
         whitening = np.linalg.inv(np.linalg.cholesky(self.covariance))
         nodes, orders = self._hats.shape[1], self.sine_rad.shape[1]
@@ -84,7 +84,7 @@ class Waveform:
         return {}
 
     def predicted_rad(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall) -> Floats:
-        """What a law says that `sine_rad` are.
+        """Harmonics that a law predicts for `sine_rad`.
 
         Raises DataError if the pendulum would not swing.
         """
@@ -92,7 +92,7 @@ class Waveform:
         known = self._predictions.get(key)
         if known is None or known[0] is not law:
             sine = -law_harmonics(law, values, pendulum, self.amplitude_rad).imag[:, _ODD]
-            while len(self._predictions) >= _KEPT:
+            while len(self._predictions) >= _MOST_CACHED:
                 del self._predictions[next(iter(self._predictions))]
             known = self._predictions[key] = law, sine
         return known[1]
@@ -102,7 +102,7 @@ class Waveform:
         return np.asarray(self._reduction @ sine_rad.ravel())
 
     def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall) -> Floats:
-        """What a law predicts minus what is measured, as independent numbers of unit variance.
+        """A law's harmonics minus the measured ones, as independent numbers of unit variance.
 
         Raises DataError if the pendulum would not swing.
         """
@@ -110,20 +110,20 @@ class Waveform:
 
 
 def sine_covariance(pieces: SwingHarmonics) -> Floats | None:
-    """Covariance (4, 4) of one piece's harmonics as a `Waveform` has it; None for too few pieces."""
+    """Median covariance (4, 4) of a piece's harmonics in a `Waveform`; None for too few pieces."""
     found = waveform_of(pieces)
     return None if found is None else np.asarray(np.median(found.covariance, axis=0))
 
 
 def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
-    """The waveform that pieces of a decay show; None for too few of them."""
+    """The waveform of a decay's pieces without the disturbed ones; None for too few of them."""
     order = np.argsort(-pieces.amplitude)
     amplitude, sine = pieces.amplitude[order], pieces.sine[order][:, _ODD]
     stated = pieces.covariance_sine[order][:, _ODD][:, :, _ODD]
     while len(amplitude) >= _FEWEST:
         whitening = np.linalg.inv(np.linalg.cholesky(stated))
         whole = _whole_scatter(amplitude, sine, whitening)
-        left = np.einsum("nab,nb->na", whitening, _left(amplitude, sine))
+        left = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
         kept = np.all(np.abs(left) < _GATE * np.sqrt(np.diag(whole)), axis=1)
         if np.all(kept):
             root = np.linalg.inv(whitening)
@@ -133,8 +133,8 @@ def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
     return None
 
 
-def _left(amplitude: Floats, sine: Floats) -> Floats:
-    """What a smooth curve over the amplitudes leaves of the harmonics."""
+def _without_trend(amplitude: Floats, sine: Floats) -> Floats:
+    """Harmonics less a smooth curve of them over the amplitudes."""
     x = np.log(amplitude)
     x = (x - x.mean()) / max(float(np.ptp(x)), 1e-9)
     terms = amplitude[:, None] * x[:, None] ** np.arange(3)
@@ -142,28 +142,30 @@ def _left(amplitude: Floats, sine: Floats) -> Floats:
 
 
 def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats:
-    """Covariance of whitened harmonics (4, 4), from what they scatter, with the stated one as a prior.
+    """Covariance (4, 4) of whitened harmonics by their scatter, with the stated covariance as a prior.
 
-    Where they scatter more than stated, as in air, the prior says how the orders share the noise and not how
-    much of it there is: it would else take a third off the variance of a dozen pieces.
+    Where they scatter more than stated, as in air, the prior gives only the ratios between the orders and not
+    the size of the noise: it would else take a third off the variance of a dozen pieces.
     """
-    left = np.einsum("nab,nb->na", whitening, _left(amplitude, sine))
-    # pieces far off are judged against the others
+    left = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
+    # clipped, so that pieces far off are judged by the scatter of the others
     size = 1.4826 * np.median(np.abs(left), axis=0)
     left = np.clip(left, -_GATE * size, _GATE * size)
     scatter, degrees = left.T @ left, len(amplitude) - 3
     louder = max(1.0, float(np.trace(scatter)) / len(_ODD) / degrees)
     own = (degrees + _STATED) ** 2 / degrees
     return np.asarray(
-        _wider(own, len(_ODD)) * (scatter + _STATED * louder * np.eye(len(_ODD))) / (degrees + _STATED)
+        _weights_factor(own, len(_ODD))
+        * (scatter + _STATED * louder * np.eye(len(_ODD)))
+        / (degrees + _STATED)
     )
 
 
-def _wider(degrees: float, order: int) -> float:
-    """What a covariance matrix of so many degrees of freedom must grow by to be the weights of a fit.
+def _weights_factor(degrees: float, order: int) -> float:
+    """Factor that a covariance matrix of so many degrees of freedom needs where its inverse weights a fit.
 
-    Weights from the data themselves make the fit scatter more than the best ones would and, because they
-    favour what happens to scatter little, say that it scatters less (Wishart's distribution).
+    Weights from the data themselves make a fit scatter more than the true ones would and, because they favour
+    what happens to scatter little, its stated covariance too small (Wishart's distribution).
     """
     stated, actual = (degrees - order + 1) / degrees, (degrees - 1) / (degrees - order)
     return actual / stated
@@ -171,10 +173,10 @@ def _wider(degrees: float, order: int) -> float:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What restrains a fit beside the turning points.
+    """Evidence that restrains a fit in addition to the turning points.
 
-    `drag_s` is what is known of a linear drag without this decay: its value and standard uncertainty.
-    `drive` is what a witness of the ground tells of the drive, up to gains that are fitted.
+    `drag_s` is the prior of a linear drag, without this decay: its value and standard uncertainty. `drive` is
+    the drive of the ground by an auxiliary seismometer, up to gains that are fitted.
     """
 
     waveform: Waveform | None = None
@@ -182,7 +184,7 @@ class Evidence:
     drive: KnownDrive | None = None
 
     def residuals(self, law: Law, values: Mapping[str, float], pendulum: PendulumOnBall | None) -> Floats:
-        """Distances of what the values say from what is known, in standard uncertainties."""
+        """Distances of the law's waveform and drag from the evidence, in standard uncertainties."""
         parts = []
         if self.waveform is not None and pendulum is not None:
             parts.append(self.waveform.residuals(law, values, pendulum))

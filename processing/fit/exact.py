@@ -27,17 +27,17 @@ from processing.swing import TurningPoints
 _GOOD_CHI2 = 1.5
 """Reduced chi-square above which a minimum may be a local one; other start values are tried then."""
 _GOOD_EVIDENCE = 8.0
-"""Mean square of the residuals of the evidence above which it may be a local one, too: a strong drive gives
+"""Mean square of the evidence's residuals above which a minimum may be a local one, too: a strong drive gives
 any turning points a good chi-square."""
 _ROUNDS = 12
 """Most alternations of noise and parameters; two or three suffice."""
 _STEPS = 60
 """Most steps of one alternation; the last search has as many as it needs."""
 _MOST_LINEARISED = 24
-"""Most fits to a model that is linear in part; where it lacks what the data show, it settles slowly."""
-_SETTLED = 0.02
+"""Most fits to a partly linearised model; one that lacks an effect in the data converges slowly."""
+_CONVERGED_U = 0.02
 """Change of the parameters, in standard uncertainties, below which the alternation ends."""
-_NEAR = 0.5
+_LINEAR_U = 0.5
 """Change of the parameters, in standard uncertainties, over which the evidence is taken as linear."""
 _WEAKEST = 10.0
 """Smallest amplitude fitted, in steps of the drive: amplitude and phase do not describe a smaller motion."""
@@ -51,20 +51,20 @@ class _Minimum(NamedTuple):
     likeliest: LikeliestNoise
 
 
-def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minimum | None:
-    """Noise and parameters in turn from one start, until both stay; None if it does not converge."""
+def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minimum | None:
+    """The minimum from one start, noise and parameters in turn until both stay; None without convergence."""
     columns = start
     noise: Noise | None = None
     near: ExactModel | None = None
     moved = np.full(len(start), np.inf)
     for _ in range(_ROUNDS):
         try:
-            if near is None or not np.all(moved[np.isfinite(moved)] < _NEAR):
-                near = model.about(columns)
+            if near is None or not np.all(moved[np.isfinite(moved)] < _LINEAR_U):
+                near = model.linearised_at(columns)
             likeliest = NoiseSearch(near, columns, loss, kind).likeliest()
             if not np.isfinite(likeliest.deviance):
                 return None
-            here = near.on_ground(columns, _kept(likeliest.noise), likeliest.noise.scale)
+            here = near.on_ground(columns, _as_weights(likeliest.noise), likeliest.noise.scale)
             solution = solve(
                 here,
                 columns,
@@ -80,33 +80,33 @@ def _settle(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> _Minim
         moved = np.abs(solution.values - columns) / np.sqrt(np.diag(solution.covariance))
         columns = solution.values
         same = noise is not None and abs(likeliest.noise.step - noise.step) <= 0.01 * noise.step
-        if same and np.all(moved[np.isfinite(moved)] < _SETTLED):
+        if same and np.all(moved[np.isfinite(moved)] < _CONVERGED_U):
             break
         noise = likeliest.noise
-    # where no step was possible none would be found for a finer tolerance either
+    # where the last search found no step, a finer tolerance would find none either
     final = solution
     if not stays:
         final = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss)
     return _Minimum(here, final, likeliest) if final.converged else None
 
 
-def _kept(noise: Noise) -> Noise:
+def _as_weights(noise: Noise) -> Noise:
     """The noise by which residuals are weighted; chi2/dof then shows the scale of the uncertainties."""
     return AT_REST if noise.at_rest else noise.in_stated_uncertainties
 
 
-def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Minimum:
+def _likeliest_minimum(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) -> _Minimum:
     """Likeliest minimum over the start values; the first one is accepted if it fits the data."""
     best: _Minimum | None = None
     tried = 0
     for start in chain(start_near(model, near), starts_of(model)):
         tried += 1
-        found = _settle(model, start, loss, kind)
+        found = _minimum_from(model, start, loss, kind)
         if found is None:
             continue
         if best is None or found.likeliest.deviance < best.likeliest.deviance:
             best = found
-        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and _believed(best):
+        if best.likeliest.noise.scale**2 < _GOOD_CHI2 and _agrees_with_evidence(best):
             break
     if not tried:
         raise DataError("no start from which the half-swing map reaches the last half-cycle")
@@ -118,9 +118,9 @@ def _best(model: ExactModel, loss: Loss, kind: Noise, near: FitResult | None) ->
     return best
 
 
-def _believed(found: _Minimum) -> bool:
+def _agrees_with_evidence(found: _Minimum) -> bool:
     """Whether the minimum agrees with the evidence."""
-    beside = found.model.beside(found.solution.values)[0]
+    beside = found.model.evidence_rows(found.solution.values)[0]
     return float(beside @ beside) <= _GOOD_EVIDENCE * len(beside) + _GOOD_EVIDENCE
 
 
@@ -179,7 +179,7 @@ def fit_exact(
     kept = points
     while True:
         model = ExactModel(kept, pendulum, law=law, drag=drag, evidence=evidence)
-        found = _best(model, loss, kind, near)
+        found = _likeliest_minimum(model, loss, kind, near)
         weakest = _WEAKEST * found.likeliest.noise.step * model.reference
         lost = np.nonzero(kept.amplitude < weakest)[0]
         if not len(lost):
@@ -221,7 +221,7 @@ def fit_exact_with(
 ) -> FitResult:
     """The exact fit of another model to the same turning points, with the noise of an earlier fit of them.
 
-    Models are compared with one noise: each with its own would call what it lacks a drive.
+    Models are compared with one noise: with its own, each would take an effect that it lacks for a drive.
     """
     if like.ground is None:
         raise DataError(f"the {like.method} fit has no noise that another fit could take over")
@@ -235,16 +235,16 @@ def fit_exact_with(
         moved = np.full(len(columns), np.inf)
         try:
             for _ in range(_MOST_LINEARISED):
-                here = model.on_ground(columns, noise, scale).about(columns)
+                here = model.on_ground(columns, noise, scale).linearised_at(columns)
                 solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=like.loss)
                 moved = np.abs(solution.values - columns) / np.sqrt(np.diag(solution.covariance))
                 columns = solution.values
-                if linear or np.all(moved[np.isfinite(moved)] < _SETTLED):
+                if linear or np.all(moved[np.isfinite(moved)] < _CONVERGED_U):
                     break
         except DataError:
             continue
-        # weights and evidence that belong to other columns give costs that are none of this model
-        settled = linear or bool(np.all(moved[np.isfinite(moved)] < _NEAR))
+        # a cost whose weights and evidence are those of other columns is not this model's
+        settled = linear or bool(np.all(moved[np.isfinite(moved)] < _LINEAR_U))
         if solution.converged and settled and (best is None or solution.cost < best[1].cost):
             best = here, solution
         if best is not None and 2 * best[1].cost / best[1].dof < _GOOD_CHI2:
@@ -255,17 +255,17 @@ def fit_exact_with(
 
 
 _DOWN_THE_VALLEY, _PLACES = 6.0, 25
-"""How far down from the largest friction starts are looked for, as a logarithm, and how many are tried."""
+"""Range of starts below the largest friction, as a logarithm, and their number."""
 _MUCH_BETTER = 0.25
-"""Chi-square of the evidence, over that where a start lies, for which the start is moved."""
+"""Chi-square of the evidence, over that at a start, below which the start is moved."""
 
 
 def starts_of(model: ExactModel) -> Iterator[Floats]:
     """Start values for which the map reaches the last half-cycle, the most promising first.
 
     Where none does, the first of each kind: a driven pendulum may swing for longer than any free one.
-    Where the waveform speaks against one, the place along the law's valley of friction and drag that it
-    likes best comes before.
+    Where the waveform contradicts the first start, the place along the law's valley of friction and drag that
+    describes the waveform best precedes it.
     """
     usable: list[Floats] = []
     others: list[Floats] = []
@@ -283,7 +283,7 @@ def starts_of(model: ExactModel) -> Iterator[Floats]:
 
 
 def _by_waveform(model: ExactModel, columns: Floats) -> Iterator[Floats]:
-    """The same with as much friction in the place of drag as the evidence says, if it says otherwise."""
+    """A start moved to the share of friction and drag that the evidence prefers, if that is much better."""
     valley = model.columns.valley
     if valley is None or model.evidence.waveform is None:
         return

@@ -29,15 +29,18 @@ from processing.fit.result import FitResult
 from processing.swing import TurningPoints
 
 _ABOVE, _BELOW = 1.05, 0.6
-"""Amplitudes up and down to which half-swings are tabulated, over those measured."""
+"""Highest and lowest amplitude of the tabulated half-swings, over the highest and lowest measured one."""
 _SLOWER = 4
 """Times the measured half-cycles after which a law's free decay is followed no further."""
 _STEP = 3.0
-"""Step of a derivative of the evidence, in what one column alone is uncertain by."""
+"""Step of a derivative of the evidence, in uncertainties of one column while the others are known."""
 
 
-class _EvidenceRows(NamedTuple):
-    """Residuals of the evidence, linear about the columns `at`; `scale` is that of the turning points."""
+class _LinearEvidence(NamedTuple):
+    """Residuals of the evidence, linear about the columns `at`.
+
+    `scale` is by how many times turning points scatter more than stated.
+    """
 
     at: Floats
     residuals: Floats
@@ -49,8 +52,8 @@ class _EvidenceRows(NamedTuple):
         return self.scale * self.residuals + jacobian @ (columns - self.at), jacobian
 
 
-class Errors(NamedTuple):
-    """What a law may be wrong by: functions of the nodes of a half-swing, for relative errors one a column.
+class LawErrors(NamedTuple):
+    """Relative errors that a law may have, one a column, as functions of the nodes of a half-swing.
 
     Each takes falling amplitudes in units of the reference and the times in s at which a free decay passes
     them, counted from the first turning point, and returns an array (nodes, m) of relative changes.
@@ -60,8 +63,8 @@ class Errors(NamedTuple):
     of_duration: Callable[[Floats, Floats], Floats]
 
 
-class Filtered(NamedTuple):
-    """Whitened innovations, their derivatives by the columns at fixed gains, and what `drive_filter` adds."""
+class FilterResult(NamedTuple):
+    """Whitened innovations, their derivatives by the columns at fixed gains, and more of `drive_filter`."""
 
     residuals: Floats
     jacobian: Floats
@@ -78,8 +81,8 @@ class ExactModel:
     of a Kalman filter: each turning point against the prediction from those before it. Steps are in
     units of `reference`.
 
-    Residuals of the `evidence` follow those of the amplitudes and times. They are linear about the columns at
-    which `about` was last called, and count as they do beside turning points that scatter as stated.
+    Residuals of the `evidence` follow those of the amplitudes and times. They are linear about the columns of
+    the last `linearised_at`, and are multiplied by `scale`, so that they scatter as the turning points do.
 
     Raises
     ------
@@ -102,9 +105,9 @@ class ExactModel:
         self.evidence = evidence
         self.names = law.fit_names(calibrated=pendulum is not None, drag=drag)
         self.columns = law.columns(points, pendulum, self.names)
-        self.witnessed: DrivenCoordinates | None = None
+        self.known_drive: DrivenCoordinates | None = None
         if evidence.drive is not None:
-            self.columns = self.witnessed = DrivenCoordinates(self.columns, evidence.drive)
+            self.columns = self.known_drive = DrivenCoordinates(self.columns, evidence.drive)
         self.reference = self.columns.reference
         self.lower, self.upper = self.columns.lower, self.columns.upper
         self._index = np.ascontiguousarray(points.index - points.index[0])
@@ -117,8 +120,8 @@ class ExactModel:
         self._noise = AT_REST
         self._gains: Floats | None = None
         count = len(self.lower)
-        self._beside = _EvidenceRows(np.zeros(count), np.zeros(0), np.zeros((0, count)))
-        self._swings = SwingsOfLaw(law, self._index, self._x)
+        self._evidence_rows = _LinearEvidence(np.zeros(count), np.zeros(0), np.zeros((0, count)))
+        self._swings = LawHalfSwings(law, self._index, self._x)
 
     def curve(self, columns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Amplitude (in units of the reference), time (s), and the derivatives of both by the columns.
@@ -140,19 +143,19 @@ class ExactModel:
     def __call__(self, columns: Floats) -> tuple[Floats, Floats]:
         """Residuals divided by their standard uncertainties, and their derivatives by the columns."""
         residuals, jacobian = self._point_residuals(columns)
-        if not len(self._beside.residuals):
+        if not len(self._evidence_rows.residuals):
             return residuals, jacobian
-        beside = self._beside(columns)
+        beside = self._evidence_rows(columns)
         return np.concatenate([residuals, beside[0]]), np.concatenate([jacobian, beside[1]])
 
     @property
     def scale(self) -> float:
-        """By how many times the turning points scatter more than stated, as `on_ground` was told."""
-        return self._beside.scale
+        """By how many times the turning points scatter more than stated, as given to `on_ground`."""
+        return self._evidence_rows.scale
 
-    def beside(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Residuals of the evidence beside turning points that scatter as stated, and their derivatives."""
-        return self._beside._replace(scale=1.0)(columns)
+    def evidence_rows(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Residuals of the evidence, in units of their scatter, and their derivatives by the columns."""
+        return self._evidence_rows._replace(scale=1.0)(columns)
 
     def _point_residuals(self, columns: Floats) -> tuple[Floats, Floats]:
         if self._gains is not None:
@@ -172,18 +175,18 @@ class ExactModel:
 
         The weights stay: the residuals then depend on the columns by the predictions alone, so that a minimum
         of their squares is where the predictions are best, and not where the weights are smallest. `scale` is
-        the one by which turning points scatter more than stated, which `noise` does not hold.
+        by how many times turning points scatter more than stated, where `noise` does not contain that.
         """
         out = copy(self)
         out._noise = noise
-        # what is known of the drive moves the state of the filter, even where nothing unknown does
-        free = noise == AT_REST and self.witnessed is None
+        # a known drive moves the state of the filter even without an unknown one
+        free = noise == AT_REST and self.known_drive is None
         out._gains = None if free else self.filtered(columns, noise).gains
-        out._beside = self._beside._replace(scale=scale)
+        out._evidence_rows = self._evidence_rows._replace(scale=scale)
         return out
 
-    def about(self, columns: Floats) -> "ExactModel":
-        """The same model with the residuals of the evidence as they are near these columns.
+    def linearised_at(self, columns: Floats) -> "ExactModel":
+        """The same model with the residuals of the evidence linearised at these columns.
 
         Raises DataError if the law predicts no waveform there.
         """
@@ -191,7 +194,7 @@ class ExactModel:
         here = self.evidence_residuals(columns)
         jacobian = np.zeros((len(here), len(columns)))
         if len(here):
-            # steps of some uncertainties that the points leave to each column if the others are known
+            # steps of some uncertainties of each column by the points if the others are known
             size = np.linalg.norm(self._point_residuals(columns)[1], axis=0)
             steps = _STEP / np.where(size > 0.0, size, np.inf)
             # the first amplitude and time are none of the law's parameters
@@ -201,27 +204,27 @@ class ExactModel:
                 moved = columns.copy()
                 moved[column] += step
                 jacobian[:, column] = (self.evidence_residuals(moved) - here) / step
-        out._beside = _EvidenceRows(columns.copy(), here, jacobian, self._beside.scale)
+        out._evidence_rows = _LinearEvidence(columns.copy(), here, jacobian, self._evidence_rows.scale)
         return out
 
     def with_drive(self, drive: KnownDrive) -> "ExactModel":
-        """The same model, which has a witness, with another one."""
-        assert self.witnessed is not None
+        """The same model with another known drive in the place of its own."""
+        assert self.known_drive is not None
         out = copy(self)
-        out.columns = out.witnessed = self.witnessed.witnessed_by(drive)
+        out.columns = out.known_drive = self.known_drive.with_drive(drive)
         return out
 
     def evidence_at(self, columns: Floats, covariance: Floats) -> Evidence:
-        """The evidence with the gains of a witness as they were found."""
-        if self.witnessed is None or self.evidence.drive is None:
+        """The evidence, its known drive with the fitted gains if there is one."""
+        if self.known_drive is None or self.evidence.drive is None:
             return self.evidence
-        found = self.witnessed.gains(columns, covariance)
+        found = self.known_drive.gains(columns, covariance)
         return replace(self.evidence, drive=self.evidence.drive.with_gains(*found))
 
     def evidence_residuals(self, columns: Floats, more: Mapping[str, float] = MappingProxyType({})) -> Floats:
-        """Residuals of the evidence as the law itself predicts it there, with further values of the waveform.
+        """Residuals of the evidence by the law itself, not linearised, with further values of the waveform.
 
-        Raises DataError if it predicts none.
+        Raises DataError if the law predicts no waveform.
         """
         if self.evidence == NO_EVIDENCE:
             return np.zeros(0)
@@ -237,8 +240,8 @@ class ExactModel:
         gains: Floats | None = None,
         *,
         with_rho: bool = False,
-        errors: Errors | None = None,
-    ) -> Filtered:
+        errors: LawErrors | None = None,
+    ) -> FilterResult:
         """The Kalman filter over the half-cycles; with `gains` of an earlier call it uses these.
 
         `with_rho` adds a column to the Jacobian, the derivatives by ln(R/a), and `errors` one for each
@@ -253,7 +256,7 @@ class ExactModel:
         table = self._swings.through_the_decay(parameters)
         if table is None:
             nothing = np.full((2 * count, matrix.shape[1]), np.nan)
-            return Filtered(nothing[:, 0], nothing, nothing[:, :2].T, np.nan, gains)
+            return FilterResult(nothing[:, 0], nothing, nothing[:, :2].T, np.nan, gains)
         period0_s = parameters[-2]
         of_map = np.ascontiguousarray(matrix[:-2])
         loss_by = table.loss_gradient @ of_map
@@ -273,7 +276,7 @@ class ExactModel:
                 period0_s * table.duration, period0_s * table.duration_slope,
             ]
         )  # fmt: skip
-        known = self.witnessed.known(columns, loss_by.shape[1]) if self.witnessed else NOTHING_KNOWN
+        known = self.known_drive.known(columns, loss_by.shape[1]) if self.known_drive else NOTHING_KNOWN
         variance = self._variance * noise.scale**2
         innovations, jacobian, state, log_det = drive_filter(
             Predictions(nodes, loss_by, duration_by, parameters[[-3, -1]], start_by),
@@ -284,13 +287,13 @@ class ExactModel:
             held,
             noise.limit,
         )
-        return Filtered(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
+        return FilterResult(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
 
     def losses(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Falling amplitudes through the decay, and what a half-swing from each loses, in units of the
+        """Falling amplitudes through the decay, and the loss of a half-swing from each, in units of the
         reference.
 
-        Raises DataError where the law does not swing so far.
+        Raises DataError where the law's pendulum stops earlier.
         """
         table = self._swings.through_the_decay(self.columns.map_parameters(columns)[0])
         if table is None:
@@ -298,22 +301,22 @@ class ExactModel:
         return table.amplitude, table.loss
 
     def filtered_here(
-        self, columns: Floats, *, with_rho: bool = False, errors: Errors | None = None
-    ) -> Filtered:
+        self, columns: Floats, *, with_rho: bool = False, errors: LawErrors | None = None
+    ) -> FilterResult:
         """The filter with the noise and the weights of this model, see `on_ground`."""
         return self.filtered(columns, self._noise, self._gains, with_rho=with_rho, errors=errors)
 
-    def beside_here(self, columns: Floats) -> tuple[Floats, Floats]:
+    def weighted_evidence(self, columns: Floats) -> tuple[Floats, Floats]:
         """Residuals of the evidence as this model weighs them, and their derivatives by the columns."""
-        return self._beside(columns)
+        return self._evidence_rows(columns)
 
     @property
     def is_free(self) -> bool:
         """Whether the residuals are distances from one free decay: the ground does not move."""
         return self._gains is None
 
-    def measuring_more(self, amplitude: Floats, time_s: Floats) -> "ExactModel":
-        """The same model of points whose amplitudes, in units of the reference, and times are larger."""
+    def with_larger_measurements(self, amplitude: Floats, time_s: Floats) -> "ExactModel":
+        """The same model with larger measured amplitudes (in units of the reference) and times (s)."""
         out = copy(self)
         out._measured = self._measured + np.array([amplitude, time_s])
         return out
@@ -332,7 +335,7 @@ class ExactModel:
         )
         columns = model.columns.from_physical({name: result.estimate(name).value for name in model.names})
         scale = 1.0 if result.ground is None else result.ground.measurement_scale
-        return model.on_ground(columns, model.noise_of(result), scale).about(columns), columns
+        return model.on_ground(columns, model.noise_of(result), scale).linearised_at(columns), columns
 
     def noise_of(self, result: FitResult) -> Noise:
         """The noise by which a finished fit of the same points weighted its residuals."""
@@ -342,38 +345,38 @@ class ExactModel:
         return replace(noise, step=noise.step / self.reference)
 
 
-class SwingsOfLaw:
+class LawHalfSwings:
     """Half-swings of a law for the half-cycles `index`, of measured amplitudes `x` in units of the reference.
 
-    Searches begin and end where others have been: copies of a model share what is kept here.
+    The last ones are cached, for all copies of a model: a search often begins where another one ended.
     """
 
     def __init__(self, law: Law, index: NDArray[np.int64], x: Floats) -> None:
         self._law, self._index = law, index
         self._highest, self._lowest = _ABOVE * float(x.max()), _BELOW * float(x.min())
         self._table: dict[bytes, SwingTable | None] = {}
-        self._through: dict[bytes, OneHalfSwing] = {}
-        self._swung: dict[bytes, HalfSwings] = {}
+        self._in_decay: dict[bytes, OneHalfSwing] = {}
+        self._at_points: dict[bytes, HalfSwings] = {}
 
     def at_the_points(self, parameters: Floats) -> HalfSwings:
         """Turning points at the indices of the points."""
         key = parameters.tobytes()
-        if key not in self._swung:
+        if key not in self._at_points:
             swings = self._from(parameters, float(parameters[-1]), int(self._index[-1]))
-            self._swung.clear()
-            self._swung[key] = swings.turning_points(float(parameters[-1]), self._index)
-        return self._swung[key]
+            self._at_points.clear()
+            self._at_points[key] = swings.turning_points(float(parameters[-1]), self._index)
+        return self._at_points[key]
 
     def through_the_decay(self, parameters: Floats) -> OneHalfSwing | None:
-        """One half-swing at all amplitudes of the data; None if it cannot be had for these parameters."""
+        """One half-swing at all amplitudes of the data; None if these parameters have none."""
         if not np.all(np.isfinite(parameters)):
             return None
         key = parameters[:-3].tobytes()
-        if key not in self._through:
+        if key not in self._in_decay:
             count = _SLOWER * int(self._index[-1])
-            self._through.clear()
-            self._through[key] = self._from(parameters[:-2], self._highest, count, self._lowest)
-        swings = self._through[key]
+            self._in_decay.clear()
+            self._in_decay[key] = self._from(parameters[:-2], self._highest, count, self._lowest)
+        swings = self._in_decay[key]
         return swings if len(swings.amplitude) > 1 else None
 
     def _from(self, parameters: Floats, first: float, count: int, lowest: float = 0.0) -> OneHalfSwing:

@@ -1,7 +1,7 @@
-"""Checks of turning points before a fit, the result of an exact one, and what is said beside its values.
+"""Checks of turning points before a fit, and the result of an exact fit with its warnings.
 
-A chi-square near its number of degrees of freedom says nothing of the order in which the residuals come. A
-model that does not describe the data leaves neighbours alike: that is tested, and widens uncertainties.
+A chi-square near its number of degrees of freedom does not depend on the order of the residuals. A model that
+does not describe the data leaves neighbours correlated: that is tested, and enlarges uncertainties.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,7 +19,7 @@ from processing.estimate import FitMethod
 from processing.fit.evidence import AIR, WAVEFORM
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, Ground, GroundFit
-from processing.fit.result import READING, FitResult, Whiteness, changes_of
+from processing.fit.result import MEASUREMENT, FitResult, Whiteness, independent_changes
 from processing.least_squares import FactoredJacobian, Loss, Solution, covariance_of, propagate
 from processing.number_text import plain
 from processing.swing import TurningPoints
@@ -34,7 +34,7 @@ OUTLIER = 5.0
 _SMALL_RAD = 0.03
 """Amplitude up to which gravity's moment is taken as proportional: A^2/16 of the period is 6e-5 there."""
 _SIGNIFICANT = 3.0
-"""Standard uncertainties below zero from which on a sign is a wrong one."""
+"""Standard uncertainties below zero from which on a negative value is no chance."""
 _AT_LIMIT = "{} is at the limit of its range: the data do not determine it"
 _LAGS = 20
 """Box and Jenkins' usual number; of a short run a fifth of its length, since far lags have few pairs."""
@@ -128,10 +128,10 @@ def result_of(
     likeliest: Floats | None = None,
     averaged: Floats | None = None,
 ) -> FitResult:
-    """Physical values, their uncertainties and what is to be said of them.
+    """Result of an exact fit: physical values, their uncertainties, and warnings.
 
-    `averaged` over the noise that the data allow and at the `likeliest` are covariances of the columns;
-    their ratio enlarges the uncertainties.
+    `likeliest` and `averaged` are covariances of the columns, with the likeliest noise and averaged over the
+    noise that the data allow; their ratio enlarges the uncertainties.
     """
     points, pendulum = model.points, model.pendulum
     amplitude, time, _, _ = model.curve(solution.values)
@@ -151,7 +151,9 @@ def result_of(
         white = replace(white, widened=float(factor.max()))
         widened *= factor
     covariance = covariance * np.outer(widened, widened)
-    terms = {READING: changes_of(propagate(to_physical, _measurement_covariance(model, solution)))}
+    terms = {
+        MEASUREMENT: independent_changes(propagate(to_physical, _measurement_covariance(model, solution)))
+    }
     by_air = _by_air(model, solution)
     if by_air is not None:
         scale = max(1.0, chi2_per_dof) ** 0.5 if loss == "linear" else 1.0
@@ -190,15 +192,15 @@ def result_of(
         terms=terms,
         whiteness=white,
         evidence=model.evidence_at(solution.values, scatter),
-        worth=_worth(model, solution, to_physical),
+        worth=_gain_factors(model, solution, to_physical),
     )
 
 
 def _remarks(points: TurningPoints, ground: Ground, solution: Solution, white: Whiteness) -> Iterator[str]:
-    """What the residuals and the ground say of the uncertainties; `points` are those fitted."""
+    """Warnings of the uncertainties by the residuals and the ground; `points` are those fitted."""
     chi2_per_dof = solution.chi2 / solution.dof
     if solution.dof >= _ENOUGH and 0 < chi2_per_dof < _QUIET:
-        # it hides a drive, and widens everything
+        # overstated uncertainties hide a drive, and enlarge those of all parameters
         yield (
             f"χ²/dof = {plain(chi2_per_dof, 2)}: the uncertainties of the turning points are "
             f"{chi2_per_dof**-0.5:.2g} times too large for their scatter; so are those of the parameters, "
@@ -221,17 +223,17 @@ def _remarks(points: TurningPoints, ground: Ground, solution: Solution, white: W
         )
 
 
-def _rows_beside(model: ExactModel) -> dict[str, slice]:
+def _evidence_parts(model: ExactModel) -> dict[str, slice]:
     """Rows of the residuals in which each part of the evidence stands."""
-    first, count = 2 * len(model.points), len(model.beside(np.zeros(len(model.lower)))[0])
+    first, count = 2 * len(model.points), len(model.evidence_rows(np.zeros(len(model.lower)))[0])
     last = first + count - (model.evidence.drag_s is not None and DRAG.key in model.names)
     rows = {WAVEFORM: slice(first, last), AIR: slice(last, first + count)}
     return {name: part for name, part in rows.items() if part.start < part.stop}
 
 
 def _by_air(model: ExactModel, solution: Solution) -> Floats | None:
-    """Change of the columns for one standard uncertainty of what is known of the drag; None without."""
-    rows = _rows_beside(model).get(AIR)
+    """Change of the columns by one standard uncertainty of the drag's prior; None without a prior."""
+    rows = _evidence_parts(model).get(AIR)
     if rows is None or not np.all(np.isfinite(solution.covariance)):
         return None
     return np.asarray(solution.covariance @ solution.jacobian[rows][0])
@@ -240,16 +242,16 @@ def _by_air(model: ExactModel, solution: Solution) -> Floats | None:
 def _by_log_rho(model: ExactModel, columns: Floats) -> Floats:
     """Derivative of the fitted columns by ln(R/a)."""
     both = model.filtered_here(columns, with_rho=True).jacobian
-    beside = model.beside_here(columns)[1]
+    beside = model.weighted_evidence(columns)[1]
     both = np.concatenate([both, np.column_stack([beside, np.zeros(len(beside))])])
     return -FactoredJacobian(both[:, :-1]).coefficients(both[:, -1])
 
 
-def _worth(model: ExactModel, solution: Solution, to_physical: Floats) -> dict[str, dict[str, float]]:
-    """By how many times larger uncertainties would be without a part of the evidence."""
+def _gain_factors(model: ExactModel, solution: Solution, to_physical: Floats) -> dict[str, dict[str, float]]:
+    """Ratios of uncertainties without a part of the evidence to those with it, by part and parameter."""
     worth = {}
     whole = covariance_of(solution.jacobian)
-    for part, rows in _rows_beside(model).items():
+    for part, rows in _evidence_parts(model).items():
         without = covariance_of(np.delete(solution.jacobian, rows, axis=0))
         factor = _factor(to_physical, without, whole)
         blind = ~np.isfinite(np.einsum("ij,jk,ik->i", to_physical, without, to_physical))
@@ -277,7 +279,7 @@ def _measurement_covariance(model: ExactModel, solution: Solution) -> Floats:
 
 
 def _mean_of_finite(values: Floats) -> float:
-    """The free decay may end before a driven one does."""
+    """Mean of the finite values, NaN without any: a free decay may end before a driven one."""
     finite = values[np.isfinite(values)]
     return float(np.mean(finite)) if len(finite) else float("nan")
 
@@ -338,10 +340,10 @@ def correlated_covariance(residuals: Floats, jacobian: Floats, covariance: Float
 
 
 def neighbours_covariance(found: Whiteness, jacobian: Floats, covariance: Floats) -> Floats:
-    """Covariance of fitted columns if next neighbours are as alike as they were found, and no others.
+    """Covariance of fitted columns if next neighbours have the correlation found, and no others have any.
 
-    Slow noise, as of air, makes times of neighbours alike by 0.2. That makes sums of them a fifth more
-    uncertain, and the test misses it in a few hundred half-cycles. Correlations count less by what chance
+    Slow noise, as of air, correlates times of neighbours by 0.2. That makes sums of them a fifth more
+    uncertain, and the test misses it in a few hundred half-cycles. Correlations are shrunk by what chance
     makes of them (the positive part of James and Stein, 1961); none makes uncertainties smaller.
 
     Parameters
@@ -365,10 +367,10 @@ def neighbours_covariance(found: Whiteness, jacobian: Floats, covariance: Floats
 
 
 def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Iterator[str]:
-    """What is said of a fit outside of the range in which its law has a meaning.
+    """Warnings of a fit outside of the range in which its law has a meaning.
 
-    A ball that rolls by more than the radius of its contact has left the spot on which it stood, and with it
-    what Eqs. 1 and 3 are about; beyond pi/2 of it the moment of Eq. 3 has the other sign.
+    A ball that rolls by more than the radius of its contact has left the spot on which it stood, which Eqs. 1
+    and 3 describe; beyond pi/2 radii the moment of Eq. 3 has the other sign.
     """
     if pendulum is None:
         return
@@ -386,15 +388,15 @@ def domain_warnings(points: TurningPoints, pendulum: PendulumOnBall | None, fit:
             f"the period by {plain(first_rad**2 / 16, 1)} there, which the laws neglect; start below "
             f"{_SMALL_RAD:g} rad"
         )
-    for name, below in impossible(fit).items():
+    for name, below in impossible_signs(fit).items():
         yield (
             f"{name} = {plain(fit.estimate(name).value, 3)} is negative by {plain(below, 2)} u, which it "
             "cannot be: the law is not that of this motion"
         )
 
 
-def impossible(fit: FitResult) -> dict[str, float]:
-    """By how many standard uncertainties parameters lie below zero that cannot, where it is no chance."""
+def impossible_signs(fit: FitResult) -> dict[str, float]:
+    """Parameters negative beyond chance that cannot be: by how many standard uncertainties."""
     found = {}
     for name in fit.contact_names:
         value, u = fit.estimate(name)

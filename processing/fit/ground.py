@@ -1,4 +1,4 @@
-"""The ground as a source of scatter: the noise of a fit, what a fit says of it, and the Kalman filter.
+"""The ground as a source of scatter: the noise of turning points, its estimate, and the Kalman filter.
 
 State: amplitude (in units of the reference) and time (s) of the turning point. Transition: one half-swing
 of the law (`OneHalfSwing`, interpolated by cubics) and the drive. White angular acceleration moves the two
@@ -33,11 +33,11 @@ GROUND_SEEN = 6.63
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What makes turning points scatter.
+    """Noise of turning points, by the drive of the ground and by their measurement.
 
     `step` is the standard deviation by which the ground moves either quadrature of the oscillation
     in one half-swing, in the unit of the amplitudes that are fitted. `scale` multiplies the stated
-    uncertainties of the turning points. `averaged` says that they were measured on the samples of
+    uncertainties of the turning points. `averaged` is whether they were measured on the samples of
     their half-cycles, and not at the instant of turning. Turning points farther than `limit` standard
     uncertainties from their prediction do not move the prediction of the next one.
     """
@@ -79,13 +79,12 @@ class Ground:
     """How strongly the ground drove the pendulum during a run, as the turning points show it.
 
     `density_rad_per_s2_rthz` is the one-sided spectral density of the angular acceleration at the pendulum's
-    frequency (without a calibration in the unit of the amplitudes instead of rad), `upper_95` its bound of
-    95 %; `seen` is false where the run sets no more than that bound. `measurement_scale` is the factor by
-    which turning points scatter more than their stated uncertainties. `left_out_half_cycles` at the end were
-    not fitted: the ground moves the pendulum in one half-swing by more than a tenth of its amplitude there,
-    and amplitude and phase do not describe its motion. `widening` says for each parameter how many times
-    larger its uncertainty is than on ground at rest. `base` is there where the height of the mass centre is
-    stated.
+    frequency (without a calibration in the unit of the amplitudes instead of rad), `upper_95` its bound of 95
+    %; `seen` is false where the run sets no more than that bound. `measurement_scale` is the factor by which
+    turning points scatter more than their stated uncertainties. `left_out_half_cycles` at the end were not
+    fitted: the ground moves the pendulum in one half-swing by more than a tenth of its amplitude there, and
+    amplitude and phase do not describe its motion. `widening` says for each parameter how many times larger
+    its uncertainty is than on ground at rest. `base` is there where the height of the mass centre is stated.
     """
 
     density_rad_per_s2_rthz: Estimate = NOT_DETERMINED
@@ -99,15 +98,15 @@ class Ground:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GroundFit(Ground):
-    """The ground, and the likelihood that shows it.
+    """The ground's drive, and the likelihood from which it was estimated.
 
     Attributes
     ----------
     noise
         The likeliest noise, its step in the unit of the amplitudes.
     deviance
-        -2 ln L of the turning points with this noise, restricted to what the fitted parameters leave over, up
-        to a constant of their number and of the law.
+        -2 ln L of the turning points with this noise, restricted to the residuals of the fitted parameters,
+        up to a constant of their number and of the law.
     unrestricted
         -2 ln L of the turning points themselves, up to a constant of their number: laws are compared by it.
     """
@@ -134,7 +133,7 @@ SMEARED_VARIANCE, SMEARED_COVARIANCE = 0.0670, 0.1757
 
 
 class Predictions(NamedTuple):
-    """What a law says of half-swings, for the filter.
+    """A law's predictions of half-swings, for the filter.
 
     Attributes
     ----------
@@ -159,13 +158,13 @@ class MeasuredTurningPoints(NamedTuple):
     Attributes
     ----------
     numbers
-        Of the half-cycles, rising.
+        Numbers (half-cycles,) of the half-cycles, rising.
     points, variance
         (2, half-cycles) amplitudes and times, and the variances of their measurement.
     rate
         Angular frequency of the pendulum in rad/s.
     averaged
-        The turning points were measured on the samples of their half-cycles.
+        Whether the turning points were measured on the samples of their half-cycles.
     """
 
     numbers: Ints
@@ -176,7 +175,7 @@ class MeasuredTurningPoints(NamedTuple):
 
 
 class KnownSteps(NamedTuple):
-    """What is known of the drive, for the filter, in units of the reference.
+    """The known part of the drive, for the filter, in units of the reference.
 
     Attributes
     ----------
@@ -185,7 +184,7 @@ class KnownSteps(NamedTuple):
         half-swing that ends at each turning point, and (2, half-swings + 1, columns) its derivatives; empty
         where nothing is known.
     unknown
-        (half-swings + 1,) variance of what else each half-swing's drive adds to the amplitude.
+        (half-swings + 1,) variance of each amplitude by a drive that is not known, beyond the noise's step.
     """
 
     steps: Floats
@@ -217,21 +216,22 @@ def drive_filter(
         the innovations (1/sd of the amplitude's, regression of the time's on it, 1/sd of the
         remainder). Written unless `held`.
     held
-        Use the gains as given: the innovations then depend on the columns by the predictions alone, and their
-        derivatives are exact.
+        Whether the gains are used as given: the innovations then depend on the columns by the predictions
+        alone, and their derivatives are exact.
     limit
         Turning points with a larger innovation, in standard deviations, do not change the state.
 
     Returns
     -------
     innovations
-        (2, half-cycles): those of the amplitudes, and those of the times without what the amplitude's tell.
+        (2, half-cycles): those of the amplitudes, and those of the times less their regression on them.
         NaN if the law cannot be evaluated at a state.
     jacobian
         (2, half-cycles, columns), at fixed gains.
     state
         (2, half-cycles) filtered amplitude and time.
     log_det
+        Over all half-cycles; 0 if `held`.
     """
     nodes, loss_by, duration_by, start, start_by = law
     index, points, variance, rate, averaged = measured

@@ -1,4 +1,4 @@
-"""What a known angular acceleration does to turning points, exactly, from samples of it, and its gains as
+"""Exact effect of a known angular acceleration on turning points, from its samples, and its gains as
 coordinates of a fit.
 
 Between two turning points an acceleration f(t) moves the pendulum by the response of an oscillator. To first
@@ -8,17 +8,17 @@ order, with s the side of the later turning point k, w the frequency and theta =
     delay, times the amplitude         (s/w^2) int f cos(theta) dt         both over the half-swing
 
 A turning point that is measured on the samples of its half-cycle, between its zero crossings, is that of the
-oscillation that fits them best. With the motion through the true turning point as a reference, f adds to them
-the response that begins there, forwards and backwards. Least squares find of it, with u = pi/2 - |theta|:
+oscillation that fits them best. Relative to the motion through the true turning point, f adds to the samples
+the response that begins there, forwards and backwards. Its least-squares fit has, with u = pi/2 - |theta|:
 
     amplitude, point of rest known     (s/w) int f p dt / pi,      p = cos(theta) - u sin|theta|
     amplitude, point of rest free      (s/w) int f (pi p/2 - 2 r) dt / (pi^2/2 - 4),  r = 1 - sin|theta|
     time, times the amplitude          (s/w^2) int f u cos(theta) sign(theta) dt / pi
     point of rest                      (1/w) int f (pi r/2 - p) dt / (pi^2/2 - 4)
 
-The point of rest is known from earlier half-cycles, which f has moved too: what they leave moves the
-amplitude by -(4/pi) s of it. That alone looks back and not ahead; without it a witness's delay would come out
-0.1 s too long at 4 s.
+The point of rest is known from earlier half-cycles, which f has moved too: its error moves the amplitude by
+-(4/pi) s of it. This term alone looks back and not ahead; without it the fitted delay of a seismometer would
+be 0.1 s too long at a period of 4 s.
 
 f is linear between its samples, and all integrals have closed forms.
 
@@ -41,20 +41,19 @@ from processing.swing import TurningPoints
 
 _NEIGHBOURS = 4
 """Half-swings on either side over which the frequency is averaged: the ground makes single ones uneven."""
-_OF_LOSS = 15
-"""The same for the loss of amplitude, of which a tenth is enough."""
+_LOSS_NEIGHBOURS = 15
+"""Half-swings on either side over which the loss is averaged; a tenth of it is accurate enough."""
 _PARTS = 5
 """Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
-_FREE = 1 / 3
-"""Share of the measured amplitude whose point of rest is free: the weight of the own half-cycle in the swing
-detector's point of rest, against that of the earlier ones.
+_FREE_REST_WEIGHT = 1 / 3
+"""Weight of a half-cycle's own samples, against the earlier ones, in the swing detector's point of rest.
 
-The detector adapts it to how much the rest wanders, and turning points do not tell it: what their
-uncertainties imply, 0.12, is not what acts, because they hold the drive's part, too. So it was measured: 0.35
-on a white drive of 1e-7 rad/s^2/sqrt(Hz). What it moves is the delay that is found, by -0.026 s for each 0.1
-at 4 s: 0.067, 0.024 and -0.012 s (each 0.016) at 0.2, 1/3 and 0.5 of a witness that is not late, over four
-runs. At one frequency a delay is a phase, which the response takes up."""
-_OF_REST = np.pi**2 / 2 - 4
+The detector adapts it to how much the point of rest wanders. It does not follow from the turning points:
+their uncertainties imply 0.12, too small because they hold the drive's part, too. It was measured: 0.35 on a
+white drive of 1e-7 rad/s^2/sqrt(Hz). An error of it moves the fitted delay, at a period of 4 s by -0.026 s
+for each 0.1: with 0.2, 1/3 and 0.5 a seismometer without delay got 0.067, 0.024 and -0.012 s (each 0.016, of
+four runs). At one frequency a delay is a phase, which the response takes up."""
+_REST_DENOMINATOR = np.pi**2 / 2 - 4
 
 
 @kernel
@@ -106,7 +105,7 @@ def moments_of(
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Samples of what drives a pendulum, each up to a factor: times (s) and values (samples, terms).
+    """Samples of signals that may drive a pendulum, each up to a gain: times (s), values (samples, terms).
 
     `longest_step_s` is the largest step between samples that is no gap.
     """
@@ -116,30 +115,30 @@ class Signals:
     longest_step_s: float
 
     def only(self, terms: list[int]) -> "Signals":
-        """Some of them."""
+        """The signals in some of the columns."""
         return replace(self, value=np.ascontiguousarray(self.value[:, terms]))
 
     def delayed(self, by_s: float) -> "Signals":
-        """The same, later."""
+        """The same signals, later by `by_s`."""
         return replace(self, time_s=self.time_s + by_s)
 
 
 @dataclass(frozen=True, eq=False)
 class KnownDrive:
-    """What each of some signals, at unit gain, does to the turning points of a run.
+    """Effect of each of some signals, at unit gain, on the turning points of a run.
 
     Attributes
     ----------
     steps
         (2, half-swings + 1, terms): change of the amplitude, and of the time (s) times the amplitude, with
-        the half-swing that ends at each turning point, counted from the first one. With the first turning
-        point there is only what its own measurement adds. 0 where `missing`.
+        the half-swing that ends at each turning point, counted from the first one, which has only the part
+        of its own measurement. 0 where `missing`.
     missing
-        (half-swings + 1,) whether a half-swing's ground is not known.
+        (half-swings + 1,) whether the drive of a half-swing is not known.
     gains
-        From which a search starts, or which it found (terms,); in rad/s^2 per unit of the signals.
+        Gains (terms,) in rad/s^2 per unit of the signals: the start of a search, or its result.
     covariance
-        Of the gains that were found.
+        Covariance (terms, terms) of fitted gains; None before a fit.
     """
 
     steps: Floats
@@ -152,17 +151,17 @@ class KnownDrive:
         return int(self.steps.shape[2])
 
     def only(self, terms: list[int]) -> "KnownDrive":
-        """With some of the signals."""
+        """The drive by the signals in some of the columns."""
         return KnownDrive(self.steps[:, :, terms], self.missing, self.gains[terms])
 
     def with_gains(self, gains: Floats, covariance: Floats | None = None) -> "KnownDrive":
-        """The same with gains that were found."""
+        """The same drive with other gains."""
         return replace(self, gains=gains, covariance=covariance)
 
     def unknown_variance(self, gains: Floats) -> Floats:
-        """Variance of a half-swing's step (half-swings + 1,) where it is missing, from what the others are.
+        """Variance of each half-swing's unknown step (half-swings + 1,), in the squared unit of `steps`.
 
-        In the unit of `steps`; 0 where the ground is known.
+        It is the mean square of the known steps, and 0 where the drive is known.
         """
         seen = self.steps[0][~self.missing] @ gains
         mean = float(np.mean(seen**2)) if len(seen) else 0.0
@@ -170,7 +169,7 @@ class KnownDrive:
 
 
 def known_drive(points: TurningPoints, signals: Signals, *, averaged: bool = True) -> KnownDrive:
-    """What the signals do to turning points; `averaged` is that of `fit_exact`.
+    """The drive of turning points by signals, its gains 0; `averaged` is that of `fit_exact`.
 
     The first turning point's side counts as positive.
     """
@@ -186,7 +185,7 @@ def known_drive(points: TurningPoints, signals: Signals, *, averaged: bool = Tru
     delay[:, 1:] = _half_cycle_response(signals, time, side, rate, _losses(amplitude))
     if averaged:
         measured = _measurement_response(signals, time, side, rate, half)
-        # a state that is as measured: what the last measurement added is taken off again
+        # steps lead from measured turning point to measured one: the part of the last measurement goes off
         delay += measured
         delay[:, 1:] -= measured[:, :-1]
     missing = ~np.all(np.isfinite(delay), axis=(0, 2))
@@ -204,8 +203,8 @@ def _rates(time: Floats) -> Floats:
 def _losses(amplitude: Floats) -> Floats:
     """Relative loss of amplitude in each half-swing, averaged over neighbours."""
     places = np.arange(len(amplitude))
-    after = np.minimum(places + _OF_LOSS, len(places) - 1)
-    before = np.maximum(places - _OF_LOSS, 0)
+    after = np.minimum(places + _LOSS_NEIGHBOURS, len(places) - 1)
+    before = np.maximum(places - _LOSS_NEIGHBOURS, 0)
     lost = (amplitude[before] - amplitude[after]) / ((after - before) * amplitude)
     return np.asarray(0.5 * (lost[1:] + lost[:-1]))
 
@@ -213,7 +212,7 @@ def _losses(amplitude: Floats) -> Floats:
 def _half_cycle_response(signals: Signals, time: Floats, side: Floats, rate: Floats, loss: Floats) -> Floats:
     w, s = 0.5 * (rate[1:] + rate[:-1]), side[1:, None]
     before, after = w * (1 - 0.5 * loss), w * (1 + 0.5 * loss)
-    # counted from the middle: from either end the phase would hold half of what is to be found
+    # counted from the middle: from either end the phase would hold half of the effect that is sought
     crossing = 0.5 * (time[1:] + time[:-1]) + 0.25 * np.pi * loss / w
     out = np.zeros((2, len(w), signals.value.shape[1]))
     for one, low, high in ((before, time[:-1], crossing), (after, crossing, time[1:])):
@@ -232,20 +231,20 @@ def _measurement_response(signals: Signals, time: Floats, side: Floats, rate: Fl
         # u = pi/2 - sign theta, sin|theta| = sign sin(theta)
         p = cosine - 0.5 * np.pi * sign * sine + x_sine
         r = alone - sign * sine
-        free = (0.5 * np.pi * p - 2 * r) / _OF_REST
-        out[0] += s / w * ((1 - _FREE) * p / np.pi + _FREE * free)
-        rest += (0.5 * np.pi * r - p) / (w * _OF_REST)
+        free = (0.5 * np.pi * p - 2 * r) / _REST_DENOMINATOR
+        out[0] += s / w * ((1 - _FREE_REST_WEIGHT) * p / np.pi + _FREE_REST_WEIGHT * free)
+        rest += (0.5 * np.pi * r - p) / (w * _REST_DENOMINATOR)
         out[1] += s / w**2 * sign * (0.5 * np.pi * cosine - sign * x_cosine) / np.pi
-    out[0, 1:] -= s[1:] * 4 / np.pi * (1 - _FREE) * _remembered(rest)[:-1]
+    out[0, 1:] -= s[1:] * 4 / np.pi * (1 - _FREE_REST_WEIGHT) * _detector_rest(rest)[:-1]
     return out
 
 
-def _remembered(rest: Floats) -> Floats:
-    """The point of rest (half-swings, terms) as each half-cycle leaves it to the next."""
-    # what a gap has done to it nobody knows
-    kept = np.nan_to_num(rest) * _FREE
+def _detector_rest(rest: Floats) -> Floats:
+    """The point of rest (half-swings, terms) that the detector has after each half-cycle."""
+    # its change in a gap is not known, and taken as zero
+    kept = np.nan_to_num(rest) * _FREE_REST_WEIGHT
     for k in range(1, len(kept)):
-        kept[k] += (1 - _FREE) * kept[k - 1]
+        kept[k] += (1 - _FREE_REST_WEIGHT) * kept[k - 1]
     return kept
 
 
@@ -254,16 +253,16 @@ def _moments(signals: Signals, origin: Floats, rate: Floats, low: Floats, high: 
     return np.asarray(found)
 
 
-LEAST_LEFT = 0.022
-"""What any witness leaves of a drive, as a part of it: that of two seismometers of different make at one
+LEAST_UNEXPLAINED = 0.022
+"""Share of a drive that a seismometer at best leaves unexplained: that between two of different make at one
 place, at 0.2 to 0.28 Hz. The measurement of the turning points hides so weak a drive, and yet it adds up."""
 
 
 class DrivenCoordinates:
     """A law's columns after those of the gains; see `SolverCoordinates`.
 
-    The gains are no parameters of the law: `physical` has its values alone, and their covariance follows from
-    that of all columns. Gains are in `unit`, with which a drive moves an amplitude by the reference.
+    The gains are no parameters of the law: `physical` has the law's values alone, and their covariance
+    follows from that of all columns. A gain of one `unit` moves amplitudes by the reference (rms).
     """
 
     def __init__(self, law: SolverCoordinates, drive: KnownDrive) -> None:
@@ -275,12 +274,11 @@ class DrivenCoordinates:
         open_end = np.full(self.terms, np.inf)
         self.lower = np.concatenate([-open_end, law.lower])
         self.upper = np.concatenate([open_end, law.upper])
-        # a gain of 1 then moves an amplitude by the reference
         size = np.sqrt(np.mean(drive.steps[0] ** 2, axis=0))
         self.unit = law.reference / np.where(size > 0.0, size, 1.0)
 
-    def witnessed_by(self, drive: KnownDrive) -> "DrivenCoordinates":
-        """The same law beside another drive."""
+    def with_drive(self, drive: KnownDrive) -> "DrivenCoordinates":
+        """The coordinates of the same law with another drive."""
         return DrivenCoordinates(self._law, drive)
 
     def gains(self, columns: Floats, covariance: Floats) -> tuple[Floats, Floats]:
@@ -289,7 +287,7 @@ class DrivenCoordinates:
         return columns[part] * self.unit, covariance[part, part] * np.outer(self.unit, self.unit)
 
     def known(self, columns: Floats, width: int) -> KnownSteps:
-        """What the filter is given of the drive, for a Jacobian of `width`."""
+        """The known part of the drive for the filter, with derivatives for a Jacobian of `width` columns."""
         steps = self._drive.steps * (self.unit / self.reference)
         gains = columns[: self.terms]
         by = np.zeros((*steps.shape[:2], width))
@@ -297,19 +295,19 @@ class DrivenCoordinates:
         unknown = self._drive.unknown_variance(gains * self.unit) / self.reference**2
         return KnownSteps(np.ascontiguousarray(steps @ gains), by, unknown)
 
-    def least_left(self, columns: Floats) -> float:
-        """The least step of the drive that is left, in units of the reference."""
+    def least_unexplained(self, columns: Floats) -> float:
+        """The least step of the drive that remains unexplained, in units of the reference."""
         known = self.known(columns, self.terms).steps[0]
         seen = known[~self._drive.missing]
-        return LEAST_LEFT * float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0
+        return LEAST_UNEXPLAINED * float(np.sqrt(np.mean(seen**2))) if len(seen) else 0.0
 
     def map_parameters(self, columns: Floats) -> tuple[Floats, Floats]:
         values, matrix = self._law.map_parameters(columns[self.terms :])
-        return values, self._beside(matrix)
+        return values, self._padded(matrix)
 
     def physical(self, columns: Floats) -> tuple[Floats, Floats]:
         values, matrix = self._law.physical(columns[self.terms :])
-        return values, self._beside(matrix)
+        return values, self._padded(matrix)
 
     def from_physical(self, values: Mapping[str, float]) -> Floats:
         return self._with_gains(self._law.from_physical(values))
@@ -324,7 +322,7 @@ class DrivenCoordinates:
     def at_limit(self, columns: Floats) -> Sequence[str]:
         return self._law.at_limit(columns[self.terms :])
 
-    def _beside(self, matrix: Floats) -> Floats:
+    def _padded(self, matrix: Floats) -> Floats:
         return np.column_stack([np.zeros((len(matrix), self.terms)), matrix])
 
     def _with_gains(self, columns: Floats) -> Floats:

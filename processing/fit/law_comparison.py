@@ -1,15 +1,15 @@
-"""Several laws fitted to one decay, each with the ground's drive that it needs, and which of them remain.
+"""Comparison of laws fitted to one decay, each with the drive of the ground that it needs.
 
-A law that lacks something needs a stronger drive of the ground, which makes its likelihood smaller: laws are
-compared by it, with Schwarz's penalty for each parameter, and by the evidence with stated priors. What no
-drive can take up stays in the order of the residuals.
+A law that lacks an effect needs a stronger drive of the ground, which makes its likelihood smaller. Laws are
+compared by the likelihood, with Schwarz's penalty for each parameter, and by the evidence with stated priors.
+An effect that no drive can take up leaves the residuals correlated.
 
 The waveform judges them as well, by the third harmonic of the swing. A law that is the same in both
 directions makes odd harmonics only. Even ones come from the instrument: rows that are exposed in turn,
-structure on the sensor, a lever that is not straight; what makes them makes a third harmonic of like size, so
-that theirs widens the uncertainty. The fifth is left out: the fast mode swings there. Uncertainties are from
-the scatter of few pieces: distances are judged by Student's distribution, and the chances of the classes put
-together by Fisher's method.
+structure on the sensor, a lever that is not straight. These make a third harmonic of like size, so that the
+even ones enlarge its uncertainty. The fifth is left out: the fast mode swings there. Uncertainties are from
+the scatter of few pieces: distances are judged by Student's distribution, and the chances of the classes are
+combined by Fisher's method.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,15 +24,15 @@ from processing.contact.laws import Law
 from processing.errors import DataError
 from processing.fit.evidence import NO_EVIDENCE
 from processing.fit.exact import fit_exact
-from processing.fit.model_free import with_misfit
-from processing.fit.result import MISFIT, FitResult
+from processing.fit.model_free import with_discrepancy
+from processing.fit.result import DISCREPANCY, FitResult
 from processing.fit.terms import LinearisedFit
 from processing.swing import ORDERS, HarmonicClass, TurningPoints
 
 CONTRADICTED = 1e-4
 """Chance of so large a distance below which the waveform contradicts a law."""
-_OF_PREDICTION = 0.001
-"""What `law_harmonics` leaves out, of the harmonic."""
+_U_PREDICTION = 0.001
+"""Relative error of a harmonic by `law_harmonics`."""
 _THIRD, _EVEN = ORDERS.index(3), [ORDERS.index(2), ORDERS.index(4)]
 
 # How probable a law makes a decay: Laplace's approximation, with normal priors stated alike for every law.
@@ -40,13 +40,13 @@ _THIRD, _EVEN = ORDERS.index(3), [ORDERS.index(2), ORDERS.index(4)]
 # Exponents lie about the middle of their law's range, with the standard deviation of a uniform distribution
 # over it. Every other parameter of a moment lies about zero; one standard deviation adds a tenth of gravity's
 # moment at the decay's reference amplitude. Period, first amplitude and its time (over the period) lie about
-# what was found, within a tenth. The noise is taken as known.
+# their fitted values, within a tenth. The noise is taken as known.
 
-_SHARE = 0.1
-"""What a parameter may do before data: move times and moments by a tenth of the period and of the weight's
-moment."""
+_PRIOR_SHARE = 0.1
+"""Prior standard deviation of a parameter's effect, on times over the period and on moments over the
+weight's."""
 _LEAST_SHARE = 1e-15
-"""Rounding of the eigenvalues of a matrix with ones in its diagonal: what is smaller is not known."""
+"""Rounding of the eigenvalues of a matrix with ones in its diagonal: smaller ones are not known."""
 _PERIOD = "period0_s"
 
 
@@ -56,11 +56,11 @@ def prior(fit: FitResult, pendulum: PendulumOnBall, name: str) -> tuple[float, f
     if isfinite(parameter.lower) and isfinite(parameter.upper):
         return 0.5 * (parameter.lower + parameter.upper), (parameter.upper - parameter.lower) / sqrt(12)
     if name in (TIME.key, _PERIOD):
-        return value, _SHARE * fit.mean_period_s.value
+        return value, _PRIOR_SHARE * fit.mean_period_s.value
     if name == AMPLITUDE.key:
-        return value, _SHARE * fit.reference_rad
+        return value, _PRIOR_SHARE * fit.reference_rad
     if name == DRAG.key:
-        return 0.0, _SHARE * fit.mean_period_s.value / (2 * pi)
+        return 0.0, _PRIOR_SHARE * fit.mean_period_s.value / (2 * pi)
     values = dict(zip(fit.names, fit.values.tolist(), strict=True))
     u = fit.estimate(name).standard_uncertainty
     step = 1e-3 * max(abs(value), u if isfinite(u) else 0.0, 1e-300)
@@ -70,7 +70,7 @@ def prior(fit: FitResult, pendulum: PendulumOnBall, name: str) -> tuple[float, f
         for change in (-step, step)
     )
     added = np.abs(np.subtract(after, before)).max() / (2 * step) / weight_moment(pendulum)
-    return 0.0, float(_SHARE * fit.reference_rad / added) if added > 0 else 1.0
+    return 0.0, float(_PRIOR_SHARE * fit.reference_rad / added) if added > 0 else 1.0
 
 
 def log_evidence(fit: FitResult, pendulum: PendulumOnBall) -> float:
@@ -84,8 +84,8 @@ def log_evidence(fit: FitResult, pendulum: PendulumOnBall) -> float:
     u = fit.standard_uncertainty
     known = np.isfinite(u) & (u > 0)
     mean, sd = np.array([prior(fit, pendulum, name) for name in fit.names])[known].T
-    # how far the law lies from the data is in the likelihood, and not in the volume
-    covariance = fit.covariance - fit.part(MISFIT)
+    # the model discrepancy is in the likelihood, and must not enlarge the posterior's volume
+    covariance = fit.covariance - fit.part(DISCREPANCY)
     posterior = covariance[np.ix_(known, known)] / np.outer(sd, sd)
     distance = (fit.values[known] - mean) / sd
     size = np.sqrt(np.diag(posterior))
@@ -102,7 +102,7 @@ EXCLUDED_BIC = 10.0
 
 @dataclass(frozen=True, slots=True)
 class LawTrial:
-    """One law at its best; without a `fit`, `problem` says why there is none.
+    """The best fit of one law; `fit` is None where it failed, and `problem` is the reason.
 
     `bic` is ``-2 ln L + k ln N`` for k parameters and N numbers (an amplitude and a time a half-cycle),
     `aic` is ``-2 ln L + 2 k``; both are infinite without a fit. `log_evidence` is that of `evidence`.
@@ -141,7 +141,7 @@ class LawComparison:
 
     @property
     def describes(self) -> bool:
-        """Whether the best law leaves nothing but noise."""
+        """Whether the best law's residuals are noise and nothing else."""
         best = self.trials[0].fit
         if best is None or best.whiteness is None or best.whiteness.correlated:
             return False
@@ -176,15 +176,15 @@ def compare_laws(
     Parameters
     ----------
     like
-        An exact fit of these points that has been made. Each law has a linear drag if that has one, and the
-        same evidence restrains it; None: neither.
+        An exact fit of these points. Each law has a linear drag if this fit has one, and the same evidence;
+        with None it has neither.
     """
-    made = {} if like is None else {like.law.name: like}
+    fitted = {} if like is None else {like.law.name: like}
     drag, evidence = (False, NO_EVIDENCE) if like is None else (like.has_drag, like.evidence)
     trials = []
     for law in laws:
         try:
-            fit = made.get(law.name) or fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
+            fit = fitted.get(law.name) or fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
         except DataError as error:
             trials.append(LawTrial(law, None, problem=str(error)))
             continue
@@ -199,7 +199,7 @@ def compare_laws(
         trials.append(LawTrial(law, fit, bic, aic, log_evidence(fit, pendulum)))
     first, *others = sorted(trials, key=lambda trial: trial.bic)
     if first.fit is not None and first.fit.misfit is None:
-        misfit = with_misfit(LinearisedFit.of(points, pendulum, first.fit)).misfit
+        misfit = with_discrepancy(LinearisedFit.of(points, pendulum, first.fit)).misfit
         first = replace(first, fit=replace(first.fit, misfit=misfit))
     return LawComparison((first, *others))
 
@@ -223,7 +223,7 @@ def waveform_chances(
         chi2 = 0.0
         for one, harmonics in zip(classes, laws, strict=True):
             of_instrument = np.mean(np.abs(one.harmonics[_EVEN]) ** 2) / 2
-            variance = one.u[_THIRD] ** 2 + of_instrument + (_OF_PREDICTION * abs(harmonics[_THIRD])) ** 2
+            variance = one.u[_THIRD] ** 2 + of_instrument + (_U_PREDICTION * abs(harmonics[_THIRD])) ** 2
             distance = float(abs(one.harmonics[_THIRD] - harmonics[_THIRD]) ** 2 / variance)
             freedom = 2 * (len(one.amplitudes) - 2)
             chi2 += freedom * log1p(distance / freedom)

@@ -1,4 +1,5 @@
-"""The contact's moments from one decay without any law, and what fitted laws say in the same terms."""
+"""The contact's moments from one decay without any law, those of fitted laws in the same terms, and how far a
+law lies from a decay (its discrepancy)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,24 +14,24 @@ from processing.contact import DRAG, MomentSplines, PendulumOnBall, spline_law, 
 from processing.estimate import Estimate
 from processing.fit.evidence import NO_EVIDENCE, Evidence
 from processing.fit.exact import fit_exact, start_near, starts_of
-from processing.fit.exact_model import Errors, ExactModel
-from processing.fit.result import MISFIT, MISFIT_SEEN, DiscrepancySize, FitResult
+from processing.fit.exact_model import ExactModel, LawErrors
+from processing.fit.result import DISCREPANCY, DISCREPANCY_SEEN, DiscrepancySize, FitResult
 from processing.fit.terms import DrivenRows, LinearisedFit, RestrictedLikelihood
 from processing.least_squares import FactoredJacobian, solve
 from processing.swing import TurningPoints
 
-_HELD = 1e-4
-"""Relative uncertainty of a drag that is held."""
-_INWARDS = 1.1
-"""How far the angles shown stay from both ends of the amplitudes."""
+_HELD_U = 1e-4
+"""Relative uncertainty of a drag that is held fixed."""
+_MARGIN = 1.1
+"""Factor by which the angles shown stay inside both ends of the amplitudes."""
 
 
 @dataclass(frozen=True, slots=True)
 class FreeMoments:
     """Friction against the motion, and elastic moment in the direction of phi, at angles `phi_rad` > 0.
 
-    The elastic moment is what departs from proportionality: it vanishes at `reference_rad`, where the period
-    is that of gravity alone by definition. `u_` are standard uncertainties; bands of one of them cover 68 %.
+    The elastic moment is the departure from proportionality: it vanishes at `reference_rad`, where the period
+    is that of gravity alone by definition. `u_` are standard uncertainties; bands of 1 u cover 68 %.
     """
 
     phi_rad: Floats
@@ -43,7 +44,7 @@ class FreeMoments:
 
 @dataclass(frozen=True, slots=True)
 class ModelFreeFit:
-    """The fit of splines to one decay, and what it says."""
+    """The fit of splines to one decay, and the moments by it."""
 
     points: TurningPoints
     pendulum: PendulumOnBall
@@ -53,7 +54,7 @@ class ModelFreeFit:
     def moments(self, phi_rad: Floats | None = None) -> FreeMoments:
         """Moments with bands; by default at 41 angles between the lowest and the highest amplitude."""
         if phi_rad is None:
-            low, high = self.points.amplitude.min() * _INWARDS, self.points.amplitude.max() / _INWARDS
+            low, high = self.points.amplitude.min() * _MARGIN, self.points.amplitude.max() / _MARGIN
             phi_rad = np.geomspace(low, high, 41)
         return self._of(phi_rad, self.fit.values, self.fit.covariance)
 
@@ -73,7 +74,7 @@ class ModelFreeFit:
         )
 
     def moments_of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
-        """What a fitted law says in the same terms: the splines that have its turning points.
+        """Moments of a fitted law in the splines' terms: those of splines with the law's turning points.
 
         The uncertainties are 0.
         """
@@ -84,26 +85,26 @@ class ModelFreeFit:
         drag = self.fit.has_drag
         # the drag is the law's, so that the splines hold its friction alone
         known_s = fit.estimate(DRAG.key).value if fit.has_drag else 0.0
-        known_s *= _stiffer(fit, self.fit.estimate("period0_s").value)
+        known_s *= _drag_ratio(fit, self.fit.estimate("period0_s").value)
         held = Evidence(drag_s=_exactly(known_s)) if drag else NO_EVIDENCE
         model = ExactModel(swung.first(reached), self.pendulum, law=self.fit.law, drag=drag, evidence=held)
         start = next(chain(start_near(model, self.fit), starts_of(model)))
-        model = model.about(start)
+        model = model.linearised_at(start)
         solution = solve(model, start, lower=model.lower, upper=model.upper)
         values, _ = model.columns.physical(solution.values)
         return self._of(phi_rad, values, np.zeros_like(self.fit.covariance))
 
 
-def _stiffer(fit: FitResult, period_s: float) -> float:
-    """A drag in the splines' terms over that in a law's.
+def _drag_ratio(fit: FitResult, period_s: float) -> float:
+    """Ratio of a drag in the splines' terms to the same drag in a law's.
 
-    It is over the stiffness, which the splines take to be gravity's alone where the period is `period_s`.
+    A drag is stated over the stiffness, which the splines take as gravity's alone at the period `period_s`.
     """
     return (period_s / fit.estimate("period0_s").value) ** 2
 
 
 def _exactly(drag_s: float) -> Estimate:
-    return Estimate(drag_s, _HELD * max(abs(drag_s), 1e-6))
+    return Estimate(drag_s, _HELD_U * max(abs(drag_s), 1e-6))
 
 
 def _uncertainty(basis: Floats, covariance: Floats) -> Floats:
@@ -116,8 +117,8 @@ def fit_model_free(
 ) -> ModelFreeFit:
     """Friction and elastic moment of one decay as splines, with the drive of the ground that they leave.
 
-    Where an exact fit `like` this one has a drag, so has this, and its evidence: without any of it splines
-    would take the drag for friction, and none is fitted then.
+    `like` is an exact fit of these points: the splines have its evidence, and its drag if it has both.
+    Without evidence splines would take a drag for friction, so that none is fitted then.
 
     Raises
     ------
@@ -127,7 +128,7 @@ def fit_model_free(
     law, splines = spline_law(points)
     evidence = NO_EVIDENCE if like is None else like.evidence
     if like is not None and evidence.drag_s is not None:
-        factor = _stiffer(like, like.mean_period_s.value)
+        factor = _drag_ratio(like, like.mean_period_s.value)
         evidence = replace(evidence, drag_s=Estimate(*(factor * number for number in evidence.drag_s)))
     drag = like is not None and like.has_drag and evidence != NO_EVIDENCE
     fit = fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
@@ -135,35 +136,39 @@ def fit_model_free(
 
 
 _SPACING = 0.4
-"""Of the nodes of an error, in ln A."""
+"""Largest distance of an error's nodes, in ln A."""
 _REACH = 2.0
-"""Distance in ln A over which errors are alike: a wrong exponent or a term too few bends slowly."""
-_GRID = 10.0 ** np.arange(-5.0, 0.51, 0.25)
-"""Sizes that are tried, of losses and harmonics; those of durations are smaller by `_OF_DURATION`."""
-_OF_DURATION = 1e-3
+"""Distance in ln A over which errors are correlated: a wrong exponent or a missing term bends slowly."""
+_SIZES_TRIED = 10.0 ** np.arange(-5.0, 0.51, 0.25)
+"""Relative errors that are tried, of losses and harmonics; those of durations are times `_DURATION_SHARE`."""
+_DURATION_SHARE = 1e-3
 _STEPS = np.arange(0.0, -3.01, -0.25)
-"""Decimal logarithms of the drives that are tried, over the one that the law without errors needs."""
-_LEAST = 1e-9
+"""Decimal logarithms of the drives that are tried, over the likeliest one of the law without errors."""
+_DIAGONAL = 1e-9
+"""Added to the diagonal of a correlation matrix, so that rounding leaves it a root."""
 
 
 class _Sizes(NamedTuple):
-    """Sizes of the errors of each kind: the likeliest, the mean over what the data allow; and -2 ln L."""
+    """Sizes (3,) of the errors of losses, durations and harmonics; `deviance` is -2 ln L of the likeliest.
+
+    `averaged` is the rms over the sizes that the data allow.
+    """
 
     likeliest: Floats
     averaged: Floats
     deviance: float
 
 
-def with_misfit(at: LinearisedFit, fit: FitResult | None = None) -> FitResult:
-    """The fit with uncertainties that hold how far its law lies from the data.
+def with_discrepancy(at: LinearisedFit, fit: FitResult | None = None) -> FitResult:
+    """The fit with uncertainties that contain its law's discrepancy from the data.
 
-    `fit` is the fit near whose end this is found where it has further terms already.
+    `fit` is the fit that receives the term, where it has terms that `at.fit` has not.
     """
     fit = at.fit if fit is None else fit
-    misfit, by = _misfit(at)
+    misfit, by = _discrepancy(at)
     if by is None:
         return replace(fit, misfit=misfit)
-    wider = fit.with_term(MISFIT, by)
+    wider = fit.with_term(DISCREPANCY, by)
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.nan_to_num(wider.standard_uncertainty / fit.standard_uncertainty, nan=1.0)
     misfit = replace(misfit, widened=dict(zip(fit.names, factor.tolist(), strict=True)))
@@ -185,15 +190,15 @@ def _warnings(misfit: DiscrepancySize, factor: Floats) -> tuple[str, ...]:
     return (text,)
 
 
-def _misfit(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
-    """The misfit, and changes of the values by errors of that size; None where it is not seen."""
+def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
+    """The discrepancy, and changes of the values by errors of its size; None where it is not seen."""
     if at.fit.loss != "linear":
         return DiscrepancySize(against_law=nan), None
     model = at.model
     nodes = _HatFunctions(at.points.amplitude / model.reference)
     of_waveform = _by_harmonics(at, nodes)
     own = model.noise_of(at.fit)
-    errors = Errors(nodes, nodes)
+    errors = LawErrors(nodes, nodes)
 
     def driven(step: float) -> DrivenRows | None:
         found = at.driven(replace(own, step=step), errors)
@@ -207,14 +212,14 @@ def _misfit(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
     tried = [here for here in map(driven, steps) if here is not None]
     if not tried:
         return DiscrepancySize(against_law=nan), None
-    best = min((_scaled(here, _sizes, 0.01) for here in tried), key=lambda one: one.deviance)
+    best = min((_scaled(here, _likeliest_sizes, 0.01) for here in tried), key=lambda one: one.deviance)
     # without errors the scatter may be larger instead
-    against = min(_scaled(here, _without, 0.001).deviance for here in tried) - best.deviance
-    if not against > MISFIT_SEEN:
+    against = min(_scaled(here, _without_errors, 0.001).deviance for here in tried) - best.deviance
+    if not against > DISCREPANCY_SEEN:
         return DiscrepancySize(against_law=max(against, 0.0)), None
     loss, duration, waveform = best.averaged.tolist()
     misfit = DiscrepancySize(loss=loss, duration=duration, waveform=waveform, against_law=float(against))
-    # what errors of these sizes do to the values, which were found with the law's own weights
+    # the effect of errors of these sizes on the values, which were fitted with the law's own weights
     here = driven(own.step)
     assert here is not None
     here = here.in_scatter(at.scale)
@@ -223,14 +228,14 @@ def _misfit(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
 
 
 class _HatFunctions:
-    """Smooth functions of ln A: hats at even distances, and the root of their correlation."""
+    """Smooth functions of ln A: linear interpolation between even nodes, with correlated values at them."""
 
     def __init__(self, amplitude: Floats) -> None:
         x = np.log(amplitude)
         count = max(3, int(np.ceil(np.ptp(x) / _SPACING)) + 1)
         self._at = np.linspace(x.min(), x.max(), count)
         apart = np.abs(self._at[:, None] - self._at) / _REACH
-        correlation = np.exp(-0.5 * apart**2) + _LEAST * np.eye(count)
+        correlation = np.exp(-0.5 * apart**2) + _DIAGONAL * np.eye(count)
         self._root = np.linalg.cholesky(correlation)
         self.count = count
 
@@ -243,7 +248,7 @@ class _HatFunctions:
 
 
 def _drives(own: float, unit: float) -> list[float]:
-    """Steps of the drive that are tried, with none."""
+    """Steps of the drive that are tried, the last one zero."""
     largest = own if own > 0 else 1e-3 * unit
     return [*(largest * 10.0**_STEPS).tolist(), 0.0]
 
@@ -262,7 +267,7 @@ def _by_harmonics(at: LinearisedFit, nodes: _HatFunctions) -> Floats:
 
 
 def _scaled(here: DrivenRows, judge: Callable[[RestrictedLikelihood], _Sizes], tolerance: float) -> _Sizes:
-    """What is found with turning points that scatter as much more than stated as it leaves them to."""
+    """Sizes by `judge`, for turning points that scatter as much as their residuals with these sizes do."""
     scale2 = 1.0
     for _ in range(3):
         rows = here.in_scatter(sqrt(scale2))
@@ -276,14 +281,14 @@ def _scaled(here: DrivenRows, judge: Callable[[RestrictedLikelihood], _Sizes], t
     return found._replace(deviance=found.deviance + rows.log_det)
 
 
-def _without(here: RestrictedLikelihood) -> _Sizes:
+def _without_errors(here: RestrictedLikelihood) -> _Sizes:
     none = np.zeros(3)
     return _Sizes(none, none, here.deviance(none))
 
 
-def _sizes(here: RestrictedLikelihood) -> _Sizes:
+def _likeliest_sizes(here: RestrictedLikelihood) -> _Sizes:
     """The likeliest sizes, each sought in turn, and their means."""
-    grids = [_GRID, _OF_DURATION * _GRID, _GRID]
+    grids = [_SIZES_TRIED, _DURATION_SHARE * _SIZES_TRIED, _SIZES_TRIED]
     sizes, deviance = np.zeros(3), inf
     tried: list[Floats] = []
     for _ in range(2):
@@ -294,7 +299,7 @@ def _sizes(here: RestrictedLikelihood) -> _Sizes:
             sizes[kind] = 0.0 if least == 0 else grid[least - 1]
             deviance = float(found[least])
             tried.append(found[1:])
-    # the mean square over what the data allow: of few nodes the likeliest size is often too small
+    # the mean square over the sizes that the data allow: with few nodes the likeliest is often too small
     averaged = sizes.copy()
     for kind, grid in enumerate(grids):
         if sizes[kind] > 0:

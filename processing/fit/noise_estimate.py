@@ -1,9 +1,9 @@
 """How strongly the ground drives the pendulum, by the restricted likelihood of the turning points.
 
 Two variances explain how far turning points lie from their predictions: that of their measurement
-and that of the drive. They are estimated by the likelihood of what the fitted parameters leave over
-(restricted likelihood): with that of the turning points themselves they would come out too small,
-since the parameters take up part of them.
+and that of the drive. They are estimated by the likelihood of the residuals that the fitted parameters
+leave (restricted likelihood): by that of the turning points themselves they would come out too small,
+since the parameters take up part of the scatter.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.fit.exact_model import ExactModel, Filtered
+from processing.fit.exact_model import ExactModel, FilterResult
 from processing.fit.exact_result import OUTLIER
 from processing.fit.ground import Noise
 from processing.least_squares import Loss
@@ -23,17 +23,18 @@ _TRIED = np.arange(-3.0, 3.01, 0.5)
 _LARGEST = 0.2
 """Largest step tried, as a fraction of the lowest amplitude."""
 _LOWEST, _SPACING = -2.0, 0.1
-"""Lowest step of an average over steps and their spacing, as logarithms like those tried."""
+"""Lowest step of an average over steps, and the steps' spacing, as the logarithms of `_TRIED`."""
 _FALL = 0.7
-"""Exponent by which the density of steps falls."""
+"""Exponent with which the prior density of steps falls."""
 _WELL_KNOWN = 0.15
 """Relative uncertainty of the step below which it is taken as known."""
 _ONE_SIDED = 2.706
 """Rise of -2 ln L at a bound of 95 %: the square of the normal quantile 1.645."""
 _AS_STATED = 25.0
-"""How many numbers the stated uncertainties count for against a scatter that is larger. In a short run the
-scale of the one noise and the drive replace each other, and the drive is what parameters suffer from."""
+"""Number of residuals as which the stated uncertainties count against a larger scatter. In a short run scale
+and drive explain a scatter alike, and the drive is what enlarges the parameters' uncertainties."""
 _SAME_SCALE = 1e-3
+"""Relative change of the squared scale below which its iteration ends."""
 _LEAST_SHARE = 1e-13
 """Rounding of sums over thousands of half-cycles, relative to a diagonal of ones: smaller eigenvalues are
 noise."""
@@ -42,9 +43,9 @@ noise."""
 class LikeliestNoise(NamedTuple):
     """The likeliest noise at given columns.
 
-    `deviance` is its -2 ln L, restricted to what the columns leave over, `unrestricted` that of the turning
-    points themselves. `against_rest` is by how much the deviance of ground at rest is larger, `covariance`
-    that of the columns with this noise.
+    `deviance` is its restricted -2 ln L, that of the residuals which the columns leave, `unrestricted` that
+    of the turning points themselves. `against_rest` is by how much the deviance of ground at rest is larger,
+    `covariance` that of the columns with this noise.
     """
 
     noise: Noise
@@ -64,16 +65,16 @@ class NoiseBounds(NamedTuple):
 class NoiseSearch:
     """Maximises the restricted likelihood over the drive and the scale of the stated uncertainties.
 
-    The model is taken as linear in the columns about the given ones; the caller repeats both until neither
-    moves. `kind` is any noise that tells how the turning points were measured. The scale is at least 1;
-    with a robust loss, which copes with outliers by itself, it is 1.
+    The model is taken as linear in the columns about the given ones; the caller repeats fit and search until
+    neither moves. `kind` gives `averaged` and `limit` of every noise tried. The scale is at least 1; with a
+    robust loss, which copes with outliers by itself, it is 1.
     """
 
     def __init__(self, model: ExactModel, columns: Floats, loss: Loss, kind: Noise) -> None:
         self._model, self._columns, self._loss = model, columns, loss
         self._kind = kind
         self._unit = float(np.median(model.u_amplitude))
-        self._beside = model.beside(columns)
+        self._evidence_rows = model.evidence_rows(columns)
         self._highest = float(np.log10(_LARGEST * model.lowest / self._unit))
         self._known: dict[float, LikeliestNoise] = {}
         self._rest = self._at(-np.inf)
@@ -88,7 +89,7 @@ class NoiseSearch:
         return found._replace(against_rest=self._rest.deviance - found.deviance)
 
     def bounds(self, found: LikeliestNoise) -> NoiseBounds:
-        """From the rise of -2 ln L on either side of the optimum."""
+        """Uncertainty and bound of the step, by the rise of -2 ln L on either side of the optimum."""
         at_rest = found.noise.at_rest
         start = float(_TRIED[0])
         if not at_rest:
@@ -111,13 +112,14 @@ class NoiseSearch:
     def averaged_covariance(self, found: LikeliestNoise, bounds: NoiseBounds) -> Floats | None:
         """Covariance of the columns averaged over the steps that the data allow; None for a well-known step.
 
-        Uncertainties grow with the step. Those of the likeliest one are too small where a run at rest
-        would be nothing unusual: one in three of weak drives is found to be none. The average is over the
-        likelihood times a density that falls as step^-0.7: drives may be of any order of magnitude, and with
-        this exponent intervals come nearest to their coverage at rest and at weak drives together. Where a
-        witness sees the ground, drives below the least that a witness leaves are not among them.
+        Uncertainties grow with the step. Those of the likeliest step are too small where ground at rest is
+        not improbable: of weak drives one in three is estimated as zero. The average is over the likelihood
+        times a prior density that falls as step^-0.7: drives may be of any order of magnitude, and with this
+        exponent intervals come nearest to their coverage at rest and at weak drives together. With an
+        auxiliary seismometer, steps below the least that it leaves unexplained are left out.
         """
-        least = 0.0 if self._model.witnessed is None else self._model.witnessed.least_left(self._columns)
+        known = self._model.known_drive
+        least = 0.0 if known is None else known.least_unexplained(self._columns)
         if bounds.u_step < _WELL_KNOWN * found.noise.step and found.noise.step > least:
             return None
         lowest = _LOWEST
@@ -148,7 +150,7 @@ class NoiseSearch:
         return self._known[log_step]
 
     def _evaluate(self, ratio: float) -> LikeliestNoise:
-        """-2 ln L of a step in units of the scale; the scale that goes with it is known in closed form."""
+        """The likeliest noise of a step in units of the scale, which follows from it in closed form."""
         found = self._model.filtered(self._columns, replace(self._kind, step=ratio))
         if not np.all(np.isfinite(found.residuals)):
             return LikeliestNoise(self._kind, np.inf)
@@ -156,13 +158,13 @@ class NoiseSearch:
         while True:
             likeliest = self._with_scale(found, ratio, scale2)
             before, scale2 = scale2, likeliest.noise.scale**2
-            # beside evidence, which does not scatter with the turning points, the scale takes some rounds
-            if not len(self._beside[0]) or abs(scale2 - before) < _SAME_SCALE * scale2:
+            # with evidence, which does not scatter with the turning points, the scale takes some rounds
+            if not len(self._evidence_rows[0]) or abs(scale2 - before) < _SAME_SCALE * scale2:
                 return likeliest
 
-    def _with_scale(self, found: Filtered, ratio: float, weight: float) -> LikeliestNoise:
-        """With the evidence weighted as beside turning points that scatter by the root of `weight`."""
-        beside, beside_by = (np.sqrt(weight) * part for part in self._beside)
+    def _with_scale(self, found: FilterResult, ratio: float, weight: float) -> LikeliestNoise:
+        """The noise of a step, the evidence weighted for a squared scale `weight` of the turning points."""
+        beside, beside_by = (np.sqrt(weight) * part for part in self._evidence_rows)
         residuals = np.concatenate([found.residuals, beside])
         jacobian = np.concatenate([found.jacobian, beside_by])
         linear = self._loss == "linear"
@@ -194,7 +196,7 @@ class NoiseSearch:
 
 
 def _lowest(function: Callable[[float], float], low: float, high: float) -> float:
-    """Minimum between two points by golden sections."""
+    """Place of the minimum between two points, by golden sections."""
     ratio = 0.5 * (np.sqrt(5) - 1)
     left, right = high - ratio * (high - low), low + ratio * (high - low)
     while high - low > 3e-3:

@@ -1,4 +1,4 @@
-"""What a run will tell: standard uncertainties of a law's parameters before the run is made.
+"""Planned runs: standard uncertainties of a law's parameters before a run is made.
 
 The turning points of a run follow from the law, their scatter from the measurement and the ground's drive.
 The information that they hold (Fisher's matrix of the driven model) bounds every uncertainty from below, and
@@ -15,92 +15,91 @@ from processing.arrays import Floats
 from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.changes import by_drifts
+from processing.fit.changes import drift_jacobians
 from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import FEWEST_HALF_CYCLES
 from processing.fit.ground import Noise, step_of_density
-from processing.fit.known_drive import LEAST_LEFT
+from processing.fit.known_drive import LEAST_UNEXPLAINED
 from processing.fit.result import FitResult
 from processing.least_squares import covariance_of
 from processing.swing import PIECE_HALF_CYCLES, TurningPoints
 
 _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
-"""Parameters that each run has for itself."""
-_BLIND = 1e6
-"""Relative uncertainty above which nothing is known: what rounding leaves of a matrix that is singular."""
-_LOST = 10.0
+"""Parameters of which each run has its own."""
+_UNKNOWN_U = 1e6
+"""Relative uncertainty above which nothing is known: that of a singular matrix but for rounding."""
+_HIDDEN_RATIO = 10.0
 """A run ends where the ground moves the pendulum in a half-swing by more than the amplitude over this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What makes turning points scatter: their measurement, and the drive.
+    """Conditions that make turning points scatter: their measurement, and the drive.
 
     `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude; `averaged` is that of
-    `Noise`. `of_sine` is the covariance in rad^2 of the harmonics in quadrature of a piece (see `Waveform`),
-    None where they are not used, and `known_drag_s` what is known of the drag beside the run.
-    `witness_noise` is that of a witness of the ground over what it sees of it, at the pendulum's frequency;
-    None: there is none.
+    `Noise`. `sine_covariance` is the covariance in rad^2 of the harmonics in quadrature of a piece (see
+    `Waveform`), None where they are not used, and `known_drag_s` the prior of the drag. `seismometer_noise`
+    is the noise of a seismometer over the ground's motion in it, at the pendulum's frequency; None without.
     """
 
     u_amplitude_rad: float
     u_time_amplitude_s_rad: float
     ground_rad_per_s2_rthz: float = 0.0
     averaged: bool = True
-    of_sine: Floats | None = field(default=None, compare=False)
+    sine_covariance: Floats | None = field(default=None, compare=False)
     known_drag_s: Estimate | None = None
-    witness_noise: float | None = None
+    seismometer_noise: float | None = None
 
     @property
     def unknown_rad_per_s2_rthz(self) -> float:
-        """What a witness with that noise, weighted as its noise asks, leaves of the drive."""
-        if self.witness_noise is None:
+        """The drive that remains unknown with a seismometer of that noise, at its best weight."""
+        if self.seismometer_noise is None:
             return self.ground_rad_per_s2_rthz
-        return self.ground_rad_per_s2_rthz * self.witness_noise / hypot(1.0, self.witness_noise)
+        return self.ground_rad_per_s2_rthz * self.seismometer_noise / hypot(1.0, self.seismometer_noise)
 
     @classmethod
     def of(cls, fit: FitResult, points: TurningPoints) -> "Conditions":
-        """Those of a run that has been made; its drive is the likeliest one."""
+        """The conditions of a finished run; its drive is the likeliest one."""
         scale = 1.0 if fit.ground is None else fit.ground.noise.scale
         waveform = fit.evidence.waveform
         return cls(
             scale * float(np.median(points.u_amplitude)),
             scale * float(np.median(points.u_time_s * points.amplitude)),
             0.0 if fit.ground is None else fit.ground.density_rad_per_s2_rthz.value,
-            of_sine=None if waveform is None else np.median(waveform.covariance, axis=0),
+            sine_covariance=None if waveform is None else np.median(waveform.covariance, axis=0),
             known_drag_s=fit.evidence.drag_s,
         )
 
     def evidence(self, amplitude_rad: Floats) -> Evidence:
         """The waveform of a run through turning points of these amplitudes; its values are zero."""
-        if self.of_sine is None:
+        if self.sine_covariance is None:
             return Evidence()
         middle = amplitude_rad[PIECE_HALF_CYCLES // 2 :: PIECE_HALF_CYCLES]
-        covariance = np.tile(self.of_sine, (len(middle), 1, 1))
-        nothing = np.zeros((len(middle), len(self.of_sine)))
+        covariance = np.tile(self.sine_covariance, (len(middle), 1, 1))
+        nothing = np.zeros((len(middle), len(self.sine_covariance)))
         return Evidence(Waveform(middle, nothing, covariance, 1.0))
 
     def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":
-        """The same measurement on another ground; the noise of a witness stays what it is, not its ratio."""
-        noise = self.witness_noise
+        """The same measurement on another ground; a seismometer's noise stays, and its ratio changes."""
+        noise = self.seismometer_noise
         if noise is not None and rad_per_s2_rthz > 0:
-            noise = max(LEAST_LEFT, noise * self.ground_rad_per_s2_rthz / rad_per_s2_rthz)
-        return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz, witness_noise=noise)
+            noise = max(LEAST_UNEXPLAINED, noise * self.ground_rad_per_s2_rthz / rad_per_s2_rthz)
+        return replace(self, ground_rad_per_s2_rthz=rad_per_s2_rthz, seismometer_noise=noise)
 
-    def with_witness(self, noise: float) -> "Conditions":
-        """The same ground, seen by a witness as well."""
-        return replace(self, witness_noise=noise)
+    def with_seismometer(self, noise: float) -> "Conditions":
+        """The same ground, recorded by an auxiliary seismometer as well."""
+        return replace(self, seismometer_noise=noise)
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
     """One run between two amplitudes: how long it lasts, and the uncertainty of every parameter after it.
 
-    `complete` is False where the drive drowns the pendulum before the amplitude at which it should end.
+    `complete` is False where the drive hides the swing before the amplitude at which the run should end.
     `values` are those of every parameter of the fit, and `root` (k, k + 1) is a square root of Fisher's
     information on relative changes of them (absolute ones of those that are 0), and on a relative growth of
-    the friction over the run. What is known of the drag is no part of it.
+    the friction over the run. It does not contain the prior of the drag.
     """
 
     first_rad: float
@@ -122,7 +121,7 @@ def planned_run(
     *,
     law: Law = DEFAULT_LAW,
 ) -> PlannedRun:
-    """What a run from one amplitude to another will tell of a law with these values.
+    """The planned run from one amplitude to another, for a law with these values.
 
     Raises
     ------
@@ -150,7 +149,7 @@ def planned_run(
     noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
     all_known = {name: known[name] for name in model.names}
     root = np.linalg.qr(by_relative_values(model, columns, noise)).R
-    rows = np.vstack([root[:, :-1], *_air_row(conditions.known_drag_s, all_known)])
+    rows = np.vstack([root[:, :-1], *_drag_prior_row(conditions.known_drag_s, all_known)])
     size = np.array([abs(known[name]) or 1.0 for name in model.names])
     u = np.sqrt(np.diag(covariance_of(rows))) * size
     told = dict(zip(model.names[:-2], u.tolist(), strict=False))
@@ -160,15 +159,15 @@ def planned_run(
 def by_relative_values(model: ExactModel, columns: Floats, noise: Noise) -> Floats:
     """Derivatives (n, k + 1) of a run's residuals by relative changes of the parameters, and by the growth of
     the friction from its first turning point to its last."""
-    jacobian, drifts = by_drifts(model.about(columns), columns, noise, 1.0)
+    jacobian, drifts = drift_jacobians(model.linearised_at(columns), columns, noise, 1.0)
     physical, to_physical = model.columns.physical(columns)
     size = np.where(physical == 0, 1.0, np.abs(physical))
     by_value = jacobian @ np.linalg.inv(to_physical / size[:, None])
     return np.column_stack([by_value, drifts[:, :2].sum(axis=1)])
 
 
-def _air_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
-    """What is known of the drag, as a row beside those of a run; none where it is nothing."""
+def _drag_prior_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:
+    """The prior of the drag as one further row; no row without a prior."""
     if known_drag_s is None or DRAG.key not in values:
         return []
     size = abs(values[DRAG.key]) or 1.0
@@ -178,21 +177,21 @@ def _air_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list
 
 @dataclass(frozen=True, slots=True)
 class PlannedSeries:
-    """Runs of one contact, whose friction grows evenly while they are made and while one waits.
+    """Runs of one contact, whose friction grows evenly during the runs and between them.
 
-    In one decay amplitude and time fall together, and the exponent takes up what the age does. Runs that pass
-    the same amplitudes at other times tell them apart: from other first amplitudes, or after waiting.
+    In one decay amplitude and time fall together, and the exponent takes up the effect of the age. Runs that
+    pass the same amplitudes at other times separate the two: from other first amplitudes, or after waiting.
 
     Attributes
     ----------
     runs, waiting_s
-        In order, and the time between the end of one and the beginning of the next.
+        The runs in order, and the time between the end of one and the beginning of the next.
     u
-        Of what the runs share, by parameter, at the middle of all of it, with the ageing unknown.
+        Standard uncertainties of the shared parameters at the middle of the series, with the ageing unknown.
     u_steady
         The same for a contact that is known not to age.
     u_ageing_per_s
-        Of the relative growth of the friction; infinite where the runs do not tell it.
+        Standard uncertainty of the friction's relative growth; infinite where the runs do not determine it.
     """
 
     runs: tuple[PlannedRun, ...]
@@ -203,29 +202,29 @@ class PlannedSeries:
 
     @property
     def duration_s(self) -> float:
-        """Of all runs with the waiting."""
+        """Duration of all runs with the waiting between them."""
         return sum(run.duration_s for run in self.runs) + self.waiting_s * (len(self.runs) - 1)
 
 
 def planned_series(
     runs: Sequence[PlannedRun], waiting_s: float = 0.0, known_drag_s: Estimate | None = None
 ) -> PlannedSeries:
-    """What planned runs will tell one after the other.
+    """The series of planned runs, one after the other.
 
-    Every run has its own period, first amplitude and time; what is known of the air counts once.
+    Every run has its own period, first amplitude and time; the prior of the drag counts once.
     """
     names = list(runs[0].values)
     shared = [name for name in names if name not in _OWN]
     stacked = by_shared_and_ageing(names, [(run.root, run.duration_s) for run in runs], waiting_s)
     air = np.zeros((0, stacked.shape[1]))
-    for row in _air_row(known_drag_s, runs[0].values):
+    for row in _drag_prior_row(known_drag_s, runs[0].values):
         air = np.zeros((1, stacked.shape[1]))
         air[0, : len(shared)] = row[[names.index(name) for name in shared]]
     stacked = np.vstack([stacked, air])
     u = np.sqrt(np.diag(covariance_of(stacked)))
     steady = np.sqrt(np.diag(covariance_of(np.delete(stacked, len(shared), axis=1))))
     size = [abs(runs[0].values[name]) or 1.0 for name in shared]
-    told = float(u[len(shared)]) if u[len(shared)] < _BLIND else inf
+    told = float(u[len(shared)]) if u[len(shared)] < _UNKNOWN_U else inf
     found = PlannedSeries(
         tuple(runs), waiting_s,
         {name: u[k] * size[k] for k, name in enumerate(shared)},
@@ -240,7 +239,7 @@ def by_shared_and_ageing(
     """Derivatives of the residuals of runs, one after the other, from those of `by_relative_values` and the
     duration of each.
 
-    The first columns are relative changes of what the runs share, then the relative growth of the friction
+    The first columns are relative changes of the shared parameters, then the relative growth of the friction
     from the first turning point of all to the last, then each run's own parameters.
     """
     shared = [k for k, name in enumerate(names) if name not in _OWN]
@@ -251,7 +250,7 @@ def by_shared_and_ageing(
     for place, ((root, duration_s), end_s) in enumerate(zip(runs, ends_s.tolist(), strict=True)):
         row = np.zeros((len(root), len(shared) + 1 + len(own) * len(runs)))
         row[:, : len(shared)] = root[:, shared]
-        # the age of the run's middle makes all of its friction larger, a drift within it comes in addition
+        # the age at the run's middle makes all of its friction larger, and the drift within it is added
         later_s = end_s - 0.5 * duration_s - 0.5 * whole_s
         row[:, len(shared)] = (duration_s * root[:, -1] + later_s * root[:, friction].sum(axis=1)) / whole_s
         begin = len(shared) + 1 + len(own) * place
@@ -288,7 +287,7 @@ def _decay(
         count *= 2
     time = found.time * parameters[-2]
     half_period_s = float(time[1]) if np.isfinite(time[1]) else inf
-    weakest = _LOST * step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s)
+    weakest = _HIDDEN_RATIO * step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s)
     lasting = np.isfinite(amplitude) & (amplitude >= max(last_rad, weakest))
     complete = bool(weakest <= last_rad and np.nanmin(amplitude) < last_rad)
     return amplitude[lasting], time[lasting], complete

@@ -33,7 +33,7 @@ from processing.swing import (
 from processing.units import seconds
 
 _MOST = 0.95
-"""Share of the half-cycles that must be found again."""
+"""Share of the half-cycles that the second measurement must find."""
 
 
 def known_motion(
@@ -44,7 +44,7 @@ def known_motion(
     Parameters
     ----------
     reference_rad
-        Reference amplitude of the waveform; any within the decay.
+        Reference amplitude of the waveform, anywhere within the decay.
     clock
         True seconds (the unit of the parameters) per second of the samples' clock.
 
@@ -80,25 +80,25 @@ def known_motion(
     )
 
 
-def measured_again(
+def second_measurement(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     motion: KnownMotion,
 ) -> list[HalfCycle]:
-    """Fit each half-cycle to its samples again, with a known waveform.
+    """Second measurement of half-cycles from their samples, with a known waveform.
 
     Parameters
     ----------
     swings
-        Half-cycles from the detector, in order. Flagged ones are returned unchanged; one that is not found
-        again, or is disturbed, is flagged.
+        Half-cycles from the detector, in order. Flagged ones are returned unchanged; one that the second
+        measurement does not find, or finds disturbed, is flagged.
     blocks
         The deflections in rad in which they were detected, along the slow axis, in order and in pieces of
         any length, so that they need not be in memory together.
 
     Returns
     -------
-    The half-cycles, the first ones with uncertainties from the noise that is learned later.
+    The half-cycles, the first ones with uncertainties from the noise that the later ones show.
     """
     found = swings_of_blocks(blocks, motion)
     found_ns = np.array([swing.turn_time_ns for swing in found], dtype=np.int64)
@@ -132,11 +132,11 @@ def _nearest(swings: Sequence[HalfCycle], times_ns: Ints, time_ns: int) -> HalfC
     return swings[nearer]
 
 
-class Shift(NamedTuple):
-    """How far a second measurement lies from the first: rms over half-cycles, in standard uncertainties.
+class MeasurementShift(NamedTuple):
+    """Shift of a second measurement from the first: rms over half-cycles, in standard uncertainties.
 
-    In time it is what they do not share: a shift of all moves the start of the motion and nothing else.
-    `found` is the share of the half-cycles that was found again. Both rms are NaN where none was.
+    `time` is without the shift that all share, which only moves the start of the motion. `found` is the share
+    of the half-cycles that the second measurement found. Both rms are NaN where it found none.
     """
 
     found: float
@@ -148,21 +148,21 @@ class Shift(NamedTuple):
         return self.found >= _MOST
 
 
-def shift_of(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> Shift:
-    """Shifts of the unflagged half-cycles.
+def measurement_shift(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> MeasurementShift:
+    """The shift of the unflagged half-cycles.
 
-    Normally 0.1 to 0.5. With few or noisy samples in a half-cycle the first measurement, which knows the
-    waveform from the half-cycles before alone, is off by more; that says nothing against the second.
+    It is normally 0.1 to 0.5. With few or noisy samples in a half-cycle the first measurement, which knows
+    the waveform only from earlier half-cycles, is off by more; the second may be right all the same.
     """
     pairs = [(a, b) for a, b in zip(swings, again, strict=True) if a.flags == 0]
     both = [(a, b) for a, b in pairs if b.flags == 0]
     if not both:
-        return Shift(0.0, math.nan, math.nan)
+        return MeasurementShift(0.0, math.nan, math.nan)
     later_s = [seconds(b.turn_time_ns - a.turn_time_ns) for a, b in both]
     shared_s = float(np.median(later_s))
     time = [(later - shared_s) / a.u_turn_time_s for later, (a, _) in zip(later_s, both, strict=True)]
     amplitude = [(b.amplitude - a.amplitude) / a.u_amplitude for a, b in both]
-    return Shift(
+    return MeasurementShift(
         len(both) / len(pairs), *(math.sqrt(float(np.mean(np.square(found)))) for found in (time, amplitude))
     )
 
@@ -170,9 +170,9 @@ def shift_of(swings: Sequence[HalfCycle], again: Sequence[HalfCycle]) -> Shift:
 def describes_as_well(second: FitResult, first: FitResult) -> bool:
     """Whether the law describes a second measurement as well as the first, by the likelihood of both.
 
-    A waveform that is not the motion's shifts turning points by what the law does not follow. Errors that the
-    first measurement shares among half-cycles make its likelihood look better by chance; four deviations of
-    chi2 are allowed for it.
+    A wrong waveform shifts turning points in a way that the law does not follow. Errors that half-cycles of
+    the first measurement share make its likelihood look better by chance; four standard deviations of chi2
+    are allowed for that.
     """
     assert first.ground is not None
     assert second.ground is not None
@@ -180,8 +180,8 @@ def describes_as_well(second: FitResult, first: FitResult) -> bool:
     return second.ground.deviance <= first.ground.deviance + allowed
 
 
-def widened(swings: Sequence[HalfCycle], shift: Shift) -> list[HalfCycle]:
-    """Half-cycles whose second measurement was refused; their uncertainties hold how much it differs."""
+def with_enlarged_u(swings: Sequence[HalfCycle], shift: MeasurementShift) -> list[HalfCycle]:
+    """Half-cycles whose second measurement was refused, with uncertainties enlarged by its difference."""
     time, amplitude = (math.hypot(1.0, part) if part == part else 1.0 for part in shift[1:])
     return [
         replace(
@@ -195,13 +195,13 @@ def widened(swings: Sequence[HalfCycle], shift: Shift) -> list[HalfCycle]:
 
 
 def points_in_true_time(swings: Sequence[HalfCycle], clock_rate: float) -> TurningPoints:
-    """Unflagged swings; `clock_rate` is how many true seconds pass in one of the swings' clock."""
+    """Turning points of unflagged half-cycles in true time; `clock_rate` is true seconds per clock second."""
     found = turning_points(swings)
     return replace(found, time_s=found.time_s * clock_rate, u_time_s=found.u_time_s * clock_rate)
 
 
-class FitOfSwings(NamedTuple):
-    """How half-cycles are fitted."""
+class DecayFit(NamedTuple):
+    """The exact fit of half-cycles, with its settings."""
 
     pendulum: PendulumOnBall
     clock_rate: float = 1.0
@@ -210,7 +210,7 @@ class FitOfSwings(NamedTuple):
     loss: Loss = "linear"
 
     def points(self, swings: Sequence[HalfCycle]) -> TurningPoints:
-        """The unflagged ones in true time."""
+        """Turning points of the unflagged half-cycles, in true time."""
         return points_in_true_time(swings, self.clock_rate)
 
     def of(self, swings: Sequence[HalfCycle], near: FitResult | None = None) -> FitResult:
@@ -225,15 +225,16 @@ class FitOfSwings(NamedTuple):
         )
 
     def motion(self, fit: FitResult, swings: Sequence[HalfCycle]) -> KnownMotion:
-        """The motion that a fit of half-cycles found, about their first amplitude."""
+        """The motion by a fit of half-cycles, its reference amplitude their first one."""
         reference_rad = next(swing.amplitude for swing in swings if not swing.flags)
         return known_motion(fit.parameters, self.pendulum, reference_rad, self.clock_rate)
 
 
-class Settlement(NamedTuple):
-    """Half-cycles that stand, and the motion on which they were measured again; None: they are as detected.
+class Refinement(NamedTuple):
+    """Outcome of a second measurement: the half-cycles to use, and the motion that gave their waveform.
 
-    `exact` is the fit to those that were measured again, and `doubt` says why they were not.
+    `motion` is None where they stay as detected, with the reason in `doubt`; `exact` is the fit to the
+    half-cycles of an accepted second measurement.
     """
 
     swings: Sequence[HalfCycle]
@@ -242,54 +243,54 @@ class Settlement(NamedTuple):
     doubt: str = ""
 
 
-def settled_by_either(
+def refine(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     motion: KnownMotion,
     first: FitResult,
-    fit: FitOfSwings,
+    fit: DecayFit,
     again: Sequence[HalfCycle] | None = None,
     before: Sequence[HalfCycle] = (),
-) -> Settlement:
-    """The second measurement; where it is refused, once more with the drive that the first fit has seen.
+) -> Refinement:
+    """The second measurement; where it is refused, another one with the drive that the first fit has seen.
 
-    A drive that is not known may pass for a rest position that moves: the uncertainties of the half-cycles
-    then grow until none of them says anything. It is not told at once, because a drive that the first fit saw
-    by mistake would be found again.
+    An unknown drive may look like a rest position that moves: the uncertainties of the half-cycles then grow
+    until they are useless. The drive is not given at once, because a drive that the first fit saw by mistake
+    would be confirmed.
 
     Parameters
     ----------
     again
-        The half-cycles measured again on the motion, where that is done already.
+        The second measurement of `swings` with the waveform of `motion`, where it exists already.
     before
-        Half-cycles before them, which are fitted with them and not measured again.
+        Earlier half-cycles, which are fitted with `swings` and not measured a second time.
     """
     every = [*before, *swings]
     if again is None:
-        again = measured_again(swings, blocks, motion)
-    found = settlement(every, [*before, *again], motion, first, fit)
+        again = second_measurement(swings, blocks, motion)
+    found = refinement(every, [*before, *again], motion, first, fit)
     if not found.doubt or first.ground is None or not first.ground.seen:
         return found
     driven = replace(motion, drive=first.ground.noise.step)
-    with_drive = settlement(every, [*before, *measured_again(swings, blocks, driven)], driven, first, fit)
+    with_drive = refinement(every, [*before, *second_measurement(swings, blocks, driven)], driven, first, fit)
     return found if with_drive.doubt else with_drive
 
 
-def settlement(
+def refinement(
     swings: Sequence[HalfCycle],
     again: Sequence[HalfCycle],
     motion: KnownMotion,
     first: FitResult,
-    fit: FitOfSwings,
-) -> Settlement:
-    """The second measurement if the laws describe it as well as the first."""
-    shift = shift_of(swings, again)
+    fit: DecayFit,
+) -> Refinement:
+    """The second measurement `again` if the laws describe it as well as the first."""
+    shift = measurement_shift(swings, again)
     reason = f"only {100 * shift.found:.0f} % of the half-cycles were found again"
     if shift.complete:
         try:
             second = fit.of(again, first)
             if describes_as_well(second, first):
-                return Settlement(again, motion, second)
+                return Refinement(again, motion, second)
             reason = "the laws would describe them worse"
         except DataError as error:
             reason = str(error)
@@ -298,17 +299,17 @@ def settlement(
         f"move by {shift.time:.2g} standard uncertainties in time and {shift.amplitude:.2g} in amplitude; "
         "the uncertainties allow for it"
     )
-    return Settlement(widened(swings, shift), None, None, doubt)
+    return Refinement(with_enlarged_u(swings, shift), None, None, doubt)
 
 
 def fitted_twice(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
-    fit: FitOfSwings,
+    fit: DecayFit,
     near: FitResult | None = None,
     before: Sequence[HalfCycle] = (),
-) -> tuple[Settlement, FitResult]:
-    """Half-cycles fitted as detected, measured again on that fit's motion, and fitted again.
+) -> tuple[Refinement, FitResult]:
+    """Half-cycles fitted as detected, measured a second time with that fit's waveform, and fitted again.
 
     Parameters
     ----------
@@ -317,7 +318,7 @@ def fitted_twice(
     near
         A fit of fewer of them.
     before
-        Half-cycles before them, which are fitted with them and not measured again.
+        Earlier half-cycles, which are fitted with `swings` and not measured a second time.
 
     Returns
     -------
@@ -333,6 +334,6 @@ def fitted_twice(
     try:
         motion = fit.motion(first, every)
     except DataError:
-        return Settlement(every, None), first
-    found = settled_by_either(every[len(before) :], blocks, motion, first, fit, before=every[: len(before)])
+        return Refinement(every, None), first
+    found = refine(every[len(before) :], blocks, motion, first, fit, before=every[: len(before)])
     return found, found.exact or fit.of(found.swings, first)

@@ -44,7 +44,7 @@ class InputQuantity:
 
 @dataclass(frozen=True)
 class RigQuantities:
-    """All input quantities of the results other than the swings (GUM type B).
+    """All input quantities of the results other than the half-cycles (GUM type B).
 
     `arm_m` and `pitch_m` are the values with which pixels were converted into angles; they contribute by
     their relative uncertainties, as does `clock`, true seconds per second of the camera's clock.
@@ -52,11 +52,11 @@ class RigQuantities:
     `fast_ratio` is the ratio of the fast to the slow mode's amplitude; if the directions are wrong, the fast
     mode contributes to the slow deflection. `skew` is that of the lever: a wrong one changes the scale where
     the pendulum rests, at the tilt `rest_rad` from the lever's reference. `balls` is the number of balls that
-    carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 if it is not one.
+    carry the weight, 1 or 2. `row_time_s` is that of a rolling shutter, 0 of a global one.
     `ageing`, `adhesion_ageing`, `drag_drift` and `period_drift` are the relative growth over a run of the
-    friction b, of c, of the drag and of the period, all zero as the fit has it. `common_amplitude_rad` is
-    what all amplitudes are too small by, zero as well: the compression of a film takes as much from each.
-    `plane_of_swing_rad` is the error of the angle by which a decay was turned back whose plane of swing
+    friction b, of c, of the drag and of the period, which the fit takes as zero. `common_amplitude_rad` is an
+    amount by which all amplitudes are too small, zero as well: the compression of a film takes as much from
+    each. `plane_of_swing_rad` is the error of the angle by which a decay was turned back whose plane of swing
     turned, zero as well. `contact_radius_m` is a stated radius of the contact in the place of Hertz's: the
     materials are then not used, and the load does not change it.
     """
@@ -94,7 +94,7 @@ class RigQuantities:
 
     def inputs(self) -> dict[str, InputQuantity]:
         """All inputs by name; if both bodies are of the same material, it is listed once."""
-        found = {
+        contact = {
             "mass_kg": self.mass_kg,
             "ball_radius_m": self.ball_radius_m,
             "gravity_m_per_s2": self.gravity_m_per_s2,
@@ -103,22 +103,22 @@ class RigQuantities:
             "clock": self.clock,
         }
         if self.contact_radius_m is not None:
-            found["contact_radius_m"] = self.contact_radius_m
+            contact["contact_radius_m"] = self.contact_radius_m
         else:
-            found |= _elastic("flat", self.flat)
+            contact |= _elastic("flat", self.flat)
             if self.ball != self.flat:
-                found |= _elastic("ball", self.ball)
-        found["slow_angle_rad"] = self.slow_angle_rad
-        found["non_orthogonality_rad"] = self.non_orthogonality_rad
-        found["skew"] = self.skew
-        found["row_time_s"] = self.row_time_s
-        found["ageing"] = self.ageing
-        found["period_drift"] = self.period_drift
-        found["common_amplitude_rad"] = self.common_amplitude_rad
-        found["plane_of_swing_rad"] = self.plane_of_swing_rad
-        found["adhesion_ageing"] = self.adhesion_ageing
-        found["drag_drift"] = self.drag_drift
-        return found
+                contact |= _elastic("ball", self.ball)
+        contact["slow_angle_rad"] = self.slow_angle_rad
+        contact["non_orthogonality_rad"] = self.non_orthogonality_rad
+        contact["skew"] = self.skew
+        contact["row_time_s"] = self.row_time_s
+        contact["ageing"] = self.ageing
+        contact["period_drift"] = self.period_drift
+        contact["common_amplitude_rad"] = self.common_amplitude_rad
+        contact["plane_of_swing_rad"] = self.plane_of_swing_rad
+        contact["adhesion_ageing"] = self.adhesion_ageing
+        contact["drag_drift"] = self.drag_drift
+        return contact
 
     def skewed_scale(self, skew: Floats) -> Floats:
         """Ratio of true tilts about the rest position to the measured ones, for true skews (n,).
@@ -135,10 +135,9 @@ class RigQuantities:
         (n,).
 
         If the slow axis is wrong by d and the angle between the axes by e, a motion of amplitude A along the
-        slow axis and r A along the fast axis is measured along the assumed slow axis as
-        ``A (cos d + sin d tan q) - r A sin(d + e) / cos q``, with the assumed non-orthogonality q. The sign
-        of the fast mode's contribution varies from one turning point to another; using one sign gives an
-        upper limit.
+        slow axis and r A along the fast axis is measured along the assumed slow axis as ``A (cos d + sin d
+        tan q) - r A sin(d + e) / cos q``, with the assumed non-orthogonality q. The sign of the fast mode's
+        contribution varies from one turning point to another; using one sign gives an upper limit.
         """
         assumed = self.non_orthogonality_rad.value
         off = slow_angle_rad - self.slow_angle_rad.value
@@ -179,9 +178,9 @@ class FittedContact:
     """Fitted contact parameters with their type A covariance, from one fit or from a series.
 
     `names` are the six contact parameters and, if fitted, the drag. `dof` is the number of degrees of
-    freedom of the covariance, and `terms` are what it is made of, as `FitResult` has them. `by_log_rho` are
-    the derivatives by ln(R/a), and `by_inputs` those by what else the fit takes as known, by the names of
-    `RigQuantities`: the row time of a shutter, an error of all amplitudes, what drifts over a run.
+    freedom of the covariance, and `terms` are its parts, as those of `FitResult`. `by_log_rho` are the
+    derivatives by ln(R/a), and `by_inputs` those by other inputs that the fit takes as known, by the names of
+    `RigQuantities`: the row time of a shutter, an error of all amplitudes, drifts over a run.
     """
 
     names: tuple[str, ...]
@@ -219,7 +218,7 @@ def fitted_contact(result: FitResult) -> FittedContact:
 
 
 def reported_quantities(
-    found: FittedContact, values: Floats, inputs: Mapping[str, Floats], rig: RigQuantities
+    contact: FittedContact, values: Floats, inputs: Mapping[str, Floats], rig: RigQuantities
 ) -> dict[str, Floats]:
     """The reported quantities for given fitted values and inputs.
 
@@ -237,8 +236,8 @@ def reported_quantities(
     second. The period determines gamma only in the combination ``2 gamma a^2/(m g)``. The small additional
     effect of R/a in Eq. 3 is taken from the fit's derivative by ln(R/a).
     """
-    if found.names[:6] != PAPER.names():
-        raise DataError(f"expected the parameters {PAPER.names()} first, got {found.names}")
+    if contact.names[:6] != PAPER.names():
+        raise DataError(f"expected the parameters {PAPER.names()} first, got {contact.names}")
     nominal = rig.pendulum()
     mass = inputs["mass_kg"] / rig.balls
     radius, gravity = inputs["ball_radius_m"], inputs["gravity_m_per_s2"]
@@ -258,9 +257,9 @@ def reported_quantities(
 
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m
     bent = np.log(radius / a / nominal_rho * scale)
-    moved = values + found.by_log_rho[:, None] * bent
+    moved = values + contact.by_log_rho[:, None] * bent
     assumed = rig.inputs()
-    for name, slope in found.by_inputs.items():
+    for name, slope in contact.by_inputs.items():
         moved = moved + slope[:, None] * (inputs[name] - assumed[name].value)
     b, p, c, n, period0, gamma = moved[:6]
     nominal_force = nominal.mass_kg * nominal.gravity_m_per_s2
@@ -273,8 +272,8 @@ def reported_quantities(
         "gamma_pa": gamma * (nominal.contact_radius_m / a) ** 2 * (force / nominal_force) * scale**-n,
         **derived_quantities(c, scale, force, radius, a),
     }
-    if DRAG.key in found.names:
-        out[DRAG.key] = moved[found.names.index(DRAG.key)] * second
+    if DRAG.key in contact.names:
+        out[DRAG.key] = moved[contact.names.index(DRAG.key)] * second
     return out
 
 
@@ -296,9 +295,7 @@ def derived_quantities(
 def work_per_cycle_j(
     amplitude_rad: float, reported: Mapping[str, Floats], inputs: Mapping[str, Floats]
 ) -> Floats:
-    """Work per cycle 4A in J for random draws (n,) of reported parameters and inputs, to obtain its
-    uncertainty.
-    """
+    """Work per cycle 4A in J for values (n,) of reported parameters and inputs, to obtain its uncertainty."""
     moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
     b, p, c = reported["b"], reported["p"], reported["c"]
     dissipated = 4 * moment * (c * amplitude_rad + b * amplitude_rad ** (p + 1) / (p + 1))

@@ -18,26 +18,26 @@ from processing.fit.ground import Ground, GroundFit
 from processing.least_squares import Loss
 from processing.quantity import PLAIN, Quantity
 
-READING = "swings"
-"""Name of a term: the measurement of the turning points, on ground at rest."""
-PLACE = "position_errors"
-"""Name of another: errors of position that are fixed on the sensor, as their correction leaves them."""
-MISFIT = "misfit"
-"""Name of another: how far the law lies from the decay."""
-STEP = "friction_step"
-"""Name of another: a step of the friction during the run that may be there."""
+MEASUREMENT = "swings"
+"""Name of a fit's term: the measurement of the turning points, on ground at rest."""
+FIXED_PATTERN = "position_errors"
+"""Name of a fit's term: what the correction leaves of the fixed-pattern position errors of the sensor."""
+DISCREPANCY = "misfit"
+"""Name of a fit's term: the discrepancy of the law from the decay."""
+FRICTION_STEP = "friction_step"
+"""Name of a fit's term: a possible step of the friction during the run that was not found."""
 FITTED_DRIFTS = "drifts"
-"""Name of another: drifts of contact, air and period that were fitted about zero."""
-STEEPER = "steeper_drag"
-"""Name of another: a drag with the 3/2 power of the speed that the data ask for."""
+"""Name of a fit's term: drifts of contact, air and period that were fitted about zero."""
+BOUNDARY_LAYER = "steeper_drag"
+"""Name of a fit's term: a boundary layer's drag, with the 3/2 power of the speed, that the data show."""
 
-MISFIT_SEEN = 10.0
-"""Difference of -2 ln L from a law without errors above which they are seen: chance about 0.3 %."""
+DISCREPANCY_SEEN = 10.0
+"""Difference of -2 ln L from a law without errors above which a discrepancy is seen: chance about 0.3 %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiscrepancySize:
-    """How far a law lies from a decay.
+    """Size of a law's discrepancy from a decay.
 
     Attributes
     ----------
@@ -58,11 +58,11 @@ class DiscrepancySize:
 
     @property
     def seen(self) -> bool:
-        return self.against_law > MISFIT_SEEN
+        return self.against_law > DISCREPANCY_SEEN
 
 
 class ChangeKind(StrEnum):
-    """What changed during a run."""
+    """Kind of a change during a run."""
 
     KNOCK = "knock"
     FRICTION = "friction"
@@ -87,8 +87,8 @@ class Change:
 
     @property
     def text(self) -> str:
-        """In one line."""
-        # no power of ten above 100 %
+        """The change in one line."""
+        # rounded and then printed with :g, so that 120 % is no 1.2e+02 %
         percent, u = float(f"{100 * self.size:.2g}"), float(f"{100 * self.u_size:.1g}")
         what = {
             ChangeKind.KNOCK: f"a knock moves the swing by {percent:g} ± {u:g} % of its amplitude",
@@ -105,7 +105,7 @@ _SIGNIFICANT = 0.003
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryLayerDrag:
-    """The moment ``-m g R steeper |phi'|^0.5 phi'`` beside what was fitted.
+    """A boundary layer's drag, moment ``-m g R steeper |phi'|^0.5 phi'``, in addition to a fit's law.
 
     `share` is its loss over that of the linear drag at the first amplitude, `p_value` the probability of so
     large a value without it. `relative_shift_b` and `shift_drag_s` are the changes of b and of the linear
@@ -123,7 +123,7 @@ class BoundaryLayerDrag:
 
     @property
     def seen(self) -> bool:
-        """Whether the data ask for it."""
+        """Whether the data show it."""
         return self.p_value < _SIGNIFICANT
 
 
@@ -154,7 +154,7 @@ class Whiteness:
 
 @dataclass(frozen=True, kw_only=True)
 class FitQuality:
-    """How well one fit describes its decay, and what is to be said of it.
+    """Quality of one fit: how well it describes its decay, its findings and warnings.
 
     Attributes
     ----------
@@ -172,18 +172,18 @@ class FitQuality:
         How far Eqs. 5 and 6 lie from the exact map where both describe one free decay, the exact fit's;
         None for the exact fit, or if it is not known.
     ground
-        How strongly the ground drove the pendulum; None for a fit that does not ask.
+        How strongly the ground drove the pendulum; None for a fit that does not estimate it.
     whiteness
         Test whether the residuals are correlated.
     misfit
-        How far the law lies from the decay; None for a fit that does not ask.
+        The law's discrepancy from the decay; None where it was not estimated.
     changes
-        Events during the run after which something was another one.
+        Events during the run: knocks, and steps of friction or period.
     worth
-        By how many times larger each uncertainty would be without the waveform, or without what is known of
-        the air; empty where there is neither.
+        By how many times larger each uncertainty would be without the waveform, or without the prior of the
+        air; empty where there is neither.
     steeper
-        What the fit leaves of a drag with the 3/2 power of the speed; None where nobody asked.
+        Boundary layer's drag in addition to the fit; None where it was not estimated.
     outliers
         Indices of half-cycles with a residual of amplitude or time above 5 standard uncertainties.
     warnings
@@ -228,13 +228,15 @@ class FitResult(FitQuality):
     half_cycles
         Number of turning points fitted, counted from the first; 0 if it is not known.
     ground
-        As `FitQuality` has it, with its likelihood.
+        That of `FitQuality`, with its likelihood.
+    widened
+        Factor by which each standard uncertainty exceeds that by the likelihood; None where nothing did.
     terms
-        What the covariance is made of, as far as it has a name: of each term the changes (values, m) of the
-        values for one standard uncertainty of each of its m independent coordinates, infinite where nothing
-        determines them. What no term names is the drive's of the ground.
+        Named parts of the covariance: of each term the changes (values, m) of the values by one standard
+        uncertainty of each of its m independent coordinates, infinite where nothing determines them. The rest
+        of the covariance is by the drive of the ground.
     evidence
-        What restrained the fit beside the turning points.
+        Evidence that restrained the fit in addition to the turning points.
     """
 
     method: FitMethod
@@ -261,17 +263,17 @@ class FitResult(FitQuality):
         return np.sqrt(np.diag(self.covariance))
 
     def part(self, *names: str) -> Floats:
-        """Covariance of the values by some terms; nothing where the fit has none of them."""
+        """Covariance of the values by some terms; zeros where the fit has none of them."""
         return part_of(self.terms, len(self.names), *names)
 
     def with_term(self, name: str, by: Floats, *warnings: str, **said: Any) -> "FitResult":
-        """The fit with one term more: covariance and table hold it, and `said` are fields of `FitQuality`.
+        """The fit with one further term in covariance and `terms`; `said` are fields of `FitQuality` to set.
 
-        `by` are changes as `terms` has them; where a value is not determined it remains so.
+        `by` are changes as in `terms`; a value that is not determined remains so.
         """
         wide = by.shape[1] > len(self.names)
         if wide:
-            # as many coordinates as there are values say the same
+            # as many coordinates as there are values have the same covariance
             by = np.asarray(np.linalg.qr(by.T)[1].T, dtype=np.float64)
         known = np.isfinite(np.diag(self.covariance))
         added = np.where(np.outer(known, known), by @ by.T, 0.0)
@@ -367,8 +369,8 @@ def part_of(terms: Mapping[str, Floats], count: int, *names: str) -> Floats:
     return out
 
 
-def changes_of(covariance: Floats) -> Floats:
-    """Independent changes (values, m) that have a covariance; infinite where that is."""
+def independent_changes(covariance: Floats) -> Floats:
+    """Independent changes (values, m) whose squares sum to a covariance; infinite where that is."""
     size: Floats = np.sqrt(np.diag(covariance))
     known = [i for i, one in enumerate(size.tolist()) if 0 < one < np.inf]
     out = np.zeros((len(size), max(1, len(known))))

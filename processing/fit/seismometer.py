@@ -1,7 +1,7 @@
-"""The exact fit with a witness of the ground: what it explains of the drive is taken off, where that pays.
+"""The exact fit with an auxiliary seismometer, whose part of the drive is taken off where predictions gain.
 
 A record that has nothing to do with the ground under the rig must not help. Gains are judged by half-cycles
-that they were not fitted to: with those of an unrelated record the predictions of the others become worse.
+that they were not fitted to: gains of an unrelated record make the predictions of those worse.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,34 +17,34 @@ from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit.exact import fit_exact
 from processing.fit.result import FitResult
-from processing.fit.seismometer_spectra import SeismometerSpectra, spectra_of
+from processing.fit.seismometer_spectra import SeismometerSpectra, seismometer_spectra
 from processing.fit.seismometer_terms import (
     PAIR,
     SLOPES,
-    Clock,
-    Drives,
-    Kind,
-    Terms,
-    Witness,
-    clock_of,
-    found_offset,
+    ClockCorrection,
+    Seismogram,
+    SignalDrives,
+    SignalKind,
+    SignalTerms,
+    best_offset,
+    clock_correction,
     gain_of_prediction,
-    started,
+    with_start_gains,
 )
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
 
 PAYS = 12.0
-"""Fall of -2 ln L of half-cycles that gains were not fitted to, from which on they are used. With an
-unrelated witness it rises, by about 2 for each gain."""
+"""Fall of -2 ln L, of half-cycles that gains were not fitted to, above which the gains are used. With an
+unrelated seismometer -2 ln L rises, by about 2 for each gain."""
 _FEWEST = 0.2
-"""Share of the half-swings that the witness has to cover."""
+"""Share of the half-swings that the seismometer has to cover."""
 _CORRECTIONS = 10
-"""Most times that a clock is corrected; each brings it nearer by a tenth of a second or by half."""
+"""Most corrections of a clock; each reduces its error by a tenth of a second or by half."""
 
 
 class SeismometerVerdict(StrEnum):
-    """Whether a witness was used."""
+    """Whether an auxiliary seismometer was used, and why not."""
 
     USED = "used"
     NO_GAIN = "refused: it explains nothing of the pendulum's motion"
@@ -53,10 +53,10 @@ class SeismometerVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """Response of the pendulum's angular acceleration to one component of a witness, at its frequency.
+    """Response of the pendulum's angular acceleration to a seismometer's component, at its frequency.
 
-    `gain` is in rad/s^2 per unit of the witness; `phase_rad` is the lead of the drive over it, with
-    deflections positive at the first turning point.
+    `gain` is in rad/s^2 per unit of the component; `phase_rad` is the lead of the drive over it, with
+    deflections positive at the first turning point. `with_slope` is whether both may change with frequency.
     """
 
     name: str
@@ -69,7 +69,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeismometerUse:
-    """What a witness of the ground revealed about a run.
+    """Use of an auxiliary seismometer in the fit of a run.
 
     Attributes
     ----------
@@ -80,18 +80,18 @@ class SeismometerUse:
     explained
         Share of the drive's power at the pendulum's frequency that it explains: the squared coherence.
     ground_alone, ground_left
-        Densities of the drive without the witness, and of the remainder, rad/s^2/sqrt(Hz).
+        Densities of the drive without the seismometer, and of the remainder, rad/s^2/sqrt(Hz).
     missing_half_cycles
-        Half-swings without a witness; the drive is unknown in them.
+        Half-swings that the seismometer does not cover; the drive is unknown in them.
     offset_s, offsets_tried
-        Offset added to the witness's times if it was searched for, and the number of offsets tried.
+        Offset added to the seismometer's times if it was searched for, and the number of offsets tried.
     delay_s, clock_drift
         Further correction of these times, in s and in s per second from the middle of the run, as the run
         shows it; it was applied if it exceeds four standard uncertainties.
     saved
         Factor by which the uncertainty of each parameter is smaller.
     spectra
-        Of the drive before and after, and its coherence with the witness's prediction.
+        Spectra of the drive before and after, and its coherence with the seismometer's prediction.
     """
 
     source: str = ""
@@ -115,22 +115,22 @@ class SeismometerUse:
     def used(self) -> bool:
         return self.verdict is SeismometerVerdict.USED
 
-    def beside(self, alone: FitResult, fit: FitResult) -> "SeismometerUse":
-        """The same with what the witness saved of a fit's uncertainties, beside those of one without it."""
+    def with_saved(self, alone: FitResult, fit: FitResult) -> "SeismometerUse":
+        """The same with `saved`: the uncertainties of a fit `alone` over those of the fit with it."""
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = alone.standard_uncertainty / fit.standard_uncertainty
         saved = dict(zip(fit.names, ratio.tolist(), strict=True))
         return replace(self, saved={name: saved[name] for name in fit.contact_names})
 
 
-def use_of(
+def accepted_use(
     use: SeismometerUse,
     alone: FitResult,
     fit: FitResult,
     names: Sequence[str],
-    chosen: Sequence[tuple[int, Kind]],
+    chosen: Sequence[tuple[int, SignalKind]],
 ) -> SeismometerUse:
-    """With what an accepted fit says; `names` are those of the components."""
+    """The use with the results of an accepted fit; `names` are those of the components."""
     assert alone.ground is not None
     assert fit.ground is not None
     drive = fit.evidence.drive
@@ -138,7 +138,7 @@ def use_of(
     assert drive.covariance is not None
     responses = []
     for component in sorted({component for component, _ in chosen}):
-        first = list(chosen).index((component, Kind.GAIN))
+        first = list(chosen).index((component, SignalKind.GAIN))
         a, b = drive.gains[first], -drive.gains[first + 1]
         gain = hypot(a, b)
         covariance = drive.covariance[first : first + 2, first : first + 2] * np.array([[1, -1], [-1, 1]])
@@ -150,14 +150,14 @@ def use_of(
                 u_gain=float(np.sqrt(along @ covariance @ along)),
                 phase_rad=atan2(b, a),
                 u_phase_rad=float(np.sqrt(across @ covariance @ across)) / gain,
-                with_slope=(component, Kind.SLOPE) in chosen,
+                with_slope=(component, SignalKind.SLOPE) in chosen,
             )
         )
     left = fit.ground.density_rad_per_s2_rthz
     known = float(np.mean((drive.steps[0][~drive.missing] @ drive.gains) ** 2))
     step = fit.ground.noise.step
     return replace(
-        use.beside(alone, fit),
+        use.with_saved(alone, fit),
         verdict=SeismometerVerdict.USED,
         explained=float(known / (known + step**2)),
         ground_left_rad_per_s2_rthz=left,
@@ -167,31 +167,31 @@ def use_of(
 
 @dataclass(frozen=True)
 class SeismometerFit:
-    """A fit with a witness; without it, where it was refused."""
+    """A fit with an auxiliary seismometer, or without it where it was refused, and its use."""
 
     fit: FitResult
     use: SeismometerUse
 
 
-def fit_with_witness(
+def fit_with_seismometer(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
-    witness: Witness,
+    witness: Seismogram,
     alone: FitResult,
     *,
     averaged: bool = True,
     offset_known: bool = True,
 ) -> SeismometerFit:
-    """Fit the exact map with what a witness tells of the ground.
+    """Fit the exact map with an auxiliary seismometer.
 
     Parameters
     ----------
     alone
-        The exact fit of these points without a witness; it is returned where the witness does not pay.
+        The exact fit of these points without it, which is returned where predictions do not gain.
     averaged
-        As `fit_exact` has it.
+        That of `fit_exact`.
     offset_known
-        The times of the witness are on the clock of the points, up to a fraction of a period. False: where
+        The seismometer's times are on the clock of the points, up to a fraction of a period. False: where
         they explain nothing as they stand, an offset is sought.
     """
     search = _Search(points.first(alone.half_cycles), pendulum, alone, averaged)
@@ -199,10 +199,10 @@ def fit_with_witness(
     if found.use.used or offset_known:
         return found
     try:
-        offset = found_offset(search.points, pendulum, witness, alone, averaged=averaged)
+        offset = best_offset(search.points, pendulum, witness, alone, averaged=averaged)
     except DataError as error:
         return replace(found, use=replace(found.use, reason=str(error)))
-    # the best of many is better than one by chance
+    # the best of many offsets gains by chance, so that more is asked of it
     found = search.with_corrected_clock(witness.delayed(offset.by_s), PAYS + 2 * log(offset.tried))
     return replace(
         found,
@@ -211,10 +211,10 @@ def fit_with_witness(
 
 
 class _TermSelection(NamedTuple):
-    """A fit with some terms, and by how much they made predictions better."""
+    """A fit with some of the seismometer's terms, and its gain of prediction by them."""
 
     fit: FitResult
-    chosen: Terms
+    chosen: SignalTerms
     gain: float
 
 
@@ -225,8 +225,8 @@ class _Search:
     alone: FitResult
     averaged: bool
 
-    def with_corrected_clock(self, witness: Witness, pays: float) -> SeismometerFit:
-        """The fit with the witness, its clock corrected where the run shows it to be wrong.
+    def with_corrected_clock(self, witness: Seismogram, pays: float) -> SeismometerFit:
+        """The fit with the seismometer, its clock corrected where the run shows an error of it.
 
         A slope of the phase is a delay. The clock is therefore corrected before slopes are fitted.
         """
@@ -236,7 +236,7 @@ class _Search:
         for left in reversed(range(_CORRECTIONS + 1)):
             moved = witness.delayed(delay_s, drift, middle_s)
             try:
-                drives = Drives(self.points, moved, averaged=self.averaged)
+                drives = SignalDrives(self.points, moved, averaged=self.averaged)
             except DataError as error:
                 return SeismometerFit(
                     self.alone, SeismometerUse(verdict=SeismometerVerdict.ABSENT, reason=str(error))
@@ -254,8 +254,8 @@ class _Search:
             found = self._with(drives, _TermSelection(self.alone, [], 0.0), PAIR, pays)
             if not found.chosen:
                 return SeismometerFit(self.alone, replace(use, gain_of_prediction=found.gain))
-            clock = clock_of(self.points, self.pendulum, found.fit, drives, found.chosen)
-            said = Clock(
+            clock = clock_correction(self.points, self.pendulum, found.fit, drives, found.chosen)
+            said = ClockCorrection(
                 Estimate(delay_s + clock.delay_s.value, clock.delay_s.standard_uncertainty),
                 Estimate(drift + clock.drift.value, clock.drift.standard_uncertainty),
             )
@@ -264,17 +264,17 @@ class _Search:
             delay_s, drift = said.delay_s.value, said.drift.value
         found = self._with(drives, found, SLOPES, pays)
         use = replace(use, gain_of_prediction=found.gain, delay_s=said.delay_s, clock_drift=said.drift)
-        use = use_of(use, self.alone, found.fit, drives.names, found.chosen)
+        use = accepted_use(use, self.alone, found.fit, drives.names, found.chosen)
         return SeismometerFit(
-            found.fit, replace(use, spectra=spectra_of(self.points, self.pendulum, found.fit))
+            found.fit, replace(use, spectra=seismometer_spectra(self.points, self.pendulum, found.fit))
         )
 
     def _with(
-        self, drives: Drives, accepted: _TermSelection, kinds: tuple[Kind, ...], pays: float
+        self, drives: SignalDrives, accepted: _TermSelection, kinds: tuple[SignalKind, ...], pays: float
     ) -> _TermSelection:
-        """With those components whose terms of these kinds pay as well, the best one first.
+        """The selection with further components whose terms of these kinds pay, the best one first.
 
-        Of slopes, those of components that are used. Where none is, the gain is that of the best.
+        Slopes are added only to components in use. Where nothing is selected, the gain is that of the best.
         """
         used = sorted({component for component, _ in accepted.chosen})
         left = used if kinds is SLOPES else list(range(len(drives.names)))
@@ -290,14 +290,18 @@ class _Search:
         return accepted
 
     def _gain(
-        self, drives: Drives, accepted: _TermSelection, component: int, kinds: tuple[Kind, ...]
+        self,
+        drives: SignalDrives,
+        accepted: _TermSelection,
+        component: int,
+        kinds: tuple[SignalKind, ...],
     ) -> float:
         more = [(component, kind) for kind in kinds]
         return gain_of_prediction(self.points, self.pendulum, accepted.fit, drives, accepted.chosen, more)
 
-    def fitted_with(self, near: FitResult, drives: Drives, chosen: Terms) -> FitResult:
-        """The exact fit with some terms, sought from an earlier one with the first of them."""
-        drive = started(drives, near, chosen)
+    def fitted_with(self, near: FitResult, drives: SignalDrives, chosen: SignalTerms) -> FitResult:
+        """The exact fit with some terms, started at an earlier fit with the first of them."""
+        drive = with_start_gains(drives, near, chosen)
         return fit_exact(
             self.points,
             self.pendulum,

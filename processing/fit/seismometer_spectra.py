@@ -1,8 +1,8 @@
-"""Spectra of what drove the pendulum, as its turning points show it and as a witness predicts it.
+"""Spectra of the drive of the pendulum, from its turning points and from an auxiliary seismometer.
 
 From one turning point to the next an acceleration f moves amplitude and time by two integrals
 (`known_drive`). Together they are one complex number, ``int f exp(-i w t) dt / w`` over the half-swing:
-f as heard at the pendulum's frequency, twice in a period. Its spectrum is that of f on both sides of that
+f demodulated at the pendulum's frequency, twice in a period. Its spectrum is that of f on both sides of that
 frequency.
 """
 
@@ -19,45 +19,45 @@ from processing.decay_summary import mean_period
 from processing.fit.ground import density_of_step
 from processing.fit.known_drive import KnownDrive
 from processing.fit.result import FitResult
-from processing.fit.seismometer_terms import at_fit, model_of
+from processing.fit.seismometer_terms import fitted_state, model_of
 from processing.quantity import Quantity
 from processing.swing import TurningPoints
 
 _LONGEST, _SHORTEST = 64, 16
-"""Half-swings of a stretch, of which each gives one spectrum."""
+"""Most and fewest half-swings of a stretch, which gives one spectrum."""
 _STRETCHES = 6
-"""Stretches that a run is divided into, where it is long enough: fewer tell no coherence."""
+"""Stretches into which a run is divided where it is long enough: fewer give no coherence."""
 _SHOWN = 0.5
 """Detuning, in the pendulum's frequencies, up to which spectra are given: beyond it the integral over a
-half-swing hears frequencies of the other side as well."""
+half-swing responds to frequencies of the other side as well."""
 _NEAR = 0.1
-"""Detuning within which one number is given for the coherence."""
+"""Detuning within which the coherence is averaged to one number."""
 _DRIVE = Quantity("", "", unit="rad/s^2/sqrt(Hz)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeismometerSpectra:
-    """Spectra near the pendulum's frequency, of one length; densities of angular acceleration.
+    """Spectral densities of angular acceleration near the pendulum's frequency, all of one length.
 
     Attributes
     ----------
     frequency_hz
         Rising, on both sides of the pendulum's.
     pendulum
-        What moved the pendulum from one turning point to the next, the noise of their measurement included.
+        Drive of the pendulum from one turning point to the next, the noise of their measurement included.
     witness
-        What the witness predicts of it.
+        Drive by the auxiliary seismometer's prediction.
     left
-        What remains of the pendulum's motion without that.
+        Drive of the pendulum less the prediction.
     measurement
-        What the stated uncertainties of the turning points alone would make.
+        Drive that the stated uncertainties of the turning points alone would feign.
     coherence
-        Squared coherence of the pendulum's motion with the prediction.
+        Squared coherence of the pendulum's drive with the prediction.
     stretches
-        Over how many stretches of the run the spectra are averaged. Things unrelated have a squared
-        coherence of about one over their number.
+        Number of stretches of the run over which the spectra are averaged. Unrelated signals have a squared
+        coherence of about one over this number.
     coherence_near
-        The squared coherence within a tenth of the pendulum's frequency, weighted by the pendulum's motion.
+        The squared coherence within a tenth of the pendulum's frequency, weighted by the pendulum's drive.
     """
 
     frequency_hz: Annotated[tuple[float, ...], Quantity("", "frequency", unit="Hz")] = ()
@@ -70,10 +70,10 @@ class SeismometerSpectra:
     coherence_near: Annotated[float, Quantity("", "squared coherence near the pendulum's frequency")] = nan
 
 
-def spectra_of(
+def seismometer_spectra(
     points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
 ) -> SeismometerSpectra | None:
-    """Of a fit with a witness; None for a run that is too short."""
+    """Spectra of a fit with an auxiliary seismometer; None for a run that is too short."""
     drive = fit.evidence.drive
     assert drive is not None
     halves = mean_period(points) / 2
@@ -97,13 +97,13 @@ def spectra_of(
     powers = [np.mean(np.abs(one) ** 2, axis=0) for one in (of_seen, of_witness, of_left)]
     cross = np.mean(of_seen * np.conj(of_witness), axis=0)
     nu = np.fft.fftshift(np.fft.fftfreq(length))
-    # a point's error is in the step to it and, the other way, in the step from it
+    # an error of a turning point is in the step to it and, with the other sign, in the step from it
     measured = _measurement(points) * 4 * np.sin(np.pi * nu) ** 2
     shown = np.abs(2 * nu) <= _SHOWN
     frequency = (1 + 2 * nu) / (2 * halves)
 
     def density(power: Floats) -> tuple[float, ...]:
-        # either quadrature has half of it
+        # either quadrature has half of the power
         unit = density_of_step(1.0, halves)
         return tuple((unit * np.sqrt(0.5 * power[shown])).tolist())
 
@@ -124,12 +124,12 @@ def spectra_of(
 def _steps(
     points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, drive: KnownDrive
 ) -> NDArray[np.complex128]:
-    """From each turning point, as measured, to the next: what law and drive do not say, as one number, rad.
+    """Complex step (rad) from each measured turning point to the next that law and drive do not explain.
 
-    A filter that takes each measurement as the state makes its innovations of that.
+    The steps are the innovations of a filter that takes each measurement as the state.
     """
     model = model_of(points, pendulum, fit, drive)
-    columns, noise = at_fit(model, fit)
+    columns, noise = fitted_state(model, fit)
     as_measured = np.tile([1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 1.0], (len(points), 1))
     found = model.filtered(columns, replace(noise, limit=np.inf), as_measured).residuals
     amplitude, time_s = np.split(-found, 2)
@@ -138,7 +138,7 @@ def _steps(
 
 
 def _usable(points: TurningPoints, drive: KnownDrive) -> Flags:
-    """Which turning points follow their neighbour by one half-swing that the witness saw."""
+    """Whether each turning point follows its neighbour by one half-swing that the seismometer covers."""
     after = np.diff(points.index, prepend=points.index[0] - 2) == 1
     return np.asarray(after & ~drive.missing[points.index - points.index[0]])
 
@@ -163,6 +163,6 @@ def _stretches(usable: Flags, length: int) -> list[slice]:
 
 
 def _measurement(points: TurningPoints) -> float:
-    """Variance of the one number that an error of a turning point makes, rad^2."""
+    """Variance of the complex step by the error of one turning point, rad^2."""
     of_time = 2 * np.pi / mean_period(points) * points.amplitude * points.u_time_s
     return float(np.mean(points.u_amplitude**2 + of_time**2))

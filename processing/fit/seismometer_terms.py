@@ -1,9 +1,9 @@
-"""What an auxiliary seismometer recorded, as terms beside an exact fit, and what they do to turning points.
+"""The signals of an auxiliary seismometer as terms of an exact fit, and the errors of its clock.
 
 The instrument's response is not known. Near the pendulum's frequency two numbers describe it: a gain, and one
 for the same record with every phase turned by a quarter; and two more where gain or phase change within the
-band over which a half-swing feels the ground. When it saw what moved the pendulum is fitted with them: an
-unknown offset of its clock, a delay and a drift.
+band over which a half-swing responds to the ground. Its clock is fitted with them: an unknown offset, a delay
+and a drift.
 """
 
 from collections.abc import Sequence
@@ -30,20 +30,20 @@ from processing.swing import TurningPoints
 _COARSEST = 0.25
 """Longest step between samples, in periods: a parabola through three of them still follows a swing."""
 _FINEST = 1 / 80
-"""Step, in periods, to which finer samples are averaged; it takes 3e-4 of the gain."""
+"""Step, in periods, to which finer samples are averaged, which reduces the gain by 3e-4."""
 _GAP = 1.6
-"""Steps between samples above which some are missing."""
+"""Distance of two samples, in median steps, above which samples are missing between them."""
 _GUARD = 0.5
-"""Periods beside a gap that what was put into it still changes."""
+"""Periods on either side of a gap that are not used, since the interpolation in the gap changes them."""
 _DRIFT = 1 / 8
-"""Frequency, in those of the pendulum, below which a record is its instrument's drift."""
+"""Frequency over the pendulum's below which a record is taken as its instrument's drift."""
 _PADDED = 16
 """Periods by which a record is mirrored at its ends."""
 
 
 @dataclass(frozen=True, eq=False)
-class Witness:
-    """Samples of an instrument beside the rig, or not far from it.
+class Seismogram:
+    """Samples of an auxiliary seismometer, near the rig or not far from it.
 
     Times (n,) in s on the clock of the turning points, rising; values (n, components) in any unit, NaN where
     missing; a name for each component.
@@ -53,18 +53,18 @@ class Witness:
     value: Floats
     names: tuple[str, ...]
 
-    def delayed(self, by_s: float, drift: float = 0.0, about_s: float = 0.0) -> "Witness":
-        """The same with times later by `by_s`, and by `drift` more for each second after `about_s`."""
+    def delayed(self, by_s: float, drift: float = 0.0, about_s: float = 0.0) -> "Seismogram":
+        """The same with times later by `by_s`, and by further `drift` for each second after `about_s`."""
         return replace(self, time_s=self.time_s + by_s + drift * (self.time_s - about_s))
 
-    def between(self, first_s: float, last_s: float) -> "Witness":
+    def between(self, first_s: float, last_s: float) -> "Seismogram":
         """The samples within these times."""
         low, high = np.searchsorted(self.time_s, (first_s, last_s)).tolist()
         return replace(self, time_s=self.time_s[low:high], value=self.value[low:high])
 
 
-class Kind(StrEnum):
-    """How a signal follows from a component."""
+class SignalKind(StrEnum):
+    """Kind of signal made of a seismometer's component."""
 
     GAIN = "gain"
     QUADRATURE = "quadrature"
@@ -72,12 +72,12 @@ class Kind(StrEnum):
     SLOPE_QUADRATURE = "slope of the quadrature"
 
 
-PAIR = (Kind.GAIN, Kind.QUADRATURE)
-SLOPES = (Kind.SLOPE, Kind.SLOPE_QUADRATURE)
+PAIR = (SignalKind.GAIN, SignalKind.QUADRATURE)
+SLOPES = (SignalKind.SLOPE, SignalKind.SLOPE_QUADRATURE)
 
 
-def signals_of(witness: Witness, period_s: float) -> Signals:
-    """Every component's four signals, in the order of `Kind`.
+def signals_of(witness: Seismogram, period_s: float) -> Signals:
+    """Every component's four signals, in the order of `SignalKind`.
 
     Raises DataError for samples that are too few or too far apart.
     """
@@ -105,13 +105,13 @@ def signals_of(witness: Witness, period_s: float) -> Signals:
     return Signals(time[usable], np.ascontiguousarray(found[usable]), _GAP * step_s)
 
 
-def plain_signals(witness: Witness, period_s: float) -> Signals:
-    """Every component as it is, but for its drift."""
-    return signals_of(witness, period_s).only([one * len(Kind) for one in range(len(witness.names))])
+def plain_signals(witness: Seismogram, period_s: float) -> Signals:
+    """Every component unchanged but for its drift, which is removed."""
+    return signals_of(witness, period_s).only([one * len(SignalKind) for one in range(len(witness.names))])
 
 
-def _even(witness: Witness, period_s: float) -> tuple[Floats, Floats, float]:
-    """Times, values (NaN where missing) and step of samples at one rate."""
+def _even(witness: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
+    """Times, values (NaN where missing) and step in s of the samples at an even rate."""
     time, value = witness.time_s, witness.value
     if len(time) < 3:
         raise DataError(f"the witness has {len(time)} samples beside the run: their times do not overlap")
@@ -137,32 +137,32 @@ def _even(witness: Witness, period_s: float) -> tuple[Floats, Floats, float]:
 
 
 def _near(lost: Flags, guard: int) -> Flags:
-    """Which samples are at most `guard` from a lost one."""
+    """Whether each sample is at most `guard` samples from a lost one."""
     count = np.concatenate([[0], np.cumsum(lost)])
     places = np.arange(len(lost))
     low, high = np.maximum(places - guard, 0), np.minimum(places + guard + 1, len(lost))
     return np.asarray(count[high] > count[low])
 
 
-Terms = Sequence[tuple[int, Kind]]
-"""Terms of a fit: of each the component's number and its kind."""
+SignalTerms = Sequence[tuple[int, SignalKind]]
+"""Terms of a fit: of each the component's number and the kind of its signal."""
 
 _BLOCKS = 10
 _MARGIN = 3.0
-"""Periods of the witness before and after the run that its signals need."""
+"""Periods of the seismometer's record before and after the run that its signals need."""
 _SHIFT = 0.02
 """Shift of the signals, in periods, for the derivative by their time."""
 _SPACING = 1 / 8
-"""Of offsets that are tried, in periods: gain and quadrature take up what is between."""
+"""Spacing of offsets that are tried, in periods: gain and quadrature take up the offset from the nearest."""
 _MOST_TRIED = 20_000
 _COVERED = 0.6
-"""Share of the half-swings that a witness has to cover at an offset that is tried."""
+"""Share of the half-swings that a seismometer has to cover at an offset that is tried."""
 
 
-class Drives:
-    """The signals of a witness and what they do to a run's turning points, by component and term."""
+class SignalDrives:
+    """The signals of a seismometer and the drive of a run's turning points by each, by component and kind."""
 
-    def __init__(self, points: TurningPoints, witness: Witness, *, averaged: bool) -> None:
+    def __init__(self, points: TurningPoints, witness: Seismogram, *, averaged: bool) -> None:
         self.period_s = mean_period(points)
         margin_s = _MARGIN * self.period_s
         beside = witness.between(points.time_s[0] - margin_s, points.time_s[-1] + margin_s)
@@ -171,25 +171,25 @@ class Drives:
         self._points, self._averaged = points, averaged
         self.every = known_drive(points, self.signals, averaged=averaged)
 
-    def of(self, terms: Terms) -> KnownDrive:
-        """That of some terms, each a component's number and its kind."""
+    def of(self, terms: SignalTerms) -> KnownDrive:
+        """The drive by some terms."""
         return self.every.only([place(*term) for term in terms])
 
     def later(self, by_s: float, stretched: float = 0.0) -> KnownDrive:
-        """All of them for signals that come later, and by a part of the time from the middle of the run."""
+        """The drive by all signals, later by `by_s` and by `stretched` a second from the run's middle."""
         time = self.signals.time_s
         middle = 0.5 * float(self._points.time_s[0] + self._points.time_s[-1])
         moved = replace(self.signals, time_s=time + by_s + stretched * (time - middle))
         return known_drive(self._points, moved, averaged=self._averaged)
 
 
-def place(component: int, term: Kind) -> int:
+def place(component: int, term: SignalKind) -> int:
     """Column of a term among the signals."""
-    return component * len(Kind) + list(Kind).index(term)
+    return component * len(SignalKind) + list(SignalKind).index(term)
 
 
-def started(drives: Drives, near: FitResult, chosen: Terms) -> KnownDrive:
-    """The terms with the gains that an earlier fit with the first of them found; the others at 0."""
+def with_start_gains(drives: SignalDrives, near: FitResult, chosen: SignalTerms) -> KnownDrive:
+    """The drive by some terms, the first with the gains of an earlier fit and the others at 0."""
     known = np.zeros(0) if near.evidence.drive is None else near.evidence.drive.gains
     return drives.of(chosen).with_gains(np.concatenate([known, np.zeros(len(chosen) - len(known))]))
 
@@ -197,45 +197,46 @@ def started(drives: Drives, near: FitResult, chosen: Terms) -> KnownDrive:
 def model_of(
     points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, drive: KnownDrive
 ) -> ExactModel:
-    """The model of a fit with a drive whose first gains are the fit's and whose others are 0."""
+    """The model of a fit with another known drive."""
     evidence = replace(fit.evidence, drive=drive)
     return ExactModel(points, pendulum, law=fit.law, drag=fit.has_drag, evidence=evidence)
 
 
-def at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
-    """Columns of a model, and its noise, where a fit ended."""
+def fitted_state(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
+    """Columns and noise of a model at the end of a fit."""
     assert fit.ground is not None
     columns = model.columns.from_physical({name: fit.estimate(name).value for name in model.names})
     return columns, replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
 
 
-def residuals_with(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats, Floats]:
+def residuals_at_fit(model: ExactModel, fit: FitResult) -> tuple[Floats, Floats, Floats]:
     """Whitened residuals at a fit, their derivatives by the gains of the drive and by the other columns."""
-    assert model.witnessed is not None
-    found = model.filtered(*at_fit(model, fit))
-    by_gains = found.jacobian[:, : model.witnessed.terms] / model.witnessed.unit
-    return found.residuals, by_gains, found.jacobian[:, model.witnessed.terms :]
+    assert model.known_drive is not None
+    found = model.filtered(*fitted_state(model, fit))
+    by_gains = found.jacobian[:, : model.known_drive.terms] / model.known_drive.unit
+    return found.residuals, by_gains, found.jacobian[:, model.known_drive.terms :]
 
 
 def gain_of_prediction(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
     fit: FitResult,
-    drives: Drives,
-    chosen: Terms,
-    more: Terms,
+    drives: SignalDrives,
+    chosen: SignalTerms,
+    more: SignalTerms,
 ) -> float:
-    """By how much -2 ln L of blocks of half-cycles falls with more terms, fitted to the other blocks."""
-    drive = started(drives, fit, [*chosen, *more])
-    residuals, by_gains, by_law = residuals_with(model_of(points, pendulum, fit, drive), fit)
+    """Fall of -2 ln L of blocks of half-cycles by further terms, each time fitted to the other blocks."""
+    drive = with_start_gains(drives, fit, [*chosen, *more])
+    residuals, by_gains, by_law = residuals_at_fit(model_of(points, pendulum, fit, drive), fit)
     fitted = np.column_stack([by_law, by_gains[:, : len(chosen)]])
     return cross_validated(residuals, by_gains[:, len(chosen) :], fitted)
 
 
 def cross_validated(residuals: Floats, candidates: Floats, fitted: Floats) -> float:
-    """Fall of the squares of residuals by candidates, each block's with what the others say.
+    """Fall of the sum of squared residuals by candidates whose coefficients are those of the other blocks.
 
-    Residuals of amplitudes and then of times; `fitted` (rows, columns) is what was fitted already.
+    Residuals (rows,) are those of amplitudes and then of times; `candidates` (rows, m) and `fitted` (rows,
+    columns) are derivatives, the latter of what was fitted before. -inf where one is not finite.
     """
     if not np.all(np.isfinite(candidates)) or not np.all(np.isfinite(residuals)):
         return -inf
@@ -251,27 +252,31 @@ def cross_validated(residuals: Floats, candidates: Floats, fitted: Floats) -> fl
     return fall
 
 
-class Clock(NamedTuple):
-    """What is to be added to a witness's times, in s, and in s per second from the middle of the run."""
+class ClockCorrection(NamedTuple):
+    """Correction to add to a seismometer's times, in s, and in s per second from the middle of the run."""
 
     delay_s: Estimate
     drift: Estimate
 
     @property
     def wrong(self) -> bool:
-        """Whether either is seen, at four standard uncertainties."""
+        """Whether delay or drift is seen, at four standard uncertainties."""
         return any(abs(one.value) > 4 * one.standard_uncertainty for one in self)
 
 
-def clock_of(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, drives: Drives, chosen: Terms
-) -> Clock:
-    """What a fit with some terms says of the witness's clock; gain and phase are free beside it.
+def clock_correction(
+    points: TurningPoints,
+    pendulum: PendulumOnBall | None,
+    fit: FitResult,
+    drives: SignalDrives,
+    chosen: SignalTerms,
+) -> ClockCorrection:
+    """Correction of the seismometer's clock by a fit with some terms, with free gain and phase.
 
-    A delay turns phases in proportion to the frequency. That the quadrature takes up at the pendulum's
-    frequency; what is left is how the phase changes within the band that a half-swing feels.
+    A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes that
+    up; the delay shows in the change of the phase within the band to which a half-swing responds.
     """
-    drive = started(drives, fit, chosen)
+    drive = with_start_gains(drives, fit, chosen)
     places = [place(*term) for term in chosen]
     by_s = _SHIFT * drives.period_s
     half_s = 0.5 * float(points.time_s[-1] - points.time_s[0])
@@ -287,34 +292,34 @@ def clock_of(
         drive.missing,
         np.concatenate([drive.gains, np.zeros(2)]),
     )
-    residuals, by_gains, by_law = residuals_with(model_of(points, pendulum, fit, both), fit)
+    residuals, by_gains, by_law = residuals_at_fit(model_of(points, pendulum, fit, both), fit)
     fitted = np.column_stack([by_law, by_gains[:, :-2]])
     found = solve(residuals, fitted, [Term("clock", by_gains[:, -2:])])
     u = np.sqrt(np.diag(found.covariance)) * found.scatter(fit.dof)
-    return Clock(*(Estimate(float(a), float(b)) for a, b in zip(found.values, u, strict=True)))
+    return ClockCorrection(*(Estimate(float(a), float(b)) for a, b in zip(found.values, u, strict=True)))
 
 
-class Offset(NamedTuple):
-    """What is to be added to a witness's times so that it explains most, and among how many it was sought."""
+class ClockOffset(NamedTuple):
+    """Offset to add to a seismometer's times so that it explains most, and how many were tried."""
 
     by_s: float
     tried: int
 
 
-def found_offset(
+def best_offset(
     points: TurningPoints,
     pendulum: PendulumOnBall | None,
-    witness: Witness,
+    witness: Seismogram,
     alone: FitResult,
     *,
     averaged: bool = True,
-) -> Offset:
+) -> ClockOffset:
     """The offset at which gain and quadrature of all components explain most of the pendulum's motion.
 
     Raises
     ------
     DataError
-        The witness is shorter than what it has to cover, or so long that its offset has to be stated.
+        The record is shorter than the part of the run to cover, or so long that its offset must be stated.
     """
     period_s = mean_period(points)
     signals = signals_of(witness, period_s)
@@ -348,11 +353,11 @@ def found_offset(
     coarse = lowest + step_s * np.arange(tried)
     best = float(coarse[int(np.argmax([explained(one) for one in coarse.tolist()]))])
     near = best + step_s * np.linspace(-1, 1, 17)
-    return Offset(float(near[int(np.argmax([explained(one) for one in near.tolist()]))]), tried)
+    return ClockOffset(float(near[int(np.argmax([explained(one) for one in near.tolist()]))]), tried)
 
 
 def _explained(model: ExactModel, alone: FitResult, drive: KnownDrive) -> float:
-    """Fall of the squares of the residuals by the gains of a drive."""
-    residuals, by_gains, by_law = residuals_with(model.with_drive(drive), alone)
+    """Fall of the sum of squared residuals by the gains of a drive."""
+    residuals, by_gains, by_law = residuals_at_fit(model.with_drive(drive), alone)
     law = FactoredJacobian(by_law)
     return float(np.sum((FactoredJacobian(law.left(by_gains)).directions.T @ law.left(residuals)) ** 2))

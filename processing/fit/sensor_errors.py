@@ -1,13 +1,14 @@
-"""Errors of the sensor that many turning points share: of place, of the row time, of all amplitudes.
+"""Errors of the sensor that many turning points share: of position, of the row time, of all amplitudes.
 
-An error of place moves the amplitudes of all half-cycles that pass it. Residuals of whole cycles find it but
-for what looks like a motion (`processing.position_map`); of the rest, the fitted law sees what no decay does.
+A fixed-pattern position error moves the amplitudes of all half-cycles that pass it. Residuals of whole cycles
+find it but for the part that looks like a motion (`processing.position_map`); of that part, the fitted law
+finds what no decay could be.
 
 Rows that are exposed in turn delay a spot by its place. Turning points lie on rows above and below that of
-rest, so their times alternate by an amount that is proportional to the amplitude; nothing that the pendulum
-does alternates so. What is found is taken off the times: the parameters are then those of a stated shutter.
-Where the half-cycles were fitted with what a shutter does to them, their times do not alternate; the swing
-then has a second harmonic in quadrature that goes with the square of the amplitude, as nothing else does.
+rest, so their times alternate by an amount that is proportional to the amplitude, which no motion of the
+pendulum does. The alternation is taken off the times: the parameters are then those of a stated shutter.
+Where the half-cycles were fitted with a shutter's effect, their times do not alternate; the swing then has a
+second harmonic in quadrature proportional to the square of the amplitude, which nothing else makes.
 """
 
 from dataclasses import dataclass, replace
@@ -19,25 +20,25 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.fit.reported import RigQuantities
-from processing.fit.result import PLACE, FitResult
+from processing.fit.result import FIXED_PATTERN, FitResult
 from processing.fit.terms import LinearisedFit, Term, TermSolution, solve
 from processing.number_text import with_uncertainty
 from processing.quantity import Quantity
 from processing.swing import ORDERS, SwingHarmonics, TurningPoints
 
 _FELT = 1e-3
-"""Largest error of an amplitude, in its uncertainties, below which a direction is left as it is."""
+"""Largest error of an amplitude, in its uncertainties, below which a coordinate keeps its prior."""
 _SECOND = ORDERS.index(2)
 _FEWEST = 8
 CERTAIN = 1e-6
 """Chance of so large an alternation, below which it is called a shutter's."""
 
 
-class PlaceErrors(NamedTuple):
-    """What a fit says of errors that it shares among its amplitudes.
+class PositionErrorFit(NamedTuple):
+    """Position errors that amplitudes share, by a fit.
 
-    `values` (m,) and `covariance` (m, m) are those of the coordinates, which were 0 and 1 before the fit.
-    `of_parameters` (values, m) are the changes that they add to the fit's values, see `FitResult.terms`.
+    `values` (m,) and `covariance` (m, m) are those of the coordinates, whose prior is 0 with the variance 1.
+    `of_parameters` (values, m) are their changes of the fit's values, see `FitResult.terms`.
     """
 
     values: Floats
@@ -45,9 +46,9 @@ class PlaceErrors(NamedTuple):
     of_parameters: Floats
 
 
-def place_errors(
+def fit_position_errors(
     points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, errors: Floats
-) -> PlaceErrors:
+) -> PositionErrorFit:
     """Errors and parameters that describe the turning points best together, near an exact fit.
 
     Parameters
@@ -62,20 +63,22 @@ def place_errors(
     by_errors = -at.by_points(amplitude=errors[: fit.half_cycles][:, felt])
     noise = 1.0
     for _ in range(2):
-        # what the errors of place do not explain of the scatter is noise
-        found = solve(at.residuals / noise, at.jacobian / noise, [Term(PLACE, by_errors / noise, 1.0)])
+        # the scatter that position errors do not explain is noise
+        found = solve(
+            at.residuals / noise, at.jacobian / noise, [Term(FIXED_PATTERN, by_errors / noise, 1.0)]
+        )
         noise *= found.scatter(fit.dof)
     values, covariance = np.zeros(len(felt)), np.eye(len(felt))
     values[felt], covariance[np.ix_(felt, felt)] = found.values, found.covariance
-    return PlaceErrors(values, covariance, at.to_physical @ found.by @ found.root)
+    return PositionErrorFit(values, covariance, at.to_physical @ found.by @ found.root)
 
 
-def by_sensor(at: LinearisedFit, rig: RigQuantities) -> dict[str, Floats]:
-    """Derivatives (parameters,) of the contact parameters by what is uncertain of row time and amplitudes.
+def sensor_derivatives(at: LinearisedFit, rig: RigQuantities) -> dict[str, Floats]:
+    """Derivatives (parameters,) of the contact parameters by row time and common amplitude, if uncertain.
 
     Turning points at the two ends of the swing lie on rows above and below that of rest: a row time wrong by
-    d makes the ones late by d times their distance in rows, the others as much early. Full periods keep
-    their lengths but for friction. Which end comes first is not known, and so the sign is not either. An
+    d delays those at one end by d times their distance in rows, and advances the others as much. Full periods
+    keep their lengths but for friction. Which end comes first is not known, and so the sign is not either. An
     error that all amplitudes share makes each as much too small.
     """
     points, out = at.points, {}
@@ -89,11 +92,11 @@ def by_sensor(at: LinearisedFit, rig: RigQuantities) -> dict[str, Floats]:
     return out
 
 
-def by_amplitude_errors(
+def amplitude_error_effects(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult, errors: Floats
 ) -> Floats:
-    """Changes (parameters,) of the contact parameters by errors that amplitudes share, one standard
-    uncertainty of all of them together.
+    """Changes (parameters,) of the contact parameters by one standard uncertainty of errors that amplitudes
+    share, all coordinates together.
 
     Parameters
     ----------
@@ -104,8 +107,7 @@ def by_amplitude_errors(
 
     Returns
     -------
-    By their sizes, the standard uncertainties of the parameters; signs are those of the coordinate that
-    changes them most.
+    Standard uncertainties of the parameters; their signs are those of the coordinate that changes them most.
     """
     at = LinearisedFit.of(points, pendulum, exact)
     moved = at.moved_by(at.by_points(amplitude=errors[: exact.half_cycles]))
@@ -116,7 +118,7 @@ def by_amplitude_errors(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alternation:
-    """How late turning points on one side are, over their amplitude; those on the other side are as early.
+    """Delay of turning points on one side over their amplitude; those on the other side are as much early.
 
     `chance` is that of an alternation at least so large where there is none.
     """
@@ -131,7 +133,7 @@ class Alternation:
 
     @property
     def taken_off_text(self) -> str:
-        """Of turning times that were corrected, in one line."""
+        """Remark, in one line, on turning times that were corrected."""
         size, u = abs(self.delay_s_per_rad), self.u_delay_s_per_rad
         return (
             "turning times at the two ends alternate as with a rolling shutter, but none is stated "
@@ -139,7 +141,7 @@ class Alternation:
         )
 
     def text(self, rad_per_px: float) -> str:
-        """Of a second harmonic, in one line; `rad_per_px` is the tilt that moves the spot by a pixel."""
+        """Remark, in one line, on a second harmonic; `rad_per_px` is the tilt that moves the spot by 1 px."""
         size, u = (1e6 * abs(value) * rad_per_px for value in (self.delay_s_per_rad, self.u_delay_s_per_rad))
         return (
             f"the swing's second harmonic is that of rows exposed in turn, {with_uncertainty(size, u)} µs "
@@ -147,35 +149,35 @@ class Alternation:
         )
 
 
-def delay_of_rows(harmonics: SwingHarmonics, period_s: float) -> Alternation:
-    """The delay by the place of the spot that the swing's second harmonic shows.
+def row_delay(harmonics: SwingHarmonics, period_s: float) -> Alternation:
+    """Delay in proportion to the place of the spot, from the swing's second harmonic.
 
     A delay by k phi makes ``-(k w A^2 / 2) sin(2 w t)`` of A cos(w t). A friction that differs between both
-    directions makes one that goes with the friction, A^p: it is fitted beside.
+    directions makes a second harmonic proportional to the friction, A^p, which is fitted as well.
     """
     amplitude, sine = harmonics.amplitude, harmonics.sine[:, _SECOND]
     if len(amplitude) < _FEWEST:
         return Alternation()
     u = np.sqrt(harmonics.covariance_sine[:, _SECOND, _SECOND])
     friction, delay = amplitude / u, np.pi / period_s * amplitude**2 / u
-    # the ground's part is in what the pieces scatter
+    # the scatter of the pieces contains the ground's part
     return _alternation(solve(sine / u, friction[:, None], [Term("delay", delay)]), len(sine) - 2)
 
 
 def sides(points: TurningPoints) -> Floats:
-    """1 and -1 for the half-cycles at one end of the swing and at the other."""
+    """1 for the half-cycles at one end of the swing, -1 for those at the other."""
     return np.asarray(1.0 - 2.0 * (points.index % 2))
 
 
-def alternation_of(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Alternation:
-    """The alternation of the times of an exact fit of these points, beside its parameters.
+def time_alternation(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Alternation:
+    """Alternation of the times of these points, estimated together with the parameters of an exact fit.
 
     Raises DataError for another method.
     """
     at = LinearisedFit.of(points, pendulum, fit)
     by_delay = -at.by_points(time_s=(sides(at.points) * at.points.amplitude)[:, None])
     found = at.solved(Term("delay", by_delay))
-    # what alternates is no noise, and a fit may have taken it for some
+    # the scatter is that without the alternation, which the fit may have taken for noise
     return _alternation(found, len(found.left) - at.jacobian.shape[1] - 1)
 
 
@@ -188,6 +190,6 @@ def _alternation(found: TermSolution, dof: int) -> Alternation:
 
 
 def without_alternation(points: TurningPoints, found: Alternation) -> TurningPoints:
-    """The turning points with their times as a shutter that exposes all rows at once would give them."""
+    """The turning points with the times that a shutter exposing all rows at once would give."""
     delay_s = found.delay_s_per_rad * sides(points) * points.amplitude
     return replace(points, time_s=points.time_s - delay_s)

@@ -1,10 +1,9 @@
-"""Terms beside a law: whatever moves the residuals of a fit linearly, estimated in one way.
+"""Terms in addition to a law: all effects that move the residuals of a fit linearly, estimated in one way.
 
 A fit that has ended is linear near its end: ``r + J d + E z`` for changes d of the law's coordinates and the
-coordinates z of terms, each with what is known of it before, about zero. Rows are in units of their scatter,
-everywhere. `solve` is the generalised least squares of that; `RestrictedLikelihood` is the restricted
-likelihood of
-how large groups of coordinates are.
+coordinates z of terms, each with its prior about zero. Rows are in units of their scatter, everywhere.
+`solve` is the generalised least squares of that; `RestrictedLikelihood` is the restricted likelihood of the
+sizes of groups of coordinates.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +17,7 @@ from processing.arrays import Floats
 from processing.contact import PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import FitMethod
-from processing.fit.exact_model import Errors, ExactModel
+from processing.fit.exact_model import ExactModel, LawErrors
 from processing.fit.ground import Noise
 from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian
@@ -27,20 +26,19 @@ from processing.swing import TurningPoints
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Term:
-    """One or more coordinates that move the residuals of a fit beside the law's.
+    """One or more coordinates that move the residuals of a fit in addition to the law's.
 
     Attributes
     ----------
     name
-        Of its line in the budget.
+        Name of the term's line in the budget.
     columns
         Derivatives (rows, m) of the residuals by the coordinates.
     prior
-        Standard uncertainty of each coordinate about zero before the data are seen; infinite where nothing is
-        known.
+        Prior standard uncertainty of each coordinate about zero; infinite where nothing is known.
     report
-        What a result does with it: its values `move` to where they are with the term, or stay and are as
-        uncertain as the term leaves them (`cover`).
+        Use by a result: its values `move` to those with the term, or they stay and their uncertainties
+        `cover` the term.
     """
 
     name: str
@@ -50,18 +48,19 @@ class Term:
 
 
 class TermSolution(NamedTuple):
-    """Coordinates of terms, in the order in which they were given, and what they do to the law's.
+    """Coordinates of terms, in the order in which they were given, and their effect on the law's.
 
     Attributes
     ----------
     values, covariance
-        Of the coordinates, (m,) and (m, m); infinite where neither data nor a prior determine one.
+        Values (m,) and covariance (m, m) of the coordinates; infinite where neither data nor a prior
+        determine one.
     root
-        Of the covariance, (m, k).
+        Root (m, k) of the covariance.
     moved
-        Change (n,) of the law's coordinates from where they are to where they are with the terms.
+        Change (n,) of the law's coordinates by the terms.
     by
-        Changes (n, m) of the law's coordinates for a unit of each coordinate that is in the data.
+        Derivatives (n, m) of the fitted law's coordinates by those of the terms.
     left
         Residuals that neither law nor terms explain.
     """
@@ -74,15 +73,15 @@ class TermSolution(NamedTuple):
     left: Floats
 
     def scatter(self, dof: int) -> float:
-        """Standard deviation of what is left where that is above the stated one, 1."""
+        """Standard deviation of the residuals, at least the stated one, 1."""
         return sqrt(max(1.0, float(self.left @ self.left) / dof))
 
 
 def solve(residuals: Floats, jacobian: Floats, terms: Sequence[Term]) -> TermSolution:
     """Terms and law together, by generalised least squares near the end of a fit.
 
-    Rows with a value that is not finite are left out. ``z = -(E^T P E + prior^-2)^-1 E^T P r``, where P takes
-    off what the law's coordinates can take up.
+    Rows with a value that is not finite are left out. ``z = -(E^T P E + prior^-2)^-1 E^T P r``, where P
+    projects out the directions of the law's coordinates.
     """
     columns = np.column_stack([term.columns for term in terms])
     prior = np.concatenate([np.broadcast_to(term.prior, _width(term.columns)) for term in terms])
@@ -108,19 +107,19 @@ def _width(columns: Floats) -> int:
 
 
 class RestrictedLikelihood:
-    """Restricted likelihood of the sizes of groups of independent coordinates beside a law.
+    """Restricted likelihood of the sizes of groups of independent coordinates in addition to a law.
 
     Parameters
     ----------
     residuals, jacobian
-        Of the law, in units of their scatter.
+        Residuals of the law in units of their scatter, and their derivatives by its coordinates.
     groups
         Derivatives (rows, m) of the residuals by the coordinates of each group, for the size 1.
 
     Attributes
     ----------
     law, left
-        The law's derivatives, and the residuals that it leaves.
+        The law's derivatives, factored, and the residuals that it leaves.
     """
 
     def __init__(self, residuals: Floats, jacobian: Floats, groups: Sequence[Floats] = ()) -> None:
@@ -128,19 +127,19 @@ class RestrictedLikelihood:
         self.left = self.law.left(residuals)
         self.groups = np.repeat(np.arange(len(groups)), [group.shape[1] for group in groups])
         columns = np.column_stack(groups) if len(groups) else np.zeros((len(residuals), 0))
-        self._beside = self.law.left(columns)
-        self._gram, self._score = self._beside.T @ self._beside, self._beside.T @ self.left
+        self._projected = self.law.left(columns)
+        self._gram, self._score = self._projected.T @ self._projected, self._projected.T @ self.left
         self._of_law = self.law.log_det + float(self.left @ self.left)
 
     def deviance(self, sizes: Floats) -> float:
-        """-2 ln L with groups of these sizes, up to what depends on the weights of the rows alone."""
+        """-2 ln L with groups of these sizes, up to a part of the rows' weights alone."""
         return float(self.deviances(sizes, 0, sizes[:1])[0]) if len(sizes) else self._of_law
 
     def deviances(self, sizes: Floats, group: int, tried: Floats) -> Floats:
-        """The same for every size tried of one group, the others having theirs."""
+        """-2 ln L for every size `tried` of one group, with the other groups at their `sizes`."""
         own = self.groups == group
         size = sizes[self.groups[~own]]
-        # the other groups are taken off, what remains of this one is diagonal in its own directions
+        # without the other groups' part, this group's matrix is diagonal in its own directions
         inner = np.eye(len(size)) + self._gram[np.ix_(~own, ~own)] * np.outer(size, size)
         root = np.linalg.cholesky(inner)
         across = np.column_stack([self._gram[np.ix_(~own, own)], self._score[~own]]) * size[:, None]
@@ -157,20 +156,20 @@ class RestrictedLikelihood:
         """Residuals that neither law nor groups of these sizes explain."""
         size = sizes[self.groups]
         inner = np.eye(len(size)) + self._gram * np.outer(size, size)
-        return np.asarray(self.left - self._beside @ (size * np.linalg.solve(inner, self._score * size)))
+        return np.asarray(self.left - self._projected @ (size * np.linalg.solve(inner, self._score * size)))
 
 
 class DrivenRows(NamedTuple):
-    """Rows for a drive of the ground, of turning points that scatter as stated and of evidence.
+    """Residuals of a fit for some drive of the ground: those of turning points, then those of evidence.
 
     Attributes
     ----------
     residuals, jacobian, by_errors
-        (rows,), and their derivatives by the law's coordinates and by errors of the law.
+        Residuals (rows,), and their derivatives by the law's coordinates and by errors of the law.
     log_det
         ln det of the covariance of the rows of the turning points.
     points
-        How many rows are those of turning points.
+        Number of rows of turning points.
     """
 
     residuals: Floats
@@ -180,7 +179,7 @@ class DrivenRows(NamedTuple):
     points: int
 
     def in_scatter(self, scale: float) -> "DrivenRows":
-        """Where turning points scatter `scale` times as much: the rows in units of that."""
+        """The rows in units of their scatter where turning points scatter `scale` times as much as stated."""
         weight = np.ones((len(self.residuals), 1))
         weight[: self.points] = 1.0 / scale
         return DrivenRows(
@@ -218,7 +217,7 @@ class LinearisedFit:
 
     @classmethod
     def of(cls, points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> "LinearisedFit":
-        """That of a fit of these points; raises DataError for another method than the exact one."""
+        """The linearised fit of these points; raises DataError for another method than the exact one."""
         if fit.method is not FitMethod.EXACT or fit.ground is None:
             raise DataError(f"the {fit.method} fit has no residuals beside which a term can stand")
         model, coordinates = ExactModel.of(points, pendulum, fit)
@@ -229,7 +228,7 @@ class LinearisedFit:
 
     @property
     def points(self) -> TurningPoints:
-        """Those of the fit."""
+        """Turning points of the fit."""
         return self.model.points
 
     @property
@@ -238,13 +237,13 @@ class LinearisedFit:
         physical = self.model.columns.physical(self.coordinates)[0]
         return dict(zip(self.model.names, physical.tolist(), strict=True))
 
-    def driven(self, noise: Noise, errors: Errors | None = None) -> DrivenRows:
-        """The rows for another drive, and what errors of the law do to them.
+    def driven(self, noise: Noise, errors: LawErrors | None = None) -> DrivenRows:
+        """The rows for another drive, with their derivatives by errors of the law.
 
         They are NaN where the filter has no value.
         """
         found = self.model.filtered(self.coordinates, noise, errors=errors)
-        beside, by_law = self.model.beside(self.coordinates)
+        beside, by_law = self.model.evidence_rows(self.coordinates)
         law, points = len(self.coordinates), len(found.residuals)
         by_errors = np.zeros((points + len(beside), found.jacobian.shape[1] - law))
         by_errors[:points] = found.jacobian[:, law:]
@@ -270,13 +269,13 @@ class LinearisedFit:
             return -np.concatenate([of_amplitudes, of_times, beside]) / self.scale
         changes = []
         for by_amplitude, by_time in zip(relative.T, time_s.T, strict=True):
-            # a small step: a filter with a limit is linear only there
+            # a small step, since a filter with a limit is linear only near its values
             felt = max(
                 float(np.max(np.abs(by_amplitude / model.u_amplitude))),
                 float(np.max(np.abs(by_time / points.u_time_s))),
             )
             step = _SMALL / max(felt, 1e-300)
-            moved = model.measuring_more(step * by_amplitude, step * by_time)(self.coordinates)[0]
+            moved = model.with_larger_measurements(step * by_amplitude, step * by_time)(self.coordinates)[0]
             changes.append((moved / self.scale - self.residuals) / step)
         return np.asarray(changes, dtype=np.float64).T
 
@@ -287,7 +286,7 @@ class LinearisedFit:
         `waveform` is added to the law's own values for the waveform that belongs to a size of 1.
         """
         _, lost = self.model.losses(self.coordinates)
-        further = Errors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 1)))
+        further = LawErrors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 1)))
         found = self.model.filtered_here(self.coordinates, errors=further)
         of_points = found.jacobian[:, -2] / self.scale
         before = self.model.evidence_residuals(self.coordinates)
@@ -300,15 +299,15 @@ class LinearisedFit:
         return -moved[[self.fit.names.index(name) for name in self.fit.contact_names]]
 
     def solved(self, *terms: Term) -> TermSolution:
-        """Terms beside the law."""
+        """The terms and the law together, near the end of the fit."""
         return solve(self.residuals, self.jacobian, terms)
 
-    def described(self, *terms: Term) -> FitResult:
-        """The fit with terms: each is a line of its table, and of the budget.
+    def with_terms(self, *terms: Term) -> FitResult:
+        """The fit with terms, each a line in `FitResult.terms` and in the budget.
 
-        Terms that `move` the values are found together, those that `cover` what they may do together as well.
-        What two of them do in common stands with the first. Raises DataError for a term of which neither the
-        data nor a prior say anything.
+        Terms that `move` the values are solved together, and so are those that `cover` their effect. An
+        effect that two of them share counts with the first. Raises DataError for a term that neither the data
+        nor a prior determine.
         """
         fit = self.fit
         for report in ("move", "cover"):

@@ -10,27 +10,21 @@ import numpy as np
 from processing.arrays import Floats
 from processing.contact.laws import DRAG
 from processing.fit.evidence import AIR
-from processing.fit.reported import (
-    OUTPUTS,
-    FittedContact,
-    InputQuantity,
-    RigQuantities,
-    reported_quantities,
-)
-from processing.fit.result import READING
+from processing.fit.reported import OUTPUTS, FittedContact, InputQuantity, RigQuantities, reported_quantities
+from processing.fit.result import MEASUREMENT
 from processing.quantity import OF, OWN, PART, PER, Quantity
 
 GROUND = "ground"
-"""Name of what no term of a fit explains of its uncertainty: the ground's drive."""
+"""Name of the part of a fit's uncertainty that no term explains: that by the drive of the ground."""
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetSource:
     """Contribution of one source to the uncertainty of one quantity.
 
-    `type` is A from the data, B stated. `sensitivity` is the derivative of the quantity by the source (NaN
-    for the fit, which has several parameters), `contribution` the resulting standard uncertainty in the
-    quantity's unit, and `share` its fraction of the combined variance.
+    `type` is A for a source estimated from the data, B for a stated one. `sensitivity` is the derivative of
+    the quantity by the source (NaN for the fit, which has several parameters), `contribution` the resulting
+    standard uncertainty in the quantity's unit, and `share` its fraction of the combined variance.
     """
 
     source: str
@@ -57,18 +51,18 @@ class Budget:
 
     @property
     def coverage_factor_95(self) -> float:
-        """Student's t of the degrees of freedom; a file has none of what has infinitely many."""
+        """Student's t of the degrees of freedom, for 95 %; of 1e9 where they are infinite or NaN."""
         from scipy.special import stdtrit
 
         return float(stdtrit(self.degrees_of_freedom if self.degrees_of_freedom < 1e9 else 1e9, 0.975))
 
     @property
     def apparatus_u(self) -> float:
-        """What the stated sources beside the decay contribute; the air is known with the swings."""
+        """Standard uncertainty by the stated sources without the air, which counts with the decay."""
         return hypot(*(one.contribution for one in self.sources if one.type == "B" and one.source != AIR))
 
     def shares_only(self) -> "Budget":
-        """Without numbers that a value with a standard uncertainty would need, but with their shares."""
+        """The budget with its sources' shares, and without the numbers from which its value would follow."""
         sources = tuple(replace(one, contribution=nan) for one in self.sources)
         return replace(self, value=nan, standard_uncertainty=nan, sources=sources)
 
@@ -219,30 +213,30 @@ def _budget(
 
 
 def _by_term(found: FittedContact, by_value: Floats, type_a: float) -> tuple[dict[str, float], float]:
-    """A type A uncertainty by the terms of the fit, and what of it the air has; no more than there is."""
+    """Type A uncertainty by the terms of the fit, and that by the air; the parts never exceed the whole."""
     if not isfinite(type_a):
-        return {READING: type_a}, 0.0
+        return {MEASUREMENT: type_a}, 0.0
     parts, left = {}, type_a**2
     for name in found.terms:
-        if name not in (READING, AIR):
-            parts[name] = min(_of(found.part(name), by_value), sqrt(left))
+        if name not in (MEASUREMENT, AIR):
+            parts[name] = min(_u_by(found.part(name), by_value), sqrt(left))
             left = max(left - parts[name] ** 2, 0.0)
     described = sqrt(left)
-    reading = _of(found.part(READING), by_value) if READING in found.terms else described
-    # equal but for rounding
+    reading = _u_by(found.part(MEASUREMENT), by_value) if MEASUREMENT in found.terms else described
+    # equal but for rounding, which must not become a part of the ground
     reading = reading if reading < 0.999 * described else described
     ground = sqrt(max(left - reading**2, 0.0))
-    air = min(_of(found.part(AIR), by_value), described)
-    return {READING: reading, GROUND: ground, **parts}, air
+    air = min(_u_by(found.part(AIR), by_value), described)
+    return {MEASUREMENT: reading, GROUND: ground, **parts}, air
 
 
 def _type_a(found: FittedContact, by_value: Floats) -> float:
-    """Standard uncertainty by the fit; infinite where a parameter of which nothing is known has a part."""
+    """Standard uncertainty by the fit; infinite where the quantity depends on an undetermined parameter."""
     blind = ~np.isfinite(np.diag(found.covariance))
-    return inf if np.any(by_value[blind] != 0) else _of(found.covariance, by_value)
+    return inf if np.any(by_value[blind] != 0) else _u_by(found.covariance, by_value)
 
 
-def _of(covariance: Floats, by_value: Floats) -> float:
-    """Standard uncertainty by what is known of a covariance of the values."""
+def _u_by(covariance: Floats, by_value: Floats) -> float:
+    """Standard uncertainty by the finite elements of a covariance of the values."""
     known = np.where(np.isfinite(covariance), covariance, 0.0)
     return sqrt(max(float(by_value @ known @ by_value), 0.0))

@@ -1,4 +1,4 @@
-"""The drag of the air measured: runs of one contact in air that resists differently.
+"""Measurement of the air's drag from runs of one contact in air that resists differently.
 
 Vanes on the pendulum add to its drag, ``drag = d0 + k area``, or the pressure changes it in a ratio that is
 known better than its size, ``drag = d0 ratio``. The contact is the same in all runs, the period is not:
@@ -29,14 +29,14 @@ from processing.swing import TurningPoints
 _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
 _COMMON = tuple(name for name in PAPER.names() if name not in _OWN)
 _AIR = len(_COMMON)
-"""Place of d0 among the parameters of all runs; k follows where there is one."""
+"""Place of d0 among the shared parameters; k follows where it is fitted."""
 _IMPROBABLE = 0.01
 """Chance of a scatter below which it is not attributed to chance, and enlarges the uncertainties."""
 
 
 @dataclass(frozen=True, slots=True)
 class VanedRun:
-    """Turning points, their exact fit, and the exposure to the air that is stated, with its uncertainty.
+    """A run with its exact fit, and its stated exposure to the air, with the exposure's uncertainty.
 
     The exposure is the area of the vanes in m^2, or the ratio of the drag to that wanted.
     """
@@ -49,7 +49,7 @@ class VanedRun:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredAir:
-    """The drag without vanes, or at the ratio 1.
+    """The drag without vanes, or at the ratio 1, from runs with several exposures.
 
     Attributes
     ----------
@@ -60,8 +60,8 @@ class MeasuredAir:
     of_runs_s, off_s
         The drag of each run with the contact of all, and that minus the line.
     chi2, dof, chance
-        Of what one contact and one line leave beyond fits of each run by itself; where so much is
-        improbable, `enlarged` is the factor by which every uncertainty is.
+        Rise of chi2 by one contact and one line over separate fits of the runs, its degrees of freedom and
+        its probability; `enlarged` is the factor of the uncertainties where that is improbable.
     """
 
     drag_s: Estimate
@@ -76,7 +76,7 @@ class MeasuredAir:
 
 
 class _RunModel(NamedTuple):
-    """A run's model with its noise, its own fit, and by what residuals are divided to be those of noise."""
+    """A run, its model with its noise, the columns of its own fit, and the scale of its residuals."""
 
     stated: VanedRun
     model: ExactModel
@@ -85,10 +85,10 @@ class _RunModel(NamedTuple):
 
 
 class _SharedParameters:
-    """The parameters of all runs in the solver's units, in which each is of the size of 1.
+    """The parameters of all runs in the solver's units, in which each is of the order of 1.
 
-    ln b and gamma are those at the reference amplitude; then c, n, p, d0 and k; then for each run T0, first
-    amplitude, first time and, where its exposure is uncertain, by how much that is wrong.
+    First those of the contact (`_COMMON`, ln b and gamma at the reference amplitude), d0 and k; then for each
+    run T0, first amplitude, first time and, where its exposure is uncertain, the error of that.
     """
 
     def __init__(self, runs: Sequence[_RunModel], by_ratio: bool) -> None:
@@ -123,7 +123,7 @@ class _SharedParameters:
         return found
 
     def contact(self, shared: Floats) -> tuple[Floats, Floats]:
-        """SI values of the contact, and their derivatives by what is shared, in the solver's units."""
+        """SI values of the contact, and their derivatives by the shared parameters, in the solver's units."""
         known = dict(zip(_COMMON, (shared * self.unit)[:_AIR].tolist(), strict=True))
         place = {name: k for k, name in enumerate(_COMMON)}
         by = np.zeros((_AIR, self.count))
@@ -139,7 +139,7 @@ class _SharedParameters:
         return np.array([known[name] for name in _COMMON]), by
 
     def air(self, shared: Floats, run: int, off: float = 0.0) -> tuple[float, Floats, float]:
-        """A run's drag, its derivatives by what is shared, and that by its exposure."""
+        """A run's drag in s, its derivatives by the shared parameters, and that by its exposure."""
         exposure, air = self.runs[run].stated.exposure + off, (shared * self.unit)[_AIR:]
         by = np.zeros(self.count)
         by[_AIR:] = np.array([exposure] if self.by_ratio else [1.0, exposure]) * self.unit[_AIR:]
@@ -156,7 +156,7 @@ class _SharedParameters:
         return np.concatenate(parts), np.concatenate(jacobian)
 
     def run_parameters(self, values: Floats, number: int, drag_off_s: float = 0.0) -> tuple[Floats, Floats]:
-        """Of one run, whose drag may lie off the line."""
+        """Residuals and derivatives of one run, whose drag may lie off the line."""
         run, shared = self.runs[number], values[: self.count]
         own = values[self.ends[number] : self.ends[number + 1]]
         u_exposure = run.stated.u_exposure
@@ -167,7 +167,7 @@ class _SharedParameters:
         known = dict(zip(_COMMON, contact.tolist(), strict=True)) | {DRAG.key: drag_s + drag_off_s}
         known |= dict(zip(_OWN, (centre + size * own[: len(_OWN)]).tolist(), strict=True))
         columns = run.model.columns.from_physical(known)
-        residuals, jacobian = run.model.about(columns)(columns)
+        residuals, jacobian = run.model.linearised_at(columns)(columns)
         physical = np.linalg.inv(run.model.columns.physical(columns)[1])
         by_physical = dict(zip(run.model.names, (jacobian @ physical).T, strict=True))
         by = np.zeros((len(residuals), len(values)))
@@ -200,10 +200,10 @@ def air_of_vanes(
     from scipy.special import chdtrc
 
     _check(runs, by_ratio)
-    models = [_of(run, pendulum) for run in runs]
+    models = [_run_model(run, pendulum) for run in runs]
     shared = _SharedParameters(models, by_ratio)
     free = np.full(len(shared.start), np.inf)
-    found = solve(partial(_finite, shared), shared.start, lower=-free, upper=free, loss="linear")
+    found = solve(partial(_finite_or_nan, shared), shared.start, lower=-free, upper=free, loss="linear")
     if not found.converged:
         raise DataError("no fit with one contact common to all runs converges; check which run differs")
     alone = sum(float(np.sum((run.model(run.columns)[0] / run.size) ** 2)) for run in models)
@@ -249,8 +249,8 @@ def _check(runs: Sequence[VanedRun], by_ratio: bool) -> None:
             raise DataError(f"run {number} does not determine contact and drag; start higher, or shield it")
 
 
-def _of(run: VanedRun, pendulum: PendulumOnBall) -> _RunModel:
-    """Residuals count as the run's own uncertainty of the drag has it."""
+def _run_model(run: VanedRun, pendulum: PendulumOnBall) -> _RunModel:
+    """The model of a run, its residuals scaled so that the drag has the uncertainty of the run's own fit."""
     model, columns = ExactModel.of(run.points, pendulum, run.fit)
     size = max(1.0, run.fit.chi2_per_dof) ** 0.5
     if run.fit.widened is not None:
@@ -258,8 +258,8 @@ def _of(run: VanedRun, pendulum: PendulumOnBall) -> _RunModel:
     return _RunModel(run, model, columns, size)
 
 
-def _finite(shared: _SharedParameters, values: Floats) -> tuple[Floats, Floats]:
-    """As `_SharedParameters` has it; a trial where no pendulum swings is infinitely bad and not an error."""
+def _finite_or_nan(shared: _SharedParameters, values: Floats) -> tuple[Floats, Floats]:
+    """Those of `_SharedParameters`, with NaN residuals and no error for a trial where no pendulum swings."""
     try:
         return shared(values)
     except (DataError, np.linalg.LinAlgError):
@@ -268,10 +268,10 @@ def _finite(shared: _SharedParameters, values: Floats) -> tuple[Floats, Floats]:
 
 
 def _drag_of(shared: _SharedParameters, values: Floats, number: int) -> tuple[Estimate, float]:
-    """The drag of one run with the contact of all, and how far it is off the line; by one step from there."""
+    """The drag of one run with the contact of all, and how far it is off the line, by one linear step."""
     residuals, by = shared.run_parameters(values, number)
     on_line, by_drag, _ = shared.air(values[: shared.count], number)
-    # the derivative by d0 (or by d0's multiple) is that by the run's drag
+    # the step is taken in the run's own drag, at the size of d0
     of_drag = _derivative_by_drag(shared, values, number, by_drag)
     own = by[:, shared.ends[number] : shared.ends[number + 1]]
     found = solve_terms(residuals, own, [Term("drag", of_drag)])

@@ -22,4 +22,4 @@ from processing.instruments.friction_law import (
     rolling_friction,
 )
 from processing.instruments.release import with_release
-from processing.instruments.turning import refined
+from processing.instruments.turning import refined_turning_points

@@ -30,9 +30,9 @@ _REACH = 0.2
 """Time and speed of a crossing are fitted to samples within this fraction of the half period on either
 side."""
 _POWERS = 6
-"""Up to the fifth power: over the reach they leave 1.2e-7 of the amplitude of a sine."""
+"""Number of powers, from 0 to 5: over the reach they leave 1.2e-7 of the amplitude of a sine."""
 _FEWEST = 8
-"""Two degrees of freedom more than powers."""
+"""Fewest samples of a crossing, and fewest turning points of a law of the period."""
 _EARLY = 0.5 * (math.pi / 4 + 1 / math.pi), 0.5 * (math.pi / 4 - 1 / math.pi)
 """Friction shifts a turning point to a time before the middle of its two crossings, by ln(v_1/v_2)/w0 times
 1/pi for a drag, 1/2 for constant friction, and pi/4 for friction proportional to the angle. The mean of
@@ -40,6 +40,8 @@ these values is used, with half their range as its uncertainty."""
 
 
 class _Crossing(NamedTuple):
+    """One crossing of the rest position; the speed is in rad/s, positive for rising deflection."""
+
     time_s: float
     u_time_s: float
     speed: float
@@ -56,7 +58,7 @@ def inferred_swings(times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Fl
 
     Returns
     -------
-    list of Swing
+    list of HalfCycle
         Indices count half periods from the first of them. Empty if the spot never left the sensor between two
         crossings. The rest position is the level whose crossings are equally spaced.
     """
@@ -197,18 +199,18 @@ def _swing(index: int, before: _Crossing, after: _Crossing, centre: float, start
     )
 
 
-_ALIKE = 1e7
-"""Condition of the three columns from which on rounding is what tells them apart."""
-_TELLING = 0.5
-"""Standard uncertainty of the factor above which 1 cannot be told from 0."""
+_LARGEST_CONDITION = 1e7
+"""Condition number of the three columns above which only rounding distinguishes them."""
+_LARGEST_U = 0.5
+"""Standard uncertainty of the factor above which 1 cannot be distinguished from 0."""
 
 
 class CircularError(NamedTuple):
-    """Result of the fit, and the measured periods with those of the ideal pendulum of the same T0.
+    """Fit of the circular error, and the measured periods with those of the ideal pendulum of the same T0.
 
-    `factor` is f. `sentence` states whether it differs from 1 by more than two standard uncertainties, where
-    these tell 1 from 0. The arrays have one entry per full period: amplitude, period, its uncertainty, ideal
-    period, and its approximation with alpha^2/16.
+    `factor` is that on the ideal pendulum's excess T(A)/T0 - 1. `sentence` states whether it differs from 1
+    by more than two standard uncertainties, where these are small enough. The arrays have one entry per full
+    period: amplitude, period, its uncertainty, ideal period, and its approximation with alpha^2/16.
     """
 
     period0_s: Estimate
@@ -224,7 +226,7 @@ class CircularError(NamedTuple):
     def sentence(self) -> str:
         """Comparison of the factor with 1, in words."""
         f, u = self.factor
-        if abs(f - 1) <= 2 * u and u > _TELLING:
+        if abs(f - 1) <= 2 * u and u > _LARGEST_U:
             return (
                 "the swings are too small, or too few, to show the circular error: "
                 f"{f:.4g} ± {u:.2g} times alpha^2/16"
@@ -264,7 +266,7 @@ def circular_error(points: TurningPoints) -> CircularError:
     where = points.index - points.index[0]
     design = np.column_stack([np.ones(len(where)), where.astype(np.float64), summed[where]])
     fit, time = FactoredJacobian(design / points.u_time_s[:, np.newaxis]), points.time_s / points.u_time_s
-    if fit.condition > _ALIKE:
+    if fit.condition > _LARGEST_CONDITION:
         raise DataError("the amplitudes are too much alike to tell how the period depends on them")
     residual = fit.left(time)
     chi2_per_dof = float(residual @ residual) / (len(points) - 3)

@@ -21,17 +21,17 @@ from processing.swing import TurningPoints
 Found = TypeVar("Found", bound=NamedTuple)
 
 _DRAWS = 100
-"""They know a standard uncertainty to 7 %."""
+"""Simulated decays; their scatter is known to 7 %."""
 _FEWEST = 12
-"""Turning points in a row from which the drive is estimated."""
+"""Fewest third differences of amplitudes from which the drive is estimated."""
 
 
 class SharedError(NamedTuple):
-    """An error that the turning points of a run share; so do runs that name the same one.
+    """An error that the turning points of a run share, and that runs with the same `name` share.
 
     `scale` and `clock` are relative standard uncertainties of all amplitudes and of all times,
-    `amplitude_rad` is what one standard uncertainty adds to the amplitudes. One without a name is the run's
-    own.
+    `amplitude_rad` is added to the amplitudes by one standard uncertainty. An error without a name is the
+    run's own.
     """
 
     name: str
@@ -40,7 +40,7 @@ class SharedError(NamedTuple):
     amplitude_rad: float | Floats = 0.0
 
     def moved(self, points: TurningPoints, by: float) -> TurningPoints:
-        """The points with so many standard uncertainties of the error."""
+        """The points changed by `by` standard uncertainties of the error."""
         scale, clock = 1 + by * self.scale, 1 + by * self.clock
         return replace(
             points,
@@ -53,10 +53,10 @@ class SharedError(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ValueWithSharedErrors:
-    """A value with the standard uncertainty of its own, and by shared errors, by name.
+    """A value with its own standard uncertainty, and its changes by shared errors.
 
-    `shared` holds the change of the value for one standard uncertainty of each error, with its sign: in a
-    mean it does not fall, in a ratio it cancels.
+    `shared` holds, by the error's name, the change of the value for one standard uncertainty, with its sign:
+    it does not fall in a mean, and cancels in a ratio.
     """
 
     value: float
@@ -96,7 +96,7 @@ def with_shared(
     Returns
     -------
     found, readings
-        The evaluation with whole uncertainties, and its estimates with the parts apart, by field.
+        The evaluation with whole uncertainties, and its estimates with the shared parts apart, by field.
 
     Raises
     ------
@@ -133,11 +133,11 @@ def with_shared(
 
 
 def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) -> Found:
-    """Evaluate turning points; where the ground drives the pendulum, its scatter is in every uncertainty.
+    """Evaluate turning points with uncertainties that contain the scatter by a drive of the ground.
 
-    What the ground does to a swing stays in all later ones: passages and periods far apart scatter by more
-    than the reading of their turning points. The same decay is drawn again and again with the drive that its
-    own turning points show and with their reading errors, and evaluated.
+    A kick of the ground moves all later half-cycles: passages and periods far apart scatter by more than the
+    measurement of their turning points. The decay is simulated `_DRAWS` times with the drive that its own
+    turning points show and with their measurement errors, and each time evaluated.
 
     Parameters
     ----------
@@ -155,15 +155,15 @@ def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) 
     if step == 0:
         return found
     rng = np.random.default_rng(0)
-    drawn = []
+    simulated = []
     for _ in range(_DRAWS):
         try:
-            drawn.append(reduce(_drawn(points, step, rng)))
+            simulated.append(reduce(_simulated(points, step, rng)))
         except DataError:
             continue
-    if len(drawn) < 0.5 * _DRAWS:
+    if len(simulated) < 0.5 * _DRAWS:
         return found
-    columns = zip(*drawn, strict=True)
+    columns = zip(*simulated, strict=True)
     return found._replace(
         **{
             name: Estimate(value.value, _scatter(column)) if isinstance(value, Estimate) else value
@@ -173,9 +173,9 @@ def with_drive(reduce: Callable[[TurningPoints], Found], points: TurningPoints) 
 
 
 def drive_step(points: TurningPoints) -> float:
-    """By how much (rms) the ground moves the amplitude in one half-swing; 0 where none is seen.
+    """Rms change of the amplitude in one half-swing by the ground; 0 where no drive is seen.
 
-    Third differences of ln(amplitude) hold nothing of a smooth decay: their variance is
+    A smooth decay leaves nothing in third differences of ln(amplitude): their variance is
     ``6 step^2/a^2 + 20 u^2/a^2``.
     """
     runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(points.index) != 1) + 1)
@@ -183,7 +183,7 @@ def drive_step(points: TurningPoints) -> float:
     if len(excess) < _FEWEST:
         return 0.0
     mean = float(np.mean(excess))
-    # third differences share half-cycles: one in four stands for itself
+    # third differences share half-cycles: only one in four is independent
     u = float(np.std(excess)) * 2 / np.sqrt(len(excess))
     return float(np.sqrt(mean)) if mean > u else 0.0
 
@@ -198,10 +198,10 @@ def _excess(points: TurningPoints, run: Ints) -> Floats:
     return np.asarray(((third * inner) ** 2 - reading) / 6)
 
 
-def _drawn(points: TurningPoints, step: float, rng: np.random.Generator) -> TurningPoints:
-    """The same decay, driven and read again.
+def _simulated(points: TurningPoints, step: float, rng: np.random.Generator) -> TurningPoints:
+    """The same decay with another random drive and other measurement errors.
 
-    A kick keeps its share of the amplitude, which is exact for linear damping, and shifts all later times.
+    A kick keeps its ratio to the amplitude, which is exact for linear damping, and shifts all later times.
     """
     amplitude = points.amplitude
     gap = np.sqrt(np.diff(points.index, prepend=points.index[0]))
@@ -257,9 +257,8 @@ def passage(points: TurningPoints, level_rad: float) -> Passage:
     """Passage of the falling amplitude through `level_rad`.
 
     Noise may make the amplitude cross the level several times; the last turning point at or above it and the
-    next one are used. If the record starts less than 3 % below the level, as after a release at
-    the level itself, the decay of the first half-cycles is extrapolated back (the half-cycle is negative
-    then).
+    next one are used. If the record starts less than 3 % below the level, as after a release at the level
+    itself, the decay of the first half-cycles is extrapolated back (the half-cycle is negative then).
 
     Raises
     ------
@@ -353,7 +352,7 @@ class Places(NamedTuple):
 
 def over_places(values: Sequence[ValueWithSharedErrors]) -> Places:
     """Mean over places. Its own uncertainty is the larger of that from the scatter and that from the stated
-    ones; what the places share is the mean's, too.
+    ones; errors that the places share stay in the mean.
 
     The spread is the standard deviation between places, NaN for a single one. If the scatter is larger, the
     95 % interval uses Student's t with the number of places minus one. Raises DataError if there is no value.

@@ -46,7 +46,7 @@ class Description:
 
     `support_radius_m` is the radius of ball, roller or axis; `lever_m` the distance of the centre of mass
     from the point about which the pendulum turns, needed to report moments. The amplitudes are those between
-    which the decay is evaluated.
+    which the decay is evaluated. `tells` lists what the decay gives.
     """
 
     kind: str
@@ -146,7 +146,7 @@ INSTRUMENTS: Mapping[str, Description] = MappingProxyType(
 
 
 class Compliance(StrEnum):
-    """Of a value against its limits. `UNDECIDED`: a limit is within two standard uncertainties of it."""
+    """Verdict on a value against its limits; undecided if one is within two standard uncertainties of it."""
 
     WITHIN = "within"
     OUTSIDE = "outside"

@@ -1,8 +1,8 @@
-"""The release of a pendulum that was held: the turning point at which its first swing begins.
+"""The release of a pendulum that was held: the turning point at which its first half-cycle begins.
 
-Before it the deflection stands still; after it, in the time tau since the release, it falls by even powers of
-tau, and by tau^3 as far as a drag takes the energy: a part of the loss between none and all of it. Time and
-angle of the release are fitted to the samples on either side.
+Before it the deflection is constant; after it, in the time tau since the release, it falls by even powers of
+tau, and by tau^3 as far as the loss is by drag, a share between 0 and 1. Time and angle of the release are
+fitted to the samples on either side.
 """
 
 import math
@@ -17,22 +17,22 @@ from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
 
 _REACH = 0.32
-"""Fitted on either side, in half periods: with the powers below a cosine is met to 2e-5 of the amplitude."""
+"""Half periods fitted on either side: the powers below then follow a cosine to 2e-5 of the amplitude."""
 _POWERS = np.array([3, 2, 4, 6])
 _U_PART = 1 / math.sqrt(12)
-"""Standard uncertainty of the drag's part in the loss, about one half."""
+"""Prior standard uncertainty of the drag's share of the loss, about one half."""
 _FEWEST_HELD = 5
 _ITERATIONS = 12
-_UNLIKE = 4.0
-"""Chi-square per degree of freedom above which the pendulum was not held still and then let go."""
-_FARTHER = 1.5
-"""Ratio of the angle of release to the next turning point's: no pendulum loses more in a single swing."""
+_LARGEST_CHI2 = 4.0
+"""Chi-square per degree of freedom above which the samples are no release from rest."""
+_LARGEST_RATIO = 1.5
+"""Largest ratio of the angle of release to the next turning point's: no pendulum loses more."""
 
 
 def with_release(
     times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Floats, swings: Sequence[HalfCycle]
 ) -> list[HalfCycle] | None:
-    """Half-cycles with the release as the first; None where the samples do not show one.
+    """Half-cycles with the release as the first; None where the samples show no release.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def with_release(
     if fitted is None:
         return None
     (angle, release_s), (u_angle, u_release_s) = fitted
-    if not first.amplitude < angle < _FARTHER * first.amplitude:
+    if not first.amplitude < angle < _LARGEST_RATIO * first.amplitude:
         return None
     release = replace(
         first,
@@ -82,7 +82,7 @@ def with_release(
 def _release_fit(
     time_s: Floats, values: Floats, u_values: Floats, half_s: float, cubic: float
 ) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Angle and time of the release, and their uncertainties; None where nothing is held and let go.
+    """Angle and time of the release, and their uncertainties; None where the samples show no release.
 
     `cubic` is the coefficient of tau^3 for a loss by drag alone.
     """
@@ -108,7 +108,7 @@ def _release_fit(
         if abs(release_s) > scale_s:
             return None
     chi2_per_dof = float(np.sum(whole.left(left) ** 2)) / (len(seen) - len(whole.root))
-    if chi2_per_dof > _UNLIKE or not solution[0] > 0:
+    if chi2_per_dof > _LARGEST_CHI2 or not solution[0] > 0:
         return None
     u = np.sqrt(np.diag(whole.covariance()) * max(1.0, chi2_per_dof))
     return (float(solution[0]), release_s), (float(u[0]), float(u[-1]) * scale_s)

@@ -24,12 +24,12 @@ cosine to 1e-6 of the amplitude."""
 _FEWEST_CENTRES = 4
 _POWERS = 7
 _TERMS = _POWERS + 1
-"""The powers up to the sixth and one term for a friction that changes its sign with the motion."""
+"""Terms of the fit: the powers 0 to 6, and one for a friction that changes its sign with the motion."""
 _FEWEST = 2 * _TERMS
-"""As many degrees of freedom as terms."""
+"""Fewest samples, which leave as many degrees of freedom as there are terms."""
 
 
-def refined(
+def refined_turning_points(
     times_ns: Ints, deflection_rad: Floats, u_deflection_rad: Floats, swings: Sequence[HalfCycle]
 ) -> list[HalfCycle]:
     """The same half-cycles with time and amplitude fitted to the samples around each turning point.

@@ -1,7 +1,7 @@
 """Runs of one contact combined, series compared, and one model over the runs' compressed likelihoods."""
 
 from processing.series.combined import (
-    Combined,
+    CombinedValue,
     Comparison,
     Disagreement,
     SeriesResult,
@@ -10,7 +10,7 @@ from processing.series.combined import (
     combine_runs,
     compare_series,
 )
-from processing.series.density import ALIKE, SEEN, ChangePoint, compare_forms, find_change
+from processing.series.density import ABSENT, SEEN, ChangePoint, compare_forms, find_change
 from processing.series.model import GROWTH, LatentNumber, SeriesModel
 from processing.series.posterior import SampledPosterior, SeriesPosterior, fit_series, sample_series
 from processing.series.runs import (

@@ -10,22 +10,22 @@ import numpy as np
 
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit import AIR, MISFIT, FitResult, FittedContact, fitted_contact
+from processing.fit import AIR, DISCREPANCY, FitResult, FittedContact, fitted_contact
 from processing.quantity import PART
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 
-_AGREE = 0.05
+_HOMOGENEOUS_ABOVE = 0.05
 """Probability above which the scatter of the runs is attributed to their own uncertainties."""
-_DISAGREES = 0.003
+_DISAGREES_BELOW = 0.003
 """Probability, for all runs and parameters together, below which a run is reported to disagree."""
 _LEAST_OWN = 0.01
-"""Least part of a run's uncertainty that is its own: where what is known of the air is all of it."""
+"""Least part of a run's uncertainty that counts as its own, where the prior of the air would be all of it."""
 _NORMAL_95 = 1.959964
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Combined:
+class CombinedValue:
     """One parameter over a series of runs.
 
     Attributes
@@ -40,7 +40,7 @@ class Combined:
     p_homogeneous
         Probability of a scatter at least as large if only the runs' own uncertainties contribute.
     by_air
-        Part of `standard_uncertainty`, with its sign, from the knowledge of the air. All runs share it, so
+        Part of `standard_uncertainty`, with its sign, by the prior of the air. All runs share it, so that
         more runs do not reduce it.
     """
 
@@ -59,12 +59,12 @@ class Combined:
 
     @property
     def own(self) -> float:
-        """Standard uncertainty without what is shared."""
+        """Standard uncertainty without the part that the runs share."""
         return sqrt(max(self.standard_uncertainty**2 - self.by_air**2, 0.0))
 
     @property
     def expanded_uncertainty_95(self) -> float:
-        """Half-width of the 95 % interval: Student's t of what scatters, the normal's of what is shared."""
+        """Half-width of the 95 % interval: Student's t for the scatter, the normal's for the shared part."""
         from scipy.special import stdtrit
 
         return hypot(float(stdtrit(self.degrees_of_freedom, 0.975)) * self.own, _NORMAL_95 * self.by_air)
@@ -84,16 +84,16 @@ class SeriesResult:
     """A series of runs: combined parameters, the runs that disagree with the others, and the input of
     `budgets`."""
 
-    parameters: Mapping[str, Combined]
+    parameters: Mapping[str, CombinedValue]
     disagreements: tuple[Disagreement, ...]
     measured: FittedContact
 
 
-def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -> Combined:
+def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -> CombinedValue:
     """Combine one parameter over runs.
 
-    `by_air` are the changes of the runs' values for one standard uncertainty of what is known of the air,
-    which is a part of their uncertainties that they share.
+    `by_air` are the changes of the runs' values by one standard uncertainty of the prior of the air, a part
+    of their uncertainties that they share.
 
     The between-run variance is that of Mandel and Paule, with which the weighted sum of squares equals its
     expectation. The uncertainty of the mean is that of Hartung and Knapp, with Student's t for the number of
@@ -116,7 +116,7 @@ def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -
         )
     dof = len(runs) - 1
     shared = np.array(by_air) if len(by_air) else np.zeros(len(runs))
-    # what runs share scatters between them as far as it differs
+    # a shared error scatters between runs as far as its effects differ
     u2 = np.maximum(whole**2 - shared**2, (_LEAST_OWN * whole) ** 2)
 
     def scatter(variance: float) -> float:
@@ -137,7 +137,7 @@ def combine(name: str, runs: Sequence[Estimate], by_air: Sequence[float] = ()) -
     spread = float(inverse @ (x - value) ** 2 / (dof * np.sum(inverse)))
     own = max(sqrt(spread), float(np.sqrt(weight**2 @ (u2 + variance))))
     of_air = float(weight @ shared)
-    return Combined(
+    return CombinedValue(
         value=value, standard_uncertainty=hypot(own, of_air), degrees_of_freedom=dof,
         within_runs=float(1 / np.sqrt(np.sum(1 / u2))), between_runs=sqrt(variance),
         p_homogeneous=float(chdtrc(dof, alone)), by_air=of_air, runs=tuple(runs),
@@ -172,12 +172,12 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
     return SeriesResult(parameters, tuple(_disagreements(names, results)), together)
 
 
-def _combined(name: str, results: Sequence[FitResult]) -> Combined:
-    """A parameter over runs, whose law is wrong in all of them alike: that part does not fall in the mean."""
+def _combined(name: str, results: Sequence[FitResult]) -> CombinedValue:
+    """A parameter over runs; the mean keeps the part by the model discrepancy, which is alike in all."""
     of_law, runs = [], []
     for result in results:
         at, (value, u) = result.names.index(name), result.estimate(name)
-        part = float(result.part(MISFIT)[at, at])
+        part = float(result.part(DISCREPANCY)[at, at])
         of_law.append(part)
         runs.append(Estimate(value, sqrt(max(u**2 - part, 0.0)) if isfinite(u) else u))
     found, added = combine(name, runs, _by_air(name, results)), float(np.mean(of_law))
@@ -188,7 +188,7 @@ def _combined(name: str, results: Sequence[FitResult]) -> Combined:
 
 
 def _by_air(name: str, results: Sequence[FitResult]) -> tuple[float, ...]:
-    """Changes of the runs' values for one standard uncertainty of what is known of the air."""
+    """Changes of the runs' values by one standard uncertainty of the prior of the air."""
     return tuple(
         float(result.terms[AIR][result.names.index(name), 0]) if AIR in result.terms else 0.0
         for result in results
@@ -205,17 +205,19 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
     from scipy.special import stdtr
 
     found, count = [], len(results)
-    limit = _DISAGREES / (count * len(names))
+    limit = _DISAGREES_BELOW / (count * len(names))
     for name in names:
         shared = _by_air(name, results)
-        runs = [_without(result.estimate(name), part) for result, part in zip(results, shared, strict=True)]
+        runs = [
+            _without_air(result.estimate(name), part) for result, part in zip(results, shared, strict=True)
+        ]
         for i, own in enumerate(runs):
             others, between, dof = [*runs[:i], *runs[i + 1 :]], 0.0, 1e9
             rest = others[0]
             if count > 2:
                 combined = combine(name, others)
                 rest, between = combined.estimate, combined.between_runs
-                dof = 1e9 if combined.p_homogeneous > _AGREE else float(count - 2)
+                dof = 1e9 if combined.p_homogeneous > _HOMOGENEOUS_ABOVE else float(count - 2)
             differs = shared[i] - float(np.mean([*shared[:i], *shared[i + 1 :]]))
             u = hypot(own.standard_uncertainty, rest.standard_uncertainty, between, differs)
             deviation = (own.value - rest.value) / u
@@ -234,17 +236,17 @@ def _disagreements(names: Sequence[str], results: Sequence[FitResult]) -> list[D
     return named
 
 
-def _without(found: Estimate, by_air: float) -> Estimate:
-    """A value with what its run alone leaves uncertain."""
+def _without_air(found: Estimate, by_air: float) -> Estimate:
+    """A value with the part of its uncertainty that is not by the air."""
     u = found.standard_uncertainty
     return Estimate(found.value, sqrt(max(u**2 - by_air**2, (_LEAST_OWN * u) ** 2)))
 
 
 def average_curves(runs: Sequence[TurningPoints]) -> TurningPoints:
-    """The paper's method: average the runs' curves into one, which is fitted as a single run.
+    """The average of the runs' curves, which the paper fits as a single run.
 
     The half-cycles of each run are counted from the first one at or below the largest amplitude that all runs
-    contain, and are averaged where all runs have one. Uncertainties are those of the mean, from the runs'
+    contain, and are averaged where no run lacks one. Uncertainties are those of the mean, from the runs'
     own. The runs do not start at exactly the same amplitude: for starts within one half-cycle's loss this
     changes the parameters by less than their uncertainties.
     """
@@ -297,12 +299,12 @@ class Comparison:
     p_value: float
 
 
-def compare_series(series: Mapping[str, Mapping[str, Combined]]) -> tuple[Comparison, ...]:
+def compare_series(series: Mapping[str, Mapping[str, CombinedValue]]) -> tuple[Comparison, ...]:
     """Compare all pairs of series (samples, days, humidities), parameter by parameter.
 
     Type B uncertainties are not included, because errors of the rig's mass or radius shift all series
-    equally. What is known of the air counts as far as it shifts them differently. A single run scatters as
-    those of the other series do.
+    equally. The prior of the air counts as far as it shifts them differently. A single run is given the
+    scatter between the runs of the other series.
     """
     from scipy.special import stdtr
 
@@ -312,7 +314,7 @@ def compare_series(series: Mapping[str, Mapping[str, Combined]]) -> tuple[Compar
             if name not in of_second:
                 continue
             a, b = of_first[name], of_second[name]
-            u_a, u_b = (_without(one.estimate, one.by_air).standard_uncertainty for one in (a, b))
+            u_a, u_b = (_without_air(one.estimate, one.by_air).standard_uncertainty for one in (a, b))
             several, u, dof = [one for one in (a, b) if len(one.runs) > 1], hypot(u_a, u_b), 0.0
             if len(several) == 1:
                 u, dof = hypot(u, several[0].between_runs), float(several[0].degrees_of_freedom)

@@ -1,7 +1,7 @@
-"""The posterior density of a series for many draws at once, where it is largest, and the evidence of forms.
+"""The posterior density of a series for many draws at once, its maximum, and the evidence of effects.
 
-Latent numbers are linear: given the scatters and which runs are bad, all is normal and analytic. Logarithms
-of scatters are `h` (M, H), latent numbers `w` (M, P).
+Latent numbers are linear: given the scatters and which runs are bad, the density is normal and analytic.
+Arguments are `h` (M, H), logarithms of scatters, and `w` (M, P), latent numbers, of M draws.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,20 +17,20 @@ from processing.series.runs import ORDER, CompressedRun, Effect, Form
 
 _LOG_2PI = float(np.log(2 * np.pi))
 _STEPS = 60
-_SETTLED = 1e-7
-_TOGETHER = 4_000_000
-"""Numbers of one array: draws are made in parts."""
-_NARROW, _WIDE = 1e-5, 8.0
-"""Scatters that are looked at, over their stated sizes: without priors these are far too large."""
+_TOLERANCE = 1e-7
+_LARGEST_ARRAY = 4_000_000
+"""Most numbers of one array: more draws are computed in parts."""
+_NARROWEST, _WIDEST = 1e-5, 8.0
+"""Range of the scatters searched, over their stated sizes: without priors these are far too large."""
 _STEP = 2e-3
 _OUTER, _INNER = 0.1, 0.02
-"""Steps of second derivatives, over which what Laplace's method leaves out is seen as it is."""
+"""Steps of second derivatives, so wide that the density's departure from a parabola shows in them."""
 _LARGEST_U = 1.5
-"""Of a logarithm of a scatter, which the data may leave open towards zero."""
+"""Largest standard uncertainty of a scatter's logarithm, which the data may leave open towards zero."""
 
 
 class Spread(NamedTuple):
-    """Inverse (M, R, S, k, k) and log determinant (M, R, S) of what a run's values scatter by."""
+    """Inverse (M, R, S, k, k) and log determinant (M, R, S) of the covariance of the runs' values."""
 
     inverse: Floats
     log_det: Floats
@@ -42,44 +42,44 @@ def between_runs(design: Design, h: Floats) -> Floats:
 
 
 def _at(h: Floats, places: Ints) -> Floats:
-    """Logarithms of scatters at places, of which -1 is none: 0 there."""
+    """Logarithms of scatters (M, places); 0 at the place -1, which stands for no scatter."""
     return np.asarray(np.pad(h, ((0, 0), (0, 1)))[:, places])
 
 
 def spread(design: Design, h: Floats, w: Floats | None = None) -> Spread:
-    """Of the runs' own covariances, the scatter between runs, and what uncertain covariates leave."""
+    """The covariance of the runs' values: their own, scatter between runs, and by uncertain covariates."""
     diagonal = between_runs(design, h)[:, None, :] * design.has
     whole = design.covariance + diagonal[:, :, None, :, None] * np.eye(design.has.shape[1])
     if w is not None and len(design.blurred_by):
         blur = design.blurred * w[:, design.blurred_by, None, None]
         whole = whole + np.einsum("merk,merl->mrkl", blur, blur)[:, :, None]
-    # Cholesky's factor also tells a covariance that is none
+    # Cholesky's factor also fails for a matrix that is no covariance
     return Spread(np.asarray(np.linalg.inv(whole), dtype=np.float64), log_determinant(whole))
 
 
 def log_determinant(matrices: Floats) -> Floats:
-    """Of positive definite matrices (..., n, n)."""
+    """ln det (...,) of positive definite matrices (..., n, n)."""
     factor = np.linalg.cholesky(matrices)
     return np.asarray(2 * np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1)), axis=-1))
 
 
 def _prior_precision(design: Design, h: Floats) -> Floats:
-    """Of the latent numbers (M, P)."""
+    """Inverse prior variances (M, P) of the latent numbers."""
     return np.where(design.varies >= 0, np.exp(_at(h, design.varies)), design.prior_u) ** -2
 
 
 def _log_prior(design: Design, h: Floats, w: Floats) -> Floats:
-    """Of scatters and latent numbers (M,)."""
+    """Log prior density (M,) of scatters and latent numbers."""
     precision = _prior_precision(design, h)
     of_w = 0.5 * np.sum(np.log(precision) - _LOG_2PI - precision * (w - design.prior_mean) ** 2, axis=1)
-    # half-normal over the scatter itself; dh is its logarithm's
+    # half-normal in the scatter, written as a density of its logarithm h
     ratio = h - np.log(design.scales)
     of_h = np.sum(0.5 * np.log(2 / np.pi) + ratio - 0.5 * np.exp(2 * ratio), axis=1)
     return np.asarray(of_w + of_h)
 
 
 def log_kinds(design: Design, w: Floats, found: Spread) -> Floats:
-    """Log likelihood (M, R, S, K) of every run, by sub-likelihood and by whether it is bad."""
+    """Log likelihood (M, R, S, K) of every run, by sub-likelihood and by kind (good, or bad by a factor)."""
     off = design.y - np.tensordot(w, design.x, (1, 2))[:, :, None]
     squared = np.sum((found.inverse @ off[..., None])[..., 0] * off, axis=-1)[..., None]
     known = design.has.sum(axis=1)[:, None, None]
@@ -95,7 +95,7 @@ def chances(kinds: Floats) -> Floats:
 
 
 def _log_of_bounds(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
-    """Log likelihood of the censored values (M, B), and its first two derivatives by what is censored."""
+    """Log likelihood of the censored values (M, B), and its first two derivatives by the model's value."""
     from scipy.special import log_ndtr
 
     bounds = design.bounds
@@ -119,7 +119,8 @@ def log_density(design: Design, h: Floats, w: Floats, found: Spread | None = Non
 def conditional(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floats, Spread]:
     """Likeliest latent numbers (M, P) for given scatters, the curvature there (M, P, P), and the spread.
 
-    It iterates over which runs are bad: each step is a linear one with the weights of the one before.
+    An iteration: each step solves linearly for the latent numbers, with the runs weighted by the probability
+    of being bad after the step before.
     """
     w = np.broadcast_to(start, (len(h), len(design.prior_mean))).copy()
     precision = _prior_precision(design, h)
@@ -142,7 +143,7 @@ def conditional(design: Design, h: Floats, start: Floats) -> tuple[Floats, Float
         w = after
         if len(design.blurred_by):
             found = spread(design, h, w)
-        if np.all(step < _SETTLED):
+        if np.all(step < _TOLERANCE):
             break
     return w, curvature, found
 
@@ -163,10 +164,10 @@ def log_marginal(design: Design, h: Floats, start: Floats) -> tuple[Floats, Floa
 def in_parts(
     design: Design, function: Callable[..., tuple[Floats, ...]], *draws: Floats
 ) -> tuple[Floats, ...]:
-    """What a function has for draws, made in parts whose largest arrays are of a bearable size."""
+    """Results of a function of draws, called for parts of them so that no array exceeds `_LARGEST_ARRAY`."""
     runs, subs, size = design.y.shape
     each = runs * size * max(subs * size * (1 + len(design.blurred_by)), design.x.shape[2])
-    width = max(1, _TOGETHER // max(each, 1))
+    width = max(1, _LARGEST_ARRAY // max(each, 1))
     parts = range(0, len(draws[0]), width)
     found = [function(*(one[begin : begin + width] for one in draws)) for begin in parts]
     return tuple(np.concatenate(one) for one in zip(*found, strict=True))
@@ -199,7 +200,7 @@ def likeliest(design: Design, start: Floats | None = None) -> Laplace:
         ahead, behind = np.split(value[1:], 2)
         return -float(value[0]), -(ahead - behind) / (2 * _STEP)
 
-    low, high = np.log(_NARROW * design.scales), np.log(_WIDE * design.scales)
+    low, high = np.log(_NARROWEST * design.scales), np.log(_WIDEST * design.scales)
     solved = minimize(fall, np.clip(begin, low, high), jac=True, method="L-BFGS-B",
                       bounds=list(zip(low, high, strict=True)), options={"maxiter": 200})  # fmt: skip
     if not np.all(np.isfinite(solved.x)) or not np.isfinite(solved.fun):
@@ -223,20 +224,20 @@ def _around(h: Floats, step: float) -> tuple[Floats, Floats]:
 
 
 SEEN = 0.05
-"""Chance, shared between all effects that were tried, below which one is said to be seen."""
-ALIKE = 0.95
-"""Probability of an effect to be smaller than what matters, from which on there is said to be none."""
+"""Chance, shared between all effects that were tried, below which an effect is reported as seen."""
+ABSENT = 0.95
+"""Probability that an effect is smaller than what matters, above which it is reported as absent."""
 _FEWEST = 2
-"""Runs on either side of a change."""
+"""Fewest runs on either side of a change."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChangePoint:
     """A change at one place of the series.
 
-    `probability` is that of a change at any place against none, both as probable beforehand: the choice of
-    the place is charged. `first_run` is the likeliest place, from 0, of the run from which on there was
-    another value, which lies between `at_least` and `at_most` with 95 %.
+    `probability` is that of a change at any place against none, which have equal prior probabilities, so that
+    the choice of the place is paid for. `first_run` is the likeliest place, counted from 0, of the first run
+    with another value; it lies between `at_least` and `at_most` with 95 %.
     """
 
     parameter: str
@@ -249,11 +250,11 @@ class ChangePoint:
 def compare_forms(
     runs: Sequence[CompressedRun], model: SeriesModel, candidates: Sequence[Effect]
 ) -> tuple[Floats, Floats, float]:
-    """Each candidate beside the model's effects against the model without it: logarithms of the ratios of
+    """Each candidate added to the model's effects against the model without it: logarithms of the ratios of
     evidences by Laplace's method, the candidates' probabilities, and that of none.
 
-    Half of the probability beforehand is that of nothing, the candidates share the other half: among many a
-    chance resemblance is charged for.
+    The prior probability is half for no candidate, and the candidates share the other half: the more there
+    are, the less a chance resemblance counts.
     """
     from scipy.special import logsumexp
 
@@ -270,8 +271,8 @@ def compare_forms(
 
 
 def find_change(runs: Sequence[CompressedRun], model: SeriesModel, parameter: str) -> ChangePoint:
-    """Where, if anywhere, a parameter became another one; runs are in their order. Raises DataError for fewer
-    than four runs."""
+    """The likeliest change of a parameter along the series, of runs in their order. Raises DataError for
+    fewer than four runs."""
     from scipy.special import logsumexp
 
     if len(runs) < 2 * _FEWEST:

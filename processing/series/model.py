@@ -1,4 +1,4 @@
-"""The linear part of a series' model: which latent number moves which value of which run."""
+"""The linear part of a series' model: how latent numbers move the values of the runs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,36 +14,38 @@ from processing.series.runs import FRICTION, ORDER, CompressedRun, Effect, EndSi
 USUAL_SIZE: Final[Mapping[str, float]] = {
     "b": 0.2, "p": 0.02, "c": 0.5, "n": 0.1, "period0_s": 0.01, "gamma_pa": 0.2, "drag_s": 5e-4,
 }  # fmt: skip
-"""By how much a parameter may be thought to change over a series, in its coordinate."""
+"""Prior size of a parameter's change over a series, in its coordinate."""
 GROWTH: Final = ("ageing", "adhesion_ageing")
-"""The shared input that a friction growing within every run is, where no effect describes it."""
-_VAGUE = 100.0
-"""A level of which nothing is known lies within so many usual sizes of the data's middle."""
-_WIDENED = 30.0
-"""A prior is none where it is this much wider than stated."""
+"""Names of the shared inputs for a friction that grows within every run, where no effect describes it."""
+_UNKNOWN_LEVEL = 100.0
+"""Prior standard deviation of an unknown level about the data's middle, in usual sizes."""
+_NO_PRIOR = 30.0
+"""Factor by which priors are widened so that they have no influence."""
 _FAR = 0.2
 """Share of the sub-likelihood on the long side of an uneven one."""
-_BAD_BY = (3.0, 10.0, 30.0)
-"""A bad run lies off by so many times what it and the scatter between runs say; each as likely."""
+_BAD_FACTORS = (3.0, 10.0, 30.0)
+"""Factors, of equal probability, on a bad run's own uncertainty and its scatter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeriesModel:
-    """What is supposed of a series.
+    """Assumptions about a series.
 
     Attributes
     ----------
     names
         The coordinates that are modelled; others of the runs are left out.
     sizes
-        By coordinate, how far an effect may move it over the series (standard deviation of a normal
-        distribution about zero), and how far runs may scatter (of half a normal distribution).
+        By coordinate, the prior standard deviation of an effect over the series (normal about zero) and of
+        the scatter between runs (half-normal).
     levels
-        Priors of levels by coordinate, where something is known; else nothing is.
+        Priors of levels by coordinate, where something is known.
     scatter
         The coordinates that scatter between runs; None: all.
     contacts_alike
-        Contacts are of one kind, about whose mean they scatter; else each stands for itself.
+        Whether contacts are of one kind and scatter about its mean; else their levels are unrelated.
+    bad_run_chance
+        Prior probability of a run to be bad.
     """
 
     names: tuple[str, ...]
@@ -59,8 +61,8 @@ class SeriesModel:
         return {**USUAL_SIZE, **self.sizes}["b" if name == FRICTION else name]
 
     def without_priors(self) -> "SeriesModel":
-        """The same with all that is stated made so wide that the data alone decide."""
-        return replace(self, sizes={name: _WIDENED * self.size(name) for name in self.names}, levels={})
+        """The same with priors so wide that the data alone decide."""
+        return replace(self, sizes={name: _NO_PRIOR * self.size(name) for name in self.names}, levels={})
 
     def with_effects(self, *effects: Effect) -> "SeriesModel":
         """The same with further effects."""
@@ -90,11 +92,12 @@ class Design(NamedTuple):
     """Arrays of a series of R runs, k coordinates, P latent numbers, S sub-likelihoods a run.
 
     `y` (R, S, k), `covariance` (R, S, k, k), `log_share` (R, S): each run's likelihood as a sum of normal
-    ones. Where a run does not have a coordinate `has` (R, k) is 0, its variance 1 and its value 0. `x`
-    (R, k, P). `blurred` (E, R, k) times the latent numbers `blurred_by` (E,) are standard deviations that
-    uncertain covariates leave. `scatter` (k,) and `varies` (P,) are places among `scales`, the scales (H,)
-    of half-normal priors of scatters, or -1. `worse` (K,) are factors on the widths of good and bad runs,
-    `log_kind` their prior probabilities.
+    ones. Where a run does not have a coordinate, `has` (R, k) is 0, its variance 1 and its value 0. `x`
+    (R, k, P) are the derivatives of the values by the latent numbers `levels`, whose priors are `prior_mean`
+    and `prior_u` (P,). `blurred` (E, R, k) times the latent numbers `blurred_by` (E,) are standard deviations
+    by uncertain covariates. `scatter` (k,) and `varies` (P,) are places among `scales`, the scales (H,) of
+    half-normal priors of the scatters `hyper`, or -1. `worse` (K,) are factors on the widths of good and bad
+    runs, `log_kind` (K,) the logarithms of their prior probabilities.
     """
 
     y: Floats
@@ -137,7 +140,7 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
         seen = seen or [run.bounds[name].limit for run in runs if name in run.bounds]
         if not seen:
             raise DataError(f"{name}: no run of the series determines it; leave it out of the parameters")
-        prior = model.levels.get(name, Estimate(float(np.median(seen)), _VAGUE * model.size(name)))
+        prior = model.levels.get(name, Estimate(float(np.median(seen)), _UNKNOWN_LEVEL * model.size(name)))
         whole = np.zeros((count, len(names)))
         whole[:, place] = 1.0
         if alike:
@@ -159,7 +162,7 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
     grows = any(effect.bends_decays for effect in model.effects)
     for source in dict.fromkeys(source for run in runs for source in run.shared):
         if grows and source in GROWTH:
-            continue  # what an effect describes is no input of which little is known
+            continue  # the effect describes it, so that it is no unknown input
         column = np.zeros((count, len(names)))
         for row, run in enumerate(runs):
             _add(column[row], names, run, run.shared.get(source))
@@ -171,14 +174,14 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
     log_share, y, covariance = _skewed(runs, names, y, covariance)
     bad = model.bad_run_chance
     with np.errstate(divide="ignore"):
-        log_kind = np.log([1 - bad, *([bad / len(_BAD_BY)] * len(_BAD_BY))])
+        log_kind = np.log([1 - bad, *([bad / len(_BAD_FACTORS)] * len(_BAD_FACTORS))])
     return Design(
         y, covariance, log_share, has, x * has[:, :, None],
         np.array(blurred).reshape(-1, count, len(names)) * has, np.array(blurred_by, dtype=np.int64),
         levels, np.array(mean), np.array(u), np.array(varies, dtype=np.int64),
         np.array([scattering.index(name) if name in scattering else -1 for name in names], dtype=np.int64),
         np.array([model.size(level.name) for level in hyper]), tuple(hyper), _bounds(runs, names, x),
-        log_kind, np.array([1.0, *_BAD_BY]),
+        log_kind, np.array([1.0, *_BAD_FACTORS]),
     )  # fmt: skip
 
 
@@ -203,8 +206,8 @@ def _values(runs: Sequence[CompressedRun], names: Sequence[str]) -> tuple[Floats
 def _skewed(
     runs: Sequence[CompressedRun], names: Sequence[str], y: Floats, covariance: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Each run as a sum of two normal likelihoods with the first three moments of one that falls by other
-    widths on either side, along the value with the most uneven profile; one for a parabola."""
+    """Each run as a sum of two normal likelihoods, with the first three moments of one whose widths differ on
+    either side, along the value with the most uneven profile; where none is uneven, as one."""
     if not any(uneven for run in runs for name, uneven in run.asymmetry.items() if name in names):
         return np.zeros((len(runs), 1)), y[:, None], covariance[:, None]
     share = np.full((len(runs), 2), 0.5)
@@ -221,7 +224,7 @@ def _skewed(
         third = mean * ((4 / np.pi - 1) * apart**2 + product)
         between = float(np.cbrt(third / (_FAR * (1 - _FAR) * (1 - 2 * _FAR))))
         inner = variance - _FAR * (1 - _FAR) * between**2
-        # along the direction in which the others follow this value
+        # the other values follow this one by their correlation
         along = covariance[row][:, place] / u**2
         share[row] = 1 - _FAR, _FAR
         both[row] += (mean + between * np.array([-_FAR, 1 - _FAR]))[:, None] * along
@@ -230,14 +233,14 @@ def _skewed(
 
 
 def _effect(runs: Sequence[CompressedRun], effect: Effect, names: Sequence[str]) -> tuple[Floats, Floats]:
-    """Column of an effect, and what its covariate's uncertainty leaves."""
+    """Derivatives (R, k) of the values by an effect's slope, and the part by its covariate's uncertainty."""
     moved = [names.index(name) for name in effect.moves() if name in names]
     if not moved:
         raise DataError(f"{effect.label}: {effect.parameter} is not one of the parameters {', '.join(names)}")
     x, u = covariate_of(runs, effect.covariate if effect.form is not Form.DURING else ORDER)
     here = np.array([effect.contact in ("", run.contact) for run in runs])
     column, blur = np.zeros((2, len(runs), len(names)))
-    value, u_value = effect.seen(x, u)
+    value, u_value = effect.expected(x, u)
     column[:, moved], blur[:, moved] = (value * here)[:, None], (u_value * here)[:, None]
     if effect.bends_decays:
         for row, (run, rate) in enumerate(zip(runs, effect.slope(x) * here, strict=True)):

@@ -1,8 +1,7 @@
-"""The posterior of a series: Laplace's method over the scatters, then draws weighted by how far the density
-differs; by emcee where it is asked for.
+"""The posterior of a series: weighted draws about the maximum by Laplace's method, or a sampler's (emcee).
 
-Chains of emcee walk over the scatters, with the latent numbers integrated: with them the density is a funnel,
-in which walkers stay away from small and from large scatters (measured: a scatter between contacts came out a
+Chains of emcee walk over the scatters alone, with the latent numbers integrated: over both the density is a
+funnel, in which walkers avoid small and large scatters (measured: a scatter between contacts came out a
 quarter too small, with R-hat 1.01).
 """
 
@@ -31,17 +30,18 @@ from processing.series.model import Design, LatentNumber, SeriesModel, design_of
 from processing.series.runs import CompressedRun
 
 DRAWS = 1000
-_ENOUGH = 0.2
-"""Part of the draws that count from which on no further round is made."""
+_ENOUGH_SHARE = 0.2
+"""Effective share of the draws above which no further round is made."""
 _ROUNDS = 4
 _TAILS = 6.0
 _TAILS_OF_LEVELS = 30.0
+"""Degrees of freedom of Student's t from which scatters and latent numbers are drawn."""
 _R_HAT = 1.05
-"""Below it chains tell the same."""
+"""R-hat below which chains agree."""
 _CHAINS = 4
-_BURNT = 0.3
+_BURN_IN = 0.3
 _LONGEST_LOG_SCATTER = 12.0
-_KEPT = 4000
+_MOST_DRAWS = 4000
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class SeriesPosterior:
     """Draws of a series' posterior with their weights.
 
     `h` (M, H) are logarithms of scatters (`hyper`), `w` (M, P) latent numbers (`levels`), `weight` (M,)
-    sums to 1. `effective` is the number of equal draws that these are worth.
+    sums to 1. `effective` is the number of equally weighted draws with the same information.
     """
 
     runs: tuple[CompressedRun, ...]
@@ -90,12 +90,12 @@ class SeriesPosterior:
         return self.moments(self.draws(level))
 
     def moments(self, found: Floats) -> Estimate:
-        """Mean and standard deviation of draws of anything."""
+        """Mean and standard deviation of draws (M,) of any quantity."""
         mean = float(self.weight @ found)
         return Estimate(mean, float(np.sqrt(self.weight @ (found - mean) ** 2)))
 
     def quantiles(self, found: Floats, at: Sequence[float]) -> list[float]:
-        """Quantiles of draws of anything."""
+        """Quantiles of draws (M,) of any quantity."""
         order = np.argsort(found)
         reached = np.cumsum(self.weight[order]) - 0.5 * self.weight[order]
         return [float(value) for value in np.interp(at, reached, found[order])]
@@ -105,22 +105,19 @@ class SeriesPosterior:
         return float(np.sum(self.weight[found < value]))
 
     def chance(self, found: Floats) -> float:
-        """Two-sided chance of an effect or a difference as large where there is none; at least that of one
-        draw."""
+        """Two-sided tail probability of zero, of draws of an effect or a difference; at least one draw's."""
         positive = 1 - self.below(found, 0.0)
         return float(max(2 * min(positive, 1 - positive), 1 / self.effective))
 
     @cached_property
     def bad(self) -> Floats:
-        """Probability of every run (R,) to be a bad one."""
+        """Probability (R,) of each run to be bad."""
         return np.asarray(self.weight @ self._by_run[0])
 
     @cached_property
     def run_values(self) -> tuple[Floats, Floats]:
-        """Values of every run (R, k) as the series has them, and their standard uncertainties.
-
-        The run's own scatter is in them; NaN where nothing is known of a coordinate.
-        """
+        """Values (R, k) of the runs by the whole series, each with its scatter, and their standard
+        uncertainties; NaN where nothing is known of a coordinate."""
         _, of, u2 = self._by_run
         mean, second = (np.einsum("m,mrk->rk", self.weight, one) for one in (of, of**2 + u2))
         return mean, np.sqrt(np.clip(second - mean**2, 0.0, None))
@@ -131,44 +128,44 @@ class SeriesPosterior:
 
     @cached_property
     def residuals(self) -> Floats:
-        """Deviations (R, k) of the runs' values from the model's, over what run and scatter leave; 0 where
-        a run has none."""
+        """Deviations (R, k) of the runs' values from the model's, over their uncertainty and scatter; 0 where
+        a run has no value."""
         w, h = (self.weight @ self.w)[None], (self.weight @ self.h)[None]
         inverse = spread(self.design, h, w).inverse[0, :, 0]
         width = np.sqrt(np.diagonal(np.linalg.inv(inverse), axis1=1, axis2=2))
         return np.asarray((self.design.y[:, 0] - self.design.x @ w[0]) / width * self.design.has)
 
     def predictive_check(self, *, seed: int = 1) -> float:
-        """Chance that runs made up by the posterior scatter as much about their model as the real ones do.
+        """Probability that runs simulated by the posterior scatter about the model at least as the real ones.
 
-        Bayes's p by the sum of squares of all runs. Near 0 the model lacks something, near 1 the
-        uncertainties are too large.
+        This is the posterior predictive p-value of the sum of squares of all runs. Near 0 the model lacks
+        something, near 1 the uncertainties are too large.
         """
         rng, design, more = np.random.default_rng(seed), self.design, 0
         which = rng.choice(len(self.h), size=min(400, len(self.h)), p=self.weight)
-        # which likelihoods are bad is part of the model: a copy has its own
+        # which runs are bad is part of the model, so that a copy draws its own
         kinds = np.exp(design.log_kind)
         for place in which.tolist():
             off = design.y[:, 0] - design.x @ self.w[place]
             inverse = spread(design, self.h[[place]]).inverse[0, :, 0]
             real = np.einsum("rk,rkl,rl->r", off, inverse, off)
             worse = rng.choice(design.worse, size=len(real), p=kinds / kinds.sum())
-            # of a run that only bounds there is nothing that scatters
+            # a run that has only bounds scatters in nothing
             copies = worse**2 * 2 * rng.standard_gamma(0.5 * design.has.sum(axis=1))
-            # of each run at most so much: a bad one is named elsewhere
+            # a bad run counts only up to a limit: it is named elsewhere
             more += bool(np.minimum(copies, 30.0).sum() >= np.minimum(real, 30.0).sum())
         return more / len(which)
 
 
 def _run_posteriors(design: Design, h: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
-    """For given draws the chances (M, R) of the runs to be bad, means and variances (M, R, k) of their own
-    values."""
+    """Probabilities (M, R) of the runs to be bad, and means and variances (M, R, k) of their own values, by
+    draw."""
     found, variance = spread(design, h, w), between_runs(design, h)[:, None]
     chance = chances(log_kinds(design, w, found))
     centre = np.tensordot(w, design.x, (1, 2))
     off = design.y - centre[:, :, None]
     moved = variance[:, :, None] * np.einsum("mrskl,mrsl->mrsk", found.inverse, off)
-    # a bad run is as wide as its kind, both what it measured and how it scatters
+    # the factor of a bad run's kind widens both its own uncertainty and its scatter
     parts, widths = np.sum(chance, axis=3), np.sum(chance * design.worse**2, axis=(2, 3))[..., None]
     mean = np.einsum("mrs,mrsk->mrk", parts, moved)
     second = np.einsum("mrs,mrsk->mrk", parts, moved**2)
@@ -184,8 +181,8 @@ def fit_series(
     """The posterior of a model over runs.
 
     The scatters' likeliest values and curvature come from Laplace's method with the latent numbers
-    integrated. Draws with heavier tails about them get weights by the exact density; where few count, the
-    next round starts from the moments of the one before, and the best one is kept.
+    integrated. Draws with heavier tails about them get weights by the exact density; where their effective
+    number is small, another round starts from the moments of the last. The best round is returned.
     """
     design = design_of(runs, model)
     found = likeliest(design)
@@ -198,7 +195,7 @@ def fit_series(
         log_h = log_z - 0.5 * log_determinant(covariance)
         one, log_ratio = _weighted(rng, runs, model, design, found.w, h, log_h)
         best = one if best is None or one.effective > best.effective else best
-        if one.effective > _ENOUGH * draws or not len(centre):
+        if one.effective > _ENOUGH_SHARE * draws or not len(centre):
             break
         # tempered, so that few draws do not make the next round narrow
         soft = _weights(0.5 * log_ratio)
@@ -224,7 +221,8 @@ def _weighted(
     h: Floats,
     log_h: Floats,
 ) -> tuple[SeriesPosterior, Floats]:
-    """The posterior by draws of the scatters and their log density, and the logarithms of its weights.
+    """The posterior by draws of the scatters `h` and the log density that they were drawn from, `log_h`, and
+    the logarithms of its weights before normalisation.
 
     Latent numbers are drawn about the likeliest ones for each draw of the scatters.
     """
@@ -259,7 +257,7 @@ class SampledPosterior:
     """A posterior by a sampler.
 
     `r_hat` and `effective` are by level: the ratio of scatters between and within independent halves of
-    ensembles, and the number of independent draws. `settled` says whether all chains tell the same.
+    ensembles, and the number of independent draws. `settled` is whether all chains agree.
     """
 
     posterior: SeriesPosterior
@@ -304,11 +302,11 @@ def sample_series(
         sampler = emcee.EnsembleSampler(walkers, size, log_posterior, vectorize=True)
         sampler.random_state = np.random.RandomState(int(rng.integers(2**31))).get_state()
         sampler.run_mcmc(rng.standard_normal((walkers, size)), steps, progress=False)
-        chains.append(found.h + sampler.get_chain(discard=int(_BURNT * steps)) @ factor.T)
+        chains.append(found.h + sampler.get_chain(discard=int(_BURN_IN * steps)) @ factor.T)
         times.append([emcee.autocorr.integrated_time(one, tol=0) for one in np.moveaxis(chains[-1], 2, 0)])
     there = np.array(chains)
     flat = there.reshape(-1, size)
-    h = flat[:: max(1, len(flat) // _KEPT)]
+    h = flat[:: max(1, len(flat) // _MOST_DRAWS)]
     posterior, _ = _weighted(rng, runs, model, design, found.w, h, log_marginal(design, h, found.w)[0])
     each = len(flat) / np.maximum(np.mean(times, axis=0).ravel(), 1.0)
     return SampledPosterior(
@@ -321,7 +319,7 @@ def sample_series(
 def split_r_hat(chains: Floats) -> float:
     """R-hat of independent ensembles (chains, steps, walkers), each cut into halves.
 
-    The walkers of an ensemble know of each other: only ensembles and halves are compared.
+    The walkers of an ensemble depend on each other, so that only ensembles and halves are compared.
     """
     half = chains.shape[1] // 2
     parts = np.concatenate([chains[:, :half], chains[:, half : 2 * half]])

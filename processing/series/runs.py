@@ -1,6 +1,6 @@
-"""What a series takes of a run: its likelihood, compressed; and forms in which runs depend on covariates.
+"""The compressed likelihood of a run, as a series takes it, and the effects of covariates on runs.
 
-Coordinates are those in which a decay's likelihood is nearly a parabola: logarithms, b and gamma at one
+Coordinates are those in which a decay's likelihood is nearly a parabola: logarithms, with b and gamma at one
 amplitude.
 """
 
@@ -19,18 +19,19 @@ from processing.estimate import Estimate
 POSITIVE: Final = ("b", "c", "gamma_pa")
 """Parameters of which the coordinate is the logarithm: changes of it are relative changes."""
 EXPONENT_OF: Final[Mapping[str, tuple[str, float]]] = {"b": ("p", 1.0), "gamma_pa": ("n", 0.0)}
-"""Their units hold an exponent: ln b + (p - 1) ln A and ln gamma + n ln A are nearly independent of it."""
+"""Parameters whose unit contains an exponent, with the exponent and the number that it is taken less:
+ln b + (p - 1) ln A and ln gamma + n ln A are nearly independent of it."""
 FRICTION: Final = "friction"
-"""Of an effect on b and c alike, which also shows within each run (`CompressedRun.by_growth`)."""
+"""Parameter of an effect on b and c alike, which also shows within each run (`CompressedRun.by_growth`)."""
 ORDER: Final = "order"
 """The covariate that every run has: its place in the series, from 0."""
 _LARGEST_EXPONENT = 200.0
-"""Of what is not determined at all."""
+"""Largest logarithm that is converted: that of a parameter which is not determined may overflow."""
 
 
 def to_coordinates(names: Sequence[str], values: Floats, reference_rad: float) -> tuple[Floats, Floats]:
-    """Parameters in coordinates at the reference amplitude, and the derivatives of these by them; positive
-    ones must be above 0."""
+    """Coordinates (k,) of parameters at the reference amplitude, and their derivatives (k, k) by the
+    parameters; those of `POSITIVE` must be above 0."""
     found, slopes = values.astype(np.float64), np.eye(len(names))
     for place, name in enumerate(names):
         if name in POSITIVE:
@@ -44,7 +45,7 @@ def to_coordinates(names: Sequence[str], values: Floats, reference_rad: float) -
 
 
 def parameters(names: Sequence[str], found: Floats, reference_rad: float) -> Floats:
-    """The parameters of coordinates, along the last axis."""
+    """The parameters by their coordinates `found`, along the last axis."""
     values = np.array(found, dtype=np.float64)
     for place, name in enumerate(names):
         exponent, less = EXPONENT_OF.get(name, ("", 0.0))
@@ -56,14 +57,14 @@ def parameters(names: Sequence[str], found: Floats, reference_rad: float) -> Flo
 
 
 class EndSide(StrEnum):
-    """Which limit a censored value has."""
+    """Side on which a censored value is bounded."""
 
     UPPER = "upper"
     LOWER = "lower"
 
 
 class Bound(NamedTuple):
-    """A value of which a run says only where it ends: softly, over `softness`, in coordinates."""
+    """A value that a run only bounds, by a limit with the standard deviation `softness`, in coordinates."""
 
     limit: float
     side: EndSide
@@ -72,25 +73,25 @@ class Bound(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class CompressedRun:
-    """One run as a series sees it, in coordinates.
+    """The likelihood of one run, in coordinates, with its covariates.
 
     Attributes
     ----------
     names, values, covariance
         Maximum of the likelihood and the inverse of its curvature, by the run's own data alone.
     shared
-        Change of the values for one standard uncertainty of an input that runs have in common, by its name.
-        It is no part of `covariance`.
+        Changes of the values by one standard uncertainty of an input that runs have in common, by its name.
+        They are no part of `covariance`.
     asymmetry
         By name, (upper - lower)/(upper + lower) of the half-widths of the profile's interval.
     bounds
         Values that the run only bounds, by name; they are none of `names`.
     covariates
-        What the run was measured under; one that is missing is not there.
+        Conditions of the run by name; unknown ones are left out.
     by_growth
-        Change of the values for a relative growth of the friction over the run by 1; None: not known.
+        Changes of the values by a relative growth of the friction over the run by 1; None: not known.
     duration_s
-        From the first turning point to the last.
+        Time from the first turning point to the last.
     """
 
     label: str
@@ -125,7 +126,7 @@ class CompressedRun:
 
 
 class Form(StrEnum):
-    """How a parameter depends on a covariate x."""
+    """Form of a parameter's dependence on a covariate x."""
 
     LINEAR = "linear"
     """Slope times (x - reference)."""
@@ -134,15 +135,15 @@ class Form(StrEnum):
     STEP = "step"
     """One value below the reference, another from there on: a cleaning."""
     DURING = "during"
-    """Friction that grows within every run alike, per second, and is back at its next beginning."""
+    """Friction that grows within every run alike, per second, and begins the next run as it was."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
     """A parameter that depends on a covariate; several of them add up.
 
-    `reference` is where the effect is zero (`Form.LINEAR`, `Form.LOGARITHM`) or where the step stands.
-    `contact` restrains it to one contact; empty: all have it alike.
+    `reference` is the covariate at which the effect is zero (`Form.LINEAR`, `Form.LOGARITHM`) or steps.
+    `contact` restricts it to one contact; empty: all contacts have it.
     """
 
     parameter: str
@@ -160,12 +161,12 @@ class Effect:
 
     @property
     def bends_decays(self) -> bool:
-        """Whether friction grows within each run by it."""
+        """Whether the effect makes friction grow within each run."""
         in_time = self.form is Form.DURING or self.covariate.endswith("_s")
         return self.parameter == FRICTION and in_time
 
     def moves(self) -> tuple[str, ...]:
-        """The coordinates that it moves."""
+        """The coordinates that the effect moves."""
         return ("b", "c") if self.parameter == FRICTION else (self.parameter,)
 
     def value(self, x: Floats) -> Floats:
@@ -189,10 +190,10 @@ class Effect:
             return 1 / x
         return np.zeros_like(x) if self.form is Form.STEP else np.ones_like(x)
 
-    def seen(self, x: Floats, u: Floats) -> tuple[Floats, Floats]:
-        """The form with slope 1 of values that are uncertain by `u`, and its own standard uncertainty.
+    def expected(self, x: Floats, u: Floats) -> tuple[Floats, Floats]:
+        """The form with slope 1 for values x that are uncertain by `u`, and its standard uncertainty.
 
-        An uncertain value lies on the far side of a step with a probability: the form is its mean there.
+        An uncertain value lies beyond a step with a probability, which is then the mean of the form.
         """
         from scipy.special import ndtr
 
@@ -204,7 +205,7 @@ class Effect:
         return value, np.sqrt(value * (1 - value))
 
     def span(self, runs: Sequence[CompressedRun]) -> float:
-        """How far the form moves over the series with slope 1."""
+        """Range of the form with slope 1 over the series."""
         if self.form is Form.DURING:
             return max(run.duration_s for run in runs)
         if self.form is Form.STEP:
@@ -220,8 +221,8 @@ class Effect:
 def covariate_of(runs: Sequence[CompressedRun], name: str) -> tuple[Floats, Floats]:
     """A covariate of every run and its standard uncertainty.
 
-    Where it is missing it is as likely to be as in the runs in which it is known: their mean, their scatter.
-    Raises DataError where it is known of fewer than two runs.
+    Where it is missing, it has the mean of the other runs and their scatter as its uncertainty. Raises
+    DataError where it is known of fewer than two runs.
     """
     if name == ORDER:
         return np.arange(len(runs), dtype=np.float64), np.zeros(len(runs))

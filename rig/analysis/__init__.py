@@ -47,8 +47,8 @@ from rig.analysis.run_remarks import (
     remarks,
     whole_result,
 )
-from rig.analysis.screen import TableFit, fit_envelope_table, fit_several, fit_trajectory, print_results
-from rig.analysis.seismometer import taken
+from rig.analysis.screen import TableOptions, fit_envelope_table, fit_several, fit_trajectory, print_results
+from rig.analysis.seismometer import sample_times
 from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.series import AnalysedRun, combined_series, refuse_copies, refuse_unread, session_results
 from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory

@@ -1,4 +1,4 @@
-"""The air about a run and the history of its contact, and what they make expect: drag and drifts."""
+"""Ambient conditions of a run and history of its contact, and the drag and the drifts expected from them."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -24,31 +24,34 @@ _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
 _FEWEST_READINGS = 4
 """Fewest readings that show a change."""
-_SINCE = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
+_HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
 
 
 def stated_surroundings(config: Configuration) -> AmbientConditions:
-    """The air as the user stated it."""
+    """The ambient conditions that the configuration states; NaN where it states none."""
     stated = {name: getattr(config.environment, name) for name in type(config.environment).model_fields}
     return AmbientConditions(**{name: float(value) for name, value in stated.items() if value is not None})
 
 
-def surroundings_of_table(config: Configuration, began_s: float | None) -> AmbientConditions:
-    """As stated, with the history of the contact up to the first row, if that is a time since 1970."""
-    since = {name: getattr(config.session, key) for name, key in _SINCE.items()}
+def table_surroundings(config: Configuration, began_s: float | None) -> AmbientConditions:
+    """Stated ambient conditions, with the contact's history up to the first row of a table.
+
+    `began_s` is that row's time in s since 1970, None where the table does not have it.
+    """
+    since = {name: getattr(config.session, key) for name, key in _HISTORY_KEYS.items()}
     known = {} if began_s is None else {name: began_s - at.timestamp() for name, at in since.items() if at}
     return replace(stated_surroundings(config), **known)
 
 
 def recorded_surroundings(reader: RecordReader, config: Configuration | None = None) -> AmbientConditions:
-    """Those of a record; what is stated comes from `config`, or without one from the record's own texts."""
+    """Ambient conditions of a record: its readings, else those stated in `config` or else in the record."""
     if config is None:
         air = {name: _number(text) for name, text in reader.metadata.get("environment", {}).items()}
         session = reader.metadata.get("session", {})
-        times = {name: session.get(key, "") for name, key in _SINCE.items()}
+        times = {name: session.get(key, "") for name, key in _HISTORY_KEYS.items()}
     else:
         air = asdict(stated_surroundings(config))
-        stated = {name: getattr(config.session, key) for name, key in _SINCE.items()}
+        stated = {name: getattr(config.session, key) for name, key in _HISTORY_KEYS.items()}
         times = {name: at.isoformat() if at is not None else "" for name, at in stated.items()}
     return AmbientConditions(**_read(reader, air), **_since(reader, times))
 
@@ -62,7 +65,7 @@ def _read(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]
         found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
         if name == "temperature_c" and len(read) >= _FEWEST_READINGS:
             at = np.linspace(-0.5, 0.5, len(read))
-            # from the first reading on: of readings that are all alike the change is 0
+            # less the first reading, so that equal readings give a change of exactly 0
             found["temperature_change_k"] = float(np.polyfit(at, read - read[0], 1)[0])
     return found
 
@@ -85,12 +88,12 @@ def _number(text: str) -> float:
         return nan
 
 
-def doubts_of(found: AmbientConditions) -> list[str]:
-    """Times that the configuration states and that cannot be, and a humidity that was hardly meant."""
+def air_doubts(found: AmbientConditions) -> list[str]:
+    """Warnings of stated times that are impossible, and of a humidity that was hardly meant."""
     said = [doubtful_humidity(found.humidity_percent)]
     return [*filter(None, said)] + [
         f"session.{key} lies {-getattr(found, name):.0f} s after the run began: correct its date or offset"
-        for name, key in _SINCE.items()
+        for name, key in _HISTORY_KEYS.items()
         if getattr(found, name) < 0
     ]
 
@@ -98,7 +101,7 @@ def doubts_of(found: AmbientConditions) -> list[str]:
 def expected_drag(
     found: AmbientConditions, pendulum: PendulumOnBall, period_s: float, config: Configuration
 ) -> ExpectedDrag:
-    """The drag that this air, or a usual one where it is not known, gives a bar in the pendulum's place."""
+    """The drag of a bar of the pendulum's size in this air; `_USUAL` values stand for unknown ones."""
     air = humid_air(**{**_USUAL, **{name: value for name, value in found.known().items() if name in _AIR}})
     stated = config.pendulum
     length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
@@ -114,14 +117,14 @@ def expected_drag(
     )
 
 
-_DOUBT, _DOUBT_OF_STATED = 0.75, 0.3
-"""Relative standard uncertainty of the drag of a bar in the pendulum's place: a factor of two up or down, and
-what ends, mirror and weights may do where length and width are stated."""
+_U_RELATIVE, _U_RELATIVE_STATED = 0.75, 0.3
+"""Relative standard uncertainty of a bar's drag as that of the pendulum: a factor of two up or down, and the
+effect of ends, mirror and weights where length and width are stated."""
 _GEOMETRY = frozenset({"length_m", "width_m"})
 
 
 class FittedDrag(NamedTuple):
-    """Whether a drag is fitted, and what is known of it beside the run; None: nothing."""
+    """Whether a drag is fitted, and its prior, None without one."""
 
     fitted: bool = True
     known_s: Estimate | None = None
@@ -133,7 +136,7 @@ OPEN_DRAG = FittedDrag()
 def known_drag(
     config: Configuration, air: AmbientConditions, pendulum: PendulumOnBall, period_s: float
 ) -> tuple[FittedDrag, ExpectedDrag]:
-    """As [fit] has it, and what the air is expected to exert."""
+    """The drag that [fit] asks for, and the one expected of the air."""
     of_air, settings = expected_drag(air, pendulum, period_s, config), config.fit
     if settings.drag == "vacuum":
         return FittedDrag(fitted=False), of_air
@@ -141,26 +144,26 @@ def known_drag(
         return FittedDrag(), of_air
     if settings.drag_s is not None:
         return FittedDrag(known_s=Estimate(settings.drag_s, settings.u_drag_s)), of_air
-    doubt = _DOUBT if _GEOMETRY & set(of_air.assumed) else _DOUBT_OF_STATED
+    doubt = _U_RELATIVE if _GEOMETRY & set(of_air.assumed) else _U_RELATIVE_STATED
     return FittedDrag(known_s=Estimate(of_air.drag_s, doubt * of_air.drag_s)), of_air
 
 
 def evidence_of(drag: FittedDrag, harmonics: SwingHarmonics | None) -> Evidence:
-    """What restrains the fit of a run beside its turning points."""
+    """Evidence of a run's fit: the prior of the drag, and the waveform by the harmonics if there are any."""
     waveform = None if harmonics is None else waveform_of(harmonics)
     return Evidence(waveform, drag.known_s)
 
 
 _DRAG_PER_K = 2.7e-3
 """Relative growth of the air's viscosity per kelvin."""
-_SAID = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
+_DRIFT_NAMES = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "the drag"}
 
 
-def believed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, InputQuantity]:
-    """Relative changes over a run by the names of `RigQuantities`, as [fit] has them.
+def assumed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, InputQuantity]:
+    """Relative changes over a run by the names of `RigQuantities`: 0 with the uncertainties of [fit].
 
-    Period and drag follow the temperature, as it was read: the one with the body's expansion, the other with
-    the viscosity of the air.
+    Those of period and drag follow from the change of the temperature, read or stated: by the pendulum's
+    thermal expansion and by the viscosity of the air.
     """
     fit, change_k = config.fit, config.fit.u_temperature_change_k
     if isfinite(air.temperature_change_k):
@@ -176,9 +179,9 @@ def believed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, 
 
 
 def limit_sentence(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit: FitResult) -> str:
-    """What a decay alone cannot tell of its contact's age and of its air; empty where it hardly matters."""
+    """Note on the effect of drifts that a decay alone does not reveal; empty where it is below 1 u."""
     said = []
-    for source, what in _SAID.items():
+    for source, what in _DRIFT_NAMES.items():
         moved = []
         for name, slope in zip(fit.contact_names, drifts[source].tolist(), strict=True):
             by = abs(slope) * u_drifts[source]

@@ -1,4 +1,4 @@
-"""Which laws describe a run: fits of several to its turning points, and the table for the terminal."""
+"""Comparison of laws by fits to the turning points of a run, and the model curves of its fits."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -47,14 +47,14 @@ from rig.analysis.results import RunResults
 from rig.analysis.series import AnalysedRun
 
 NO_LAW: Final = "none"
-_TELLING, _MOST_RUNS = 3.0, 100
-"""Distance in standard uncertainties that tells two laws apart, and the most runs that are proposed."""
+_DISTINCT_U, _MOST_RUNS = 3.0, 100
+"""Standard uncertainties by which two laws have to differ, and the most runs that are proposed for it."""
 
 
 def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
-    """The default law and others of the registry by name; "all" means all, "none" none but those beside it.
+    """The default law and others of the registry by name; "all" stands for all laws, "none" for no further.
 
-    Raises ConfigurationError: there is no law of that name.
+    Raises ConfigurationError for a name that no law has.
     """
     for name in names:
         if name not in ("all", NO_LAW, *LAWS):
@@ -64,7 +64,7 @@ def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
     return tuple(law for law in LAWS.values() if law is DEFAULT_LAW or {law.name, "all"} & set(names))
 
 
-def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws | None:
+def compared_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws | None:
     """Fit the laws to the turning points of a fitted run; None where it has no fit."""
     exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
@@ -72,7 +72,7 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
     like = dict(zip(exact.names, exact.values.tolist(), strict=True))
     made = [law.of(run.points, pendulum, like) if isinstance(law, StatedLaw) else law for law in laws]
     compared = compare_laws(run.points, pendulum, made, like=exact)
-    free = _without_law(run.points, pendulum, compared, exact)
+    free = _model_free_moments(run.points, pendulum, compared, exact)
     remaining = [trial.law.name for trial in compared.remaining]
     verdict = compared.text()
     if free is not None and len(remaining) > 1:
@@ -86,17 +86,17 @@ def laws_of(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws |
         if trial.fit is not None
     }
     chances = waveform_chances(classes, predicted)
-    verdict = f"{verdict}; {_said(classes, chances)}"
-    return ComparedLaws(_law_fits(compared, chances), verdict, free, _stored(classes, predicted))
+    verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
+    return ComparedLaws(_law_fits(compared, chances), verdict, free, _waveform_classes(classes, predicted))
 
 
 def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
     """The run with these laws compared."""
-    return replace(run, laws=laws_of(run, laws))
+    return replace(run, laws=compared_laws(run, laws))
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
-    """Where two laws differ most in what one run knows, and how many runs make that three uncertainties."""
+    """Where two laws differ most in uncertainties of one run, and how many runs would separate them there."""
     by_moment = {
         "friction": np.abs(free.laws[one].friction_n_m - free.laws[other].friction_n_m) / free.u_friction_n_m,
         "elastic moment": np.abs(free.laws[one].elastic_n_m - free.laws[other].elastic_n_m)
@@ -104,7 +104,7 @@ def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
     }
     name, apart = max(by_moment.items(), key=lambda item: float(item[1].max()))
     most = float(apart.max())
-    runs = np.ceil((_TELLING / most) ** 2)
+    runs = np.ceil((_DISTINCT_U / most) ** 2)
     where = f"they differ most in {name} at {free.phi_rad[int(apart.argmax())] / ARCSEC_RAD:.2g} arcsec"
     if not 2 <= runs <= _MOST_RUNS:
         return f"{where}; a larger first amplitude or more runs may decide"
@@ -113,10 +113,10 @@ def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
     )
 
 
-def _without_law(
+def _model_free_moments(
     points: TurningPoints, pendulum: PendulumOnBall, compared: LawComparison, exact: FitResult
 ) -> ModelFreeMoments | None:
-    """Moments as splines, and those of the laws that remain in the same terms; None where there is no fit."""
+    """Moments as splines, and those of the fitted laws in the same terms; None where splines have no fit."""
     try:
         free = fit_model_free(points, pendulum, like=exact)
     except DataError:
@@ -136,7 +136,7 @@ def _without_law(
 
 
 def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str, LawFit]:
-    """Every law at its best; `chances` are those of its waveform, where the deflections say something."""
+    """The best fit of every law; `chances` are those of its waveform, empty without one."""
     found = {}
     for trial in compared.trials:
         fit, law = trial.fit, trial.law
@@ -160,8 +160,8 @@ def _law_fits(compared: LawComparison, chances: Mapping[str, float]) -> dict[str
 _THIRD = ORDERS.index(3)
 
 
-def _said(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str:
-    """What the third harmonic says of the laws."""
+def _waveform_verdict(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str:
+    """Verdict of the third harmonic on the laws, in words."""
     first = classes[0]
     third_mas, u_mas = np.array([abs(first.harmonics[_THIRD]), first.u[_THIRD]]) / ARCSEC_RAD * 1e3
     measured = f"the waveform (third harmonic {third_mas:.1f} ± {u_mas:.1f} mas at "
@@ -174,7 +174,7 @@ def _said(classes: Sequence[HarmonicClass], chances: Mapping[str, float]) -> str
     return f"{measured} contradicts {', '.join(against)}"
 
 
-def _stored(
+def _waveform_classes(
     classes: Sequence[HarmonicClass], predicted: Mapping[str, Sequence[NDArray[np.complex128]]]
 ) -> tuple[WaveformClass, ...]:
     return tuple(
@@ -193,7 +193,7 @@ def _harmonics(values: NDArray[np.complex128]) -> Harmonics:
 
 
 _FEWEST = 8
-"""Periods for a smooth curve."""
+"""Fewest periods for a smooth curve."""
 _FEWEST_POINTS = 3
 
 
@@ -201,9 +201,9 @@ _FEWEST_POINTS = 3
 class Curves:
     """Model values at the turning points of a run, in rad and s; NaN where a model has none.
 
-    `period_rad` are the amplitudes at which a full period was measured, `period_s` and
-    `u_period_s` the periods; the models' periods stand beside them, `smooth_s` is the
-    model-free one.
+    `period_rad` and `period_time_s` are the amplitudes and times at which a full period was measured,
+    `period_s` and `u_period_s` the measured periods; `asymptotic_period_s` and `exact_period_s` are those of
+    the models there, `smooth_s` those of a smooth curve without a model.
     """
 
     asymptotic_rad: Floats
@@ -245,7 +245,7 @@ def curves_of(run: RunResults) -> Curves | None:
 
 def _smooth(amplitude: Floats, periods: Periods) -> Floats:
     """A cubic smoothing spline of the periods over ln A by generalised cross-validation."""
-    # not at import: most commands draw no curves
+    # not at import: most commands plot no curves
     from scipy.interpolate import make_smoothing_spline
 
     x, first = np.unique(np.log(amplitude), return_index=True)
@@ -268,7 +268,7 @@ def _asymptotic(points: TurningPoints, fit: Fit) -> Floats:
     known = fit.contact()
     mean = fit.mean_period_s.value
     s = (points.time_s - points.time_s[0]) * (4 / mean)
-    # Eq. 5 in units of T/4: a linear drag enters its rate as this much of the amplitude
+    # coefficient of a linear drag in the rate of Eq. 5, in units of T/4
     linear = known.drag_s * math.pi**2 / (2 * mean)
     start = fit.estimate(AMPLITUDE.key).value
     path, _ = decay_path(s, start, known.b / (known.p + 1), known.p, known.c, linear)
@@ -277,11 +277,11 @@ def _asymptotic(points: TurningPoints, fit: Fit) -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelCurve:
-    """What was measured at every turning point of a run, and what a fitted law says of it.
+    """Measured turning points of a run, and those of a fitted law, as arrays (n,).
 
-    Arrays (n,). The model is one free decay: on ground that moves the measured amplitudes and times wander
-    about it by more than their uncertainties, which the fit allows for. NaN where a law has no value: Eqs. 5
-    and 6 have no times. `index` is the number of the half-cycle.
+    The model is one free decay: on ground that moves the measured amplitudes and times wander about it by
+    more than their uncertainties, which the fit allows for. NaN where a law has no value: Eqs. 5 and 6 have
+    no times. `index` is the number of the half-cycle.
     """
 
     index: Ints
@@ -304,9 +304,9 @@ class ModelCurve:
 
 
 def model_curves(run: RunResults, stated: StatedLaw | None = None) -> Mapping[str, ModelCurve]:
-    """The curves of both fits, and of the laws that were compared; of a `stated` one under its name.
+    """The curves of both fits and of the compared laws, by name; a `stated` law has its own name.
 
-    Raises DataError: the run was not fitted, or not with the law that is stated.
+    Raises DataError for a run that was not fitted, or not with the stated law.
     """
     curves, points = curves_of(run), run.points
     if curves is None or run.pendulum is None:

@@ -1,4 +1,4 @@
-"""Half-cycles as they stand once the motion is known, and both fits of their decay."""
+"""Second measurement of a run's half-cycles with the fitted motion, and both fits of their decay."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -10,33 +10,33 @@ from processing.contact import PendulumOnBall
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.fit import (
-    MISFIT,
+    DISCREPANCY,
+    FIXED_PATTERN,
     NO_EVIDENCE,
-    PLACE,
+    DecayFit,
     Evidence,
     FitMethod,
-    FitOfSwings,
     FitResult,
     LinearisedFit,
-    PlaceErrors,
+    PositionErrorFit,
+    Seismogram,
     SeismometerUse,
-    Witness,
-    alternation_of,
+    boundary_layer_drag,
     describes_as_well,
     domain_warnings,
     drift_term,
     fit_asymptotic,
     fit_exact,
-    fit_with_witness,
+    fit_position_errors,
+    fit_with_seismometer,
     known_motion,
-    measured_again,
-    place_errors,
-    settled_by_either,
-    shift_of,
-    steeper_drag,
+    measurement_shift,
+    refine,
+    second_measurement,
+    time_alternation,
+    with_boundary_layer_drag,
     with_changes,
-    with_misfit,
-    with_steeper_drag,
+    with_discrepancy,
     without_alternation,
 )
 from processing.least_squares import Loss
@@ -55,12 +55,12 @@ from rig.settings import FitSettings
 
 
 class RefinedHalfCycles(NamedTuple):
-    """Half-cycles, and the motion on which they were measured again; None: they are as detected.
+    """Half-cycles of a run, and the motion of their second measurement; None: they are as detected.
 
-    `exact` is the fit to them, where one was made, and `doubt` says why they were not measured again.
-    `position_map` are the errors of position that were taken off the deflections, where the run shows any;
-    the uncertainties of `exact` then hold what is left of them. `harmonics` are those of the swing, for which
-    there have to be deflections in rad.
+    `exact` is the fit to them, where one was made, and `doubt` the reason for no second measurement.
+    `position_map` are the fixed-pattern position errors that were taken off the deflections, if the run shows
+    any; the uncertainties of `exact` then contain the remaining errors. `harmonics` are those of the swing,
+    None without deflections in rad.
     """
 
     swings: Sequence[HalfCycle]
@@ -80,21 +80,21 @@ def settled_swings(
     clock_rate: float = 1.0,
     drag: FittedDrag = OPEN_DRAG,
 ) -> RefinedHalfCycles:
-    """The half-cycles as they stand once the motion is known from all of them.
+    """Half-cycles measured a second time with the motion that was fitted to all of them.
 
-    `blocks` are consecutive deflections, in `unit`, in which the swings were detected; they pass once for
-    the harmonics of the swing, once for the motion, and again where the run shows errors of position: the
-    harmonics are then those of the deflections without them.
+    `blocks` are consecutive deflections, in `unit`, in which the half-cycles were detected; they pass once
+    for the harmonics of the swing, once for the motion, and again where the run shows position errors: the
+    harmonics are then those of the corrected deflections.
 
-    They stay as they were detected where the laws cannot be fitted, which need deflections in rad, and where
-    the laws describe the second measurement worse than the first; their uncertainties then hold by how much
-    the two differ. One repetition is enough: a second one shifts them by some hundredths of an uncertainty.
+    Half-cycles stay as detected where the laws cannot be fitted, which need deflections in rad, and where the
+    laws describe the second measurement worse than the first; their uncertainties then contain the difference
+    of both. One repetition is enough: a second one shifts them by some hundredths of an uncertainty.
     """
     if pendulum is None or unit is not DeflectionUnit.RAD:
         return RefinedHalfCycles(swings, None)
     swings = with_learned_weights(swings)
     harmonics = _harmonics_of(blocks, swings)
-    fit = FitOfSwings(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
+    fit = DecayFit(pendulum, clock_rate, drag.fitted, evidence_of(drag, harmonics), loss_of(settings))
     try:
         first = fit.of(swings)
         motion = fit.motion(first, swings)
@@ -103,10 +103,8 @@ def settled_swings(
     watch = CycleWatch(swings, motion)
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
-    again = measured_again(swings, _watched(blocks, watch, search), motion)
-    settled = RefinedHalfCycles(
-        *settled_by_either(swings, blocks, motion, first, fit, again), harmonics=harmonics
-    )
+    again = second_measurement(swings, _watched(blocks, watch, search), motion)
+    settled = RefinedHalfCycles(*refine(swings, blocks, motion, first, fit, again), harmonics=harmonics)
     found = search.position_map()
     if found is None:
         return settled
@@ -135,45 +133,45 @@ def _without_position_errors(
     motion: KnownMotion,
     before: FitResult,
     found: PositionMap,
-    fit: FitOfSwings,
+    fit: DecayFit,
     drag: FittedDrag,
 ) -> RefinedHalfCycles | None:
-    """Measured again in deflections without the map's errors; None where the laws describe that worse.
+    """Half-cycles measured in deflections without the map's errors; None where the laws describe them worse.
 
-    The motion was fitted with the errors in it, and is therefore fitted and used once more, and so is the
-    search for errors. What the map leaves open is then adjusted with what the law sees of it.
+    The motion was fitted to deflections with the errors, so that motion and search for errors are repeated
+    without them. The part of the map that the residuals leave open is then adjusted by the fitted law.
     """
     exact, final, again = before, found, swings
     harmonics: SwingHarmonics | None = None
     try:
         for step in range(3):
             if step == 1:
-                found = final = _with_what_is_left(found, blocks, again, motion)
+                found = final = _with_remaining_errors(found, blocks, again, motion)
                 harmonics = _harmonics_of(map(found.corrected, blocks), again)
                 fit = fit._replace(evidence=evidence_of(drag, harmonics))
             if step == 2:
-                errors = _place_errors(found, again, exact, fit)
+                errors = _position_errors(found, again, exact, fit)
                 final = found.adjusted(errors.values, errors.covariance)
-            again = measured_again(swings, map(final.corrected, blocks), motion)
-            if not shift_of(swings, again).complete:
+            again = second_measurement(swings, map(final.corrected, blocks), motion)
+            if not measurement_shift(swings, again).complete:
                 return None
             exact = fit.of(again, exact)
             if step < 2:
                 motion = known_motion(exact.parameters, fit.pendulum, motion.reference, fit.clock_rate)
         if not describes_as_well(exact, before):
             return None
-        left = _place_errors(found, again, exact, fit).of_parameters
+        left = _position_errors(found, again, exact, fit).of_parameters
     except DataError:
         return None
-    return RefinedHalfCycles(again, motion, exact.with_term(PLACE, left), "", final, harmonics)
+    return RefinedHalfCycles(again, motion, exact.with_term(FIXED_PATTERN, left), "", final, harmonics)
 
 
-def _with_what_is_left(
+def _with_remaining_errors(
     found: PositionMap, blocks: Iterable[Deflections], swings: Sequence[HalfCycle], motion: KnownMotion
 ) -> PositionMap:
-    """The map with what the deflections without its errors show of others.
+    """The map with the errors that the corrected deflections still show.
 
-    It was found at places that the errors themselves had moved, which is much where the scale is bent.
+    It was found at places that the errors themselves had moved, far where the scale is not linear.
     """
     watch = CycleWatch(swings, motion)
     search = PositionMapSearch(*found.limits, watch.cycles)
@@ -190,18 +188,18 @@ def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) ->
     return watch.found()
 
 
-def _place_errors(
-    found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: FitOfSwings
-) -> PlaceErrors:
-    """What the fit says of errors of place that the residuals leave open."""
+def _position_errors(
+    found: PositionMap, swings: Sequence[HalfCycle], exact: FitResult, fit: DecayFit
+) -> PositionErrorFit:
+    """The position errors that the residuals leave open, by the fit."""
     good = [swing for swing in swings if not swing.flags]
     amplitude, centre, side = np.array([(one.amplitude, one.centre, one.side) for one in good]).T
     errors = found.amplitude_errors(amplitude, centre, side)
-    return place_errors(fit.points(swings), fit.pendulum, exact, errors)
+    return fit_position_errors(fit.points(swings), fit.pendulum, exact, errors)
 
 
 def loss_of(settings: FitSettings) -> Loss:
-    """Robust or not, as the settings say."""
+    """The loss function of the settings."""
     return "soft_l1" if settings.robust else "linear"
 
 
@@ -214,13 +212,13 @@ def fit_decay(
     drag: bool = True,
     evidence: Evidence = NO_EVIDENCE,
     drifts: Mapping[str, float] | None = None,
-    witness: tuple[Witness, bool] | None = None,
+    witness: tuple[Seismogram, bool] | None = None,
 ) -> tuple[Mapping[str, FitResult], TurningPoints, SeismometerUse | None]:
-    """Asymptotic and exact fit of turning points, by name; the points that were fitted; a witness's use.
+    """Asymptotic and exact fit of turning points, by name; the points fitted; the use of a seismometer.
 
-    `exact` is the exact fit of these points where it has been made; otherwise a `drag` is fitted or not, and
-    `evidence` restrains the fit. `witness` is an auxiliary seismometer on the clock of the points, and
-    whether that is known; Eqs. 5 and 6 keep the paper's procedure.
+    `exact` is an exact fit of these points, if there is one; otherwise `drag` is whether a drag is fitted,
+    and `evidence` restrains the fit. `witness` is an auxiliary seismometer on the clock of the points, and
+    whether that clock is known; Eqs. 5 and 6 keep the paper's procedure.
     Raises DataError for a decay that cannot be fitted.
     """
     if pendulum is None:
@@ -230,8 +228,8 @@ def fit_decay(
     loss, printed_curvature = loss_of(settings), settings.printed_055
     if exact is None:
         exact = fit_exact(points, pendulum, drag=drag, evidence=evidence, loss=loss)
-    exact, points = _without_row_times(points, pendulum, exact)
-    steeper = steeper_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
+    exact, points = _without_rolling_shutter(points, pendulum, exact)
+    steeper = boundary_layer_drag(LinearisedFit.of(points, pendulum, exact)) if exact.has_drag else None
     asymptotic = fit_asymptotic(
         points,
         pendulum,
@@ -241,47 +239,47 @@ def fit_decay(
         exact=exact,
     )
 
-    def judged(fit: FitResult) -> FitResult:
-        fit = _judged(LinearisedFit.of(points, pendulum, fit), drifts, settings)
+    def with_findings(fit: FitResult) -> FitResult:
+        fit = _with_findings(LinearisedFit.of(points, pendulum, fit), drifts, settings)
         fit = replace(fit, warnings=(*fit.warnings, *domain_warnings(points, pendulum, fit)))
-        return fit if steeper is None else with_steeper_drag(fit, steeper)
+        return fit if steeper is None else with_boundary_layer_drag(fit, steeper)
 
     use, alone = None, exact
     if witness is not None:
         seen, clock_known = witness
-        found = fit_with_witness(points, pendulum, seen, alone, offset_known=clock_known)
+        found = fit_with_seismometer(points, pendulum, seen, alone, offset_known=clock_known)
         use = found.use
-        exact = found.fit.with_terms_of(alone, PLACE) if use.used else found.fit
-    exact = judged(exact)
+        exact = found.fit.with_terms_of(alone, FIXED_PATTERN) if use.used else found.fit
+    exact = with_findings(exact)
     if use is not None and use.used:
-        # of the uncertainties as they are reported
-        use = use.beside(judged(alone), exact)
-    asymptotic = asymptotic.with_terms_of(exact, PLACE, MISFIT)
+        # the factor is that of the reported uncertainties, with all findings
+        use = use.with_saved(with_findings(alone), exact)
+    asymptotic = asymptotic.with_terms_of(exact, FIXED_PATTERN, DISCREPANCY)
     return {FitMethod.ASYMPTOTIC: asymptotic, FitMethod.EXACT: exact}, points, use
 
 
-def _without_row_times(
+def _without_rolling_shutter(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
 ) -> tuple[FitResult, TurningPoints]:
-    """The fit and its points without row times of a shutter that nobody stated, where it has any."""
-    found = alternation_of(points, pendulum, exact)
+    """The fit and its points without the effect of a rolling shutter that is not stated, if they show one."""
+    found = time_alternation(points, pendulum, exact)
     if not found.seen:
         return exact, points
     at_once = without_alternation(points, found)
     fit = fit_exact(
         at_once, pendulum, drag=exact.has_drag, evidence=exact.evidence, loss=exact.loss, near=exact
     )
-    fit = fit.with_terms_of(exact, PLACE)
+    fit = fit.with_terms_of(exact, FIXED_PATTERN)
     return replace(fit, warnings=(*fit.warnings, found.taken_off_text)), at_once
 
 
-def _judged(at: LinearisedFit, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
-    """A fit with what it does not describe: drifts, errors of the law, changes during the run.
+def _with_findings(at: LinearisedFit, drifts: Mapping[str, float] | None, settings: FitSettings) -> FitResult:
+    """A fit with drifts, the model discrepancy, and changes during the run.
 
-    Each is found beside the fit as it ended, so that their order does not matter; what smooth errors of the
-    law explain is no change.
+    Each is estimated about the fit as it ended, so that their order does not matter; a deviation that smooth
+    errors of the law explain is no change.
     """
     terms = [] if drifts is None else [drift_term(at, drifts)]
-    fit = with_misfit(at, at.described(*terms))
+    fit = with_discrepancy(at, at.with_terms(*terms))
     explained = 0.0 if fit.misfit is None else fit.misfit.against_law
     return with_changes(at, settings.u_ageing, explained, fit)

@@ -1,4 +1,4 @@
-"""What is reported of the contact: the fits of its laws, what follows from them, and laws compared.
+"""Reported results of the contact: fits of its laws, and the comparison of laws.
 
 Field names are keys of results.json; see `rig.analysis.results`.
 """
@@ -40,10 +40,10 @@ class Correlation:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit(FitQuality):
-    """One fit of one decay: parameters by name, and how well the curve describes the data.
+    """One fit of one decay: parameters by name, and the quality of the fit.
 
     `law` names the law of `processing.contact.laws` that was fitted.
-    `ground` and `whiteness` are empty for the asymptotic fit.
+    `ground` and `whiteness` are None for the asymptotic fit.
     """
 
     law: str = ""
@@ -55,7 +55,7 @@ class Fit(FitQuality):
         return self.parameters.get(name, NOT_DETERMINED)
 
     def contact(self) -> ContactParameters:
-        """The contact parameters as the laws take them."""
+        """The contact parameters of the paper's law; NaN where the fit has none."""
         values = {name: self.estimate(name).value for name in DEFAULT_LAW.names()}
         drag = self.parameters.get(DRAG.key)
         return ContactParameters(**values, drag_s=0.0 if drag is None else drag.value)
@@ -63,13 +63,13 @@ class Fit(FitQuality):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawFit:
-    """One law at its best.
+    """The best fit of one law.
 
     `bic_above_best` and `aic_above_best` are its distances from the best law in the criteria of Schwarz and
-    Akaike, `log_odds_against` is the natural logarithm of the odds against it from the evidence (see
-    `processing.fit.law_comparison`), `waveform_chance` the chance of a third harmonic at least so far from
-    the law's (see `processing.fit.waveform`), `ground_rad_per_s2_rthz` the drive that it needs; `problem`
-    says why there is no fit.
+    Akaike, `log_odds_against` is the natural logarithm of the odds against it from the evidence and
+    `waveform_chance` the chance of a third harmonic at least so far from the law's (see
+    `processing.fit.law_comparison`), `ground_rad_per_s2_rthz` the drive that the law needs; `problem` is the
+    reason where there is no fit.
     """
 
     title: str
@@ -99,7 +99,7 @@ class ModelFreeMoments:
 
     `u_friction_n_m` and `u_elastic_n_m` are standard uncertainties: bands that cover 68 %. A moment
     proportional to the angle counts as gravity's, so the elastic moment vanishes at `reference_rad`. `laws`
-    has the fitted laws in the same terms. `ground_rad_per_s2_rthz` is the drive that the splines leave.
+    has the fitted laws in the same terms. `ground_rad_per_s2_rthz` is the drive with which the splines fit.
     """
 
     phi_rad: Floats = field(default_factory=lambda: np.empty(0))
@@ -122,7 +122,7 @@ class Harmonics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaveformClass:
-    """Harmonics 2 to 5 of the swings about one amplitude, their standard uncertainties, and the laws' own."""
+    """Harmonics (of `ORDERS`) measured about one amplitude, their standard uncertainties, and the laws'."""
 
     amplitude_rad: float
     measured: Harmonics

@@ -1,4 +1,4 @@
-"""What stands behind a fit's numbers: drag, budget, table of results, contact, work."""
+"""Results that follow from a fit: drag verdict, budget, table of results, contact spot, work."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,19 +9,13 @@ import numpy as np
 
 from calibration import Axes, Lever
 from processing.arrays import Floats
-from processing.contact import (
-    ExpectedDrag,
-    Material,
-    PendulumOnBall,
-    adhesive_contacts,
-    cycle_work,
-)
+from processing.contact import ExpectedDrag, Material, PendulumOnBall, adhesive_contacts, cycle_work
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.fit import (
-    PLACE,
-    READING,
-    STEEPER,
+    BOUNDARY_LAYER,
+    FIXED_PATTERN,
+    MEASUREMENT,
     BaseMotion,
     Budget,
     Determination,
@@ -33,14 +27,14 @@ from processing.fit import (
     LinearisedFit,
     RigQuantities,
     Work,
+    amplitude_error_effects,
     budgets,
-    by_amplitude_errors,
-    by_sensor,
     drag_verdict,
-    drifts_of,
+    drift_effects,
     fitted_contact,
     identifiability,
     reported_quantities,
+    sensor_derivatives,
     standard_uncertainties,
     work_per_cycle_j,
 )
@@ -55,9 +49,9 @@ from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
 
 _UNUSED = Material(1e11, 0.3)
-"""Where the contact's radius is stated: some possible material, on which nothing depends."""
+"""Any material, on which nothing depends where the contact's radius is stated."""
 TABLE4_AMPLITUDE_ARCSEC = 3.1
-"""Amplitude at which the paper's Table 4 draws its loops."""
+"""Amplitude of the loops in the paper's Table 4."""
 
 
 def rig_quantities(
@@ -66,19 +60,19 @@ def rig_quantities(
     """The apparatus with its standard uncertainties; None without [pendulum].
 
     `fast_ratio` is the fast mode's amplitude over the slow one's, `rest_rad` the mean tilt at rest from the
-    lever's reference (see `RigQuantities`), `u_clock` what the run itself shows of its clock's rate, where
-    that is more than its calibration says.
+    lever's reference (see `RigQuantities`), `u_clock` the relative uncertainty of the second by the run
+    itself, which counts where it is larger than the calibration's.
     """
     pendulum, lever = config.pendulum, config.lever
     if pendulum is None:
         return None
-    # what a stated radius does not need may be unknown
+    # with a stated radius the materials may be unknown
     hertz = pendulum.contact_radius_m is None
     bodies = [
         material(config, name) if hertz else _UNUSED
         for name in (pendulum.ball_material, pendulum.flat_material)
     ]
-    # a table's angles are taken as they are
+    # the angles of a table have no lever
     lever = lever or Lever(arm_m=1.0, pixel_pitch_m=1e-6)
     timebase = config.timebase or TimebaseSettings()
     axes, shutter = config.axes or Axes(), shutter_of(config)
@@ -114,23 +108,23 @@ def with_contact(
     *,
     stated: PendulumSettings | None = None,
 ) -> AnalysedRun:
-    """A run with the numbers of its fits, the rows made of them, and all else that is said of the exact one.
+    """A run with the results of its fits: their numbers and rows, and verdicts and budget of the exact one.
 
     Parameters
     ----------
     run
-        With its fits and, where there is a [pendulum], its apparatus: else there is no budget.
+        With its fits and, for a budget, its apparatus (`rig`).
     plane_errors : (points, terms)
-        Independent errors of the amplitudes by what is not known of the plane of swing; None: there are none.
+        Independent errors of the amplitudes by the uncertain plane of swing; None: there are none.
     of_air
-        The drag that the air is expected to have; None: it is not known.
+        The drag expected of the air; None: it is not known.
     stated
         States the height of the mass centre, if it is known.
 
     Notes
     -----
-    What cannot be had (a comparison fit that does not converge, a parameter that the data leave
-    open) is said in `notes`; nothing is raised for it.
+    A missing part (by a comparison fit that does not converge, a parameter that the data leave open) is named
+    in `notes`; nothing is raised for it.
     """
     points, fits, rig, name = run.points, run.fitted, run.rig, Path(run.record).stem
     exact = fits[FitMethod.EXACT]
@@ -149,10 +143,10 @@ def with_contact(
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, Budget] = {}
     if rig is not None:
-        drifts = drifts_of(points, pendulum, exact)
-        by_inputs = {**drifts, **by_sensor(LinearisedFit.of(points, pendulum, exact), rig)}
+        drifts = drift_effects(points, pendulum, exact)
+        by_inputs = {**drifts, **sensor_derivatives(LinearisedFit.of(points, pendulum, exact), rig)}
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
-            by_plane = by_amplitude_errors(points, pendulum, exact, plane_errors)
+            by_plane = amplitude_error_effects(points, pendulum, exact, plane_errors)
             by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
         contact = replace(fitted_contact(exact), by_inputs=by_inputs)
         notes += filter(
@@ -169,7 +163,7 @@ def with_contact(
     adhesion, spots = "", tuple[ResultRow, ...]()
     if rig is not None and rig.contact_radius_m is None and sees_c:
         adhesion, spots = _adhesion(name, exact.estimate("c").value, pendulum, rows)
-    # what the data leave open has no value by any method
+    # a quantity that the data do not determine has no value by any method
     left_open = {row.quantity for row in rows if not row.determined}
     others = [
         plain_row(key, found, name, method)
@@ -194,7 +188,7 @@ def with_contact(
 
 
 def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit:
-    """What is reported of one fit; `pendulum` states the height of the mass centre, if it is known."""
+    """The reported results of one fit; `pendulum` states the height of the mass centre, if it is known."""
     shared = {item.name: getattr(fit, item.name) for item in fields(FitQuality)}
     if fit.ground is not None:
         base = base_motion(
@@ -210,9 +204,9 @@ def fit_results(fit: FitResult, pendulum: PendulumSettings | None = None) -> Fit
 
 
 def _widening(fit: FitResult) -> dict[str, float]:
-    if READING not in fit.terms:
+    if MEASUREMENT not in fit.terms:
         return {}
-    at_rest = fit.part(READING, PLACE, STEEPER)
+    at_rest = fit.part(MEASUREMENT, FIXED_PATTERN, BOUNDARY_LAYER)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = fit.standard_uncertainty / np.sqrt(np.diag(at_rest))
     known = dict(zip(fit.names, ratio.tolist(), strict=True))
@@ -222,9 +216,9 @@ def _widening(fit: FitResult) -> dict[str, float]:
 def _adhesion(
     run: str, c: float, pendulum: PendulumOnBall, rows: Sequence[ResultRow]
 ) -> tuple[str, tuple[ResultRow, ...]]:
-    """The theory that holds, and radius and energy of the spot by each, for a c.
+    """Name of the adhesion theory that holds, and radius and surface energy by each theory, for a given c.
 
-    Each value has the relative uncertainties of Hertz's, which is in `rows`: they take the same inputs.
+    Each value has the relative uncertainties of Hertz's, which is in `rows`: they depend on the same inputs.
     """
     if not c > 0:
         return "", ()
@@ -241,7 +235,7 @@ def _adhesion(
 
 
 def _shown_amplitudes(points: TurningPoints) -> Sequence[float]:
-    """In arcsec: that of the paper's Table 4, or the measured one that is nearest to it, and the first."""
+    """Amplitudes of the work in arcsec: that of Table 4, or the nearest measured, and the first."""
     first, last = float(np.max(points.amplitude)), float(np.min(points.amplitude))
     nearest = min(max(TABLE4_AMPLITUDE_ARCSEC * ARCSEC_RAD, last), first)
     if nearest == first:
@@ -258,9 +252,9 @@ def _work(
     *,
     sees_c: bool,
 ) -> Work:
-    """Work per cycle with the scatter that fit and apparatus leave it; NaN uncertainty where unknown.
+    """Work per cycle, with its standard uncertainty by fit and apparatus; NaN without an apparatus.
 
-    The part of adhesion is not determined where c is not.
+    The part of adhesion is not determined where c is not (`sees_c`).
     """
     amplitude_rad = amplitude_arcsec * ARCSEC_RAD
     work = cycle_work(amplitude_rad, exact.parameters, pendulum)

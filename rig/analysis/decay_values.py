@@ -1,4 +1,4 @@
-"""What every decay has, whether or not a law can be fitted: period, decrement, damping, in its own unit."""
+"""Values of any decay, with or without a law: period, decrement, damping, in the amplitude's own unit."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -18,7 +18,7 @@ from rig.analysis.encoding import Floats
 from rig.analysis.result_rows import ResultRow, plain_row
 
 _SHOWN = 9
-"""Amplitudes at which the curve is kept; it is smooth."""
+"""Number of amplitudes at which the curve is stored, which is smooth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +36,7 @@ class AmplitudeDamping:
     `processing.damping`.
 
     `needed` are the parts that the decay needs with a probability of more than 95 %, `probabilities` those of
-    all three in order. `curve` goes from the first amplitude to the last.
+    all three parts in their order. `curve` goes from the first amplitude to the last.
     """
 
     constant: Annotated[Estimate, Quantity("", "friction", unit=OWN + PER + "s")] = NOT_DETERMINED
@@ -51,7 +51,7 @@ class AmplitudeDamping:
 def amplitude_damping(
     damping: DampingTerms, frequency_hz: float | None, shown: Callable[[float], float] = float
 ) -> AmplitudeDamping:
-    """The parts and the curve; `shown` brings an amplitude into the unit in which it is kept."""
+    """The parts and the curve of a damping; `shown` converts amplitudes to the unit in which it is stored."""
     amplitudes = damping.amplitudes(_SHOWN)
     tau_s, u_tau_s = damping.time_constant_s(amplitudes)
     parts = {name: Estimate(*getattr(damping, name)[:2]) for name in PARTS}
@@ -77,7 +77,7 @@ def amplitude_damping(
 
 
 class DecayValues(NamedTuple):
-    """What every decay has, and the damping against amplitude, None for too few half-cycles."""
+    """Period, decrement and quality factor of a decay, and its damping, None for too few half-cycles."""
 
     mean_period_s: Estimate
     log_decrement: Estimate
@@ -86,13 +86,13 @@ class DecayValues(NamedTuple):
 
 
 DECAY: Final = "decay"
-"""Of a row that no law was needed for."""
+"""Value of `ResultRow.fit` for a row without a law."""
 
 
 def decay_rows(
     points: TurningPoints, values: DecayValues | None, unit: str, unit_size: float, run: str
 ) -> tuple[ResultRow, ...]:
-    """The rows of period, decrement, quality factor, as far as there are any, and of both end amplitudes."""
+    """The rows of period, decrement and quality factor, if known, and of first and last amplitude."""
     found = {} if values is None else {name: getattr(values, name) for name in DecayValues._fields[:3]}
     rows = [plain_row(name, one, run, DECAY) for name, one in found.items() if one is not None]
     ends = points.amplitude[[0, -1]] / unit_size if len(points) else np.full(2, np.nan)
@@ -111,22 +111,22 @@ def decay_values(
 ) -> DecayValues:
     """Period, decrement, damping; amplitudes in a unit that is `unit_size` in that of the points.
 
-    `u_clock` is what the second of the times is uncertain by, relative; `u_common` the standard uncertainty
-    of an error that all half-cycles share, in the unit of the points: of their amplitudes, and as a lag of
-    the position where the swing turns, of their times. What it would change is in the uncertainties.
+    `u_clock` is the relative standard uncertainty of the second of the times, `u_common` that of an error
+    that all half-cycles share, in the unit of the points: of their amplitudes and, as a lag of the position
+    at the turning points, of their times. Its effect is in the uncertainties.
     """
-    found = _of(points, summary, unit_size)
+    found = _decay_values(points, summary, unit_size)
     period_s, u_s = found.mean_period_s
     found = found._replace(mean_period_s=Estimate(period_s, hypot(u_s, u_clock * period_s)))
     if not u_common > 0:
         return found
     lag_s = u_common * period_s / (2.0 * pi * points.amplitude)
     moved = replace(points, amplitude=points.amplitude + u_common, time_s=points.time_s + lag_s)
-    other = _of(moved, summarise_decay(moved), unit_size)
-    return DecayValues(*map(_wider, found, other))
+    other = _decay_values(moved, summarise_decay(moved), unit_size)
+    return DecayValues(*map(_with_change, found, other))
 
 
-def _of(points: TurningPoints, summary: DecaySummary, unit_size: float) -> DecayValues:
+def _decay_values(points: TurningPoints, summary: DecaySummary, unit_size: float) -> DecayValues:
     return DecayValues(
         Estimate(summary.period_s.value, summary.period_s.u),
         Estimate(summary.decrement.value, summary.decrement.u),
@@ -136,15 +136,15 @@ def _of(points: TurningPoints, summary: DecaySummary, unit_size: float) -> Decay
 
 
 def values_of_points(points: TurningPoints, unit_size: float, u_clock: float = 0.0) -> DecayValues | None:
-    """The same of turning points alone; None where there are too few of them."""
+    """The values of a decay by its turning points alone; None where there are too few of them."""
     try:
         return decay_values(points, summarise_decay(points), unit_size, u_clock=u_clock)
     except DataError:
         return None
 
 
-def _wider(found: Any, other: Any) -> Any:
-    """An estimate, or the damping with all of its estimates, with the change to another one in its u."""
+def _with_change(found: Any, other: Any) -> Any:
+    """An estimate, or a damping with all of its estimates, whose u contains the difference from `other`."""
     if isinstance(found, Estimate):
         if other is None:
             return found
@@ -152,12 +152,12 @@ def _wider(found: Any, other: Any) -> Any:
     if isinstance(found, AmplitudeDamping | DampingAt) and other is not None:
         names = [each.name for each in fields(found)]
         changed = {
-            name: _wider(getattr(found, name), getattr(other, name))
+            name: _with_change(getattr(found, name), getattr(other, name))
             for name in names
             if isinstance(getattr(found, name), Estimate)
         }
         if isinstance(found, AmplitudeDamping) and len(found.curve) == len(other.curve):
-            changed["curve"] = tuple(map(_wider, found.curve, other.curve))
+            changed["curve"] = tuple(map(_with_change, found.curve, other.curve))
         return replace(found, **changed)
     return found
 
@@ -171,16 +171,17 @@ def _damping(points: TurningPoints, summary: DecaySummary, unit_size: float) -> 
 
 
 INSTRUMENT: Final = "instrument"
-"""Of a row that another kind of pendulum reports; behind a comma follows the part of the decay."""
+"""Value of `ResultRow.fit` for a row of another kind of pendulum; a part of the decay may follow a comma."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentResults:
     """One run of another kind of pendulum, whose numbers are rows of the table of results.
 
-    `checks` compare environment and apparatus with the standard. `curves` are columns of equal length: of
-    `period` full periods against amplitude beside the law of circular error and its first term, `decrement`
-    the log decrement of a whole swing against amplitude, `plane` the direction of the swing plane in time.
+    `checks` compare environment and apparatus with the standard. `curves` are columns of equal length:
+    `period` are full periods against amplitude, with the law of circular error and its first term,
+    `decrement` the log decrement of a whole swing against amplitude, `plane` the direction of the swing plane
+    against time.
     """
 
     kind: str
@@ -203,7 +204,7 @@ class MeanOverPlaces:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentSeries:
-    """Places on a sample against the glass plate or reference sample of the same series."""
+    """Comparison of places on a sample with the glass plate or reference sample of the same series."""
 
     kind: str
     time_s: MeanOverPlaces | None = None

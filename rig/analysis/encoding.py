@@ -1,4 +1,4 @@
-"""How values are spelled in results.json: what pydantic makes of plain dataclasses, and annotations.
+"""Encoding of values in results.json: that of pydantic for plain dataclasses, with some annotations.
 
 null says "not determined": it is read as NaN, and NaN and infinity are written as null.
 """
@@ -18,7 +18,7 @@ from processing.quantity import quantities_of
 JsonObject: TypeAlias = Mapping[str, JsonValue]
 """A JSON object of no fixed keys."""
 LARGEST_NUMBER = 1e100
-"""No quantity is larger: it is not determined."""
+"""Largest number of a file; a larger one is not determined, and null."""
 
 
 def _null_to_nan(value: object) -> object:
@@ -30,10 +30,10 @@ def _nan_to_null(value: float) -> float | None:
 
 
 class Codec:
-    """Reads and writes values of one type; a frozen dataclass of any room needs no annotation for it.
+    """Encoder and decoder of values of one type; a frozen dataclass of any room needs no annotation for it.
 
-    A float stands in the file as a number, or as null where it is not determined. A part that need not be
-    there (None) is left out.
+    A float is a number in the file, or null where it is not determined. An optional part that is None is left
+    out.
     """
 
     def __init__(self, kind: Any) -> None:
@@ -41,11 +41,11 @@ class Codec:
         self._validator, self._serializer = SchemaValidator(schema), SchemaSerializer(schema)
 
     def read(self, tree: object) -> Any:
-        """The value; raises pydantic's ValidationError."""
+        """The value of a JSON tree; raises pydantic's ValidationError."""
         return self._validator.validate_python(tree)
 
     def write(self, value: object) -> Any:
-        """The tree of JSON's types."""
+        """The JSON tree of a value."""
         return self._serializer.to_python(value, mode="json")
 
 
@@ -86,10 +86,10 @@ def _listed(values: NDArray[Any]) -> list[Any]:
 
 @dataclass(frozen=True)
 class MergedField:
-    """Annotation of a dataclass: the entries of its mapping `field` stand beside its own keys in the file.
+    """Annotation of a dataclass: the entries of its mapping `field` are among its own keys in the file.
 
     The field is marked by `Entries`. So ``fits.exact`` holds ``b``, ``p``, ... next to ``chi2_per_dof``.
-    Objects under keys that the dataclass does not have are taken for entries; other unknown keys are ignored.
+    Objects under keys that the dataclass does not have are read as entries; other unknown keys are ignored.
     """
 
     field: str
@@ -118,7 +118,8 @@ class MergedField:
 def file_schema(kind: Any) -> dict[str, Any]:
     """JSON schema of the values of a type in their file: a number may be null, and declared ones have a unit.
 
-    Marked mappings have become what else their object may hold; titles that only repeat a key are left out.
+    Mappings marked by `Entries` become the additional properties of their object; titles that only repeat a
+    key are left out.
     """
     schema: dict[str, Any] = TypeAdapter[Any](kind).json_schema()
     _allow_null(schema)
@@ -135,7 +136,7 @@ def file_schema(kind: Any) -> dict[str, Any]:
 
 
 def _dataclasses(kind: Any, found: set[type]) -> set[type]:
-    """All dataclasses of which a type is made."""
+    """All dataclasses that a type contains, itself included; added to `found`."""
     if isinstance(kind, type) and is_dataclass(kind) and kind not in found:
         found.add(kind)
         for hint in get_type_hints(kind).values():
@@ -159,4 +160,4 @@ def _allow_null(schema: Any) -> None:
 Floats = Annotated[NDArray[np.float64], _Array(float)]
 Integers = Annotated[NDArray[np.int64], _Array(int)]
 Entries = Field(json_schema_extra={"x-entries": True})
-"""Marks the mapping whose entries stand `MergedField` the keys of its dataclass, for the JSON schema."""
+"""Marks, for the JSON schema, the mapping of a `MergedField`."""

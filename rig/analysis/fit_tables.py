@@ -5,17 +5,11 @@ from math import hypot, isnan, nan
 
 from processing.contact.laws import DEFAULT_LAW
 from processing.estimate import NOT_DETERMINED, Estimate
-from processing.fit import (
-    FitMethod,
-    FitQuality,
-)
+from processing.fit import FitMethod, FitQuality
 from processing.quantity import quantities_of
 from processing.swing import ORDERS
 from processing.units import ARCSEC_RAD
-from rig.analysis.contact_results import (
-    ComparedLaws,
-    Fit,
-)
+from rig.analysis.contact_results import ComparedLaws, Fit
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.run_remarks import dominant_text, has_apparatus
@@ -23,9 +17,9 @@ from rig.presentation import Cell, Table, TableRow, decimals, plain, quantity
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
-    """The table of results of one run; `full` also what the other fits give, and the swings' own uncertainty.
+    """The table of results of one run; if `full`, also with the other fits and the half-cycles' own u.
 
-    What is not determined has no value by any method.
+    A quantity that is not determined has no value by any method.
     """
     others = [method for method in _in_order(run.fits) if method != FitMethod.EXACT] if full else []
     named = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
@@ -75,7 +69,7 @@ def _whole_result_text(run: RunResults) -> str:
 
 
 def combined_table(results: SessionResults) -> Table | None:
-    """The rows of several runs beside each other, and of the series; None where fewer are fitted."""
+    """The rows of several runs side by side with those of the series; None for fewer than two fitted runs."""
     runs = [(number, run) for number, run in zip(results.numbers, results.runs, strict=True) if run.contact]
     series = results.series
     if len(runs) < 2 or series is None or not series.table:
@@ -96,7 +90,7 @@ def combined_table(results: SessionResults) -> Table | None:
 
 
 def quality_table(fits: Mapping[str, Fit]) -> Table:
-    """What is declared of a fit's quality, and the outliers, a column for each fit."""
+    """The quantities of `FitQuality` and the outliers, a column for each fit."""
     methods = _in_order(fits)
     rows: list[list[Cell]] = []
     shown = []
@@ -130,7 +124,7 @@ def _in_order(fits: Mapping[str, Fit]) -> list[str]:
 
 
 def _heading(method: str) -> str:
-    """A file may hold fits of a method that is not known here."""
+    """Heading of a fit's column: a file may hold fits of a method that is not known here."""
     return {known.value: known.heading for known in FitMethod}.get(method, method)
 
 
@@ -140,7 +134,7 @@ def _listed(items: Sequence[int]) -> str:
 
 
 def law_table(compared: ComparedLaws) -> Table:
-    """The laws, how far each lies from the best, and what it needs to describe the run."""
+    """The laws, with the distance of each from the best one and the drive of the ground that it needs."""
     lines = []
     for name, law in compared.laws.items():
         measures = (law.bic_above_best, law.aic_above_best, law.log_odds_against)
@@ -180,7 +174,7 @@ def moments_table(compared: ComparedLaws) -> Table:
 
 
 def waveform_table(compared: ComparedLaws) -> Table:
-    """Every harmonic of every class, measured and by law; the third one shown."""
+    """Harmonics of the classes of amplitude, measured and by law; only the third is shown."""
     names = list(compared.waveform[0].laws) if compared.waveform else []
     lines = []
     for one in compared.waveform:

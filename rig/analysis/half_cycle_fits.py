@@ -1,4 +1,4 @@
-"""From half-cycles to results: fits, verdicts, what other kinds of pendulum report."""
+"""From half-cycles to the results of a run: its fits and verdicts, or the values of another pendulum."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,16 +15,10 @@ from processing.ambient import AmbientConditions
 from processing.decay_summary import mean_period
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, RecordError
-from processing.fit import (
-    FitResult,
-    InputQuantity,
-    Witness,
-    delay_of_rows,
-    points_in_true_time,
-)
+from processing.fit import FitResult, InputQuantity, Seismogram, points_in_true_time, row_delay
 from processing.instruments import SharedError
 from processing.swing import HalfCycle, TurningPoints
-from rig.analysis.air import OPEN_DRAG, believed_drifts, evidence_of, known_drag
+from rig.analysis.air import OPEN_DRAG, assumed_drifts, evidence_of, known_drag
 from rig.analysis.contact_fits import fit_decay, settled_swings
 from rig.analysis.contact_verdicts import rig_quantities, with_contact
 from rig.analysis.decay_values import decay_rows, values_of_points
@@ -34,19 +28,19 @@ from rig.analysis.results import PositionErrors, StoredTurningPoints
 from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
-from rig.instrument import (
-    pendulum_on_ball,
-)
+from rig.instrument import pendulum_on_ball
 from rig.settings import Configuration
 
 _ACROSS: Final = 3.0
-"""Fast over slow motion above which the pendulum was hardly pushed along the slow mode as it is stated."""
+"""Fast over slow motion above which the pendulum did hardly swing along the stated slow mode."""
 _MUCH: Final = 100.0
+"""Largest ratio that is shown as a number."""
 _FEWEST: Final = 4
-"""Half-cycles of which a period and a decrement can be had (`processing/decay_summary.py`)."""
+"""Fewest half-cycles that have a period and a decrement (`processing/decay_summary.py`)."""
 
-SeismometerBeside = tuple[SeismometerRecord, Callable[[int], FitStart]]
-"""A seismometer's record, and where on its clocks a run's first fitted turning point lies, by its time."""
+TimedSeismometer = tuple[SeismometerRecord, Callable[[int], FitStart]]
+"""A seismometer's record, and a function that gives the first fitted turning point on its clocks, from its
+time in ns on the run's clock."""
 
 
 def analyse_swings(
@@ -56,17 +50,17 @@ def analyse_swings(
     deflections: PassingDeflections,
     air: AmbientConditions,
     u_clock: float = 0.0,
-    witness: SeismometerBeside | None = None,
+    witness: TimedSeismometer | None = None,
     *,
     u_common_rad: float = 0.0,
     followed: FollowedPlane | None = None,
 ) -> AnalysedRun:
-    """Reduce the half-cycles of one run, or of one decay of a table, as its kind of pendulum asks.
+    """Results of the half-cycles of one run, or of one decay of a table, for its kind of pendulum.
 
-    `path` is the file that they come from, `deflections` and `air` what it holds beside them, `u_clock` what
-    the second of its times is uncertain by, relative; `witness` tells of the ground. `u_common_rad` is the
-    standard uncertainty of an error that all amplitudes share. Where the plane of swing turns, half-cycles
-    are those in it; `followed` is that plane where it is known.
+    `path` is their file, `deflections` those in which they were detected, `air` its ambient conditions,
+    `u_clock` the relative standard uncertainty of the second of its times, `witness` an auxiliary
+    seismometer. `u_common_rad` is the standard uncertainty of an error that all amplitudes share. Where the
+    plane of swing turns, half-cycles are those in it; `followed` is that plane where it is known already.
     """
     unit, kind = deflections.unit, config.instrument.description()
     followed = followed or follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
@@ -78,7 +72,7 @@ def analyse_swings(
     detected = points_in_true_time(swings, clock_rate)
     if pendulum is not None and len(detected) > 1:
         drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
-    believed = believed_drifts(config, air)
+    believed = assumed_drifts(config, air)
     settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
     fits: Mapping[str, FitResult] = {}
@@ -104,7 +98,7 @@ def analyse_swings(
     errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
     warnings = list(dict.fromkeys([*_fit_warnings(fits), *filter(None, [settled.doubt])]))
     if settled.harmonics is not None and config.lever is not None and len(points) > 1:
-        of_rows = delay_of_rows(settled.harmonics, mean_period(points))
+        of_rows = row_delay(settled.harmonics, mean_period(points))
         if of_rows.seen:
             warnings.append(of_rows.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
@@ -144,14 +138,14 @@ def analyse_swings(
 
 
 def _witness_beside(
-    swings: Sequence[HalfCycle], witness: SeismometerBeside | None
-) -> tuple[Witness, bool] | None:
-    """A seismometer on the clock of the turning points of these swings, and whether that is known."""
+    swings: Sequence[HalfCycle], witness: TimedSeismometer | None
+) -> tuple[Seismogram, bool] | None:
+    """A seismometer on the clock of the turning points of these half-cycles, and whether that is known."""
     first_ns = next((swing.turn_time_ns for swing in swings if not swing.flags), None)
     if witness is None or first_ns is None:
         return None
     record, start_at = witness
-    return record.beside(start_at(first_ns))
+    return record.seismogram(start_at(first_ns))
 
 
 def _reduced(
@@ -161,7 +155,7 @@ def _reduced(
     air: AmbientConditions,
     errors: Sequence[SharedError],
 ) -> AnalysedRun:
-    """A run of a pendulum that is not described by the contact's laws."""
+    """Results of a run of a pendulum that the contact's laws do not describe."""
     clock_rate, unit = clock_rate_of(config), DeflectionUnit.RAD
     reduction = reduce_run(config.instrument, followed, air, errors, clock_rate, path.stem)
     return AnalysedRun(
@@ -180,13 +174,16 @@ def _reduced(
 
 
 def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -> list[SharedError]:
-    """Errors of scale and clock. Runs whose configurations state the same arm were measured with one arm."""
+    """Errors of scale and clock that all turning points of a run share.
+
+    They have names: runs whose configurations state the same arm were measured with one arm, and share it.
+    """
     found = [SharedError("compression", amplitude_rad=u_common_rad)]
     if (lever := config.lever) is not None:
         u_pitch = lever.u_pixel_pitch_m / lever.pixel_pitch_m
         found += [
             SharedError(f"arm {lever.arm_m!r} {lever.u_arm_m!r}", scale=lever.u_arm_m / lever.arm_m),
-            # of the binned pixels of one sensor, too
+            # named by its relative value, so that binned pixels of one sensor share it, too
             SharedError(f"pixel pitch {u_pitch:.6g}", scale=u_pitch),
         ]
     found.append(SharedError(f"clock {clock_rate_of(config)!r}", clock=_u_second(config, u_clock)))
@@ -194,7 +191,7 @@ def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -
 
 
 def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, Any]:
-    """Which file the results are of, and how many half-cycles were used."""
+    """Fields of a run's results that name its file, the unit and the number of half-cycles."""
     pixels = pixels_beside(path)
     return dict[str, Any](
         path=path,
@@ -207,7 +204,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, 
 
 
 def _sha256_if_readable(path: Path) -> str:
-    """By which results know their record; empty where its disk cannot give all of it."""
+    """Hash by which results find their record; empty where its disk cannot give all of it."""
     try:
         return cached_sha256_of_path(path)
     except RecordError:
@@ -215,17 +212,17 @@ def _sha256_if_readable(path: Path) -> str:
 
 
 def clock_rate_of(config: Configuration) -> float:
-    """True seconds in one of the camera's clock, as its calibration has it."""
+    """True seconds per second of the camera's clock, by its calibration; 1 without one."""
     return config.timebase.camera_rate if config.timebase is not None else 1.0
 
 
 def _u_second(config: Configuration, u_clock: float) -> float:
-    """Relative standard uncertainty of a second, as calibrated and as the run shows it."""
+    """Relative standard uncertainty of a second: the larger of the calibration's and the run's own."""
     return u_clock if config.timebase is None else max(config.timebase.u_camera_rate, u_clock)
 
 
 def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
-    """What every fit says once; what only one of them says with its name."""
+    """Warnings of the fits: those of every fit once, others with the name of their fit."""
     found: dict[str, list[str]] = {}
     for name, fit in fits.items():
         for warning in fit.warnings:
@@ -237,15 +234,15 @@ def _fit_warnings(fits: Mapping[str, FitResult]) -> list[str]:
 
 
 def why_no_half_cycles(record: str, fast_over_slow: float, half_cycles: int, axes: Axes | None) -> str:
-    """Why a motion gives hardly any half-cycles, and what to state; empty where it gives enough, or where it
-    does not go across.
+    """Problem of a motion across the slow mode, which gives hardly any half-cycles, with its remedy.
 
-    Half-cycles are those along the slow mode, which is the sensor's y where `axes` do not say otherwise.
+    It is empty where there are enough half-cycles, or the motion is not across. Half-cycles are those along
+    the slow mode, which is the sensor's y where `axes` do not state another direction.
     """
     if half_cycles >= _FEWEST or not fast_over_slow > _ACROSS:
         return ""
     stated_rad = 0.0 if axes is None else axes.slow_angle_rad
-    # either direction across will do; this one is within the limits of the key
+    # both directions across would do; this one is within the limits of the key
     across_rad = stated_rad + math.copysign(0.5 * math.pi, -stated_rad or 1.0)
     much = f"{fast_over_slow:.2g}" if fast_over_slow < _MUCH else f"more than {_MUCH:g}"
     along, looked = ("x", "y") if axes is None else ("the fast axis of [axes]", "the slow one")

@@ -1,4 +1,4 @@
-"""One run of a pendulum that swings by degrees: turning points, what its kind reports, the standard."""
+"""Results of a pendulum that swings by degrees: turning points, values of its kind, checks by a standard."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,7 @@ from processing.instruments import (
     herbert_hardness,
     inferred_swings,
     joined_swings,
-    refined,
+    refined_turning_points,
     rolling_friction,
     with_drive,
     with_release,
@@ -49,10 +49,11 @@ Found = TypeVar("Found", bound=NamedTuple)
 
 
 class Reduction:
-    """One run as its kind of pendulum is reported, to which is added what is found: rows, curves, lines.
+    """Results of one run of such a pendulum, collected while it is evaluated: rows, curves, lines of text.
 
-    `problem` is the one line that says what could not be had. `points` were made of `swings`; `errors` are
-    those that they have alike. `readings` are what a series compares, empty where there is none.
+    `problem` names in one line the quantities that are missing, with the reason. `points` were made of
+    `swings`, `errors` are those that they share. `readings` are the values that a series compares, empty
+    where there are none.
     """
 
     def __init__(self, settings: InstrumentSettings, run: str, swings: Sequence[HalfCycle]) -> None:
@@ -68,17 +69,17 @@ class Reduction:
 
     @property
     def description(self) -> Description:
-        """What the standard says of this kind."""
+        """Description of this kind of pendulum."""
         return self.settings.description()
 
     def evaluated(
         self, reduce: Callable[[TurningPoints], Found]
     ) -> tuple[Found, Mapping[str, ValueWithSharedErrors]]:
-        """With what the ground, the scale and the clock add to every uncertainty."""
+        """An evaluation of the points with uncertainties by ground, scale and clock, and its readings."""
         return with_shared(reduce, self.points, self.errors, with_drive(reduce, self.points))
 
     def add(self, part: str = "", **numbers: Estimate | float | None) -> None:
-        """Add rows, of a part of the decay where one is named; None is no row."""
+        """Add a row for each number that is not None, for a named part of the decay or all of it."""
         fit = f"{INSTRUMENT}, {part}" if part else INSTRUMENT
         self.rows += [
             plain_row(key, value if isinstance(value, Estimate) else float(value), self._run, fit)
@@ -88,14 +89,14 @@ class Reduction:
 
     @property
     def values(self) -> InstrumentResults:
-        """As results.json has it beside the rows."""
+        """The part of results.json other than the rows."""
         return InstrumentResults(
             kind=self.description.kind, curves=self.curves, checks=tuple(self.checks), text=tuple(self.lines)
         )
 
 
 def _damping(report: Reduction) -> None:
-    """The only one of which a series takes something."""
+    """Add damping time and number of swings, which are also the readings of a series."""
     description = report.description
     if description.report == "decay":
         _decrements(report)
@@ -208,12 +209,12 @@ def _law(law: FrictionLaw, decrement: Estimate, report: Reduction) -> None:
     }
 
 
-_OF_KIND: Final = {"hardness": _hardness, "circular": _circular, "rolling": _rolling}
-"""What adds the rows of a kind; of all others `_damping`."""
+_REPORTERS: Final = {"hardness": _hardness, "circular": _circular, "rolling": _rolling}
+"""Functions that add the rows of a kind of report; for all others `_damping`."""
 
 
 def _range_and_period(report: Reduction) -> None:
-    """Range and period, which may be had where the quantity asked for cannot."""
+    """Add range and period, which may be known where the quantity of the report is not."""
     points = report.points
     if len(points) < 2:
         return
@@ -225,8 +226,8 @@ def _range_and_period(report: Reduction) -> None:
     report.add(mean_period_s=mean_period(points))
 
 
-_FELT: Final = 0.01
-"""Error of an amplitude, in its uncertainties, below which it changes nothing that is reported."""
+_NEGLIGIBLE: Final = 0.01
+"""Error of an amplitude, in its uncertainties, below which it changes no reported value."""
 
 
 def reduce_run(
@@ -237,17 +238,17 @@ def reduce_run(
     clock_rate: float = 1.0,
     run: str = "",
 ) -> Reduction:
-    """Reduce the half-cycles of one run of a pendulum that swings by degrees.
+    """Results of the half-cycles of one run of a pendulum that swings by degrees.
 
     Parameters
     ----------
     followed
-        Half-cycles of the detector, and the deflections that they were detected in, in rad, both in the plane
-        of swing. With deflections the turning points are fitted again by a waveform that holds at degrees.
+        Half-cycles of the detector, and the deflections in which they were detected, in rad, both in the
+        plane of swing. With deflections turning points are fitted again by a waveform that holds at degrees.
     errors
-        That all turning points of the run have alike, and other runs perhaps as well.
+        Errors that all turning points of the run share, and other runs perhaps as well.
     clock_rate
-        True seconds in one of the deflections' clock.
+        True seconds per second of the deflections' clock.
     run
         The name of the run in its rows.
     """
@@ -259,7 +260,7 @@ def reduce_run(
     deflections = joined(followed.deflections, DeflectionUnit.RAD)
     if len(deflections):
         if len(swings) > 1:
-            swings = refined(deflections.times_ns, deflections.y, deflections.u_y, swings)
+            swings = refined_turning_points(deflections.times_ns, deflections.y, deflections.u_y, swings)
         swings, inferred = _with_inferred(swings, deflections, lines)
         report.add(inferred_half_cycles=inferred)
         if description.report == "hardness":
@@ -269,11 +270,11 @@ def reduce_run(
     try:
         if followed.problem:
             raise DataError(followed.problem)
-        _OF_KIND.get(description.report, _damping)(report)
+        _REPORTERS.get(description.report, _damping)(report)
     except DataError as error:
         problems.append(str(error))
         _range_and_period(report)
-    report.checks = [*_held_against_air(description, air, lines), *_check_mass(settings, lines)]
+    report.checks = [*_check_air(description, air, lines), *_check_mass(settings, lines)]
     report.problem = "; ".join(dict.fromkeys(problems))
     return report
 
@@ -306,18 +307,18 @@ def _swing_plane(followed: FollowedPlane, report: Reduction) -> None:
 
 
 def _errors_of_plane(followed: FollowedPlane, points: TurningPoints) -> list[SharedError]:
-    """What is not known of the plane, which is each run's own."""
+    """Errors by the uncertain plane of swing, which are each run's own."""
     columns = followed.amplitude_errors(points)
     if columns is None:
         return []
-    felt = np.max(np.abs(columns) / points.u_amplitude[:, None], axis=0) > _FELT
+    felt = np.max(np.abs(columns) / points.u_amplitude[:, None], axis=0) > _NEGLIGIBLE
     return [SharedError("", amplitude_rad=column) for column in columns.T[felt]]
 
 
 def _with_inferred(
     swings: Sequence[HalfCycle], deflections: Deflections, lines: list[str]
 ) -> tuple[Sequence[HalfCycle], int | None]:
-    """Half-cycles whose turning point lay off the sensor are added; how many, None where none is."""
+    """Half-cycles with those whose turning point lay off the sensor, and the number of these or None."""
     off = inferred_swings(deflections.times_ns, deflections.y, deflections.u_y)
     if not off:
         return swings, None
@@ -332,7 +333,7 @@ def _with_inferred(
 def _from_the_release(
     swings: Sequence[HalfCycle], deflections: Deflections, lines: list[str]
 ) -> Sequence[HalfCycle]:
-    """With the release as the first turning point, where it was recorded; that it was not is said."""
+    """Half-cycles with the release as the first turning point, where it was recorded; a line says which."""
     found = with_release(deflections.times_ns, deflections.y, deflections.u_y, swings)
     if found is not None:
         at_s, u_s = seconds(found[0].turn_time_ns - deflections.times_ns[0]), found[0].u_turn_time_s
@@ -349,9 +350,7 @@ def _from_the_release(
     return swings
 
 
-def _held_against_air(
-    description: Description, air: AmbientConditions, lines: list[str]
-) -> tuple[Check, ...]:
+def _check_air(description: Description, air: AmbientConditions, lines: list[str]) -> tuple[Check, ...]:
     wanted = (
         ("temperature", air.temperature_c, description.temperature_c, "°C"),
         ("humidity", air.humidity_percent, description.humidity_percent, "%"),

@@ -1,4 +1,4 @@
-"""Deflections of a run while they pass, and those of a record less what its reference spot shares."""
+"""Deflections of a run as a stream of blocks, and their correction for beam motion and for fixed light."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -25,30 +25,30 @@ from rig.instrument import NO_STRAY_LIGHT, optics_of, sensor_model
 from rig.presentation import Verdict, percent, with_uncertainty
 from rig.settings import Configuration
 
-_SHORT = 300_000
-"""Most frames of a run that are kept whole: some twenty megabytes, fifty minutes at 100 frames/s."""
+_MOST_IN_MEMORY = 300_000
+"""Most frames whose deflections stay in memory: some twenty megabytes, fifty minutes at 100 frames/s."""
 
 
 class PassingDeflections:
     """The deflections of a run, in order, some thousand frames at a time.
 
-    Of a long run only the coordinates of the frames that have passed are kept, 16 bytes a frame: a day's
-    deflections with their times and uncertainties would be several hundred megabytes. A short one is not read
-    again by who passes through once more.
+    Of a long run only the coordinates of the frames that have passed stay in memory, 16 bytes a frame: a
+    day's deflections with their times and uncertainties would be several hundred megabytes. A short run stays
+    whole, and is not read again for a second pass.
 
     Parameters
     ----------
     blocks
-        Consecutive frames. They are asked for again by who passes through more than once.
+        Consecutive frames; an iterable that can be iterated again, for further passes of a long run.
     unit
-        Of every block.
+        Unit of every block.
 
     Attributes
     ----------
     frames, lost_spots
-        How many have passed, and how many of them without a spot.
+        Number of frames in the first pass, and of those without a spot.
     first_ns, last_ns
-        Times of the first and of the last of them; 0 where none has.
+        Times of the first and of the last of these frames; 0 where there are none.
     """
 
     def __init__(self, blocks: Iterable[Deflections], unit: DeflectionUnit) -> None:
@@ -65,7 +65,7 @@ class PassingDeflections:
         self._y: list[NDArray[np.float64]] = []
 
     def __iter__(self) -> Iterator[Deflections]:
-        """The first time all frames are counted; afterwards they pass once more."""
+        """The blocks; the first pass also counts their frames."""
         if self._passed:
             yield from filter(len, self._source if self._kept is None else self._kept)
             return
@@ -79,7 +79,7 @@ class PassingDeflections:
             self.lost_spots += len(block) - int(np.count_nonzero(block.found))
             self._x.append(block.x)
             self._y.append(block.y)
-            if self.frames > _SHORT:
+            if self.frames > _MOST_IN_MEMORY:
                 self._kept = None
             if self._kept is not None:
                 self._kept.append(block)
@@ -87,9 +87,9 @@ class PassingDeflections:
         self._passed = True
 
     def fast_ratio(self) -> float:
-        """Fast over slow motion (r.m.s. about the median, NaN left out) of all frames, those left included.
+        """Fast over slow motion (r.m.s. about the median, NaN left out) of all frames; 0 without slow motion.
 
-        0 where there is nothing to compare. What has passed is forgotten.
+        The first pass is made if it was not. The coordinates are then discarded: call it once.
         """
         if not self._passed:
             for _ in self:
@@ -100,7 +100,7 @@ class PassingDeflections:
 
 def _spread(blocks: list[NDArray[np.float64]]) -> float:
     """Root mean square about the median; `blocks` is emptied."""
-    # Joined twice, because the median sorts and would need a copy of its own while the blocks are there.
+    # Joined twice: the median sorts its argument, and a copy would need more memory while the blocks exist.
     if not any(np.isfinite(block).any() for block in blocks):
         return 0.0
     median = np.median(_finite(blocks), overwrite_input=True)
@@ -120,27 +120,27 @@ def _finite(blocks: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     return values[:count]
 
 
-_SEEN = 4.0
-"""Standard uncertainties by which a gain that is not stated has to differ from none."""
+_GAIN_SEEN = 4.0
+"""Standard uncertainties by which a fitted gain has to differ from zero."""
 _PLACES = ("x_px", "y_px", "u_x_px", "u_y_px")
 _FIELDS = ("sequence", "flags", *_PLACES)
 
 
-def less_beam_motion(reader: RecordReader, config: Configuration) -> "WithoutBeamMotion | None":
-    """What the record's reference spot takes off; None without one, or where it was hardly ever found."""
+def without_beam_motion(reader: RecordReader, config: Configuration) -> "BeamMotionCorrection | None":
+    """The correction by the record's reference spot; None without one, or where it was hardly ever found."""
     if config.reference is None or REFERENCE.topic not in reader.counts:
         return None
     try:
-        return WithoutBeamMotion(reader, config)
+        return BeamMotionCorrection(reader, config)
     except DataError:
         return None
 
 
-class WithoutBeamMotion:
-    """What to add to a record's deflections, and to their variances, by the times of its frames.
+class BeamMotionCorrection:
+    """Correction of a record's deflections for the motion of the beam, by its reference spot.
 
-    `change` makes of deflections of some of its frames those without the beam's motion. Raises DataError for
-    a reference that was found in too few frames.
+    `change` corrects deflections of any of the record's frames; `found` has the corrected positions by
+    coordinate. Raises DataError for a reference that was found in too few frames.
     """
 
     def __init__(self, reader: RecordReader, config: Configuration) -> None:
@@ -151,7 +151,7 @@ class WithoutBeamMotion:
         _, ours, theirs = np.intersect1d(
             spots["sequence"], reference["sequence"], assume_unique=True, return_indices=True
         )
-        # nobody says when the pendulum rests: what is stated of the arms is believed
+        # no frames are known to be at rest, by which a stated gain could be checked
         quiet = np.zeros(len(spots), dtype=np.bool_)
         self.found: dict[str, CorrectedPositions] = {}
         moved = spots[list(_FIELDS)].copy()
@@ -160,24 +160,24 @@ class WithoutBeamMotion:
             place[ours], u[ours] = reference[name][theirs], reference[f"u_{name}"][theirs]
             common = common_motion(spots["time_ns"], place, u)
             ours_px, u_ours_px = spots[name], spots[f"u_{name}"]
-            stated = self._stated or _fitted(spots["time_ns"], ours_px, u_ours_px, place, u)
-            if stated is None or not stated.value > _SEEN * stated.standard_uncertainty:
+            stated = self._stated or _fitted_gain(spots["time_ns"], ours_px, u_ours_px, place, u)
+            if stated is None or not stated.value > _GAIN_SEEN * stated.standard_uncertainty:
                 unknown = stated or Estimate(np.nan, np.inf)
                 less = uncorrected(ours_px, u_ours_px, unknown, ReferenceVerdict.UNKNOWN_GAIN)
             else:
                 less = subtract_common_motion(ours_px, u_ours_px, common, stated, quiet)
             self.found[name] = less
             moved[name], moved[f"u_{name}"] = less.position_px, less.u_px
-        self.change = change_of_places(config, spots, moved)
+        self.change = deflection_change(config, spots, moved)
 
     @property
     def used(self) -> bool:
-        """Whether any axis is quieter."""
+        """Whether the correction makes any axis quieter, and is therefore used."""
         return any(one.verdict is ReferenceVerdict.USED for one in self.found.values())
 
     @property
     def text(self) -> str:
-        """What became of it, in a line."""
+        """Verdict on the reference spot, in one line."""
         lost = int(np.count_nonzero(next(iter(self.found.values())).fallen_back))
         said = ", ".join(f"{name[0]} {one.verdict}{self._gain(one)}" for name, one in self.found.items())
         fallen = f"; {lost} frames without it are unchanged" if lost else ""
@@ -189,10 +189,10 @@ class WithoutBeamMotion:
         return f" with a gain of {with_uncertainty(*one.gain)} from the run itself"
 
 
-def change_of_places(
+def deflection_change(
     config: Configuration, spots: np.ndarray, moved: np.ndarray
 ) -> Callable[[Deflections], Deflections]:
-    """What other places of a record's spots do to deflections of its frames, and to their variances."""
+    """Function that changes deflections, and their variances, as if the record's spots were at `moved`."""
     deflector = optics_of(config, full_scale_dn=1.0).deflector((1, 1))
     before, after = (deflector(spots["time_ns"], _spots(table)) for table in (spots, moved))
     times_ns = spots["time_ns"]
@@ -215,8 +215,8 @@ def change_of_places(
     return changed
 
 
-class Changed:
-    """Deflections with a change of each block, each time they are asked for."""
+class ChangedDeflections:
+    """Deflections with a change of each block, at every iteration."""
 
     def __init__(self, blocks: Iterable[Deflections], change: Callable[[Deflections], Deflections]) -> None:
         self._blocks, self._change = blocks, change
@@ -226,24 +226,24 @@ class Changed:
 
 
 _PICTURES = 48
-"""Whole frames of a record in which light is looked for that stays where it is."""
-_FINER = 16
-"""Steps of a picture's level, of which the light that is taken off is a whole number."""
+"""Whole frames of a record in which fixed light is sought."""
+_STEPS_PER_DN = 16
+"""Steps a DN in which the light is subtracted from a picture."""
 _MOST_LOST = 0.1
-"""Of the frames that the light pulls, which are not found again without it."""
-_DEEPEST = 4095
-"""Full scale up to which so many steps fit into 16 bits."""
+"""Largest share of the affected frames that may have no spot without the light."""
+_LARGEST_FULL_SCALE_DN = 4095
+"""Largest full scale in DN at which `_STEPS_PER_DN` steps a DN fit into 16 bits."""
 
 
-class WithoutFixedLight:
-    """The frames of a record that light pulls which stays where it is, tracked again without it.
+class FixedLightCorrection:
+    """Correction of a record's deflections for fixed light, by tracking the affected frames without it.
 
     Attributes
     ----------
     used
-        Whether they were: not where the record has not the pixels around the spot.
+        Whether it can be used: the record must have the pixels around the spot.
     change
-        Makes of deflections of some of the record's frames those without what the light does to them.
+        Function that corrects deflections of any of the record's frames.
     """
 
     def __init__(self, reader: RecordReader, config: Configuration, light: FixedLight) -> None:
@@ -251,7 +251,7 @@ class WithoutFixedLight:
         spots = np.concatenate(list(reader.spot_blocks(fields=_FIELDS)))
         pulled = light.affects(spots["x_px"], spots["y_px"])
         self._frames, self._pulled = len(spots), int(np.count_nonzero(pulled))
-        # a profile is learned of all frames
+        # a learned profile depends on all frames
         again = pulled | bool(np.any(spots["flags"] & SpotFlag.LEARNED))
         found = _tracked_again(reader, config, light, spots["sequence"][again])
         moved, rows = spots.copy(), np.flatnonzero(pulled)
@@ -260,21 +260,21 @@ class WithoutFixedLight:
             moved[name][rows] = [np.nan if spot is None else getattr(spot, name) for spot in kept]
         lost = np.flatnonzero(pulled & ~np.isfinite(moved["x_px"]))
         self.used = len(lost) < _MOST_LOST * max(len(rows), 1)
-        # where it was and how far that may be wrong, so that nothing is made of it
+        # a lost spot stays in its place with an uncertainty of 1 px, so that it has hardly any weight
         for name in _PLACES:
             moved[name][lost] = 1.0 if name.startswith("u_") else spots[name][lost]
-        self.change = change_of_places(config, spots, moved)
+        self.change = deflection_change(config, spots, moved)
 
     @property
     def verdict(self) -> Verdict:
-        """A warning where it is taken off; where it cannot be, the condition is not met."""
+        """A warning where the light is subtracted; where it cannot be, the condition is not met."""
         part = f"pulls {self._pulled} of {self._frames} ({percent(self._pulled / self._frames)})"
         done = "taken off" if self.used else "not taken off, as the record has no pixels of the spot"
         return Verdict("fixed light", self.used, self._light.text, NO_STRAY_LIGHT, f"{part}, {done}", "none")
 
 
-def without_fixed_light(reader: RecordReader, config: Configuration) -> WithoutFixedLight | None:
-    """Light that stays in the whole frames of a record, taken off; None where there is none."""
+def without_fixed_light(reader: RecordReader, config: Configuration) -> FixedLightCorrection | None:
+    """The correction for fixed light in the whole frames of a record; None where there is none."""
     every = max(1, reader.counts.get(IMAGE.topic, 0) // _PICTURES)
     images = {one.sequence: one.image for one in reader.images(every=every)}
     pictures = []
@@ -283,14 +283,14 @@ def without_fixed_light(reader: RecordReader, config: Configuration) -> WithoutF
             spot = Spot(*(block[name][row].item() for name in Spot._fields))
             pictures.append((images[int(block["sequence"][row])], spot))
     light = fixed_light(pictures)
-    return None if light is None else WithoutFixedLight(reader, config, light)
+    return None if light is None else FixedLightCorrection(reader, config, light)
 
 
 def _tracked_again(
     reader: RecordReader, config: Configuration, light: FixedLight, sequences: Ints
 ) -> dict[int, Spot]:
     """The spots of some frames, tracked again in their pixels less the light; without those lost."""
-    fine = _FINER if reader.full_scale_dn <= _DEEPEST else 1
+    fine = _STEPS_PER_DN if reader.full_scale_dn <= _LARGEST_FULL_SCALE_DN else 1
     stated = sensor_model(config, reader.full_scale_dn)
     full, less = fine * int(stated.full_scale_dn), np.rint(fine * light.subtracted_dn).astype(np.int64)
     tracker = SpotTracker(
@@ -314,7 +314,7 @@ def _tracked_again(
     return found
 
 
-def _fitted(
+def _fitted_gain(
     times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
 ) -> Estimate | None:
     try:

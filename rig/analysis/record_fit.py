@@ -1,4 +1,4 @@
-"""From a closed record to its results: what its half-cycles give, and what the record says beside them."""
+"""From a closed record to its results: those of its half-cycles, and the conditions of its run."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -12,17 +12,15 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
-from processing.fit import (
-    FitMethod,
-)
+from processing.fit import FitMethod
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
-from rig.analysis.air import doubts_of, recorded_surroundings
-from rig.analysis.half_cycle_fits import SeismometerBeside, analyse_swings
+from rig.analysis.air import air_doubts, recorded_surroundings
+from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
 from rig.analysis.passing_deflections import (
-    Changed,
+    ChangedDeflections,
     PassingDeflections,
-    less_beam_motion,
+    without_beam_motion,
     without_fixed_light,
 )
 from rig.analysis.run_conditions import Beam, run_clock, run_conditions
@@ -46,17 +44,17 @@ def analyse_record(
     air_known: bool = True,
     witness: SeismometerRecord | None = None,
 ) -> AnalysedRun:
-    """Fit one closed record; `overrides` change its configuration (fit settings, pendulum) for this fit.
+    """Results of one closed record; `overrides` change its configuration (fit settings, pendulum) for them.
 
-    Without `air_known` nothing is known of the drag, whatever the record's own configuration states.
-    `witness` is a witness of the ground; without it the one that the record holds, if it does.
+    Without `air_known` the drag has no prior, whatever the record's own configuration states. `witness` is an
+    auxiliary seismometer; without it the one in the record is used, if there is one.
     """
     with RecordReader(path) as reader:
         config = recorded_configuration(reader, overrides)
         if not air_known:
             config = config.model_copy(update={"fit": config.fit.with_free_drag})
         watched = KeyUseMonitor(config, overrides, "rig replay takes the recorded motion again")
-        # what this reads, the recorded deflections were made with
+        # keys that this reads cannot be changed: the recorded deflections were made with them
         optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
         watched.refuse_read()
         blocks = _RecordedDeflections(reader)
@@ -74,9 +72,9 @@ def analyse_record(
 
 
 class _RecordedDeflections:
-    """The deflections of a record, read again each time.
+    """The deflections of a record, read anew at every iteration.
 
-    `following` is the number after the last frame's, `beam` what the spots say, each taken once.
+    `following` is the number after the last frame's, `beam` counts flags and models of the spots, each once.
     """
 
     def __init__(self, reader: RecordReader) -> None:
@@ -104,23 +102,23 @@ def analyse_run(
     *,
     witness: SeismometerRecord | None = None,
 ) -> AnalysedRun:
-    """Fit half-cycles and deflections that came from a record: those in it, or what a replay made of it.
+    """Results of half-cycles and deflections of a record, as recorded or by a replay.
 
-    `blocks` are the deflections of consecutive frames, in `unit`. Once they have passed, `beam` is what their
-    spots say, and `dropped` tells how many frames are missing between the first and the last, from how many
-    there were. What a reference spot shares with the pendulum's is taken off.
+    `blocks` are the deflections of consecutive frames, in `unit`. Once they have passed, `beam` has the
+    counts of their spots, and `dropped` gives the number of missing frames from that of the frames present.
+    The motion of the beam by a reference spot, and fixed light, are taken off.
     """
-    less, pulled = less_beam_motion(reader, config), without_fixed_light(reader, config)
+    less, pulled = without_beam_motion(reader, config), without_fixed_light(reader, config)
     for one in (less, pulled):
         if one is not None and one.used:
-            blocks = Changed(blocks, one.change)
+            blocks = ChangedDeflections(blocks, one.change)
             swings = swings_of_blocks(blocks)
     deflections, surroundings = PassingDeflections(blocks, unit), recorded_surroundings(reader, config)
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
     own = recorded_witness(reader, config) if witness is None else None
-    beside: SeismometerBeside | None = None
+    beside: TimedSeismometer | None = None
     if own is not None:
         beside = own, FitStart
     elif witness is not None:
@@ -131,7 +129,7 @@ def analyse_run(
     run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    warnings = [*run.warnings, *doubts, *reader.doubts(), *doubts_of(surroundings)]
+    warnings = [*run.warnings, *doubts, *reader.doubts(), *air_doubts(surroundings)]
     end = end_of(reader.events())
     frames, judged = deflections.frames, Beam.of(beam, noise_is_known=config.sensor is not None)
     dropped_frames, exact = dropped(frames), run.fits.get(FitMethod.EXACT)

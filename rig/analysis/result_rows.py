@@ -1,4 +1,4 @@
-"""The table of results: what is known of every quantity, made once, and read by every output."""
+"""The table of results: one row for every quantity, made once, and read by every output."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from processing.errors import ConfigurationError
 from processing.estimate import NOT_DETERMINED, WELL_DETERMINED, Determinacy, Estimate
 from processing.fit import Budget, Determination, FitMethod, FitResult
 from processing.quantity import OF, Quantity
-from processing.series import Combined
+from processing.series import CombinedValue
 from rig.presentation import QuantityDisplay, interval, law_parameters, plain, quantity, unit_of
 
 SURFACE_ENERGY: Final = "surface_energy_table2_j_per_m2"
@@ -22,34 +22,34 @@ _SHORT_NAMES: Final = {
     "drag": DRAG.key,
     "a": "contact_radius_m",
 }
-_TANGENT: Final = 3.0
-"""Times the value of a parameter, up to which what the apparatus moves it by is taken as a part of its
-logarithm: of a value near zero that would be any number."""
-_OWN = Quantity("", "", unit=OF + "quantity")
+_MOST_LOGARITHMIC: Final = 3.0
+"""Relative uncertainty by the apparatus up to which it is added in the logarithm of a parameter: near zero it
+could be any number."""
+_QUANTITY_UNIT = Quantity("", "", unit=OF + "quantity")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ResultRow:
     """One quantity of a run or a series.
 
-    `fit` says by what it is known: the exact fit, the decay alone, a theory of adhesion.
+    `fit` names the source: the exact fit, the decay alone, a theory of adhesion.
 
-    `value`, `u` and `u_total` are NaN unless the data determine the quantity: then `lower` and `upper` say
-    all that is known. `u` is the standard uncertainty of the swings alone, `u_total` that of swings and
-    apparatus together, `lower` to `upper` the 95 % interval, of both together; a limit that the data do not
-    set is NaN. `unit` is that of the numbers. `by_profile`: the interval follows from the profile likelihood,
-    otherwise from the covariance. `run` is the run's name, "series" for several together.
+    `value`, `u` and `u_total` are NaN unless the data determine the quantity; `lower` and `upper` are then
+    all that is known. `u` is the standard uncertainty of the half-cycles alone, `u_total` that of half-cycles
+    and apparatus together, `lower` to `upper` the 95 % interval, of both together; a limit that the data do
+    not set is NaN. `unit` is that of the numbers. `by_profile` is whether the interval is by the profile
+    likelihood, else it is by the covariance. `run` is the run's name, "series" for several together.
 
     It unpacks: ``value, u_total = row``.
     """
 
     quantity: str
     fit: str = FitMethod.EXACT.value
-    value: Annotated[float, _OWN] = nan
-    u: Annotated[float, _OWN] = nan
-    u_total: Annotated[float, _OWN] = nan
-    lower: Annotated[float, _OWN] = nan
-    upper: Annotated[float, _OWN] = nan
+    value: Annotated[float, _QUANTITY_UNIT] = nan
+    u: Annotated[float, _QUANTITY_UNIT] = nan
+    u_total: Annotated[float, _QUANTITY_UNIT] = nan
+    lower: Annotated[float, _QUANTITY_UNIT] = nan
+    upper: Annotated[float, _QUANTITY_UNIT] = nan
     verdict: Determinacy = Determinacy.DETERMINED
     unit: str = ""
     run: str = ""
@@ -60,12 +60,12 @@ class ResultRow:
 
     @property
     def determined(self) -> bool:
-        """Whether value and uncertainty describe it."""
+        """Whether the quantity has a value with an uncertainty."""
         return self.verdict is Determinacy.DETERMINED
 
     @property
     def shown(self) -> QuantityDisplay:
-        """How a person reads it: symbol, unit, factor."""
+        """Symbol, unit and factor with which it is shown."""
         return quantity(self.quantity)
 
     @property
@@ -74,13 +74,13 @@ class ResultRow:
         return self.shown.text(*self) if self.determined else self.scaled_text(self.shown.factor)
 
     def scaled_text(self, scale: float) -> str:
-        """Interval or bound of what is `scale` times the quantity."""
+        """Interval or bound of `scale` times the quantity."""
         low, high = self.lower * scale, self.upper * scale
         match self.verdict:
             case Determinacy.UPPER_BOUND:
                 return f"< {plain(high, 2)} (95 %)"
             case Determinacy.LOWER_BOUND if low > 0:
-                # downwards: rounded to the nearest it might lie above the limit
+                # rounded down: the nearest number might lie above the limit
                 digit = 10.0 ** (floor(log10(low)) - 2)
                 return f"> {plain(low - 0.5 * digit, 3)} (95 %)"
             case Determinacy.INTERVAL | Determinacy.DETERMINED:
@@ -106,7 +106,7 @@ class ResultRow:
 
 
 def named(key: str) -> str:
-    """The label of a quantity where it is met first: a surface energy by its name."""
+    """The label of a quantity at its first mention: a surface energy with its name."""
     label = quantity(key).label
     return f"surface energy {label}" if key in ENERGIES else label
 
@@ -119,7 +119,7 @@ def plain_row(
     unit: str = "",
     **known: Any,
 ) -> ResultRow:
-    """The row of a number, or of a value with its standard uncertainty as it is; `known` is what else is."""
+    """The row of a number, or of a value with its standard uncertainty; `known` are further fields of it."""
     value, u = found if isinstance(found, Estimate) else (found, nan)
     return ResultRow(
         quantity=name, fit=fit, value=value, u=u, u_total=u, unit=unit or unit_of(name), run=run, **known
@@ -133,10 +133,10 @@ def result_rows(
     budget: Mapping[str, Budget],
     pendulum: PendulumOnBall,
 ) -> tuple[ResultRow, ...]:
-    """The rows of one run: the fitted parameters, the surface energies, and what the apparatus alone gives.
+    """The rows of one run: fitted parameters, surface energies, and quantities by the apparatus alone.
 
-    A parameter on which there is no determination (its profile failed) is withheld, unless its relative
-    uncertainty is so small that it needs none.
+    A parameter without a determination (its profile failed) is withheld, unless its relative uncertainty is
+    so small that it needs none.
     """
     known = {one.name: one for one in determinations}
     rows = []
@@ -155,9 +155,9 @@ def result_rows(
 
 
 def series_rows(
-    combined: Mapping[str, Combined], budget: Mapping[str, Budget], pendulum: PendulumOnBall
+    combined: Mapping[str, CombinedValue], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
-    """The rows of several runs together, each quantity by the interval of their mean."""
+    """The rows of several runs together, each with the interval of the mean."""
     rows = []
     for name, item in combined.items():
         half = item.expanded_uncertainty_95
@@ -175,13 +175,13 @@ def series_rows(
 def _with_apparatus(
     run: str, rows: list[ResultRow], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:
-    """The rows of what was fitted, of the surface energies, and of what the apparatus alone gives.
+    """The rows with the apparatus in them, and those of surface energies and of the apparatus alone.
 
-    The apparatus adds to the uncertainty, and to both sides of the interval. Value and uncertainty are left
-    out where they would not describe what is known.
+    The apparatus adds to the uncertainty, and to both sides of the interval. A quantity that is not
+    determined has neither value nor uncertainty.
     """
     for c in [row for row in rows if row.quantity == "c"]:
-        # each surface energy is c times what is known of the apparatus
+        # each surface energy is c times a factor of the apparatus
         per_c = surface_energy(Estimate(1.0, 0.0), pendulum)
         for name, factor in zip(ENERGIES, (per_c.table2.value, per_c.eq2.value), strict=True):
             scaled = {key: factor * getattr(c, key) for key in ("value", "u", "u_total", "lower", "upper")}
@@ -203,17 +203,17 @@ def _with_apparatus(
 
 
 def _wider_ends(row: ResultRow, expanded: float) -> tuple[float, float]:
-    """The ends of an interval with what the apparatus adds to both sides of it."""
+    """The ends of an interval with the apparatus's `expanded` uncertainty added to both sides."""
     value, ends = row.value, (row.lower, row.upper)
     parameter = law_parameters().get(row.quantity)
     logarithmic = parameter is not None and parameter.logarithmic and ends[0] > 0
     relative = expanded / value if value > 0 else inf
-    if logarithmic and relative < _TANGENT:
-        # their units hold an exponent: the interval is symmetric in the logarithm
+    if logarithmic and relative < _MOST_LOGARITHMIC:
+        # the unit contains an exponent, so that the interval is symmetric in the logarithm
         low, high = (_wider(side, relative) for side in (log(value / ends[0]), log(ends[1] / value)))
         return value * exp(-low), value * exp(high)
     lower, upper = value - _wider(value - ends[0], expanded), value + _wider(ends[1] - value, expanded)
-    # a limit by physics, which no apparatus moves
+    # 0 is a limit by physics, which no apparatus moves
     return 0.0 if ends[0] == 0 or (logarithmic and lower < 0) else lower, upper
 
 
@@ -222,13 +222,13 @@ def _wider(side: float, part: float) -> float:
 
 
 def withheld(budget: Mapping[str, Budget], rows: Sequence[ResultRow]) -> dict[str, Budget]:
-    """The budgets, of what is not determined with the shares of the sources alone."""
+    """The budgets; those of undetermined quantities have only the shares of the sources."""
     known = {row.quantity: row.determined for row in rows}
     return {name: item if known.get(name, True) else item.shares_only() for name, item in budget.items()}
 
 
 class RowsByName:
-    """What has a table of results gives its rows by name: ``results["b"]``, ``results["T0"]``."""
+    """Results with a table, whose rows are read by name: ``results["b"]``, ``results["T0"]``."""
 
     __slots__ = ()
 
@@ -239,7 +239,7 @@ class RowsByName:
 
     @property
     def rows(self) -> Mapping[str, ResultRow]:
-        """The rows by quantity; of one that is there by several fits the first."""
+        """The rows by quantity; of a quantity in several rows the first."""
         found = dict[str, ResultRow]()
         for row in self.table:
             found.setdefault(row.quantity, row)
@@ -247,7 +247,7 @@ class RowsByName:
 
     @property
     def contact(self) -> Sequence[ResultRow]:
-        """The rows of the exact fit and of what follows from it; none where no law was fitted."""
+        """The rows of the exact fit and of quantities by it; none where no law was fitted."""
         return [row for row in self.table if row.fit == FitMethod.EXACT]
 
     def number(self, name: str) -> Estimate:
@@ -263,5 +263,5 @@ class RowsByName:
         return found
 
     def _summary(self, head: str) -> str:
-        """A head and a line a row, for a person."""
+        """A head, then one line for each row."""
         return "\n".join([head, *(f"  {row}" for row in self.contact or self.table)])

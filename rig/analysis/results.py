@@ -1,6 +1,6 @@
 """The values of results.json. Field names are its keys, fixed so that other programs can rely on them.
 
-`rig.analysis.encoding` says how estimates, arrays and "not determined" are spelled in the file.
+`rig.analysis.encoding` defines how estimates, arrays and "not determined" are written in the file.
 """
 
 import re
@@ -21,7 +21,7 @@ from processing.estimate import Estimate
 from processing.fit import Budget, Drag, SeismometerUse, Work
 from processing.position_map import PositionMap
 from processing.quantity import IN_UNIT, STATED, Quantity
-from processing.series import Combined, Disagreement
+from processing.series import CombinedValue, Disagreement
 from processing.swing import HalfCycle, KnownMotion, TurningPoints
 from processing.units import seconds
 from rig.analysis.contact_results import ComparedLaws, Fit
@@ -32,16 +32,16 @@ from rig.analysis.run_conditions import Beam, RunClock
 from rig.presentation import Verdict
 
 SCHEMA = 1
-_OF_A_RUN = re.compile(r"run-(\d+)(-recovered)?\.mcap")
+_RECORD_NAME = re.compile(r"run-(\d+)(-recovered)?\.mcap")
 _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
 
 
 class TableUnit(StrEnum):
-    """Unit of the amplitudes of a table that is no angle."""
+    """Unit of a table's amplitudes where it is no angle."""
 
     OWN = "own"
-    """The one that its results name, `amplitude_unit`."""
+    """The `amplitude_unit` of the results."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +78,7 @@ class StoredTurningPoints:
         unit: DeflectionUnit | TableUnit,
         clock_rate: float,
     ) -> "StoredTurningPoints":
-        """`points` were made of `swings`, of whose seconds each takes `clock_rate` true ones."""
+        """The `points` of `swings`, and the half-cycles left out; `clock_rate` is true seconds a second."""
         first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), None)
         if first_ns is None:
             first_ns = swings[0].turn_time_ns if swings else 0
@@ -97,7 +97,7 @@ class StoredTurningPoints:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionErrors:
-    """Errors of position fixed on the sensor, as the run showed them; they were subtracted before the fits.
+    """Fixed-pattern position errors of the sensor, by the run itself; they were subtracted before the fits.
 
     `place` are true deflections along the slow axis, `error` the excess of the measured ones there, `u_error`
     its standard uncertainty apart from a constant and a scale, which no swing shows; all in `unit`.
@@ -121,7 +121,7 @@ class PositionErrors:
 
     @classmethod
     def of(cls, found: PositionMap, unit: DeflectionUnit) -> "PositionErrors":
-        """At the knots of the map."""
+        """The errors at the knots of the map."""
         place = found.splines.centres[1:-1]
         return cls(
             unit=unit,
@@ -136,7 +136,7 @@ class PositionErrors:
 
     @property
     def rms(self) -> float:
-        """Of the error about its mean, in `unit`."""
+        """Rms of the error about its mean, in `unit`."""
         return float(np.std(self.error))
 
     @property
@@ -152,10 +152,10 @@ class PositionErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableDecay:
-    """Where in a table a decay lies: times of its first and last turning point, from the table's first row.
+    """Place of a decay in a table: times of its first and last turning point, from the table's first row.
 
-    `run` is the name of its run, if the file contains several. `session` is what the configuration states of
-    the sample, its history and the operator.
+    `run` is the name of its run, if the file contains several. `session` are sample, its history, operator
+    and notes by the configuration.
     """
 
     began_s: float = nan
@@ -171,22 +171,21 @@ class RunResults(RowsByName):
     `record` is relative to the folder of the file where possible. `sha256` is its hash, `inputs_sha256` those
     of the configuration, the calibrations and the pixels that belong to it. `simulated`: its frames are those
     of the simulated rig; None for a table. `losses` counts the missing frames by cause; None if the record
-    does not say. `beam` names the model fitted to the spots and counts their flags.
-    `table` has a row for every number that is reported: what the exact fit and the apparatus give, then what
-    every decay has, whether or not a law is fitted: period and decrement (means over the decay), quality
-    factor (none where the decrement changes, is not told from zero, or is larger than pi), first and last
-    amplitude, in arcsec, or in px for a record without a lever, or in the unit of a table.
-    `measured_again_on` is the motion on which the fitted turning points were measured again (see
-    `processing.fit.refinement`); None: they are as detected. `position_errors` were subtracted from the
-    deflections before that; None if the run shows none. `laws` compares several laws, if requested.
-    `adhesion` names the theory that the Tabor parameter selects for the contact spot, if c is determined and
-    the spot's radius is Hertz's; the rows have the spot by every theory. `ended` is why the run ended, as its
-    record says. `clock` compares the camera's clock
-    with the computer's; None for frames made on demand. `surroundings` are the air and the history of the
-    contact; `conditions` judges them together with light, losses and what else the record shows. `witness` is
-    the result of a witness of the ground, if there was one. What follows from a fit (`pendulum` to `notes`)
-    is empty without one. `damping` describes how the damping depends on the amplitude, in `amplitude_unit`;
-    None for fewer than twelve half-cycles, and for amplitudes that do not fall. `decay` is there for a table.
+    does not say. `beam` names the model fitted to the spots and counts their flags. `table` has a row for
+    every number that is reported: those of the exact fit and the apparatus, then those of any decay, with or
+    without a law: period and decrement (means over the decay), quality factor (none where the decrement
+    changes, does not differ from zero, or is larger than pi), first and last amplitude, in arcsec, or in px
+    for a record without a lever, or in the unit of a table. `measured_again_on` is the motion of the second
+    measurement of the turning points (see `processing.fit.refinement`); None: they are as detected.
+    `position_errors` were subtracted from the deflections before that; None if the run shows none. `laws`
+    compares several laws, if requested. `adhesion` names the theory that the Tabor parameter selects for the
+    contact spot, if c is determined and the spot's radius is Hertz's; the rows have the spot by every theory.
+    `ended` is the reason of the run's end in its record. `clock` compares the camera's clock with the
+    computer's; None for frames made on demand. `surroundings` are the air and the history of the contact;
+    `conditions` are verdicts on the conditions of the run. `witness` is the use of an auxiliary seismometer,
+    if there was one. Results of a fit (`pendulum` to `notes`) are empty without one. `damping` is the damping
+    as a function of the amplitude, in `amplitude_unit`; None for fewer than twelve half-cycles, and for
+    amplitudes that do not fall. `decay` is None for a record.
     """
 
     record: str
@@ -226,24 +225,24 @@ class RunResults(RowsByName):
 
     @property
     def stored(self) -> StoredTurningPoints:
-        """The turning points, none where there are none."""
+        """The stored turning points; empty columns where there are none."""
         return self.turning_points or StoredTurningPoints()
 
     @property
     def points(self) -> TurningPoints:
-        """The turning points as the fits took them."""
+        """The turning points that were fitted."""
         return TurningPoints(*(getattr(self.stored, column.name) for column in fields(TurningPoints)))
 
     @property
     def amplitudes(self) -> tuple[float, float]:
-        """The first and the last one, in `amplitude_unit`; NaN where there is none."""
+        """First and last amplitude in `amplitude_unit`; NaN where there is none."""
         return self.number("initial_amplitude").value, self.number("final_amplitude").value
 
     def half_cycles_text(self, unit: str, before_amplitudes: str = ", ") -> str:
-        """`33 half-cycles, 123.24 to 101.09 arcsec`, or that there are none.
+        """`33 half-cycles, 123.24 to 101.09 arcsec`, or `no half-cycles`.
 
-        `unit` is that of the record's deflections as shown. A pendulum that swings by degrees has its
-        amplitudes in them.
+        `unit` is that of the record's deflections as shown; amplitudes of a pendulum that swings by degrees
+        are in degrees.
         """
         first, last = self.amplitudes
         if not self.half_cycles or not isfinite(first + last):
@@ -268,7 +267,7 @@ class RunResults(RowsByName):
 
 @dataclass(frozen=True, slots=True)
 class AveragedCurves:
-    """The paper's way: the runs' curves averaged, then Eqs. 5 and 6 fitted."""
+    """The paper's procedure: Eqs. 5 and 6 fitted to the average of the runs' curves."""
 
     parameters: Annotated[Mapping[str, Estimate], Entries] = field(default_factory=dict)
     arae_decay: float = nan
@@ -286,7 +285,7 @@ class Series(RowsByName):
     runs: int = 0
     combined_runs: tuple[int, ...] = ()
     table: tuple[ResultRow, ...] = ()
-    fits: Annotated[Mapping[str, Mapping[str, Combined]], Entries] = field(default_factory=dict)
+    fits: Annotated[Mapping[str, Mapping[str, CombinedValue]], Entries] = field(default_factory=dict)
     budget: Mapping[str, Budget] = field(default_factory=dict)
     disagreements: tuple[Disagreement, ...] = ()
     averaged_curves: Annotated[AveragedCurves, MergedField("parameters")] | None = None
@@ -294,7 +293,7 @@ class Series(RowsByName):
     instrument: InstrumentSeries | None = None
 
     def combined(self, runs: Sequence[_Run]) -> Sequence[_Run]:
-        """Those of all runs that are combined."""
+        """The elements, one for each run, of the runs that are combined."""
         return [runs[number - 1] for number in self.combined_runs] or runs
 
 
@@ -302,9 +301,9 @@ class Series(RowsByName):
 class SessionResults(RowsByName):
     """results.json of one or more records, or of the decays of a table of positions of any instrument.
 
-    By name it has the rows of its series, or of its first run with a fit: ``results["b"]``. Of a table
-    `trajectory` is the file, `unit` that of its positions, and `understood` says in lines what the file was
-    taken for, and which of its rows were left out.
+    By name it has the rows of its series, or of its first run with a fit: ``results["b"]``. For a table
+    `trajectory` is the file, `unit` that of its positions, and `understood` are lines on how the file was
+    read, and which of its rows were left out.
     """
 
     schema: int = SCHEMA
@@ -316,8 +315,8 @@ class SessionResults(RowsByName):
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """What the runs are called: the numbers of their records, else of their places."""
-        named = [_OF_A_RUN.fullmatch(Path(run.record).name) for run in self.runs]
+        """Numbers of the runs: those in the names of their records, else their places from 1."""
+        named = [_RECORD_NAME.fullmatch(Path(run.record).name) for run in self.runs]
         numbers = tuple(int(found[1]) for found in named if found is not None)
         is_whole = len(set(numbers)) == len(self.runs)
         return numbers if is_whole else tuple(range(1, len(self.runs) + 1))

@@ -1,4 +1,4 @@
-"""results.json: reading, writing, finding it, and its JSON schema."""
+"""Reading, writing and finding results.json, and its JSON schema."""
 
 import functools
 import json
@@ -26,8 +26,8 @@ def _codec(kind: Any) -> Codec:
 
 
 def encoded(values: object) -> JsonObject:
-    """Results, or a part of them, as they stand in the file."""
-    # of an analysed run what the file holds
+    """The JSON tree of results, or of a part of them."""
+    # of an analysed run only the part that the file holds
     kind: Any = RunResults if isinstance(values, RunResults) else type(values)
     tree: JsonObject = _codec(kind).write(values)
     return tree
@@ -51,7 +51,7 @@ def _text(value: object, indent: str = "") -> str:
 
 
 def results_path(source: Path) -> Path:
-    """A results file as it is named, or the latest of a folder: results-2.json comes after results.json."""
+    """A results file itself, or the latest one of a folder: results-2.json comes after results.json."""
     if not source.is_dir():
         return source
     later = [path for path in source.glob("results-*.json") if path.stem.removeprefix("results-").isdecimal()]
@@ -61,7 +61,7 @@ def results_path(source: Path) -> Path:
 def read_results(source: str | Path) -> SessionResults:
     """results.json of a session's folder, or a results file: of records, or of the decays of a table.
 
-    Raises RecordError with one line: no such file, or the key that cannot be understood.
+    Raises RecordError in one line for a missing file, and for a key that cannot be read.
     """
     source = Path(source)
     path = results_path(source)
@@ -82,7 +82,7 @@ def read_results(source: str | Path) -> SessionResults:
 
 
 def decoded(tree: Any, path: Path) -> SessionResults:
-    """Results from what `encoded` gives of them; RecordError names the file and the key at fault."""
+    """Results from the tree by `encoded`; RecordError names the file and the key at fault."""
     if isinstance(tree, dict) and "envelope" in tree:
         raise RecordError(
             f"{path}: describes an envelope, which has no half-cycles; use the table it was made from"
@@ -109,7 +109,7 @@ def _one_line(fault: ErrorDetails) -> str:
 
 
 def recorded_results(record: Path, sha256: str) -> tuple[str, RunResults | None]:
-    """Name of the newest results file beside a record that knows it, and what it says of it, if any."""
+    """Newest results of a record in its folder: the file's name and the run; ("", None) if there are none."""
     files = sorted(record.parent.glob("results*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in files:
         try:
@@ -123,7 +123,7 @@ def recorded_results(record: Path, sha256: str) -> tuple[str, RunResults | None]
 
 
 def free_path(folder: Path) -> Path:
-    """results.json of a folder, or results-2.json ... where it exists: earlier results stay."""
+    """Path of a new results.json of a folder; where it exists results-2.json, ...: earlier results stay."""
     path, number = folder / RESULTS_NAME, 2
     while path.exists():
         path, number = folder / f"{Path(RESULTS_NAME).stem}-{number}.json", number + 1
@@ -131,7 +131,7 @@ def free_path(folder: Path) -> Path:
 
 
 def relative_record(record: Path, folder: Path) -> str:
-    """The path of a record as it is written down: relative to the folder where it lies inside."""
+    """The path of a record as the file names it: relative to `folder` if it lies inside, else absolute."""
     try:
         return record.resolve().relative_to(folder.resolve()).as_posix()
     except ValueError:
@@ -139,7 +139,7 @@ def relative_record(record: Path, folder: Path) -> str:
 
 
 def results_schema() -> str:
-    """The JSON schema of results.json (JSON Schema 2020-12), as it stands in docs/results.schema.json."""
+    """The JSON schema of results.json (JSON Schema 2020-12), the text of docs/results.schema.json."""
     tree = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": RESULTS_NAME,

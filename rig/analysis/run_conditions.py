@@ -1,4 +1,4 @@
-"""What a record shows of its run beside the swings: beam, clock, light, losses, steps, each judged."""
+"""Conditions of a run by its record, each with a verdict: beam, clock, light, losses, steps."""
 
 import math
 from collections import Counter
@@ -24,17 +24,17 @@ from rig.presentation import Verdict, percent
 from rig.settings import Configuration, PreflightSettings
 
 _EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
-"""Flags that name the model, and are no fault of a spot."""
+"""Flags that name the model of a spot and no fault of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beam:
-    """What the spots of a run reveal about its beam.
+    """The beam of a run, by the models and flags of its spots.
 
     `model` is the model in use at the end, `since_frame` the number of the first frame fitted with it,
     `changes` how often the model changed after the first choice. `flags` are the numbers of spots with each
     flag, without zeros. POOR_FIT is judged on the `judged_frames` spots after `choosing_frames`, from which
-    the profile was learned; `poor_fit_frames` of them have it, and `likely_cause` says why.
+    the profile was learned; `poor_fit_frames` of them have it, and `likely_cause` is the most likely reason.
     """
 
     model: str = ""
@@ -50,7 +50,7 @@ class Beam:
 
     @classmethod
     def of(cls, use: BeamUse, *, noise_is_known: bool) -> Self:
-        """From the flags; `noise_is_known`: the sensor's noise is stated, not assumed."""
+        """The beam by counts of flags; `noise_is_known` is whether the sensor's noise is stated."""
         cause, remedy = _cause(use, noise_is_known=noise_is_known) if use.poor_frames else ("", "")
         return cls(
             model=use.model or "",
@@ -125,11 +125,11 @@ def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
 
 
 _MOST_FRAMES = 20_000
-"""A line through so many shows the rate as well as all."""
+"""Most frames to which the rate of the clock is fitted: more would not make it better known."""
 _U_UNKNOWN = 100e-6 / math.sqrt(3.0)
-"""Of a quartz within its usual tolerance, 100 ppm, whose rate nothing shows."""
+"""Relative standard uncertainty of an unknown rate: a quartz within its usual tolerance, 100 ppm."""
 _MOST_STEP_S = 1e-3
-"""Turning points are timed to some 0.1 ms: a step that is known less well is seen in them."""
+"""Largest uncertainty of a step that is no fault: turning points are timed to some 0.1 ms."""
 _LIMIT = f"steps known to {_MOST_STEP_S:g} s"
 _FIELDS = ("sequence", "device_time_ns", "host_time_ns")
 
@@ -163,7 +163,7 @@ class RunClock:
 
 
 def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
-    """What the record shows of its clock; None of frames made on demand, whose times are their own."""
+    """The clock of a record; None for frames made on demand, which have times of their own."""
     if config.on_demand:
         return None
     anchors = reader.table(CLOCK.topic)
@@ -197,9 +197,10 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
 
 
 def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float) -> float:
-    """Relative standard uncertainty of the rate by which the run's times were taken.
+    """Relative standard uncertainty of the rate with which the run's times were computed.
 
-    A calibrated rate that the run contradicts, and one that was assumed, are wrong by what the run shows.
+    A calibrated rate that the run contradicts, and an assumed one, have their deviation from the run's own
+    rate as uncertainty.
     """
     u_seen = math.hypot(u_rate, u_host, U_QUARTZ)
     if config.timebase is None:
@@ -210,7 +211,7 @@ def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float)
 
 
 def clock_verdict(clock: RunClock) -> Verdict:
-    """Steps that were taken off are a warning while they are known to a part of what turning points are."""
+    """Verdict on the steps that were taken off: a warning if known to `_MOST_STEP_S`, else a fault."""
     if not clock.steps:
         return Verdict("camera's clock", True, measured=clock.text, limit=_LIMIT)
     known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
@@ -220,9 +221,10 @@ def clock_verdict(clock: RunClock) -> Verdict:
 
 
 _MOST_KELVIN = 1.0
-"""Of the air during a run: the paper's arm of 1 m of steel grows by 12 um, 2 arcsec, with each kelvin."""
+"""Largest change of the air's temperature in a run: the paper's arm, 1 m of steel, grows by 12 um, 2 arcsec,
+with each kelvin."""
 _MOST_LEFT_OUT = 0.2
-"""Of the half-cycles, which the ground moved too much to be fitted."""
+"""Largest share of half-cycles that the ground moves too much to be fitted."""
 _STEPS = {
     EventKind.LASER_DARK: (
         "light",
@@ -247,9 +249,9 @@ def run_conditions(
     clock: RunClock | None = None,
     balance: Sequence[Verdict] = (),
 ) -> tuple[Verdict, ...]:
-    """One verdict for each condition; a record of a version that knew less has fewer events to go by.
+    """One verdict for each condition of a run.
 
-    Frames that were dropped cost what lost spots cost: the limit of both is the preflight's of lost spots.
+    A dropped frame costs as much as a lost spot: the limit of both is that of the preflight for lost spots.
     """
     return (
         _end(end_of(reader.events())),
@@ -273,7 +275,7 @@ def run_conditions(
 
 
 def _end(end: Event | None) -> Verdict:
-    """Whether the run came to its end; a person may end one early, and fit what there is."""
+    """Whether the run reached its end; a run that a person ended early is no fault."""
     if end is None or end.kind == EventKind.FAILED:
         reason = "the record has no end event" if end is None else "an error ended it"
         remedy = "remove the cause, then measure again: rig run --resume"
@@ -290,7 +292,7 @@ def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdi
 
 
 def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
-    """A warning: the flanks of such spots alone are fitted, which only of a Gaussian beam say where it is."""
+    """A warning of saturated spots: their flanks alone are fitted, which is right only for Gaussian beams."""
     found = _fraction(
         "saturation",
         beam.flags.get(SpotFlag.SATURATED.name or "", 0),
@@ -317,7 +319,7 @@ def _steps(events: Sequence[Event]) -> list[Verdict]:
 
 
 def _watching(events: Sequence[Event]) -> list[Verdict]:
-    """A warning: what only watched has failed, which the record does not suffer from."""
+    """A warning where a part that only watches the run failed, which leaves the record whole."""
     texts = [event.text for event in events if event.kind == EventKind.WATCHER_FAILED]
     if not texts:
         return []
@@ -337,7 +339,7 @@ def _temperature(reader: RecordReader) -> list[Verdict]:
 
 
 def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
-    """Whether the ground, as the exact fit saw it, left most of the decay to be fitted."""
+    """Whether the ground, by the exact fit, left most of the half-cycles to be fitted."""
     if ground is None or not half_cycles:
         return []
     part = ground.left_out_half_cycles / (half_cycles + ground.left_out_half_cycles)

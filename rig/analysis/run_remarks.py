@@ -1,4 +1,4 @@
-"""What is said about a run beside its numbers, the same on the terminal and in reports."""
+"""Remarks on the results of a run, the same on the terminal and in reports."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
@@ -9,15 +9,7 @@ from processing.contact import DRAG
 from processing.contact.laws import DEFAULT_LAW
 from processing.damping import PARTS
 from processing.estimate import Determinacy, Estimate
-from processing.fit import (
-    WAVEFORM,
-    BaseMotion,
-    Budget,
-    Drag,
-    DragFinding,
-    FitMethod,
-    Ground,
-)
+from processing.fit import WAVEFORM, BaseMotion, Budget, Drag, DragFinding, FitMethod, Ground
 from rig.analysis.contact_results import Correlation
 from rig.analysis.decay_values import DECAY, AmplitudeDamping
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
@@ -26,23 +18,23 @@ from rig.analysis.seismometer import witness_sentences
 from rig.presentation import SOURCES, plain, quantity, signed_percent, with_uncertainty
 
 _LARGE = 0.25
-"""Share of the variance from which on a source is named; the largest one always is."""
+"""Share of the variance above which a source is named; the largest one always is."""
 
 
 def has_apparatus(item: Budget | None) -> bool:
-    """Whether the apparatus has a part in a budget."""
+    """Whether sources of the apparatus (type B) contribute to a budget."""
     return item is not None and any(line.type == "B" and line.share > 0 for line in item.sources)
 
 
 def dominant_text(item: Budget) -> str:
-    """`E of the flat 71 %, half-cycles 26 %`: what makes most of the variance, largest first."""
+    """The sources of most of the variance, largest first: `E of the flat 71 %, half-cycles 26 %`."""
     lines = sorted(item.sources, key=lambda line: -line.share)
     named = [line for line in lines if line.share >= _LARGE] or lines[:1]
     return ", ".join(f"{SOURCES.get(line.source, line.source)} {100 * line.share:.0f} %" for line in named)
 
 
 def drag_headline(drag: Drag | None, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
-    """A drag that is seen, or that the fit has none; empty otherwise."""
+    """Sentence on a drag that is seen, or on a fit without a drag; empty otherwise."""
     shown = quantity("drag_s")
     if not fitted:
         text = "Fitted without a drag, as in vacuum: if there was air, its drag is in b and c"
@@ -59,7 +51,7 @@ def drag_headline(drag: Drag | None, rows: Mapping[str, ResultRow], *, fitted: b
 
 
 def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
-    """What the drag does to b and c; of one that is not determined, a change in per cent says nothing."""
+    """Relative changes of b and c by the drag, as text; none of a parameter that is not determined."""
     return {
         name: signed_percent(shift)
         for name, shift in (("b", drag.relative_shift_b), ("c", drag.relative_shift_c))
@@ -69,7 +61,7 @@ def shifts_by_drag(drag: Drag, rows: Mapping[str, ResultRow]) -> dict[str, str]:
 
 _SHOWN_SHARE = 0.02
 _LIMITS_FROM = 0.25
-_DO: Final[Mapping[str, str]] = {
+_STEPS: Final[Mapping[str, str]] = {
     "swings": "measure longer, or make more runs",
     "ground": "measure while the ground is quieter, or record it beside the run (rig fit --witness)",
     "misfit": "see in the report where the law misses the decay, and compare laws (rig fit --law all)",
@@ -91,15 +83,15 @@ class Limit(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As a person reads it."""
+        """Name of the source in words."""
         return SOURCES.get(self.source, self.source)
 
 
 class WholeResult(NamedTuple):
-    """A result as text, whether its uncertainty is the whole or the swings' alone, and what makes it.
+    """The main result of a run as text, and the sources of its uncertainty; empty where nothing was fitted.
 
-    Empty where nothing was fitted. `limits` are the largest first; `symbol` is
-    that of a quantity which the data determine.
+    `of` states whether the uncertainty is the whole or that of the half-cycles alone. `limits` are the
+    sources, the largest first; `symbol` is that of the quantity, empty if none is determined.
     """
 
     text: str = ""
@@ -107,22 +99,22 @@ class WholeResult(NamedTuple):
     limits: Sequence[Limit] = ()
     symbol: str = ""
     ground_seen: bool = True
-    """Whether the run shows that the ground drove the pendulum; else it only cannot exclude it."""
+    """Whether the run shows a drive of the ground; else it only sets a bound."""
 
     @property
     def next_steps(self) -> list[str]:
-        """What to do about each of the sources that make most of the uncertainty."""
+        """Steps against each of the sources of most of the uncertainty."""
         large = [one for one in self.limits if one.share >= _LIMITS_FROM]
-        # what is not seen to move is bounded by more half-cycles
-        do = _DO if self.ground_seen else {**_DO, "ground": _DO["swings"]}
+        # a drive of the ground that is not seen has a bound, which more half-cycles lower
+        do = _STEPS if self.ground_seen else {**_STEPS, "ground": _STEPS["swings"]}
         steps = [do.get(one.source, f"determine {one.name} more accurately") for one in large]
         return list(dict.fromkeys(steps))
 
 
 def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
-    """The surface energy, else the first parameter of the law that the data determine.
+    """The main result: the surface energy, else the first parameter of the law that the data determine.
 
-    Of a `series` with a table of its own its rows are taken instead of the run's.
+    The rows are those of a `series` if it has a table, else of the run.
     """
     if run.instrument is not None:
         return WholeResult(run.instrument.text[0] if run.instrument.text else "", "the swings")
@@ -146,35 +138,35 @@ def whole_result(run: RunResults, series: Series | None = None) -> WholeResult:
     return WholeResult(text, "the whole budget, swings and apparatus", limits, symbol, ground_seen)
 
 
-_FOUND = {
+_FINDINGS = {
     DragFinding.SEEN: "The decay shows a linear drag",
     DragFinding.NEGATIVE: "A negative drag fits best, so something is missing from the model",
     DragFinding.UNSEEN: "No linear drag is seen",
     DragFinding.OPEN: "This decay cannot distinguish a drag from friction",
 }
 _MUCH = 1.5
-"""Factor by which the ground enlarges an uncertainty, from which on it is named."""
+"""Factor on an uncertainty, by the ground or without the waveform, above which it is named."""
 
 
 class RemarkLevel(StrEnum):
-    """Who has to read a remark."""
+    """Level of a remark, which decides where it is shown."""
 
     RESULT = "result"
-    """No reader of the numbers should miss it: a drag, the ground, an auxiliary seismometer."""
+    """A remark for every reader of the numbers: on a drag, the ground, an auxiliary seismometer."""
     ADVICE = "advice"
-    """What limits the result, and what to do."""
+    """The limits of the result, and the steps against them."""
     DETAIL = "detail"
-    """Stands beside the numbers in the report and with `rig -v`."""
+    """A detail for the report and for `rig -v`."""
     CONDITION = "condition"
     """A condition of the run that was not met, or is doubtful."""
     WARNING = "warning"
-    """Of the fits and of the record."""
+    """A warning of the fits or of the record."""
     OF_OTHER_FIT = "of another fit"
     """A warning of the asymptotic fit alone: it concerns no number of the exact one."""
 
 
 class Remark(NamedTuple):
-    """A row of the table of remarks: what it is about, who has to read it, text and remedy."""
+    """A row of the table of remarks: code of its subject, level, text and remedy."""
 
     code: str
     level: RemarkLevel
@@ -188,18 +180,18 @@ class Remark(NamedTuple):
 
 
 def remark_rows(run: RunResults, *levels: RemarkLevel) -> list[Remark]:
-    """The table of remarks of a run in the order in which they are read; of some levels, or all."""
-    rows = [row for row in (*_of_fit(run), *_of_run(run)) if row.text]
+    """The table of remarks of a run in the order of reading; of some `levels`, or of all without any."""
+    rows = [row for row in (*_fit_remarks(run), *_run_remarks(run)) if row.text]
     return [row for row in rows if not levels or row.level in levels]
 
 
 def remarks(run: RunResults) -> list[str]:
-    """Sentences on beam, ground, drag and what is hardly determined, then the run's notes."""
+    """Sentences on beam, ground, drag and undetermined quantities, then the run's notes."""
     return [row.text for row in remark_rows(run, RemarkLevel.RESULT, RemarkLevel.DETAIL)]
 
 
-def _of_fit(run: RunResults) -> Iterator[Remark]:
-    """What is to be said of the numbers, apart from warnings."""
+def _fit_remarks(run: RunResults) -> Iterator[Remark]:
+    """Remarks on the numbers of a run, without warnings."""
     exact, result, detail = run.fits.get(FitMethod.EXACT), RemarkLevel.RESULT, RemarkLevel.DETAIL
     parameters = {} if exact is None else exact.parameters
     is_fitted, ground = DRAG.key in parameters, None if exact is None else exact.ground
@@ -218,7 +210,7 @@ def _of_fit(run: RunResults) -> Iterator[Remark]:
     if run.drag is not None and not (run.drag.significant and is_withheld):
         yield Remark("drag", detail, _drag_sentence(run.drag, run.rows, fitted=is_fitted))
     if exact is not None:
-        yield Remark("waveform", detail, _worth_sentence(exact.worth))
+        yield Remark("waveform", detail, _waveform_sentence(exact.worth))
         yield Remark("correlation", detail, _correlation_sentence(exact.correlation))
         yield Remark("advice", RemarkLevel.ADVICE, _advice(whole_result(run)))
     for row in run.contact:
@@ -229,8 +221,8 @@ def _of_fit(run: RunResults) -> Iterator[Remark]:
         yield Remark("note", detail, note)
 
 
-def _of_run(run: RunResults) -> Iterator[Remark]:
-    """Conditions that were not met or are doubtful, and warnings."""
+def _run_remarks(run: RunResults) -> Iterator[Remark]:
+    """Remarks on conditions that were not met or are doubtful, and warnings."""
     for one in run.conditions:
         if not one.ok or one.remedy:
             yield Remark(one.name, RemarkLevel.CONDITION, f"{one.name.upper()}: {one.found}", one.remedy)
@@ -240,7 +232,7 @@ def _of_run(run: RunResults) -> Iterator[Remark]:
 
 
 def _advice(result: WholeResult) -> str:
-    """What limits a result and what to do about it; empty where nothing was fitted."""
+    """Sentence on the main limit of a result and the steps against it; empty where nothing was fitted."""
     steps = "; ".join(result.next_steps)
     if not steps:
         return ""
@@ -257,20 +249,20 @@ def _correlation_sentence(correlation: Correlation) -> str:
 
 
 def ground_sentence(ground: Ground) -> str:
-    """How strongly the ground drove the pendulum: a value, or a bound where the run shows none."""
+    """Sentence on the drive of the ground: a value, or a bound where the run shows none."""
     left_out = (
         f"; the last {ground.left_out_half_cycles} half-cycles are its motion and were not fitted"
         if ground.left_out_half_cycles
         else ""
     )
     drive = drive_text(ground.density_rad_per_s2_rthz, ground.upper_95, ground.base, seen=ground.seen)
-    return f"Ground at the pendulum's frequency: {drive}{left_out}.{_cost(ground)}"
+    return f"Ground at the pendulum's frequency: {drive}{left_out}.{_ground_cost(ground)}"
 
 
 def drive_text(
     density: Estimate, upper_95: float, base: BaseMotion | None, *, seen: bool, unit: str = "rad"
 ) -> str:
-    """A drive, and the motion of the ground where the mass centre's height says what that is."""
+    """A drive as text, with the ground's acceleration where the mass centre's height is stated (`base`)."""
     text = _density(density, upper_95, f"{unit}/s²/√Hz", seen)
     if base is None:
         return text
@@ -284,8 +276,8 @@ def _density(found: Estimate, upper_95: float, unit: str, seen: bool) -> str:
     return f"{with_uncertainty(*found)} {unit}" if seen else f"below {plain(upper_95, 2)} {unit} (95 %)"
 
 
-def _cost(ground: Ground) -> str:
-    """What the ground adds to the uncertainties, and what would help; nothing where it adds little."""
+def _ground_cost(ground: Ground) -> str:
+    """Sentence on the ground's part of the uncertainties, with remedies; empty where it is small."""
     widened = {name: factor for name, factor in ground.widening.items() if factor > _MUCH}
     if not widened or not ground.seen:
         return ""
@@ -299,8 +291,8 @@ def _cost(ground: Ground) -> str:
     )
 
 
-def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
-    """What the waveform gave, where that is much."""
+def _waveform_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
+    """Sentence on the information gain by the waveform; empty where it is small."""
     gained = {name: one for name, one in worth.get(WAVEFORM, {}).items() if one > _MUCH}
     if not gained:
         return ""
@@ -313,9 +305,9 @@ def _worth_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
-    """What the data say of a drag, and whose value stands where they say nothing.
+    """Sentence on the drag by the data, or on the prior that is used where they do not determine it.
 
-    `fitted`: a drag is among the parameters of the fit.
+    `fitted` is whether a drag is among the parameters of the fit.
     """
     shown, shifts, row = quantity("drag_s"), shifts_by_drag(drag, rows), rows.get("drag_s")
     changes = " and ".join(f"{name} by {shift}" for name, shift in shifts.items())
@@ -341,17 +333,17 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
             said = (
                 f"{shown.text(*drag.of_data_s)} s, with a probability of {plain(drag.p_value, 2)} by chance"
             )
-    return f"{_FOUND[drag.finding]}: {said}.".replace("-", "−")
+    return f"{_FINDINGS[drag.finding]}: {said}.".replace("-", "−")
 
 
 def _by_the_data(drag: Drag) -> bool:
-    """Whether the data know the drag better than what is known of the air."""
+    """Whether the data determine the drag better than its prior does."""
     u_s = drag.of_data_s.standard_uncertainty
     return isfinite(drag.upper_95_s) and (drag.known_s is None or u_s < drag.known_s.standard_uncertainty)
 
 
 def decay_lines(results: RunResults) -> list[str]:
-    """Lines for a person; none of a run without them."""
+    """Lines on period, decrement, quality factor and damping of a decay, as far as they are known."""
     names = ("mean_period_s", "log_decrement", "quality_factor")
     rows = [row for row in results.table if row.fit == DECAY and row.quantity in names]
     said = {"mean_period_s": "period"}
@@ -367,7 +359,7 @@ _SURE = 3.0
 
 
 def damping_lines(results: AmplitudeDamping, unit: str) -> list[str]:
-    """Lines for a person: the parts with what speaks for them, and the time constants at both ends."""
+    """Lines on the parts of a damping with their probabilities, and on the time constants at both ends."""
     units = {"constant": f" {unit}/s", "linear": " /s", "quadratic": f" /({unit} s)"}
     said = []
     for name, probability in zip(PARTS, results.probabilities, strict=True):

@@ -1,4 +1,4 @@
-"""Results on the terminal: of records, of tables and films, of envelopes."""
+"""Analysis of tables, films and envelopes, and results of these and of records on the terminal."""
 
 import logging
 import math
@@ -21,8 +21,8 @@ from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, wr
 from rig.analysis.run_remarks import RemarkLevel, damping_lines, decay_lines, remark_rows
 from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.table_fit import (
+    AnalysedDecay,
     AnalysedTable,
-    FoundDecay,
     analyse_envelope,
     analyse_trajectory,
     series_of_runs,
@@ -36,11 +36,11 @@ logger = logging.getLogger(__name__)
 
 
 def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) -> None:
-    """The runs, then the `paths` that were written, by what they hold.
+    """Print the runs, then the written `paths` with names of their contents.
 
-    Of several fitted runs one combined table, and of each run only what was not as it should be. Of one the
-    exact fit with the whole budget, what limits it and what to do. Where this logger is enabled for INFO
-    (``rig -v``) of every run both fits with the swings' own uncertainties, their quality, all remarks.
+    Several fitted runs have one combined table, and each run only its faults. A single run has the exact fit
+    with the whole budget, its limits and the steps against them. With INFO enabled for this logger
+    (``rig -v``), every run has both fits with the half-cycles' own uncertainties, their quality, all remarks.
     """
     answer(results=encoded(results), written=[path for _, path in paths])
     combined = combined_table(results)
@@ -65,7 +65,7 @@ def print_results(results: SessionResults, paths: Sequence[tuple[str, Path]]) ->
 
 
 def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: bool = False) -> None:
-    """One run: its head, `lines` of its own, tables of the fits, remarks, conditions and warnings.
+    """Print one run: its head, `lines` of its own, tables of the fits, remarks, conditions and warnings.
 
     `short` leaves out tables of the fits and remarks.
     """
@@ -90,9 +90,9 @@ def print_run(run: RunResults, head: str, lines: Sequence[str] = (), *, short: b
 
 
 _TOO_QUIET = 0.01
-"""Chi-square per degree of freedom that no scatter by the stated noise gives."""
+"""Chi-square per degree of freedom below which the stated noise must be too large."""
 ReportWriter = Callable[[AnalysedTable, Path], Sequence[tuple[str, Path]]]
-"""Writes the report of a table into a folder; what it made, by names."""
+"""Function that writes the report of a table into a folder, and returns the files with their names."""
 ENVELOPES = ("amplitude", "power")
 _FLAGS = {
     HalfCycleFlag.GAP: "with a gap",
@@ -103,10 +103,10 @@ _FLAGS = {
 }
 
 
-class TableFit(NamedTuple):
-    """How tables are fitted: configuration with its changes, laws that are compared, a witness of the ground.
+class TableOptions(NamedTuple):
+    """Options of a fit of tables: configuration with its overrides, laws to compare, auxiliary seismometer.
 
-    `report` draws what was found.
+    `report` writes the report.
     """
 
     config_path: Path | None = None
@@ -116,19 +116,18 @@ class TableFit(NamedTuple):
     witness: SeismometerSource | None = None
 
 
-def fit_trajectory(path: Path, output: Path | None, columns: TableColumns, wanted: TableFit) -> int:
-    """Analyse a table, print what is known of every decay, write results.json. Returns the exit status."""
+def fit_trajectory(path: Path, output: Path | None, columns: TableColumns, wanted: TableOptions) -> int:
+    """Analyse a table, print the results of every decay, write results.json. Returns the exit status."""
     inputs = [(run.run, path, lambda run=run: run) for run in columns.read_runs(path)]
     return fit_several(inputs, output, wanted)
 
 
 def fit_several(
-    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, wanted: TableFit
+    inputs: Sequence[tuple[str, Path, Callable[[], Trajectory]]], output: Path | None, wanted: TableOptions
 ) -> int:
-    """The same of runs, each by its name, its file and what reads it; of several, a folder for each.
+    """Analyse runs, each given by its name, file and a function that reads it; several have a folder each.
 
-    One run of several that cannot be analysed does not keep the others from it; 1 is returned if there was
-    such a run.
+    A run of several that cannot be analysed does not stop the others; 1 is returned if there was such a run.
     """
     if len(inputs) == 1:
         ((_, path, read),) = inputs
@@ -165,15 +164,15 @@ def fit_several(
 
 
 def _folder_name(name: str) -> str:
-    """A run's name as that of a folder."""
+    """Name of the folder of a run: its name without characters that a folder's should not have."""
     plain = re.sub(r"[^\w.-]+", "-", name).strip("-.")
     return f"run-{plain}" if plain.isdigit() or not plain else plain
 
 
 def _fit(
-    path: Path, trajectory: Trajectory, output: Path | None, wanted: TableFit, *, alone: bool = False
+    path: Path, trajectory: Trajectory, output: Path | None, wanted: TableOptions, *, alone: bool = False
 ) -> AnalysedTable:
-    """One run, printed and written; its series as well if it is `alone`."""
+    """Analyse one run, print and write it; with the series of its decays if it is `alone`."""
     laws, report = wanted.laws, wanted.report
     ground = None if wanted.witness is None else wanted.witness.read()
     compared = chosen_laws(laws) if laws else ()
@@ -188,7 +187,7 @@ def _fit(
     if laws and table.longest.results.problem:
         raise ConfigurationError(f"--law {laws[0]}: {table.longest.results.problem}")
     if not alone:
-        # what they say together is another result
+        # the series of several runs is another result
         table = replace(table, results=replace(table.results, series=None))
     _print(path, table)
     _write(path, output, table.results)
@@ -268,7 +267,7 @@ def _print_series(series: Series | None) -> None:
             print_line(line)
 
 
-def _print_decay(number: int, decay: FoundDecay) -> None:
+def _print_decay(number: int, decay: AnalysedDecay) -> None:
     results, summary = decay.results, decay.summary
     flagged = len(decay.swings) - summary.half_cycles
     rows = {row.quantity: row for row in results.table if row.fit == DECAY}
@@ -296,8 +295,8 @@ def _print_decay(number: int, decay: FoundDecay) -> None:
     print_run(results, head, lines)
 
 
-def _reasons(decay: FoundDecay) -> str:
-    """Which flags the half-cycles have that are left out, the most frequent first."""
+def _reasons(decay: AnalysedDecay) -> str:
+    """Flags of the half-cycles that are left out, with their numbers, the most frequent first."""
     counts = Counter(name for swing in decay.swings for flag, name in _FLAGS.items() if swing.flags & flag)
     return "".join(f"{', ' if k else ': '}{n} {name}" for k, (name, n) in enumerate(counts.most_common()))
 

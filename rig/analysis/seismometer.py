@@ -1,4 +1,4 @@
-"""A seismometer beside the run: what a record holds of it itself, and what is said of one."""
+"""The auxiliary seismometer in a record, the times of its samples, and sentences on its use."""
 
 from itertools import pairwise
 from math import isfinite, pi
@@ -17,28 +17,29 @@ from rig.settings import Configuration
 _VALUES = ("first", "second", "third")
 _FEWEST = 3
 _PAUSE_S, _PAUSE_STEPS = 0.5, 4.0
-"""A pause between arrivals that is longer than both, the second in steps, is a gap."""
+"""Longest pause between arrivals that is no gap, in s and in median steps: a gap is longer than both."""
 _LINE = 20
-"""Fewest samples of a stretch whose arrivals make a line."""
+"""Fewest samples of a stretch to whose arrivals a line is fitted."""
 _STEP_S = 0.3
-"""Lateness that rises or falls by more at once, and stays so, is a clock that was set."""
+"""Lasting change of lateness, in s, above which a clock was set."""
 _FAR, _MOST_LOOKS = 2000, 100
+"""Samples on either side over which a change has to last, and most places that are examined."""
 _RUN, _FALLS = 200, 0.2
-"""Samples after a step that are looked at; lateness falls by so much of the time while a backlog is read."""
+"""Samples compared after a step, and least fall of lateness, over the time, while a backlog is read."""
 _WAITED, _MOST_TURNS = 5.0, 30
-"""What is later by so many times the distance between the earliest and the usual arrivals had waited."""
+"""Lateness of a line that had waited, in distances of the earliest from the usual arrivals, and most fits."""
 CLOCK_SET = "clock set while it was recorded,"
 
 
 def recorded_witness(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
-    """Its samples on the frames' clock; None without any, or with witness.kind = 'none'."""
+    """A record's seismometer samples on the frames' clock; None without any, or for witness.kind = 'none'."""
     if config.witness.kind == "none":
         return None
     table = reader.table(WITNESS.topic)
     if len(table) < _FEWEST:
         return None
     names = config.witness.components
-    times_ns, steps_s = taken(table["time_ns"], table["own_time_s"])
+    times_ns, steps_s = sample_times(table["time_ns"], table["own_time_s"])
     order = np.concatenate([[True], np.diff(times_ns) > 0])
     stray = int(np.count_nonzero(~order))
     value = np.column_stack([table[name] for name in _VALUES[: len(names)]])
@@ -49,7 +50,7 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> Seismometer
         names,
         int(times_ns[0]),
         absolute=False,
-        # which of two clocks was right, or neither, nobody knows
+        # after a step it is not known which of the two clocks was right
         offset_stated=not steps_s,
         understood=(
             f"columns: {', '.join(names)}",
@@ -60,25 +61,26 @@ def recorded_witness(reader: RecordReader, config: Configuration) -> Seismometer
 
 
 class SampleTimes(NamedTuple):
-    """When samples were taken, on the frames' clock, and by what one of the clocks was set meanwhile."""
+    """Times of samples on the frames' clock, and the steps in s by which one of the clocks was set."""
 
     times_ns: Ints
     steps_s: tuple[float, ...]
 
 
-def taken(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
-    """When samples were taken: lines arrive in bursts, late by parts of a second.
+def sample_times(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
+    """Times at which samples were taken, from those of their arrival: in bursts, late by parts of a second.
 
-    By a line through the arrivals over the instrument's own time; without one, over the count of samples, for
-    each stretch without a pause of its own. What is constant of the lateness the fit finds as a delay.
+    They are those of a line through the arrivals over the instrument's own time or, without one, over the
+    count of samples, with a line of its own for each stretch without a pause. A constant lateness is found by
+    the fit, as a delay.
     """
     since_s = (arrived_ns - arrived_ns[0]) * 1e-9
     steps_s: dict[int, float] = {}
     if np.all(np.isfinite(own_s)) and np.all(np.diff(own_s) > 0):
         over, begins = own_s - own_s[0], [0, len(since_s)]
-        steps_s = _steps_of(since_s - over, over)
+        steps_s = _clock_steps(since_s - over, over)
         for place, step_s in steps_s.items():
-            # a clock that was set is right from then on
+            # a clock counts as right after it was set
             since_s[:place] += step_s
     else:
         over = np.arange(len(since_s), dtype=np.float64)
@@ -89,15 +91,15 @@ def taken(arrived_ns: Ints, own_s: Floats) -> SampleTimes:
     for begin, end in pairwise(begins):
         if end - begin >= _LINE:
             part = slice(begin, end)
-            taken_s[part] = _line_of(over[part], since_s[part])
+            taken_s[part] = _arrival_line(over[part], since_s[part])
     times_ns = np.asarray(arrived_ns[0] + np.rint(1e9 * taken_s).astype(np.int64))
     return SampleTimes(times_ns, tuple(steps_s.values()))
 
 
-def _line_of(over: Floats, since_s: Floats) -> Floats:
-    """The line through arrivals without those that waited, maybe for minutes: nothing arrives early.
+def _arrival_line(over: Floats, since_s: Floats) -> Floats:
+    """The line through arrivals without late ones, which may have waited for minutes; none arrives early.
 
-    All of them make it where none was later than their usual scatter.
+    It is that of all arrivals where none is later than their usual scatter.
     """
     line = np.polyval(np.polyfit(over, since_s, 1), over)
     kept = np.ones(len(over), dtype=np.bool_)
@@ -112,11 +114,11 @@ def _line_of(over: Floats, since_s: Floats) -> Floats:
     return np.asarray(line)
 
 
-def _steps_of(late_s: Floats, own_s: Floats) -> dict[int, float]:
-    """Steps (s) of lateness (n,) by the sample that they come with.
+def _clock_steps(late_s: Floats, own_s: Floats) -> dict[int, float]:
+    """Steps (s) of lateness (n,), by the number of the first sample after each.
 
-    A step stays: lateness that falls back, as of lines that waited for a thread, is none, however long it
-    takes: what waited comes faster than it was taken.
+    A step lasts. Lateness that falls back, as of lines that waited for a thread, is no step, however long it
+    takes: a backlog arrives faster than it was taken.
     """
     late_s, found = late_s.copy(), dict[int, float]()
     if len(late_s) < 2 * _LINE:
@@ -148,24 +150,24 @@ def _steps_of(late_s: Floats, own_s: Floats) -> dict[int, float]:
 
 
 def _falls(late_s: Floats, own_s: Floats) -> bool:
-    """Whether lateness falls by more than a fifth of the time that passes, from a sample on."""
+    """Whether lateness falls, from its first sample on, by more than `_FALLS` of the time."""
     reach = min(_RUN, len(late_s) // 2)
     first, later = slice(0, reach), slice(reach, 2 * reach)
     fell = float(np.median(late_s[first]) - np.median(late_s[later]))
     return fell > _FALLS * float(np.median(own_s[later]) - np.median(own_s[first]))
 
 
-_WELL = 1.05
-"""Factor by which an uncertainty is smaller, from which on it is named."""
+_NAMED_FACTOR = 1.05
+"""Factor by which an uncertainty is smaller, above which it is named."""
 
 
 def witness_sentences(use: SeismometerUse) -> list[str]:
-    """What a witness told, or why it was refused; and what was left out where it was read."""
+    """Sentences on the use of a seismometer, or its refusal, and on samples that were left out."""
     lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
-    return [*_told(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
+    return [*_use_sentences(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
 
 
-def _told(use: SeismometerUse) -> list[str]:
+def _use_sentences(use: SeismometerUse) -> list[str]:
     if not use.used:
         gain = use.gain_of_prediction
         judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
@@ -188,7 +190,7 @@ def _told(use: SeismometerUse) -> list[str]:
     saved = ", ".join(
         f"{plain(factor, 3)} ({quantity(name).symbol})"
         for name, factor in use.saved.items()
-        if factor > _WELL
+        if factor > _NAMED_FACTOR
     )
     if saved:
         lines.append(f"The witness reduces the uncertainties by factors of {saved}.")

@@ -1,4 +1,4 @@
-"""A witness of the ground from a file: a table, or miniSEED and SAC through ObsPy."""
+"""Samples of an auxiliary seismometer from a file: a table, or miniSEED and SAC through ObsPy."""
 
 import math
 import warnings
@@ -15,17 +15,17 @@ import numpy as np
 
 from processing.arrays import Floats, Ints
 from processing.errors import ConfigurationError, DataError, MissingPackage, RigError
-from processing.fit import Witness
+from processing.fit import Seismogram
 from processing.units import NS_PER_S, nanoseconds, seconds
 from rig.intake import read_columns
 
 _SEISMIC = (".mseed", ".miniseed", ".ms", ".sac", ".seed")
 FIRST_UTC_S = 1e9
-"""Times of a table from which on they count from 1970: this was in 2001, and no run lasts so long."""
+"""Time in s above which those of a table count from 1970: this was in 2001, and no run lasts so long."""
 _SAME_TICK = 0.5
-"""Steps by which a record may be early or late without a gap, or an overlap, before it."""
+"""Sampling steps by which a record may begin early or late without an overlap or a gap before it."""
 _DRIFT = 0.05
-"""Largest part by which a rate that is told by the beginnings of records may differ from the stated one."""
+"""Largest relative difference of the rate by the beginnings of records from the stated one."""
 _FEWEST_RECORDS = 3
 _SEED, _DATA_RECORD = pattern(rb"[0-9 \0]{6}[ A-Z]"), pattern(rb"[0-9 \0]{6}[DRQM]")
 _HEAD, _LEAST_RECORD, _USUAL_RECORD, _LONGEST_RECORD = 64, 128, 4096, 1 << 16
@@ -37,15 +37,15 @@ _REMEDIES: Final = {
     "--time-unit": "--witness-time-unit",
     "--position": "--witness-column",
 }
-"""Options of a table that is fitted, and what a witness has in their place."""
+"""Options in messages on a table that is fitted, and those to name instead for a seismometer's table."""
 
 
 @dataclass(frozen=True)
 class SeismometerSource:
-    """Which file holds a witness, which of its columns or channels, and what is added to its times.
+    """File of an auxiliary seismometer, its columns or channels, and the offset to add to its times.
 
-    `offset_s` None: the times stand as they are, and are sought where they explain nothing. `time_unit` is
-    that of a table's times, where its header does not say it.
+    With an `offset_s` of None the times are used unchanged, and an offset is sought where they explain
+    nothing. `time_unit` is that of a table's times, where its header has none.
     """
 
     path: Path
@@ -54,7 +54,7 @@ class SeismometerSource:
     time_unit: str = ""
 
     def read(self) -> "SeismometerRecord":
-        """The file. Raises DataError or ConfigurationError in one line."""
+        """The samples of the file. Raises DataError or ConfigurationError in one line."""
         if self.path.suffix.lower() not in _SEISMIC:
             found = _read_table(self.path, self.columns, self.time_unit)
         elif self.time_unit:
@@ -71,10 +71,10 @@ class SeismometerSource:
 
 @dataclass(frozen=True, eq=False)
 class SeismometerRecord:
-    """Samples of a witness: times (n,) in ns from the first, values (n, components), NaN where missing.
+    """Samples of a seismometer: times (n,) in ns from the first, values (n, components), NaN where missing.
 
-    `understood` says in lines what its file was taken for, and which rows were left out.
-    `first_ns` is the first sample's time: since 1970 where `absolute`, else on the clock of the run's file.
+    `understood` are lines on how its file was read, and which rows were left out. `first_ns` is the first
+    sample's time: since 1970 where `absolute`, else on the clock of the run's file.
     """
 
     name: str
@@ -86,22 +86,22 @@ class SeismometerRecord:
     offset_stated: bool = False
     understood: tuple[str, ...] = ()
 
-    def beside(self, begin: "FitStart") -> tuple[Witness, bool]:
-        """On the clock of turning points, and whether that is known up to a fraction of a period."""
+    def seismogram(self, begin: "FitStart") -> tuple[Seismogram, bool]:
+        """The samples on the clock of turning points, and whether it is known to a fraction of a period."""
         known = self.offset_stated
         if not self.absolute or (self.offset_stated and begin.utc_ns is None):
             zero_ns = begin.in_file_ns
         elif begin.utc_ns is not None:
             zero_ns, known = begin.utc_ns, True
         else:
-            # neither's clock says anything of the other's
+            # the two clocks are unrelated
             zero_ns, known = self.first_ns, False
-        return Witness(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names), known
+        return Seismogram(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names), known
 
 
 @dataclass(frozen=True, slots=True)
 class FitStart:
-    """The first turning point that is fitted: on the clock of its file, and in ns since 1970 where known."""
+    """Time of the first fitted turning point, on the clock of its file and, if known, in ns since 1970."""
 
     in_file_ns: int
     utc_ns: int | None = None
@@ -143,13 +143,13 @@ def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
             pieces = _records(data) or [_trace_piece(one) for one in obspy.read(str(path))]
     except Exception as error:  # ObsPy's readers raise whatever their libraries do
         raise DataError(f"{path}: is read by ObsPy as neither miniSEED nor SAC: {error}") from None
-    chosen, others = _chosen(path, sorted({one.name for one in pieces}), wanted)
+    chosen, others = _chosen_channels(path, sorted({one.name for one in pieces}), wanted)
     left_out = Counter[str]()
     runs = {name: _runs([one for one in pieces if one.name == name], left_out) for name in chosen}
     if empty := [name for name, found in runs.items() if not found]:
         raise DataError(f"{path}: {empty[0]} holds no samples that can be read; name another file or channel")
     times_ns = _grid(runs)
-    value = np.column_stack([_on(times_ns, found) for found in runs.values()])
+    value = np.column_stack([_at_times(times_ns, found) for found in runs.values()])
     lost = int(np.count_nonzero(np.isnan(value).any(axis=1)))
     rate = NS_PER_S / float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else math.nan
     understood = (
@@ -168,7 +168,7 @@ def _read_seismic(path: Path, wanted: Sequence[str]) -> SeismometerRecord:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A miniSEED record, or a trace of another format: `name` is NET.STA.LOC.CHA."""
+    """A miniSEED record, or a trace of another format; `name` is NET.STA.LOC.CHA."""
 
     name: str
     start_ns: int
@@ -176,14 +176,14 @@ class _Piece:
     count: int
     data: bytes | Floats
     skipped: int = 0
-    """Samples at its beginning that an earlier one has, too."""
+    """Number of samples at its beginning that an earlier record has, too."""
 
 
 def _records(data: bytes) -> list[_Piece]:
-    """The records of a miniSEED file with the times of their own; none of another format.
+    """The records of a miniSEED file with their own times; none for another format.
 
-    ObsPy makes one trace of records whose starts are within half a sample of what those before them foretell,
-    and forgets what their times say: a clock that drifts, by seconds in some minutes.
+    ObsPy joins records whose starts are within half a sample of those predicted by earlier ones to one trace
+    and discards their times, and with them the drift of a clock, which may be seconds in some minutes.
     """
     from obspy.io.mseed.util import get_record_information
 
@@ -195,7 +195,7 @@ def _records(data: bytes) -> list[_Piece]:
             place += _LEAST_RECORD
             continue
         record = data[place : place + _LONGEST_RECORD]
-        # of a length that is none of its own the reader goes back to the beginning
+        # padded to whole blocks: ObsPy's reader starts again at the beginning for any other length
         head = get_record_information(BytesIO(record.ljust(-len(record) // 128 * -128, b"\0")))
         length = head.get("record_length", _USUAL_RECORD)
         place += length
@@ -214,14 +214,14 @@ def _trace_piece(trace: Any) -> _Piece:
 
 
 def _sensor(name: str) -> str:
-    """A channel's name without the letter of its direction."""
+    """Name of a channel's sensor: the channel's without the letter of its direction."""
     return f"{name[:-1]}?" if "." in name else name
 
 
-def _chosen(path: Path, known: Sequence[str], wanted: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Channels that are used, by their names in full or in part, and the others: those of one sensor.
+def _chosen_channels(path: Path, known: Sequence[str], wanted: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Names of the channels to use, all of one sensor, and the others; `wanted` are names in full or in part.
 
-    Raises ConfigurationError where several sensors are there and it is not said which of them is meant.
+    Raises ConfigurationError where a name fits no channel, or several sensors.
     """
     chosen: list[str] = []
     for one in wanted or ["*"]:
@@ -245,7 +245,7 @@ def _chosen(path: Path, known: Sequence[str], wanted: Sequence[str]) -> tuple[li
 
 @dataclass(frozen=True, eq=False)
 class _GaplessSamples:
-    """Samples without a gap, and when each was taken, in ns since 1970."""
+    """Samples without a gap, with their times in ns since 1970."""
 
     times_ns: Ints
     value: Floats
@@ -253,7 +253,7 @@ class _GaplessSamples:
 
 
 def _runs(pieces: Sequence[_Piece], left_out: Counter[str]) -> list[_GaplessSamples]:
-    """A channel's samples, from one gap to the next; counts what is left out by its reason."""
+    """A channel's samples, from one gap to the next; `left_out` counts those left out, by reason."""
     left_out[_EMPTY] += sum(not one.count for one in pieces)
     kept = sorted({(one.start_ns, one.count): one for one in pieces if one.count}.items())
     left_out[_TWICE] += sum(one.count for one in pieces) - sum(count for (_, count), _ in kept)
@@ -274,20 +274,20 @@ def _runs(pieces: Sequence[_Piece], left_out: Counter[str]) -> list[_GaplessSamp
 
 
 def _at_measured_rate(pieces: list[_Piece]) -> list[_Piece]:
-    """With the step that the beginnings of most records tell, where it is near the stated one."""
+    """Records with the sampling step by the beginnings of most of them, where it is near the stated one."""
     if len(pieces) < _FEWEST_RECORDS:
         return pieces
     starts_ns = np.array([one.start_ns for one in pieces], dtype=np.int64)
     own = np.diff(starts_ns) / [one.count * one.step_ns for one in pieces[:-1]]
     low, middle, high = np.quantile(own, (0.25, 0.5, 0.75)).tolist()
-    # of beginnings that scatter most tell another rate each
+    # beginnings that scatter by more than the deviation show no rate
     if not high - low < abs(middle - 1) < _DRIFT:
         return pieces
     return [replace(one, step_ns=middle * one.step_ns) for one in pieces]
 
 
 def _run_of(group: Sequence[_Piece], left_out: Counter[str]) -> _GaplessSamples:
-    """Each record begins when it says so; between the beginnings of two its samples are even."""
+    """Samples of records without a gap: each begins at its own time, with even steps to the next one."""
     counts = np.cumsum([0, *(one.count for one in group)])
     starts_ns = np.array([one.start_ns for one in group], dtype=np.int64)
     since_ns = np.append(
@@ -316,7 +316,7 @@ def _decoded(group: Sequence[_Piece]) -> Floats | None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # what ObsPy's own check finds damaged it delivers all the same
+        # ObsPy only warns of records that its own check finds damaged, and returns their samples
         warnings.simplefilter("error", InternalMSEEDWarning)
         try:
             stream = read(BytesIO(b"".join(bytes(one.data) for one in group)), format="MSEED")
@@ -327,7 +327,7 @@ def _decoded(group: Sequence[_Piece]) -> Floats | None:
 
 
 def _grid(runs: Mapping[str, Sequence[_GaplessSamples]]) -> Ints:
-    """Times of all samples: the first channel's own, and its rate where only others, or none, have any."""
+    """Common times of all channels: the first channel's own, and at its rate where it has no samples."""
     own = next(iter(runs.values()))
     step_ns = own[0].step_ns
     first_ns = min(int(found[0].times_ns[0]) for found in runs.values())
@@ -346,8 +346,8 @@ def _grid(runs: Mapping[str, Sequence[_GaplessSamples]]) -> Ints:
     return np.concatenate(parts)
 
 
-def _on(times_ns: Ints, runs: Sequence[_GaplessSamples]) -> Floats:
-    """A channel's samples at the times of all; NaN where it has none."""
+def _at_times(times_ns: Ints, runs: Sequence[_GaplessSamples]) -> Floats:
+    """A channel's samples at the common times; NaN where it has none."""
     out = np.full(len(times_ns), np.nan)
     for run in runs:
         near_ns = _SAME_TICK * run.step_ns

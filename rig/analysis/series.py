@@ -1,4 +1,4 @@
-"""Runs together: a series of one contact pair, places on a sample against a reference, what is written."""
+"""Several runs: a series of one contact pair, or places on a sample against a reference; their results."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +22,7 @@ from processing.fit import (
     InputQuantity,
     RigQuantities,
     budgets,
-    drifts_of,
+    drift_effects,
     fit_asymptotic,
 )
 from processing.instruments import Check, Description, ValueWithSharedErrors, check, over_places, ratio
@@ -48,7 +48,7 @@ def combined_series(
     printed_curvature: bool = False,
     of_runs: Sequence[Mapping[str, Budget]] = (),
 ) -> Series:
-    """Parameters over the runs; what cannot be combined is said in `problems`.
+    """Parameters combined over the runs; `problems` names those that cannot be.
 
     Parameters
     ----------
@@ -57,9 +57,9 @@ def combined_series(
     points
         The turning points of the same runs, for the averaged curve.
     rig
-        Of the first of them.
+        Apparatus of the first run.
     of_runs
-        Budgets of the same runs, with lines that a series has because its runs have them.
+        Budgets of the same runs; their lines for row time, film and plane of swing become the series' own.
     """
     combined: dict[str, SeriesResult] = {}
     problems: list[str] = []
@@ -82,7 +82,7 @@ def combined_series(
         except DataError as error:
             problems.append(f"the budget has no lines for drifts: {error}")
     if measured is not None and rig is not None and of_runs and all(of_runs):
-        measured, rig = _with_lines_of(of_runs, measured, rig)
+        measured, rig = _with_run_sources(of_runs, measured, rig)
     budget = budgets(measured, rig) if measured and rig else {}
     table = () if default is None else series_rows(default.parameters, budget, pendulum)
     return Series(
@@ -96,12 +96,13 @@ def combined_series(
     )
 
 
-def _with_lines_of(
+def _with_run_sources(
     of_runs: Sequence[Mapping[str, Budget]], measured: FittedContact, rig: RigQuantities
 ) -> tuple[FittedContact, RigQuantities]:
-    """What a mean does for row time and film, which its runs share, and for their planes of swing.
+    """The series with sources of its runs' budgets: row time and film, which runs share, and plane of swing.
 
-    How a plane turned is each run's own, and falls in the mean; the angle between the axes is common to all.
+    The turning of a plane is each run's own and falls in the mean; the angle between the axes is common to
+    all runs and does not.
     """
     by_inputs = dict(measured.by_inputs)
     for source in ("row_time_s", "common_amplitude_rad"):
@@ -137,8 +138,8 @@ def _lines(lines: Mapping[str, Budget], names: Sequence[str], source: str) -> li
 def _by_drifts(
     points: Sequence[TurningPoints], pendulum: PendulumOnBall, fits: Sequence[FitResult]
 ) -> dict[str, Floats]:
-    """What drifts that every run has alike do to the mean."""
-    found = [drifts_of(one, pendulum, fit) for one, fit in zip(points, fits, strict=True)]
+    """Derivatives of the mean by drifts that all runs have alike."""
+    found = [drift_effects(one, pendulum, fit) for one, fit in zip(points, fits, strict=True)]
     return {name: np.mean([drifts[name] for drifts in found], axis=0) for name in DRIFTS}
 
 
@@ -146,10 +147,10 @@ _Readings = Sequence[Mapping[str, ValueWithSharedErrors]]
 
 
 def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> InstrumentSeries | None:
-    """Places on the sample against the reference; None for a kind that has no such comparison.
+    """Comparison of places on the sample with the reference; None for a kind that has no such comparison.
 
-    `numbers` are those by which `reference_runs` names the runs, default: they count from 1. Several decays
-    of one run have its number.
+    `numbers` are those by which `reference_runs` names the runs, by default their places from 1. Several
+    decays of one run have its number.
     """
     if not runs or runs[0].settings.description().report not in ("damping", "decay"):
         return None
@@ -159,25 +160,25 @@ def reduce_series(runs: Sequence[Reduction], numbers: Sequence[int] = ()) -> Ins
     places = [one for number, one in numbered if one and number not in settings.reference_runs]
     glass = [one for number, one in numbered if one and number in settings.reference_runs]
     lines: list[str] = []
-    made: dict[str, Any] = {"kind": description.kind}
+    values: dict[str, Any] = {"kind": description.kind}
     if places:
-        made["time_s"] = _over_places(places, "time_s", "damping time", " s", lines)
-        made["swings"] = _over_places(places, "swings", "swings", "", lines)
+        values["time_s"] = _over_places(places, "time_s", "damping time", " s", lines)
+        values["swings"] = _over_places(places, "swings", "swings", "", lines)
     reference, problem = _reference(settings, glass), _reference_fault(settings, numbered)
     if reference is None:
         problem += ": no ratio"
-        return InstrumentSeries(**made, problem=problem, text=(*lines, problem))
+        return InstrumentSeries(**values, problem=problem, text=(*lines, problem))
     lines += [problem] if problem else []
-    made["reference_time_s"] = reference.estimate
+    values["reference_time_s"] = reference.estimate
     if glass:
-        made["acceptance"] = _acceptance(description, glass, lines)
+        values["acceptance"] = _acceptance(description, glass, lines)
     if places:
-        made["ratio"] = relative = ratio(_mean(places, "time_s"), reference)
+        values["ratio"] = relative = ratio(_mean(places, "time_s"), reference)
         lines.append(f"ratio of damping times, sample to reference: {with_uncertainty(*relative)}")
     if places and glass:
-        made["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
+        values["ratio_of_swings"] = counted = ratio(_mean(places, "swings"), _mean(glass, "swings"))
         lines.append(f"ratio of swings, sample to reference: {with_uncertainty(*counted)}")
-    return InstrumentSeries(**made, text=tuple(lines))
+    return InstrumentSeries(**values, text=tuple(lines))
 
 
 def _mean(readings: _Readings, name: str) -> ValueWithSharedErrors:
@@ -215,7 +216,7 @@ def _reference(settings: InstrumentSettings, glass: _Readings) -> ValueWithShare
 def _reference_fault(
     settings: InstrumentSettings, numbered: Sequence[tuple[int, Mapping[str, ValueWithSharedErrors]]]
 ) -> str:
-    """What is wrong with the reference that is stated; empty: nothing."""
+    """Problem of the stated reference; empty if it has none."""
     stated = f"instrument.reference_runs = {list(settings.reference_runs)}"
     there = list(dict.fromkeys(number for number, _ in numbered))
     if absent := [number for number in settings.reference_runs if number not in there]:
@@ -231,7 +232,7 @@ def _reference_fault(
 
 
 def _acceptance(description: Description, glass: _Readings, lines: list[str]) -> tuple[Check, ...]:
-    """The apparatus on glass against the standard."""
+    """Checks of the apparatus on glass against the standard."""
     checks = []
     for name, key, limits in (
         ("period on glass", "period_s", description.period_s),
@@ -247,13 +248,12 @@ def _acceptance(description: Description, glass: _Readings, lines: list[str]) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class AnalysedRun(RunResults):
-    """The results of one run, and what a series of runs needs beyond them, which no file holds.
+    """The results of one run, with what a series of runs needs in addition and no file holds.
 
-    `path` is the file that was analysed. `fitted` are the fits, of which results have the numbers.
-    `reduction` is there for a pendulum that is not
-    described by the contact's laws, `rig` where the contact radius is calculated after Hertz,
-    `decay_balances` are those of its decay, `plane` how the plane of swing turned, None where unknown.
-    `watched` is the configuration of which keys were changed.
+    `path` is the file that was analysed, `fitted` are the fits whose numbers are in the results. `reduction`
+    is None unless another pendulum than that of the contact's laws, `rig` is None without [pendulum].
+    `decay_balances` are those of its decay, `plane` is the turning plane of swing, None where unknown.
+    `watched` is the configuration with its overrides.
     """
 
     path: Path
@@ -267,9 +267,9 @@ class AnalysedRun(RunResults):
 
 
 def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults:
-    """What is written of one or more runs; records are named relative to the folder of the file.
+    """Results of one or more runs for a file; records are named relative to its folder.
 
-    Raises ConfigurationError for a key that was changed and that nothing has used.
+    Raises ConfigurationError for a changed key that no fit has used.
     """
     results = SessionResults(
         runs=tuple(replace(run, record=relative_record(run.path, folder)) for run in runs),
@@ -280,9 +280,9 @@ def session_results(runs: Sequence[AnalysedRun], folder: Path) -> SessionResults
 
 
 def instrument_series(runs: Sequence[AnalysedRun], numbers: Sequence[int] = ()) -> Series | None:
-    """What runs of another instrument say together: places on the sample, the reference.
+    """The series of runs of another instrument, see `reduce_series`; None where there is none.
 
-    None where there is no such thing. `numbers` are as `reduce_series` has them, of all runs.
+    `numbers` are those of all runs.
     """
     reductions = [run.reduction for run in runs if run.reduction is not None]
     kept = [number for number, run in zip(numbers, runs, strict=False) if run.reduction is not None]
@@ -293,13 +293,13 @@ def instrument_series(runs: Sequence[AnalysedRun], numbers: Sequence[int] = ()) 
 def refuse_unread(runs: Sequence[AnalysedRun]) -> None:
     """Raise ConfigurationError for a changed key that the fits of none of the runs have used."""
     changed = [run.watched for run in runs if run.watched is not None]
-    # where nothing could be fitted, that is what is to be said
+    # a run that could not be fitted has a problem of its own, which matters more
     if changed and not any(run.problem for run in runs):
         changed[0].refuse_unread(changed)
 
 
 def _series(runs: Sequence[AnalysedRun]) -> Series | None:
-    """Parameters of a series, None for fewer than two fitted runs; or that of other instruments."""
+    """The series of the runs; None for fewer than two fitted ones, unless they are of another instrument."""
     if any(run.reduction is not None for run in runs):
         return instrument_series(runs)
     numbers = [number for number, run in enumerate(runs, start=1) if run.fitted]

@@ -1,4 +1,4 @@
-"""`rig fit` on a table: every decay in it, reported as a run of the rig is; or an envelope."""
+"""Analysis of a table by `rig fit`: every decay in it as a run of the rig, or an envelope."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -28,10 +28,10 @@ from processing.swing import (
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
-from rig.analysis.air import doubts_of, stated_surroundings, surroundings_of_table
+from rig.analysis.air import air_doubts, stated_surroundings, table_surroundings
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import DECAY, amplitude_damping, decay_rows, decay_values
-from rig.analysis.half_cycle_fits import SeismometerBeside, analyse_swings
+from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import (
     EnvelopeResults,
@@ -66,17 +66,17 @@ from rig.settings import Configuration
 _STATED = ("sample", "operator", "contact_history", "notes")
 _USABLE = 4  # what the summary of a decay needs (processing/decay_summary.py)
 _EDGE = 0.75
-"""Samples of a decay: from so many half periods before its first turning point to as many after its last."""
-_GROWN = 1.2
-"""Ratio of neighbouring amplitudes from which on the pendulum was pushed again, and did not merely swing a
-little further: 20 % of its amplitude are nearly half of its energy."""
-_CLEARLY = 6.0
-"""Standard uncertainties: by chance once in 10^9 half-cycles, where amplitudes are so faint that noise makes
-them grow."""
+"""Half periods before the first and after the last turning point of a decay whose samples belong to it."""
+_PUSHED_RATIO = 1.2
+"""Ratio of neighbouring amplitudes above which the pendulum was pushed again: 20 % of its amplitude are
+nearly half of its energy."""
+_PUSHED_U = 6.0
+"""Standard uncertainties by which such an amplitude has to be larger: faint amplitudes grow by noise, by so
+much once in 10^9 half-cycles."""
 
 
 @dataclass(frozen=True)
-class FoundDecay:
+class AnalysedDecay:
     """One decay of a table: its half-cycles with their means, and its results."""
 
     swings: Sequence[HalfCycle]
@@ -86,16 +86,19 @@ class FoundDecay:
 
 @dataclass(frozen=True)
 class AnalysedTable:
-    """A table, the noise of a sample in its unit, the decays found in it, and what follows."""
+    """A table, the noise of a sample in its unit, the decays found in it, and the results.
+
+    `passed_over` are decays of too few usable half-cycles.
+    """
 
     trajectory: Trajectory
     noise: float
-    decays: Sequence[FoundDecay]
+    decays: Sequence[AnalysedDecay]
     passed_over: Sequence[Sequence[HalfCycle]]
     results: SessionResults
 
     @property
-    def longest(self) -> FoundDecay:
+    def longest(self) -> AnalysedDecay:
         """The decay with most half-cycles."""
         return max(self.decays, key=lambda decay: decay.summary.half_cycles)
 
@@ -107,11 +110,11 @@ def analyse_table(
     witness: SeismometerRecord | None = None,
     laws: Sequence[Law | StatedLaw] = (),
 ) -> AnalysedTable:
-    """Detect the swings of a trajectory, separate its decays, and report each as a run of the rig.
+    """Results of a table: its half-cycles are detected, its decays separated, each analysed as a run is.
 
-    Two positions are first turned onto the direction of the larger motion. The contact's laws are fitted
-    where unit and pendulum allow, and others beside it, with a `witness` of the ground where there is one.
-    Raises DataError where no decay can be had, with the reason.
+    Two positions are first turned onto the direction of the larger motion. The contact's law is fitted where
+    unit and pendulum allow, with the auxiliary seismometer `witness` if there is one, and compared with
+    further `laws`. Raises DataError with the reason where there is no decay.
     """
     return analyse_trajectory(path, columns.read(path), config, laws, witness)
 
@@ -123,9 +126,7 @@ def analyse_trajectory(
     laws: Sequence[Law | StatedLaw] = (),
     witness: SeismometerRecord | None = None,
 ) -> AnalysedTable:
-    """The same of positions that were read before, from a table or a film; `laws` are compared where one is
-    fitted.
-    """
+    """Results of positions that were read from a table or a film, as of `analyse_table`."""
     judge_sign(path, trajectory)
     scale = trajectory.scale_rad or 1.0
     deflection, across = (one * scale for one in along_and_across(trajectory.positions))
@@ -150,7 +151,7 @@ def analyse_trajectory(
             f"flagged or of other decays), at least {_USABLE} are needed: {reason}"
         )
     judge_time_unit(path, trajectory, usable)
-    both = _in_both(trajectory.times_ns, across, deflection, scatter)
+    both = _both_deflections(trajectory.times_ns, across, deflection, scatter)
     decays = [_analyse(path, part, trajectory, both, scatter, config, laws, witness) for part in usable]
     results = SessionResults(
         trajectory=path.as_posix(),
@@ -163,16 +164,16 @@ def analyse_trajectory(
     return AnalysedTable(trajectory, noise / scale, decays, passed_over, results)
 
 
-def _series(decays: Sequence[FoundDecay], run: str) -> Series | None:
-    """Decays of one run against each other, by their places; where the run has a number, all have that."""
+def _series(decays: Sequence[AnalysedDecay], run: str) -> Series | None:
+    """The series of the decays of one run, numbered by the run's number if it has one, else by place."""
     runs = [decay.results for decay in decays]
     return instrument_series(runs, [int(run)] * len(runs) if run.isdecimal() else ())
 
 
 def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionResults | None:
-    """Results of several runs, by name, with what they say together; None where they say nothing.
+    """Results of several runs, by name, with their series; None where there is no series.
 
-    `reference_runs` names runs by their numbers: their names where all are numbers, else their places.
+    The numbers in `reference_runs` are the names of the runs where all are numbers, else their places.
     """
     names = list(tables)
     by_name = all(name.isdecimal() for name in names)
@@ -239,8 +240,8 @@ def _analyse(
     config: Configuration | None,
     laws: Sequence[Law | StatedLaw],
     witness: SeismometerRecord | None,
-) -> FoundDecay:
-    """One decay, by the same path as a record's."""
+) -> AnalysedDecay:
+    """Results of one decay, by the same steps as those of a record."""
     u_common = trajectory.u_common_in_noises * scatter.noise
     edge_ns = _EDGE * 0.5e9 * summarise_decay(turning_points(swings)).period_s.value
     inside = (trajectory.times_ns > swings[0].turn_time_ns - edge_ns) & (
@@ -258,7 +259,7 @@ def _analyse(
     run = AnalysedRun(path=path, record=relative_record(path, Path.cwd()), sha256=sha256, problem=problem)
     if config is not None and not problem:
         zero_ns, absolute = trajectory.first_ns, seconds(trajectory.first_ns) > FIRST_UTC_S
-        beside: SeismometerBeside | None = None
+        beside: TimedSeismometer | None = None
         if witness is not None:
             beside = witness, lambda ns: FitStart(ns + zero_ns, ns + zero_ns if absolute else None)
         air = stated_surroundings(config)
@@ -275,7 +276,7 @@ def _analyse(
         run = with_laws(run, laws) if laws else run
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
     scale = trajectory.scale_rad or 1.0
-    # while the pendulum is held or pushed it does not swing
+    # without the time in which the pendulum is held or pushed
     free = trajectory.times_ns[inside] >= next(swing.turn_time_ns for swing in swings if not swing.flags)
     oscillation = fast_oscillation(
         trajectory.times_ns[inside][free], deflection[free], summary.period_s.value
@@ -303,10 +304,10 @@ def _analyse(
     session: dict[str, str] = {}
     if config is not None:
         began_s = seconds(trajectory.first_ns)
-        found = surroundings_of_table(config, began_s if began_s > FIRST_UTC_S else None)
+        found = table_surroundings(config, began_s if began_s > FIRST_UTC_S else None)
         run = replace(run, surroundings=found)
         session = {key: text for key in _STATED if (text := getattr(config.session, key))}
-        warnings += doubts_of(found)
+        warnings += air_doubts(found)
         warnings += strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config)
         notes += _taken_as_exact(config) if run.budget else []
     results = replace(
@@ -329,14 +330,14 @@ def _analyse(
             session=session,
         ),
     )
-    return FoundDecay(swings, summary, results)
+    return AnalysedDecay(swings, summary, results)
 
 
 def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
-    """The same with what the positions along the swing have of a fast mode across taken off.
+    """The decay without the part of the fast mode, across the swing, in the positions along it.
 
-    The axes of a table are stated nowhere, and the line of the swing is at no right angle to the fast mode.
-    Where that line is not known at all times, nothing is across it.
+    The axes of a table are not stated, and the line of the swing is not at a right angle to the fast mode.
+    The decay is unchanged where that line is not known at all times.
     """
     if followed.problem:
         return followed
@@ -350,7 +351,7 @@ def _without_fast_mode(followed: FollowedPlane) -> FollowedPlane:
     return replace(followed, swings=swings_of_blocks(passing), deflections=passing)
 
 
-def _in_both(
+def _both_deflections(
     times_ns: NDArray[np.int64], x: NDArray[np.float64], y: NDArray[np.float64], scatter: SampleScatter
 ) -> Deflections:
     """Deflections along the motion, y, and across it; NaN across where a table has one position alone."""
@@ -362,7 +363,7 @@ def _in_both(
 
 
 def _taken_as_exact(config: Configuration) -> list[str]:
-    """What the budget of a table assumes to be without error: the scale of its angles, that of its times."""
+    """Notes on what a table's budget takes as exact: the scale of its angles, that of its times."""
     lines = []
     if config.lever is None:
         lines.append(
@@ -379,7 +380,7 @@ def _taken_as_exact(config: Configuration) -> list[str]:
 def _direction_warning(
     trajectory: Trajectory, inside: NDArray[np.bool_], run: RunResults, followed: FollowedPlane
 ) -> str:
-    """What is to be said of a direction that no fit has followed, or could not; empty: nothing."""
+    """Warning of a turning direction of swing that no fit has followed; empty where there is none."""
     if followed.problem:
         return "" if run.problem == followed.problem else followed.problem
     of_instrument = run.instrument is not None and "plane" in run.instrument.curves
@@ -412,6 +413,6 @@ def _pushed(before: HalfCycle, swing: HalfCycle) -> bool:
     grown = swing.amplitude - before.amplitude
     return (
         not swing.flags
-        and swing.amplitude > _GROWN * before.amplitude
-        and grown > _CLEARLY * hypot(swing.u_amplitude, before.u_amplitude)
+        and swing.amplitude > _PUSHED_RATIO * before.amplitude
+        and grown > _PUSHED_U * hypot(swing.u_amplitude, before.u_amplitude)
     )

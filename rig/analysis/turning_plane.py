@@ -1,4 +1,4 @@
-"""A decay whose plane of swing turns: its deflections turned back, and what that leaves uncertain."""
+"""Decays whose plane of swing turns: deflections turned back, and the uncertainty of that."""
 
 import math
 from collections.abc import Sequence
@@ -15,17 +15,17 @@ from processing.decay_summary import mean_period
 from processing.deflections import Deflections
 from processing.swing import HalfCycle, TurningPoints, swings_of_blocks, turning_points
 from processing.units import seconds
-from rig.analysis.passing_deflections import Changed, PassingDeflections
+from rig.analysis.passing_deflections import ChangedDeflections, PassingDeflections
 from rig.presentation import with_uncertainty
 
 DEGREE_RAD: Final = math.pi / 180.0
 _SQUARE: Final = Axes()
 MATTERS: Final = 0.05
-"""Standard uncertainties by which no parameter of a fit can change where a rotation is left as it is."""
+"""Largest change of any parameter of a fit, in standard uncertainties, by a rotation that is neglected."""
 _FIRST: Final = 10
-"""Balances at the beginning, where the fast mode is largest."""
-_A_PERIOD: Final = 100
-"""Samples of a slow period by which its direction is found, at least where there are as many."""
+"""Number of balances at the beginning, where the fast mode is largest."""
+_SAMPLES_PER_PERIOD: Final = 100
+"""Least number of samples of a slow period, where there are as many, that make its balance."""
 _PER_MIN: Final = 60.0 / DEGREE_RAD
 
 
@@ -33,10 +33,10 @@ _PER_MIN: Final = 60.0 / DEGREE_RAD
 class FollowedPlane:
     """Half-cycles and deflections of a decay in its plane of swing.
 
-    `plane` is None where the decay shows none: too short, or along one axis alone. `is_turned` says whether
-    half-cycles and deflections were turned, along the line itself if `along_line`, else by what the plane has
-    turned since the start. `balances` are those of the decay in the deflections as they came, `axes` the
-    pendulum's. `problem` says why nothing can be fitted, empty if it can.
+    `plane` is None where the decay shows none: too short, or along one axis alone. `is_turned` is whether
+    half-cycles and deflections were turned: onto the line of the motion if `along_line`, else by the angle of
+    the plane since the start. `balances` are those of the decay in the original deflections, `axes` the
+    pendulum's. `problem` is the reason why nothing can be fitted, empty if there is none.
     """
 
     swings: Sequence[HalfCycle]
@@ -49,10 +49,7 @@ class FollowedPlane:
     problem: str = ""
 
     def amplitude_errors(self, points: TurningPoints) -> Floats | None:
-        """Independent errors of the amplitudes (points, terms) by what is not known of the plane.
-
-        None if they were not turned.
-        """
+        """Independent errors of the amplitudes (points, terms) by the uncertain plane; None if not turned."""
         if self.plane is None or not self.is_turned:
             return None
         times = {swing.index: swing.turn_time_ns for swing in self.swings}
@@ -70,7 +67,7 @@ class FollowedPlane:
 
     @property
     def text(self) -> str:
-        """That the decay was turned back; empty if it was not."""
+        """Note that the decay was turned back; empty if it was not."""
         if self.plane is None or not self.is_turned:
             return ""
         ends = np.array([self.plane.start_ns, self.plane.last_ns], dtype=np.int64)
@@ -91,9 +88,9 @@ class FollowedPlane:
 
 
 class PlaneBalances:
-    """Balances of deflections that pass in blocks, along axes at a right angle, for the plane of swing.
+    """Balances of deflections in blocks, along axes at a right angle, for the plane of swing.
 
-    Some samples of each period make them, evenly: all would say no more than a fraction of their noise.
+    They are made of even samples of each period: all samples would reduce their noise only by a fraction.
     """
 
     def __init__(self, axes: Axes | None, period_s: float) -> None:
@@ -103,10 +100,10 @@ class PlaneBalances:
         self._stride = self._passed = 0
 
     def of(self, block: Deflections) -> list[Balance]:
-        """The balances that are known with this block, which follows the one before."""
+        """The balances that are complete with this block, which continues the last one."""
         if not self._stride and len(block) > 1:
             step_s = float(seconds(block.times_ns[-1] - block.times_ns[0])) / (len(block) - 1)
-            self._stride = max(1, int(self._period_s / step_s / _A_PERIOD))
+            self._stride = max(1, int(self._period_s / step_s / _SAMPLES_PER_PERIOD))
         stride = max(self._stride, 1)
         few = block[-self._passed % stride :: stride]
         self._passed += len(block)
@@ -137,13 +134,13 @@ def follow_plane(
         Turn onto the line of the motion itself. Otherwise the axes count as calibrated where the decay
         begins.
     balances
-        Those of the whole decay as `PlaneBalances` makes them; None: they are made of the deflections.
+        Those of the whole decay by `PlaneBalances`; None: they are made of the deflections.
 
     Notes
     -----
     If amplitudes change by e_i, no parameter of a least-squares fit changes by more than
-    sqrt(sum (e_i/u_i)^2) of its standard uncertainties. A rotation that, with all that is not known of it,
-    stays below `MATTERS` in this sense is left as it is.
+    sqrt(sum (e_i/u_i)^2) of its standard uncertainties. A rotation that stays below `MATTERS` in this sense,
+    with its uncertainty, is neglected.
     """
     axes = axes or _SQUARE
     good = [swing for swing in swings if not swing.flags]
@@ -166,7 +163,9 @@ def follow_plane(
         return replace(found, plane=plane, problem=problem.replace("-", "−"))
     angle_rad = plane.direction_rad if along_line else plane.turned_rad
     back = PassingDeflections(
-        Changed(deflections, lambda block: rotate(block, angle_rad(block.times_ns), _oblique_rad(axes))),
+        ChangedDeflections(
+            deflections, lambda block: rotate(block, angle_rad(block.times_ns), _oblique_rad(axes))
+        ),
         deflections.unit,
     )
     return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)
@@ -200,7 +199,7 @@ def _errors(
     *,
     along_line: bool,
 ) -> Floats:
-    """Errors of amplitudes (n, terms), each for one standard uncertainty: of the curve, and of the axes.
+    """Errors of amplitudes (n, terms), each by one standard uncertainty of the plane's curve or of the axes.
 
     An angle that is wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it. Where the
     angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta).
@@ -214,7 +213,7 @@ def _errors(
 
 
 def _motion_across(balances: Sequence[Balance], plane: PlaneOfSwing, *, along_line: bool) -> float:
-    """Motion across the axis to which is turned, over the swing: the tilt of the line, and the fast mode."""
+    """Motion across the target axis over that along it: by the tilt of the line, and by the fast mode."""
     start = np.array([plane.start_ns], dtype=np.int64)
     tilt = 0.0 if along_line else math.remainder(float(plane.direction_rad(start)[0]), math.pi)
     first = [one.transverse_ratio for one in balances if one.time_ns >= plane.first_ns][:_FIRST]

@@ -4,7 +4,7 @@ from math import isfinite, nan
 from typing import Final
 
 from processing.estimate import Estimate
-from processing.series import ALIKE, POSITIVE
+from processing.series import ABSENT, POSITIVE
 from processing.units import ARCSEC_RAD
 from rig.campaigns.answer import Campaign
 from rig.campaigns.likelihoods import CampaignEffect, CampaignResults
@@ -122,7 +122,7 @@ def effects_table(results: CampaignResults) -> Table | None:
 def _verdict_text(one: CampaignEffect) -> str:
     if one.seen:
         return "seen"
-    if isfinite(one.equivalent) and one.equivalent >= ALIKE:
+    if isfinite(one.equivalent) and one.equivalent >= ABSENT:
         return f"none within ± {one.margin:g}"
     return "not seen"
 

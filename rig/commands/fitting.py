@@ -155,7 +155,7 @@ def fit(
         raise ConfigurationError(
             f"{files[0]}: is not a table; name a record (.mcap), or the table before --config CONFIG"
         )
-    from rig.analysis import TableFit, fit_envelope_table, fit_trajectory
+    from rig.analysis import TableOptions, fit_envelope_table, fit_trajectory
     from rig.intake import TableColumns
 
     _refuse("on a table", of_films)
@@ -170,7 +170,7 @@ def fit(
         raise ConfigurationError("--witness: has no effect without --config, which gives the pendulum")
     if envelope is not None:
         raise typer.Exit(fit_envelope_table(files[0], output, asked_of, envelope, frequency))
-    wanted = TableFit(config, set_ or [], table_report, law or [], ground)
+    wanted = TableOptions(config, set_ or [], table_report, law or [], ground)
     raise typer.Exit(fit_trajectory(files[0], output, asked_of, wanted))
 
 
@@ -255,7 +255,7 @@ def fit_film(
 
     `run` is the one of a folder of films, by name or number; empty: all.
     """
-    from rig.analysis import TableFit, fit_several
+    from rig.analysis import TableOptions, fit_several
     from rig.intake import film_trajectory, films_in
     from rig.presentation import TimeLeft, print_line
 
@@ -271,7 +271,7 @@ def fit_film(
     inputs = [
         (one.stem, one, partial(film_trajectory, one, asked, TimeLeft(f"{one}: frames"))) for one in films
     ]
-    return fit_several(inputs, output, TableFit(config, overrides, table_report, laws))
+    return fit_several(inputs, output, TableOptions(config, overrides, table_report, laws))
 
 
 def _chosen_films(film: Path, inside: Sequence[Path], run: str) -> list[Path]:

@@ -27,12 +27,12 @@ from processing.deflections import Deflections, DeflectionUnit, joined
 from processing.errors import DataError, RecordError
 from processing.estimate import Estimate
 from processing.fit import (
-    FitOfSwings,
+    DecayFit,
     FitResult,
     LinearisedFit,
     fitted_twice,
     points_in_true_time,
-    with_misfit,
+    with_discrepancy,
 )
 from processing.spot import Spot
 from processing.swing import HalfCycle, HarmonicsWatch, TurningPoints, turning_points
@@ -155,7 +155,7 @@ class MeasuredRun:
         if self._plane_balances is not None:
             self._balances += self._plane_balances.of(deflections)
 
-    def fitted(self, fit: FitOfSwings) -> tuple[Sequence[HalfCycle], FitResult]:
+    def fitted(self, fit: DecayFit) -> tuple[Sequence[HalfCycle], FitResult]:
         """All half-cycles, refined, and the fit to them; raises DataError if there is no fit.
 
         If the plane of swing turns, the half-cycles are those of the motion in that plane.
@@ -164,7 +164,7 @@ class MeasuredRun:
         refined, self._last_fit = fitted_twice(swings, blocks, fit, self._last_fit, self._fixed)
         if refined.exact is not None and self.samples > self._most:
             self._fix_older_half(refined.swings)
-        return refined.swings, with_misfit(
+        return refined.swings, with_discrepancy(
             LinearisedFit.of(fit.points(refined.swings), fit.pendulum, self._last_fit)
         )
 
@@ -286,7 +286,7 @@ class FollowedRun:
             period_s = mean_period(points_in_true_time(self._swings, self._clock_rate))
             drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
             evidence = evidence_of(drag, self._waveform.found())
-            how = FitOfSwings(pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit))
+            how = DecayFit(pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit))
             swings, fit = self._run.fitted(how)
             points = fitted_points(swings, how.points(swings), fit, pendulum)
             return Posterior(self._taken, {name: fit.estimate(name) for name in fit.contact_names}, points)

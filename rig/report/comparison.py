@@ -14,7 +14,7 @@ from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.fit import FitMethod
-from processing.series import Combined, Comparison, combine, compare_series
+from processing.series import CombinedValue, Comparison, combine, compare_series
 from rig.analysis import SURFACE_ENERGY, ResultRow, SessionResults, read_results
 from rig.presentation import (
     Cell,
@@ -216,7 +216,7 @@ def _label(folder: Path, folders: Sequence[Path]) -> str:
     return name if sum(other.resolve().name == name for other in folders) == 1 else str(folder)
 
 
-def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
+def series_of(session: SessionResults, folder: Path) -> Mapping[str, CombinedValue]:
     """The exact parameters of a session: combined over its series, else of its one fitted run.
 
     Raises RecordError if nothing was fitted.
@@ -234,7 +234,7 @@ def series_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
     return single
 
 
-def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
+def decays_of(session: SessionResults, folder: Path) -> Mapping[str, CombinedValue]:
     """Period and decrement of a session without fits: means over its decays, or values of its only decay.
 
     Raises RecordError if it has no decay.
@@ -256,7 +256,7 @@ def decays_of(session: SessionResults, folder: Path) -> Mapping[str, Combined]:
     }
 
 
-def rows_of(session: SessionResults, series: Mapping[str, Combined]) -> Mapping[str, ResultRow]:
+def rows_of(session: SessionResults, series: Mapping[str, CombinedValue]) -> Mapping[str, ResultRow]:
     """The table of results of a session: of its series, of its one fitted run, or of its mean decay."""
     if rows := {row.quantity: row for row in session.table if row.fit == FitMethod.EXACT}:
         return rows
@@ -273,14 +273,14 @@ def rows_of(session: SessionResults, series: Mapping[str, Combined]) -> Mapping[
     }
 
 
-def _combined_of(session: SessionResults) -> Mapping[str, Combined]:
+def _combined_of(session: SessionResults) -> Mapping[str, CombinedValue]:
     return {} if session.series is None else session.series.fits.get(FitMethod.EXACT, {})
 
 
-def _single_run(estimate: Estimate, dof: int) -> Combined:
+def _single_run(estimate: Estimate, dof: int) -> CombinedValue:
     """One run as a series of its own; without a scatter of runs it cannot be tested."""
     value, u = estimate
-    return Combined(
+    return CombinedValue(
         value=value,
         standard_uncertainty=u,
         degrees_of_freedom=dof,
@@ -291,7 +291,7 @@ def _single_run(estimate: Estimate, dof: int) -> Combined:
 
 
 def values_table(
-    series: Mapping[str, Mapping[str, Combined]], found: Mapping[str, Mapping[str, ResultRow]], note: str
+    series: Mapping[str, Mapping[str, CombinedValue]], found: Mapping[str, Mapping[str, ResultRow]], note: str
 ) -> Table:
     """Table with a row for each quantity and a column for each series; bounds if undetermined."""
     known = {name for rows in found.values() for name in rows}

@@ -56,7 +56,7 @@ def make_plan(
     last_arcsec: Sequence[float],
     ground_rad_per_s2_rthz: float | None = None,
     counts: Sequence[int] = (1,),
-    witness_noise: float | None = None,
+    seismometer_noise: float | None = None,
 ) -> Plan:
     """Plan runs between all first and last amplitudes, in series of `counts`.
 
@@ -65,8 +65,8 @@ def make_plan(
     values, pendulum, conditions, longest_s = planned
     if ground_rad_per_s2_rthz is not None:
         conditions = conditions.on_ground(ground_rad_per_s2_rthz)
-    if witness_noise is not None:
-        conditions = conditions.with_witness(witness_noise)
+    if seismometer_noise is not None:
+        conditions = conditions.with_seismometer(seismometer_noise)
     runs, problem = [], "every last amplitude must lie below every first one"
     for first, last in product(first_arcsec, last_arcsec):
         if last < first:
@@ -102,7 +102,7 @@ def plan_table(plan: Plan) -> Table:
         f"{plain(conditions.u_amplitude_rad / ARCSEC_RAD, 2)} arcsec; the drive of the ground is "
         f"{plain(conditions.ground_rad_per_s2_rthz, 2)} rad/s²/√Hz"
     )
-    if conditions.witness_noise is not None:
+    if conditions.seismometer_noise is not None:
         note += f", {plain(conditions.unknown_rad_per_s2_rthz, 2)} with the seismometer"
     note += "."
     if any(run.duration_s > plan.longest_s for run in plan.runs):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from processing.contact import DEFAULT_LAW, DRAG, PendulumOnBall
 from processing.deflections import slow_deflections
 from processing.errors import ConfigurationError, DataError
-from processing.fit import LEAST_LEFT, Conditions, FitMethod, sine_covariance
+from processing.fit import LEAST_UNEXPLAINED, Conditions, FitMethod, sine_covariance
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsWatch, swings_of_blocks, turning_points
@@ -52,14 +52,14 @@ def planned_contact(config: Configuration, frame_noise_rad: float | None = None)
     truth = contact.model_dump() | {DRAG.key: contact.whole_drag_s}
     values = {name: float(truth[name]) for name in DEFAULT_LAW.names(drag=drag.fitted)}
     noise_rad = _frame_noise_rad(config) if frame_noise_rad is None else frame_noise_rad
-    u_rad, u_time_s, of_sine = _half_cycle_uncertainties(config, noise_rad)
+    u_rad, u_time_s, harmonics_covariance = _half_cycle_uncertainties(config, noise_rad)
     conditions = Conditions(
         u_rad,
         u_time_s * _AMPLITUDE_RAD,
         _drive(config, pendulum),
-        of_sine=of_sine,
+        sine_covariance=harmonics_covariance,
         known_drag_s=drag.known_s,
-        witness_noise=_witness_noise(config),
+        seismometer_noise=_witness_noise(config),
     )
     return PlannedContact(values, pendulum, conditions, config.session.max_duration_s)
 
@@ -259,7 +259,7 @@ def _witness_noise(config: Configuration) -> float | None:
         return None
     noise = config.simulation.witness.noise_m_per_s2_per_sqrt_hz if kind == "simulated" else 0.0
     level = _ground_level(config)
-    return max(LEAST_LEFT, noise / level) if level > 0 else LEAST_LEFT
+    return max(LEAST_UNEXPLAINED, noise / level) if level > 0 else LEAST_UNEXPLAINED
 
 
 def _ground_level(config: Configuration) -> float:

@@ -103,7 +103,7 @@ def least(found: Fitted, case: Case) -> Floats:
     step = found.fit.ground.noise.step
     if case.q is not None:
         step = case.q / density_of_step(1.0, float(np.diff(points.time_s).mean()))
-    here = model.about(columns).on_ground(columns, Noise(step / model.reference))
+    here = model.linearised_at(columns).on_ground(columns, Noise(step / model.reference))
     return bound(model, columns, here(columns)[1])[: len(NAMES)]
 
 

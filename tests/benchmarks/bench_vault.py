@@ -20,8 +20,8 @@ from processing.fit.evidence import Evidence
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise, density_of_step
 from processing.fit.known_drive import KnownDrive
-from processing.fit.seismometer import SeismometerUse, fit_with_witness
-from processing.fit.seismometer_terms import Witness
+from processing.fit.seismometer import SeismometerUse, fit_with_seismometer
+from processing.fit.seismometer_terms import Seismogram
 from processing.swing import TurningPoints
 from tests.benchmarks.cases import each_seed, run_cases
 from tests.benchmarks.coverage import Floats, bound, coverage, rms, true_columns
@@ -162,9 +162,9 @@ def one_run(case: Case, seed: int) -> Run:
     points = decay(ground, seed, case.last_arcsec)
     alone = fit_exact(points, pendulum, averaged=False)
     times = ground.time_s if ground.witness_time_s is None else ground.witness_time_s
-    witness = Witness(times, ground.witness[:, None], ("Z",))
+    witness = Seismogram(times, ground.witness[:, None], ("Z",))
     began_s = process_time()
-    found = fit_with_witness(points, pendulum, witness, alone, averaged=False)
+    found = fit_with_seismometer(points, pendulum, witness, alone, averaged=False)
     run = Run(alone, found.fit, found.use, process_time() - began_s, {})
     if case.left is not None and case.related:
         run.bounds["rms_to_bound"] = least(points, case.left)

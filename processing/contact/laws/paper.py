@@ -29,7 +29,7 @@ from processing.contact.memoryless import Moment, Moments, memoryless_law
 from processing.errors import DataError
 
 STIFFNESS = Scaling(0.0, -1.0, "n", lambda pendulum: stiffness_ratio(1.0, pendulum), loses=False)
-"""gamma is fitted as kappa."""
+"""Scaling of gamma, which is fitted as kappa."""
 _P_RANGE, _N_RANGE = (-0.5, 5.0), (0.002, 5.0)
 """Below the lower limit of n adhesion cancels nearly all of the stiffness, and n cannot be told from 0."""
 _STIFFEST = 20.0
@@ -127,7 +127,7 @@ def _straight(drag: bool) -> ValleyCoordinates:
 
 
 def _likely(found: StartValues, _: float) -> list[dict[str, float]]:
-    """From Eqs. 5 and 6: for each exponent n that fits the periods, then without adhesion.
+    """Start values by Eqs. 5 and 6: for each exponent n that fits the periods, then without adhesion.
 
     Eq. 5 neglects that adhesion reduces the restoring moment and that T differs from T0; its rates are
     converted to those of the exact map.

@@ -1,4 +1,4 @@
-"""Laws of the literature: without memory of the last reversal, and with it.
+"""Laws of the literature, with and without memory of the last reversal.
 
 - Coulomb: M = -m g R c sign(phi'). Each half-swing takes 2 c and lasts T0/2.
 - Viscous: M = -m g R drag_s phi'. The decrement and the period are the same at every amplitude.
@@ -16,7 +16,7 @@ Maxwell slip: springs in parallel, each of which slips beyond an angle of its ow
 
     f = sum k_i min(phi, phi_i),    phi_i = 4, 12, 36, 90 arcsec
 
-Any backbone that rises ever less is such a sum; this one asks nothing of its shape but four stiffnesses.
+Any backbone whose slope falls is such a sum; this one has no shape but that of its four stiffnesses.
 Where a slider begins to slip, the loss of a half-swing has a kink over the amplitude. The table of
 half-swings rounds it, by 2e-5 of amplitude and time; the derivatives by the stiffnesses are off by 3 to 5 %
 there, and so may be uncertainties that hang on these amplitudes.
@@ -72,13 +72,13 @@ VISCOUS = memoryless_law(
 )
 
 
-def _resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
-    return np.asarray(q["c"] - (held + q["c"]) * np.exp(-s * q["sigma"] / q["c"]))
+def _resistance(s: Floats, turn_moment: Floats, q: Arrays) -> Floats:
+    return np.asarray(q["c"] - (turn_moment + q["c"]) * np.exp(-s * q["sigma"] / q["c"]))
 
 
-def _mean_resistance(s: Floats, held: Floats, q: Arrays) -> Floats:
+def _mean_resistance(s: Floats, turn_moment: Floats, q: Arrays) -> Floats:
     way = s * q["sigma"] / q["c"]
-    return np.asarray(q["c"] + (held + q["c"]) * np.expm1(-way) / way)
+    return np.asarray(q["c"] + (turn_moment + q["c"]) * np.expm1(-way) / way)
 
 
 def _at_reversal(amplitude: Floats, q: Arrays) -> Floats:
@@ -127,10 +127,11 @@ def _stiffness(q: ComplexOrReal) -> ComplexOrReal:
 
 
 def _scaled(values: ComplexOrReal) -> ComplexOrReal:
-    """k, q, c, T0 from ln of the loss and the share of the contact in the stiffness, c and period of a swing.
+    """k, q, c, drag and T0 from their coordinates: ln of the loss, the contact's share of stiffness, c and
+    period of a swing.
 
-    Gravity has the rest of the stiffness. Decay and period determine these; if the contact were much stiffer
-    than gravity, k could be anything.
+    Gravity has the rest of the stiffness. Decay and period determine the coordinates; k is not determined if
+    the contact is much stiffer than gravity.
     """
     log_loss, share, c, drag, period_s = values
     k = share / (1 - share)
@@ -182,7 +183,8 @@ MASING = branch_law(
 
 
 YIELD_ARCSEC = (4.0, 12.0, 36.0, 90.0)
-"""By factors of about three through the swings of the paper's runs, 124 to 2 arcsec."""
+"""Angles at which springs slip, by factors of about three through the swings of the paper's runs, 124 to 2
+arcsec."""
 _YIELD_RAD = tuple(np.deg2rad(angle / 3600).item() for angle in YIELD_ARCSEC)
 _KEYS = tuple(f"k{number}" for number in range(1, len(YIELD_ARCSEC) + 1))
 

@@ -12,13 +12,13 @@ import numpy as np
 from acquisition.record.topics import RecordedWitness
 from processing.arrays import Floats
 from processing.errors import DataError
-from processing.fit import Witness
+from processing.fit import Seismogram
 from processing.pendulum_at_rest import SeismometerAtRest, ground_at_rest, swing_at_rest, witness_at_rest
 from processing.reference_gain import ReferenceAtRest, gain_in_swings, reference_at_rest
 from processing.reference_spot import common_motion
 from processing.spot import Spot, SpotFlag
 from processing.units import seconds
-from rig.analysis import taken
+from rig.analysis import sample_times
 from rig.control import SeismometerSettings
 from rig.measure.preflight.rest_checks import TrialFrames, judged, longer_look, not_at_rest
 from rig.presentation import Verdict, percent, plain, with_uncertainty
@@ -65,8 +65,8 @@ def witness(
         order = np.concatenate([[True], np.diff(np.maximum.accumulate(arrived_ns)) > 0])
         arrived_ns, value = arrived_ns[order], value[order]
         samples = [one for one, kept in zip(samples, order.tolist(), strict=True) if kept]
-    times_ns = taken(arrived_ns, np.array([one.own_time_s for one in samples])).times_ns
-    record = Witness(seconds(times_ns - at.times_ns[0]), value, tuple(names))
+    times_ns = sample_times(arrived_ns, np.array([one.own_time_s for one in samples])).times_ns
+    record = Seismogram(seconds(times_ns - at.times_ns[0]), value, tuple(names))
     try:
         found = witness_at_rest(at.times_s, _without_beam_motion(look, stated), record)
         ground_seen = ground_at_rest(at.times_s, at.y).density.value > 0

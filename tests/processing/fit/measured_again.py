@@ -8,7 +8,7 @@ import numpy as np
 from processing.contact.law import ContactParameters, PendulumOnBall
 from processing.deflections import Deflections, slow_deflections
 from processing.fit.exact import fit_exact
-from processing.fit.refinement import known_motion, measured_again
+from processing.fit.refinement import known_motion, second_measurement
 from processing.swing import HalfCycle, turning_points
 from tests.processing.swing.truth import BALL_RADIUS_M, CONTACTS, GRAVITY, MASS_KG, PX_PER_RAD, Record
 
@@ -50,7 +50,7 @@ def again_with_fit(record: Record, swings: list[HalfCycle], contact: str) -> lis
     pendulum = contact_truth(contact)[1]
     exact = fit_exact(turning_points(swings), pendulum)
     motion = known_motion(exact.parameters, pendulum, swings[0].amplitude)
-    return measured_again(swings, in_blocks(record), motion)
+    return second_measurement(swings, in_blocks(record), motion)
 
 
 def in_blocks(record: Record) -> Iterator[Deflections]:

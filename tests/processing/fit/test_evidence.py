@@ -139,7 +139,7 @@ def test_no_drift_moves_nothing_where_points_scatter_more_than_stated(
     known = Estimate(DRAG_S + 8e-5, 2e-5)
     fit = fit_exact(louder, PENDULUM, drag=True, evidence=Evidence(waveform(harmonics), known))
     at = LinearisedFit.of(louder, PENDULUM, fit)
-    still = at.described(drift_term(at, {}))
+    still = at.with_terms(drift_term(at, {}))
     assert np.all(np.abs(still.values - fit.values) < 0.03 * fit.standard_uncertainty)
 
 

@@ -9,20 +9,20 @@ from processing.contact.laws import PAPER
 from processing.errors import DataError
 from processing.estimate import WELL_DETERMINED, Estimate
 from processing.fit import (
-    MISFIT,
+    DISCREPANCY,
     Change,
     ChangeKind,
     Evidence,
     FitResult,
     LinearisedFit,
     compare_laws,
+    drift_effects,
     drift_term,
-    drifts_of,
     fit_asymptotic,
     fit_exact,
     fitted_contact,
     with_changes,
-    with_misfit,
+    with_discrepancy,
 )
 from processing.series import combine_runs
 from processing.swing import TurningPoints
@@ -58,7 +58,7 @@ def not_described(world: World, seed: int) -> tuple[TurningPoints, FitResult]:
 
 
 def against_law_of(points: TurningPoints, fit: FitResult) -> float:
-    misfit = with_misfit(LinearisedFit.of(points, PENDULUM, fit)).misfit
+    misfit = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit)).misfit
     assert misfit is not None
     return misfit.against_law
 
@@ -75,7 +75,7 @@ def changes_of(points: TurningPoints, fit: FitResult, explained: float = 0.0) ->
 )
 def test_a_law_that_does_not_describe_costs_uncertainty(world: World) -> None:
     points, fit = not_described(world, 1)
-    described = with_misfit(LinearisedFit.of(points, PENDULUM, fit))
+    described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
     assert described.misfit is not None
     assert described.misfit.seen
     b, u = described.estimate("b")
@@ -95,7 +95,7 @@ def test_a_true_law_costs_nothing() -> None:
     for seed, q in ((2, 0.0), (3, 8e-9)):
         points = decay(World(), seed, q)
         fit = fitted(points)
-        described = with_misfit(LinearisedFit.of(points, PENDULUM, fit))
+        described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
         assert described.misfit is not None
         assert not described.misfit.seen
         assert np.array_equal(described.covariance, fit.covariance)
@@ -105,7 +105,7 @@ def test_a_true_law_costs_nothing() -> None:
 @pytest.mark.slow
 def test_what_every_run_lacks_is_not_averaged_away() -> None:
     runs = [not_described(OTHER_AIR, seed) for seed in (1, 2)]
-    fits = [with_misfit(LinearisedFit.of(points, PENDULUM, fit)) for points, fit in runs]
+    fits = [with_discrepancy(LinearisedFit.of(points, PENDULUM, fit)) for points, fit in runs]
     both = combine_runs(fits).parameters["b"]
     assert both.standard_uncertainty > 0.95 * min(fit.estimate("b").standard_uncertainty for fit in fits)
 
@@ -113,9 +113,9 @@ def test_what_every_run_lacks_is_not_averaged_away() -> None:
 @pytest.mark.slow
 def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> None:
     points, fit = not_described(OTHER_AIR, 1)
-    described = with_misfit(LinearisedFit.of(points, PENDULUM, fit))
-    assert MISFIT in described.terms
-    assert fitted_contact(described).part(MISFIT)[0, 0] == described.part(MISFIT)[0, 0]
+    described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
+    assert DISCREPANCY in described.terms
+    assert fitted_contact(described).part(DISCREPANCY)[0, 0] == described.part(DISCREPANCY)[0, 0]
     plain, wide = (compare_laws(points, PENDULUM, [PAPER], like=one) for one in (fit, described))
     assert wide.trials[0].log_evidence == pytest.approx(plain.trials[0].log_evidence, abs=0.01)
     assert not wide.describes
@@ -125,15 +125,15 @@ def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> 
 @pytest.mark.slow
 def test_another_fit_of_the_law_shares_what_the_exact_one_found() -> None:
     points, fit = not_described(OTHER_AIR, 1)
-    described = with_misfit(LinearisedFit.of(points, PENDULUM, fit))
-    assert MISFIT in described.terms
+    described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
+    assert DISCREPANCY in described.terms
     other = fit_asymptotic(points, PENDULUM, drag=True, exact=described)
-    wider = other.with_terms_of(described, MISFIT)
+    wider = other.with_terms_of(described, DISCREPANCY)
     at = PAPER.names().index("c")
     added = wider.covariance[at, at] - other.covariance[at, at]
-    assert added == pytest.approx(described.part(MISFIT)[at, at])
+    assert added == pytest.approx(described.part(DISCREPANCY)[at, at])
     with pytest.raises(DataError):
-        with_misfit(LinearisedFit.of(points, PENDULUM, other))
+        with_discrepancy(LinearisedFit.of(points, PENDULUM, other))
 
 
 def test_a_slip_is_found_and_dated() -> None:
@@ -189,7 +189,7 @@ def test_what_drifts_do_to_the_parameters() -> None:
     """
     points = decay(World(), q=0.0)
     lasting_s, still = float(points.time_s[-1]), fitted(points)
-    drifts = drifts_of(points, PENDULUM, still)
+    drifts = drift_effects(points, PENDULUM, still)
     for world, by, names in (
         (World(ageing=0.005, lasting_s=lasting_s), 0.005 * drifts["ageing"], ("b", "p", "c")),
         (World(drag_drift=0.005, lasting_s=lasting_s), 0.005 * drifts["drag_drift"], ("b", "p", "c")),
@@ -205,14 +205,14 @@ def test_drifts_can_be_fitted_about_zero() -> None:
     points = decay(World(ageing=0.01, lasting_s=740.0), q=0.0)
     fit = fitted(points)
     near = LinearisedFit.of(points, PENDULUM, fit)
-    free = near.described(drift_term(near, {"ageing": 0.01, "period_drift": 1e-5}))
+    free = near.with_terms(drift_term(near, {"ageing": 0.01, "period_drift": 1e-5}))
     at = fit.names.index("p")
     p, u = free.estimate("p")
     assert abs(fit.values[at] - PARAMETERS.p) > 3 * fit.standard_uncertainty[at]
     assert abs(p - PARAMETERS.p) < 2 * u
-    by = drifts_of(points, PENDULUM, fit)["ageing"][at]
+    by = drift_effects(points, PENDULUM, fit)["ageing"][at]
     # the turning points say nothing of it: what is believed remains
     assert u == pytest.approx(np.hypot(fit.standard_uncertainty[at], 0.01 * by), rel=0.2)
-    none = near.described(drift_term(near, {}))
+    none = near.with_terms(drift_term(near, {}))
     assert none.values == pytest.approx(fit.values, rel=1e-4)
     assert none.standard_uncertainty == pytest.approx(fit.standard_uncertainty, rel=1e-3)

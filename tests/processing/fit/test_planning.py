@@ -89,9 +89,9 @@ def test_a_witness_leaves_of_the_ground_what_its_own_noise_hides(noise: float, l
     values = dict(zip(names, truth(parameters, names), strict=True))
     ground = conditions(1e-7)
     amplitudes = (124 * ARCSEC, 30 * ARCSEC)
-    with_witness = planned_run(values, pendulum, ground.with_witness(noise), *amplitudes)
-    assert with_witness.u == pytest.approx(
+    with_seismometer = planned_run(values, pendulum, ground.with_seismometer(noise), *amplitudes)
+    assert with_seismometer.u == pytest.approx(
         planned_run(values, pendulum, ground.on_ground(left * 1e-7), *amplitudes).u, rel=0.01
     )
     # the ground drowns a run no later for it
-    assert with_witness.half_cycles == planned_run(values, pendulum, ground, *amplitudes).half_cycles
+    assert with_seismometer.half_cycles == planned_run(values, pendulum, ground, *amplitudes).half_cycles

@@ -11,13 +11,13 @@ from processing.estimate import Estimate
 from processing.fit.evidence import Evidence
 from processing.fit.exact import fit_exact
 from processing.fit.refinement import (
-    FitOfSwings,
+    DecayFit,
     describes_as_well,
     fitted_twice,
     known_motion,
-    measured_again,
-    shift_of,
-    widened,
+    measurement_shift,
+    second_measurement,
+    with_enlarged_u,
 )
 from processing.swing import HalfCycle, KnownMotion, estimate_scatter, swings_of_blocks, turning_points
 from tests.processing.fit.decays import paper_pair
@@ -55,7 +55,7 @@ def test_known_motion_is_that_of_the_integrated_equation(contact: str, reference
 
 
 def measured_again_from_nothing(record: Record, motion: KnownMotion) -> list[HalfCycle]:
-    return measured_again(detect(record), in_blocks(record), motion)
+    return second_measurement(detect(record), in_blocks(record), motion)
 
 
 @pytest.mark.slow
@@ -66,7 +66,7 @@ def test_early_half_cycles_stand_at_the_bound_and_apart(glass: Record) -> None:
         record = noisy(glass, seed)
         swings = detect(record)
         again = again_with_fit(record, swings, "glass")
-        assert shift_of(swings, again).complete
+        assert measurement_shift(swings, again).complete
         for name, found in (("detected", errors(record, swings)), ("again", errors(record, again))):
             early = (found.index > 0) & (found.index <= EARLY)
             # independent errors leave a unit normal deviate
@@ -95,7 +95,7 @@ def test_flagged_ones_stay_and_those_that_are_gone_are_flagged(glass: Record) ->
     turn_s = swings[50].turn_time_ns * 1e-9
     hidden[np.abs(record.time_s - turn_s) < 0.6] = np.nan
     motion = known_motion(*contact_truth("glass"), swings[0].amplitude)
-    again = measured_again(swings, in_blocks(replace(record, deflection=hidden)), motion)
+    again = second_measurement(swings, in_blocks(replace(record, deflection=hidden)), motion)
     assert [swing.index for swing in again] == [swing.index for swing in swings]
     assert again[20] == swings[20]
     assert again[50].flags != 0
@@ -110,12 +110,12 @@ def test_a_waveform_that_is_not_that_of_the_motion_is_refused(glass: Record) -> 
     # the same loss at 60 arcsec, but constant: the turning times of every half-cycle would shift
     constant = replace(parameters, c=parameters.b * (60 * ARCSEC_RAD) ** parameters.p, b=1e-9)
     motion = known_motion(constant, pendulum, swings[0].amplitude)
-    again = measured_again(swings, in_blocks(record), motion)
+    again = second_measurement(swings, in_blocks(record), motion)
     first = fit_exact(turning_points(swings), pendulum)
     second = fit_exact(turning_points(again), pendulum)
     assert not describes_as_well(second, first)
-    shift = shift_of(swings, again)
-    wider = widened(swings, shift)
+    shift = measurement_shift(swings, again)
+    wider = with_enlarged_u(swings, shift)
     assert wider[5].u_turn_time_s == pytest.approx(np.hypot(1.0, shift.time) * swings[5].u_turn_time_s)
     assert wider[5].turn_time_ns == swings[5].turn_time_ns
 
@@ -130,13 +130,13 @@ def test_a_shift_that_all_turning_points_share_makes_none_more_uncertain(glass: 
     """The start of the motion takes it in: a motion fitted to few half-cycles is late by a millisecond."""
     swings = detect(noisy(glass, 3))
     late = [replace(swing, turn_time_ns=swing.turn_time_ns + 1_400_000) for swing in swings]
-    shift = shift_of(swings, late)
+    shift = measurement_shift(swings, late)
     assert (shift.time, shift.amplitude) == (0.0, 0.0)
     early = [
         replace(swing, turn_time_ns=swing.turn_time_ns + (1_400_000 if swing.side > 0 else 0))
         for swing in swings
     ]
-    assert shift_of(swings, early).time > 10.0
+    assert measurement_shift(swings, early).time > 10.0
 
 
 def test_a_drive_that_passes_for_a_rest_position_that_moves_is_told_the_second_measurement() -> None:
@@ -155,7 +155,7 @@ def test_a_drive_that_passes_for_a_rest_position_that_moves_is_told_the_second_m
     samples = slow_deflections(times_ns, position, scatter.u_deflection)
     known = Evidence(drag_s=Estimate(1.7e-3, 1e-5))
     swings = swings_of_blocks([samples])
-    found, fit = fitted_twice(swings, [samples], FitOfSwings(pendulum, evidence=known))
+    found, fit = fitted_twice(swings, [samples], DecayFit(pendulum, evidence=known))
     assert found.doubt == ""
     assert found.motion is not None
     assert found.motion.drive > 0.0

@@ -13,8 +13,8 @@ from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import noisy, true_path
 from processing.arrays import Floats
 from processing.estimate import Estimate
-from processing.fit import FitResult, Witness, fit_exact, fit_with_witness
-from processing.fit.exact_model import Errors, ExactModel
+from processing.fit import FitResult, Seismogram, fit_exact, fit_with_seismometer
+from processing.fit.exact_model import ExactModel, LawErrors
 from processing.fit.seismometer import SeismometerVerdict
 from processing.swing import TurningPoints, swings_of, turning_points
 from processing.units import ARCSEC_RAD
@@ -65,13 +65,13 @@ def pulls(fit: FitResult) -> Floats:
     return np.asarray((fit.values[: len(true)] - true) / fit.standard_uncertainty[: len(true)])
 
 
-def witness(value: Floats, time_s: Floats = CLOCK) -> Witness:
-    return Witness(time_s, UNIT * value.reshape(len(time_s), -1), ("E", "N")[: value.ndim])
+def witness(value: Floats, time_s: Floats = CLOCK) -> Seismogram:
+    return Seismogram(time_s, UNIT * value.reshape(len(time_s), -1), ("E", "N")[: value.ndim])
 
 
 def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
     points, alone = on_white()
-    found = fit_with_witness(points, PENDULUM, witness(white(3)), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, witness(white(3)), alone, averaged=False)
     assert found.use.used
     assert min(found.use.saved.values()) > 20
     assert np.max(np.abs(pulls(found.fit))) < 4
@@ -89,16 +89,16 @@ def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
 def test_derivatives_by_errors_of_the_law_know_nothing_of_the_witness() -> None:
     """The filter has columns of the drive for all that it derives by, zero but for the witness itself."""
     points, alone = on_white()
-    found = fit_with_witness(points, PENDULUM, witness(white(3)), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, witness(white(3)), alone, averaged=False)
     fit = found.fit
     assert found.use.used
     model, columns = ExactModel.of(points, PENDULUM, fit)
-    assert model.witnessed is not None
+    assert model.known_drive is not None
 
     def errors(amplitude: Floats, _: Floats) -> Floats:
         return np.ones((len(amplitude), 64))
 
-    found = model.filtered(columns, model.noise_of(fit), errors=Errors(errors, errors))
+    found = model.filtered(columns, model.noise_of(fit), errors=LawErrors(errors, errors))
     by_law, by_errors = np.split(found.jacobian, [len(columns)], axis=1)
     assert np.array_equal(by_law, model.filtered(columns, model.noise_of(fit)).jacobian)
     # all of a kind are the same error
@@ -109,7 +109,7 @@ def test_derivatives_by_errors_of_the_law_know_nothing_of_the_witness() -> None:
 
 def test_its_own_noise_leaves_what_it_must() -> None:
     points, alone = on_white()
-    found = fit_with_witness(points, PENDULUM, witness(white(3) + white(4)), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, witness(white(3) + white(4)), alone, averaged=False)
     (response,) = found.use.responses
     # Wiener's gain, and half of the drive's power
     assert response.gain * UNIT == pytest.approx(0.5, abs=0.1)
@@ -120,7 +120,7 @@ def test_its_own_noise_leaves_what_it_must() -> None:
 @pytest.mark.parametrize("seed", range(5, 11))
 def test_one_that_is_unrelated_is_refused_and_changes_nothing(seed: int) -> None:
     points, alone = on_white()
-    found = fit_with_witness(points, PENDULUM, witness(white(seed)), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, witness(white(seed)), alone, averaged=False)
     assert found.use.verdict is SeismometerVerdict.NO_GAIN
     assert found.fit is alone
 
@@ -128,13 +128,13 @@ def test_one_that_is_unrelated_is_refused_and_changes_nothing(seed: int) -> None
 def test_of_two_components_the_unrelated_one_is_left_out() -> None:
     points, alone = on_white()
     both = witness(np.column_stack([white(5), white(3)]))
-    found = fit_with_witness(points, PENDULUM, both, alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, both, alone, averaged=False)
     assert [response.name for response in found.use.responses] == ["N"]
 
 
 def test_one_of_another_hour_is_refused() -> None:
     points, alone = on_white()
-    found = fit_with_witness(points, PENDULUM, witness(white(3), CLOCK + 1e5), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, witness(white(3), CLOCK + 1e5), alone, averaged=False)
     assert found.use.verdict is SeismometerVerdict.ABSENT
     assert "do not overlap" in found.use.reason
     assert found.fit is alone
@@ -145,8 +145,8 @@ def test_an_unknown_offset_is_found() -> None:
     # a witness that lacks the beginning of the run has few offsets
     part = slice(2000, 6800)
     late = witness(white(3)[part], CLOCK[part] + 37.3)
-    assert not fit_with_witness(points, PENDULUM, late, alone, averaged=False).use.used
-    found = fit_with_witness(points, PENDULUM, late, alone, averaged=False, offset_known=False)
+    assert not fit_with_seismometer(points, PENDULUM, late, alone, averaged=False).use.used
+    found = fit_with_seismometer(points, PENDULUM, late, alone, averaged=False, offset_known=False)
     assert found.use.used
     assert found.use.offset_s + found.use.delay_s.value == pytest.approx(
         -37.3, abs=4 * found.use.delay_s.standard_uncertainty
@@ -157,7 +157,7 @@ def test_a_delay_and_a_drift_of_its_clock_are_found() -> None:
     points, alone = on_white()
     middle_s = 0.5 * points.time_s[-1]
     wrong = witness(white(3), CLOCK + 0.3 + 1e-3 * (CLOCK - middle_s))
-    use = fit_with_witness(points, PENDULUM, wrong, alone, averaged=False).use
+    use = fit_with_seismometer(points, PENDULUM, wrong, alone, averaged=False).use
     assert use.delay_s.value == pytest.approx(-0.3, abs=4 * use.delay_s.standard_uncertainty)
     assert use.clock_drift.value == pytest.approx(-1e-3, abs=4 * use.clock_drift.standard_uncertainty)
     assert use.saved["b"] > 10
@@ -167,8 +167,8 @@ def test_a_gap_costs_what_is_not_known() -> None:
     points, alone = on_white()
     value = white(3)
     value[(CLOCK > 100) & (CLOCK < 160)] = np.nan
-    found = fit_with_witness(points, PENDULUM, witness(value), alone, averaged=False)
-    whole = fit_with_witness(points, PENDULUM, witness(white(3)), alone, averaged=False)
+    found = fit_with_seismometer(points, PENDULUM, witness(value), alone, averaged=False)
+    whole = fit_with_seismometer(points, PENDULUM, witness(white(3)), alone, averaged=False)
     assert 29 <= found.use.missing_half_cycles <= 36
     assert found.use.used
     assert 5 < found.use.saved["b"] < 0.95 * whole.use.saved["b"]
@@ -177,8 +177,8 @@ def test_a_gap_costs_what_is_not_known() -> None:
 
 def test_samples_too_far_apart_are_said() -> None:
     points, alone = on_white()
-    coarse = Witness(CLOCK[::20], white(3)[::20, None], ("Z",))
-    found = fit_with_witness(points, PENDULUM, coarse, alone, averaged=False)
+    coarse = Seismogram(CLOCK[::20], white(3)[::20, None], ("Z",))
+    found = fit_with_seismometer(points, PENDULUM, coarse, alone, averaged=False)
     assert found.use.reason.startswith("the witness has a sample every 2 s")
 
 
@@ -189,8 +189,8 @@ def test_a_real_seismometer_of_unknown_response_tells_what_drove_the_pendulum() 
     # counts of the known one are a velocity; it drives the pendulum with about 1e-7 rad/s^2/sqrt(Hz)
     acceleration = np.gradient(known, 0.1)
     points, alone = decay(time - 100.0, 6e-8 / np.std(acceleration) * acceleration, last_arcsec=8.0)
-    found = fit_with_witness(
-        points, PENDULUM, Witness(time - 100.0, unknown[:, None], ("counts",)), alone, averaged=False
+    found = fit_with_seismometer(
+        points, PENDULUM, Seismogram(time - 100.0, unknown[:, None], ("counts",)), alone, averaged=False
     )
     assert alone.ground is not None
     assert 3e-8 < alone.ground.density_rad_per_s2_rthz.value < 3e-7
@@ -219,8 +219,8 @@ def delay_found(seed: int, late_s: float) -> Estimate:
     points = turning_points(swings)
     begin_s = next(1e-9 * one.turn_time_ns for one in swings if not one.flags)
     felt = SimulatedSeismometer(settings).until(900.0, 0)
-    seen = Witness(felt.time_s - begin_s, felt.counts[:, :1], ("along",))
-    found = fit_with_witness(points, PENDULUM, seen, fit_exact(points, PENDULUM))
+    seen = Seismogram(felt.time_s - begin_s, felt.counts[:, :1], ("along",))
+    found = fit_with_seismometer(points, PENDULUM, seen, fit_exact(points, PENDULUM))
     assert found.use.used
     return found.use.delay_s
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.arrays import Floats
-from processing.fit import SeismometerSpectra, fit_with_witness
+from processing.fit import SeismometerSpectra, fit_with_seismometer
 from tests.processing.fit.test_seismometer import (
     CLOCK,
     PENDULUM,
@@ -26,7 +26,7 @@ LINE_HZ, LINE = 0.27, 3e-8
 def spectra(noise: float = 0.0) -> SeismometerSpectra:
     points, alone = on_white()
     seen = white(3) + noise * white(4)
-    found = fit_with_witness(points, PENDULUM, witness(seen), alone, averaged=False).use.spectra
+    found = fit_with_seismometer(points, PENDULUM, witness(seen), alone, averaged=False).use.spectra
     assert found is not None
     return found
 
@@ -78,7 +78,7 @@ def test_noise_of_the_witness_takes_coherence() -> None:
 def test_a_line_of_the_ground_stands_at_its_frequency() -> None:
     drive = 0.3 * white(3) + LINE * np.sin(2 * np.pi * LINE_HZ * CLOCK)
     points, alone = decay(CLOCK, drive)
-    found = fit_with_witness(points, PENDULUM, witness(drive), alone, averaged=False).use.spectra
+    found = fit_with_seismometer(points, PENDULUM, witness(drive), alone, averaged=False).use.spectra
     assert found is not None
     frequency = np.array(found.frequency_hz)
     inside = np.abs(frequency - 0.24) < 0.06
@@ -89,6 +89,6 @@ def test_a_line_of_the_ground_stands_at_its_frequency() -> None:
 
 def test_a_run_too_short_for_stretches_has_none() -> None:
     points, alone = decay(CLOCK, white(3), last_arcsec=90.0)
-    found = fit_with_witness(points, PENDULUM, witness(white(3)), alone, averaged=False).use
+    found = fit_with_seismometer(points, PENDULUM, witness(white(3)), alone, averaged=False).use
     assert len(points) < 56
     assert found.spectra is None

@@ -9,10 +9,10 @@ from processing.fit import (
     Evidence,
     FitResult,
     LinearisedFit,
+    boundary_layer_drag,
     fit_exact,
-    steeper_drag,
     waveform_of,
-    with_steeper_drag,
+    with_boundary_layer_drag,
 )
 from processing.swing import TurningPoints
 from tests.processing.fit.decays import ARCSEC, paper_pair
@@ -37,14 +37,14 @@ def test_a_tenth_of_the_drag_is_found_and_b_holds_what_it_does() -> None:
     b, u_b = fit.estimate("b")
     # what is printed where nobody asks
     assert b - PARAMETERS.b > 10 * u_b
-    found = steeper_drag(LinearisedFit.of(points, PENDULUM, fit))
+    found = boundary_layer_drag(LinearisedFit.of(points, PENDULUM, fit))
     assert found.seen
     value, u = found.steeper
     assert abs(value - STEEPER) < 3 * u
     assert found.share == pytest.approx(SHARE, abs=0.04)
     assert abs((1 + found.relative_shift_b) * b / PARAMETERS.b - 1) < 0.05
     assert abs(fit.parameters.drag_s + found.shift_drag_s - DRAG_S) < 0.03 * DRAG_S
-    wider = with_steeper_drag(fit, found)
+    wider = with_boundary_layer_drag(fit, found)
     for name in fit.contact_names:
         value, u = wider.estimate(name)
         assert abs(value - getattr(PARAMETERS, name)) < 3 * u
@@ -53,9 +53,9 @@ def test_a_tenth_of_the_drag_is_found_and_b_holds_what_it_does() -> None:
 
 def test_none_is_found_where_there_is_none() -> None:
     points, fit = seen(0.0, 1)
-    found = steeper_drag(LinearisedFit.of(points, PENDULUM, fit))
+    found = boundary_layer_drag(LinearisedFit.of(points, PENDULUM, fit))
     assert not found.seen
     assert abs(found.steeper.value) < 3 * found.steeper.standard_uncertainty < 0.4 * STEEPER
-    same = with_steeper_drag(fit, found)
+    same = with_boundary_layer_drag(fit, found)
     np.testing.assert_array_equal(same.covariance, fit.covariance)
     assert same.warnings == fit.warnings

@@ -81,7 +81,7 @@ def test_a_fit_with_terms_does_not_ask_for_their_order() -> None:
     late = Term("late", at.by_points(time_s=1e-3 * points.amplitude[:, None]), 1.0, "cover")
     both = at.solved(shared, late)
     by = at.to_physical @ both.by
-    fits = [at.described(*terms) for terms in ((shared, late), (late, shared))]
+    fits = [at.with_terms(*terms) for terms in ((shared, late), (late, shared))]
     fits.append(at.fit.with_terms_of(fits[0], "late", "shared"))
     for fit in fits:
         np.testing.assert_array_equal(fit.values, at.fit.values)
@@ -93,4 +93,4 @@ def test_a_fit_with_terms_does_not_ask_for_their_order() -> None:
         wider = fit.standard_uncertainty / at.fit.standard_uncertainty
         np.testing.assert_allclose(fit.widened, at.fit.widened * wider, rtol=1e-9)
     with pytest.raises(DataError, match="do not determine nothing"):
-        at.described(Term("nothing", np.zeros(len(at.residuals))))
+        at.with_terms(Term("nothing", np.zeros(len(at.residuals))))

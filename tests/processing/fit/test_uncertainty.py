@@ -10,7 +10,7 @@ from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
-from processing.fit import READING, InputQuantity, LinearisedFit, RigQuantities, by_sensor
+from processing.fit import MEASUREMENT, InputQuantity, LinearisedFit, RigQuantities, sensor_derivatives
 from processing.fit.exact import fit_exact
 from processing.fit.reported import (
     FittedContact,
@@ -144,9 +144,9 @@ def test_the_budget_adds_up_and_puts_the_largest_first(found: FittedContact) -> 
     assert energy.sources[0].source == "flat_youngs_modulus_pa"
     assert energy.value == pytest.approx(28.9e-3, rel=0.01)
     assert table["contact_radius_m"].sources[0].type == "B"
-    assert all(line.source != READING for line in table["contact_radius_m"].sources)
+    assert all(line.source != MEASUREMENT for line in table["contact_radius_m"].sources)
     of_c = {line.source: line.contribution for line in table["c"].sources}
-    assert 0 < of_c[GROUND] < of_c[READING], "a run at rest: as much ground as it cannot exclude"
+    assert 0 < of_c[GROUND] < of_c[MEASUREMENT], "a run at rest: as much ground as it cannot exclude"
     assert energy.coverage_factor_95 == pytest.approx(1.96, rel=1e-3)
 
 
@@ -157,12 +157,12 @@ def test_the_ground_has_a_line_of_its_own_beside_the_reading() -> None:
     at_rest = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=3, last_arcsec=10), pendulum)
     lines = {line.source: line for line in budgets(fitted_contact(result), rig())["c"].sources}
     assert lines[GROUND].type == "A"
-    assert lines[GROUND].contribution > 3 * lines[READING].contribution
-    assert np.hypot(lines[GROUND].contribution, lines[READING].contribution) == pytest.approx(
+    assert lines[GROUND].contribution > 3 * lines[MEASUREMENT].contribution
+    assert np.hypot(lines[GROUND].contribution, lines[MEASUREMENT].contribution) == pytest.approx(
         result.estimate("c").standard_uncertainty, rel=1e-6
     )
     of_rest = {line.source: line for line in budgets(fitted_contact(at_rest), rig())["c"].sources}
-    assert lines[READING].contribution == pytest.approx(of_rest[READING].contribution, rel=0.2)
+    assert lines[MEASUREMENT].contribution == pytest.approx(of_rest[MEASUREMENT].contribution, rel=0.2)
 
 
 def test_few_runs_widen_the_coverage_factor(found: FittedContact) -> None:
@@ -246,7 +246,7 @@ def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: T
     rolling = rig(row_time_s=InputQuantity(15e-6, u_s))
     exact = fit_exact(points, rolling.pendulum())
     near = LinearisedFit.of(points, rolling.pendulum(), exact)
-    tables = budgets(replace(fitted_contact(exact), by_inputs=by_sensor(near, rolling)), rolling)
+    tables = budgets(replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, rolling)), rolling)
     rows = np.tan(2 * points.amplitude) / 3.45e-6 * (1 - 2 * (points.index % 2))
     again = fit_exact(replace(points, time_s=points.time_s + 3 * u_s * rows), rolling.pendulum(), near=exact)
     for name in ("b", "period0_s", "gamma_pa"):
@@ -254,7 +254,7 @@ def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: T
         moved = again.values[again.names.index(name)] - exact.values[exact.names.index(name)]
         assert moved == pytest.approx(line.sensitivity * 3 * u_s, rel=0.3), name
         assert line.contribution == pytest.approx(abs(line.sensitivity) * u_s)
-    assert by_sensor(near, rig()) == {}
+    assert sensor_derivatives(near, rig()) == {}
     assert "row_time_s" not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].sources}
 
 
@@ -266,7 +266,7 @@ def test_an_error_of_all_amplitudes_moves_the_parameters_by_what_the_budget_says
     filmed = rig(common_amplitude_rad=InputQuantity(0.0, u_rad))
     exact = fit_exact(points, filmed.pendulum())
     near = LinearisedFit.of(points, filmed.pendulum(), exact)
-    tables = budgets(replace(fitted_contact(exact), by_inputs=by_sensor(near, filmed)), filmed)
+    tables = budgets(replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, filmed)), filmed)
     moved = replace(points, amplitude=points.amplitude + 3 * u_rad)
     again = fit_exact(moved, filmed.pendulum(), near=exact)
     for name in ("b", "c", "n", "gamma_pa"):
@@ -274,4 +274,4 @@ def test_an_error_of_all_amplitudes_moves_the_parameters_by_what_the_budget_says
         error = again.values[again.names.index(name)] - exact.values[exact.names.index(name)]
         assert error == pytest.approx(line.sensitivity * 3 * u_rad, rel=0.3), name
         assert line.contribution == pytest.approx(abs(line.sensitivity) * u_rad)
-    assert by_sensor(near, rig()) == {}
+    assert sensor_derivatives(near, rig()) == {}

@@ -28,7 +28,7 @@ from processing.instruments.crossings import circular_error
 from processing.instruments.damping_fit import ValueWithSharedErrors, damping, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS
 from processing.instruments.friction_law import fit_friction_law, herbert_hardness, rolling_friction
-from processing.instruments.turning import refined
+from processing.instruments.turning import refined_turning_points
 from processing.swing import TurningPoints, swings_of, turning_points
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.turning_plane import follow_plane
@@ -89,7 +89,7 @@ def samples(settings: SimulationSettings, final_deg: float, seed: int, noise_rad
 def detected(found: Samples) -> TurningPoints:
     """Turning points as the rig takes them from samples of a large swing; times from the first sample."""
     swings = swings_of(found.times_ns, found.y_rad, found.u_rad)
-    return turning_points(refined(found.times_ns, found.y_rad, found.u_rad, swings))
+    return turning_points(refined_turning_points(found.times_ns, found.y_rad, found.u_rad, swings))
 
 
 def points_of(

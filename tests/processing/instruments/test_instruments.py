@@ -14,7 +14,7 @@ from processing.instruments.crossings import CircularError, circular_error, idea
 from processing.instruments.damping_fit import ValueWithSharedErrors, damping, over_places, ratio
 from processing.instruments.descriptions import DEGREE_RAD, INSTRUMENTS, Limits, check
 from processing.instruments.friction_law import fit_friction_law, herbert_hardness, rolling_friction
-from processing.instruments.turning import refined
+from processing.instruments.turning import refined_turning_points
 from processing.swing import TurningPoints, swings_of
 from processing.units import ARCSEC_RAD
 from rig.settings import load_configuration
@@ -289,11 +289,11 @@ def test_swings_without_samples_about_them_are_flagged() -> None:
     u = np.full(3000, 1e-5)
     swings = swings_of(times_ns, deflection + 1e-5 * np.sin(1e3 * times_ns), u)
     lost = np.where(np.abs(times_ns - swings[10].turn_time_ns) < 3e8, np.nan, deflection)
-    found = refined(times_ns, lost, u, swings)
+    found = refined_turning_points(times_ns, lost, u, swings)
     assert found[10].flags
     assert not found[12].flags
     with pytest.raises(DataError, match="at least 2"):
-        refined(times_ns, deflection, u, swings[:1])
+        refined_turning_points(times_ns, deflection, u, swings[:1])
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.deflections import Deflections, DeflectionUnit
-from processing.fit import PLACE, fit_exact, known_motion, measured_again
+from processing.fit import FIXED_PATTERN, fit_exact, known_motion, second_measurement
 from processing.swing import HarmonicsWatch, turning_points
 from processing.units import ARCSEC_RAD
 from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swings
@@ -30,7 +30,7 @@ def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
     settled = settled_swings(one.swings, passing, DeflectionUnit.RAD, one.pendulum, FitSettings())
     assert settled.position_map is not None
     assert settled.exact is not None
-    assert PLACE in settled.exact.terms
+    assert FIXED_PATTERN in settled.exact.terms
     before = fit_exact(turning_points(one.swings), one.pendulum)
     assert settled.exact.estimate("n").standard_uncertainty < 0.5 * before.estimate("n").standard_uncertainty
     for name in settled.exact.contact_names:
@@ -63,7 +63,7 @@ def test_without_structure_nothing_changes_bit_for_bit() -> None:
     evidence = evidence_of(OPEN_DRAG, waveform.found())
     first = fit_exact(turning_points(one.swings), one.pendulum, drag=True, evidence=evidence)
     motion = known_motion(first.parameters, one.pendulum, float(turning_points(one.swings).amplitude[0]))
-    again = measured_again(one.swings, [one.deflections], motion)
+    again = second_measurement(one.swings, [one.deflections], motion)
     assert settled.position_map is None
     assert repr(list(settled.swings)) == repr(again)
     second = fit_exact(turning_points(again), one.pendulum, drag=True, evidence=evidence, near=first)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.analysis.seismometer import taken
+from rig.analysis.seismometer import sample_times
 
 RATE_HZ, COUNT = 20.0, 12_000
 EPOCH_S = 1_790_000_000.0
@@ -13,7 +13,7 @@ EPOCH_S = 1_790_000_000.0
 def arrived(
     late_s: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Arrivals in ns, own times in s, and when samples were taken in s on the clock of the arrivals."""
+    """Arrivals in ns, own times in s, and when samples were taken, in s, on the clock of the arrivals."""
     own_s = EPOCH_S + np.arange(COUNT) / RATE_HZ
     true_s = 100.0 + (own_s - EPOCH_S)
     return np.rint(1e9 * (true_s + late_s)).astype(np.int64), own_s, true_s
@@ -22,7 +22,7 @@ def arrived(
 def off(late_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[float, ...]]:
     """Errors of the times that are found, in s, and the steps that are said."""
     arrived_ns, own_s, true_s = arrived(late_s)
-    found = taken(arrived_ns, own_s)
+    found = sample_times(arrived_ns, own_s)
     return found.times_ns * 1e-9 - true_s, found.steps_s
 
 

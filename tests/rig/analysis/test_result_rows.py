@@ -18,7 +18,7 @@ from processing.fit import (
     fitted_contact,
     identifiability,
 )
-from processing.series import Combined
+from processing.series import CombinedValue
 from rig.analysis import RunResults, Series, SessionResults, analyse_record, encoded
 from rig.analysis.fit_tables import parameter_table
 from rig.analysis.result_rows import ResultRow, result_rows, series_rows, withheld
@@ -146,7 +146,7 @@ def test_without_a_profile_a_weak_parameter_is_withheld(long_fit: FitResult) -> 
 
 
 def test_a_series_that_scatters_too_much_gives_a_bound() -> None:
-    item = Combined(value=-1.2e-8, standard_uncertainty=8e-9, degrees_of_freedom=2)
+    item = CombinedValue(value=-1.2e-8, standard_uncertainty=8e-9, degrees_of_freedom=2)
     rows = series_rows({"c": item, "p": replace(item, value=0.9, standard_uncertainty=0.01)}, {}, _PENDULUM)
     c, p = rows[0], rows[1]
     assert c.verdict is Determinacy.UPPER_BOUND

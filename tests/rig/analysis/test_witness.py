@@ -162,19 +162,19 @@ def test_times_are_put_on_the_clock_of_the_turning_points(tmp_path: Path) -> Non
     begin = FitStart(in_file_ns=3_000_000_000, utc_ns=1_500_000_005_000_000_000)
     times = np.arange(10.0)
     relative = SeismometerSource(csv(tmp_path / "a.csv", "time_s,z", 2 + times, times)).read()
-    witness, known = relative.beside(begin)
+    witness, known = relative.seismogram(begin)
     assert witness.time_s[0] == pytest.approx(-1.0)
     assert not known
     stated = replace(SeismometerSource(tmp_path / "a.csv"), offset_s=0.25).read()
-    witness, known = stated.beside(begin)
+    witness, known = stated.seismogram(begin)
     assert witness.time_s[0] == pytest.approx(-0.75)
     assert known
     in_ns = [f"{1_500_000_000_000_000_000 + 100_000_000 * k},{k}" for k in range(10)]
     (tmp_path / "b.csv").write_text("\n".join(["time_ns,z", *in_ns]))
-    witness, known = SeismometerSource(tmp_path / "b.csv").read().beside(begin)
+    witness, known = SeismometerSource(tmp_path / "b.csv").read().seismogram(begin)
     assert witness.time_s[0] == pytest.approx(-5.0, abs=1e-6)
     assert known
-    assert not SeismometerSource(tmp_path / "b.csv").read().beside(FitStart(0))[1]
+    assert not SeismometerSource(tmp_path / "b.csv").read().seismogram(FitStart(0))[1]
 
 
 def test_a_column_that_is_not_there_is_said(decay: Path) -> None:

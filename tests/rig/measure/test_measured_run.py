@@ -8,7 +8,7 @@ import pytest
 from calibration import Axes
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit, slow_deflections
-from processing.fit import FitOfSwings, FitResult, LinearisedFit, with_misfit
+from processing.fit import DecayFit, FitResult, LinearisedFit, with_discrepancy
 from processing.swing import HalfCycle, HarmonicsWatch, TurningPointDetector
 from processing.units import ARCSEC_RAD
 from rig.analysis import evidence_of, settled_swings
@@ -51,10 +51,10 @@ def fed(
     return fit
 
 
-def how(swings: list[HalfCycle], samples: Deflections) -> FitOfSwings:
+def how(swings: list[HalfCycle], samples: Deflections) -> DecayFit:
     watch = HarmonicsWatch(swings)
     watch.update(samples)
-    return FitOfSwings(PENDULUM, evidence=evidence_of(OPEN_DRAG, watch.found()))
+    return DecayFit(PENDULUM, evidence=evidence_of(OPEN_DRAG, watch.found()))
 
 
 def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> None:
@@ -66,7 +66,7 @@ def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> N
     assert settled.exact is not None
     assert settled.motion is not None
     fit = how(swings, samples)
-    final = with_misfit(LinearisedFit.of(fit.points(settled.swings), PENDULUM, settled.exact))
+    final = with_discrepancy(LinearisedFit.of(fit.points(settled.swings), PENDULUM, settled.exact))
     detected = fit.of(swings)
     moved = 0.0
     for name in PAPER.names(drag=True):

@@ -14,7 +14,7 @@ from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycle, swings_of_blocks
 from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record, read_results
-from rig.analysis.passing_deflections import less_beam_motion
+from rig.analysis.passing_deflections import without_beam_motion
 from rig.devices import FrameStream
 from rig.instrument import (
     BEAM_CORRECTED,
@@ -90,7 +90,7 @@ def scatter(swings: Sequence[HalfCycle]) -> tuple[float, float]:
 
 def test_half_cycles_are_nearer_to_the_truth_without_the_beams_motion(recorded: Path) -> None:
     with RecordReader(recorded) as reader:
-        less = less_beam_motion(reader, recorded_configuration(reader))
+        less = without_beam_motion(reader, recorded_configuration(reader))
         assert less is not None
         assert less.used
         before = scatter(reader.swings())
@@ -213,7 +213,7 @@ def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None
         config = recorded_configuration(reader)
         assert config.reference is not None
         unstated = config.reference.model_copy(update={"gain": None, "u_gain": 0.0})
-        less = less_beam_motion(reader, config.model_copy(update={"reference": unstated}))
+        less = without_beam_motion(reader, config.model_copy(update={"reference": unstated}))
         assert less is not None
         for one in less.found.values():
             assert one.gain.value == pytest.approx(1.5, abs=4 * one.gain.standard_uncertainty)
@@ -289,7 +289,7 @@ def test_it_takes_off_the_creep_of_the_camera_which_an_analysis_without_it_shows
     simulate_record(config, source, folder / "run-1.mcap")
     truth = true_path(config.simulation, 25.0)
     with RecordReader(folder / "run-1.mcap") as reader:
-        less = less_beam_motion(reader, recorded_configuration(reader))
+        less = without_beam_motion(reader, recorded_configuration(reader))
         assert less is not None
         blocks = [reader.deflections(one) for one in reader.spot_blocks()]
     off = []

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from processing.errors import ConfigurationError, RecordError
-from processing.series import Combined
+from processing.series import CombinedValue
 from rig.analysis import Series, encoded
 from rig.analysis.result_rows import series_rows
 from rig.report.comparison import compare
@@ -31,7 +31,7 @@ def session(folder: Path, changed: str = "", by: float = 0.0) -> Path:
             "runs": [{"value": middle, "standard_uncertainty": 1.7 * u}] * 3,
         }  # fmt: skip
     folder.mkdir()
-    combined = {name: Combined(**{**item, "runs": ()}) for name, item in exact.items()}
+    combined = {name: CombinedValue(**{**item, "runs": ()}) for name, item in exact.items()}
     table = encoded(Series(table=series_rows(combined, {}, paper_pair("steel")[1])))["table"]
     series = {"exact": exact, "table": table}
     tree = {"schema": 1, "runs": [{"record": f"run-{k}.mcap"} for k in (1, 2, 3)], "series": series}

@@ -8,7 +8,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
-from processing.fit import LEAST_LEFT, Conditions, PlannedRun
+from processing.fit import LEAST_UNEXPLAINED, Conditions, PlannedRun
 from rig.analysis import SessionResults, read_results
 from rig.commands.planning import plan
 from rig.instrument import complete, recorded_configuration
@@ -154,8 +154,8 @@ def test_a_plan_of_a_configuration_has_its_own_witness_and_reference() -> None:
         planned_contact_of_file(VAULT, overrides, None, None).conditions
         for overrides in ((), ("witness.kind='none'",))
     )
-    assert bare.witness_noise is None
-    assert both.witness_noise == pytest.approx(LEAST_LEFT, rel=0.2)
+    assert bare.seismometer_noise is None
+    assert both.seismometer_noise == pytest.approx(LEAST_UNEXPLAINED, rel=0.2)
     assert both.unknown_rad_per_s2_rthz < 0.03 * bare.unknown_rad_per_s2_rthz
     # the air that the reference takes off does not bend the swing
     plain = ("simulation.reference.relative=0", "simulation.disturbances.air_arcsec=0.1")
@@ -167,10 +167,10 @@ def test_a_plan_of_a_configuration_has_its_own_witness_and_reference() -> None:
 def test_a_witness_that_hears_itself_more_than_the_ground_is_planned_so() -> None:
     noisy = ("simulation.witness.noise_m_per_s2_per_sqrt_hz=2.5e-4",)
     found = planned_contact_of_file(VAULT, noisy, None, None).conditions
-    assert found.witness_noise is not None
-    assert found.witness_noise > 10
+    assert found.seismometer_noise is not None
+    assert found.seismometer_noise > 10
     louder = found.on_ground(100 * found.ground_rad_per_s2_rthz)
-    assert louder.witness_noise == pytest.approx(0.01 * found.witness_noise)
-    assert louder.on_ground(1e9).witness_noise == LEAST_LEFT
+    assert louder.seismometer_noise == pytest.approx(0.01 * found.seismometer_noise)
+    assert louder.on_ground(1e9).seismometer_noise == LEAST_UNEXPLAINED
     unknown = planned_contact_of_file(VAULT, ("witness.kind='serial'", "witness.port='/dev/any'"), None, None)
-    assert unknown.conditions.witness_noise == LEAST_LEFT
+    assert unknown.conditions.seismometer_noise == LEAST_UNEXPLAINED

@@ -14,7 +14,7 @@ from processing.instruments import DEGREE_RAD, SharedError
 from processing.spot import Spot
 from processing.swing import HalfCycle
 from rig.analysis import clock_rate_of, known_drag
-from rig.analysis.air import believed_drifts
+from rig.analysis.air import assumed_drifts
 from rig.analysis.contact_verdicts import base_motion, rig_quantities
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
@@ -61,7 +61,7 @@ def apparatus(config: Configuration) -> Any:
     pendulum = pendulum_on_ball(config)
     assert pendulum is not None
     drag = known_drag(config, AmbientConditions(), pendulum, 4.0)
-    drifts = believed_drifts(config, AmbientConditions())
+    drifts = assumed_drifts(config, AmbientConditions())
     return repr((pendulum, rig_quantities(config), moved, drag, drifts))
 
 
