@@ -42,7 +42,7 @@ def test_a_fit_keeps_the_coordinates_and_one_copy_of_one_of_them(
 ) -> None:
     """24 bytes a frame; the rest is half-cycles and the chunks' index. The whole table would be 168."""
     # both are long
-    monkeypatch.setattr("rig.analysis.passing_deflections._SHORT", 0)
+    monkeypatch.setattr("rig.analysis.passing_deflections._MOST_IN_MEMORY", 0)
     assert bytes_per_spot(analyse_record, records) < 48
 
 
