@@ -29,8 +29,6 @@ from processing.kernel_compiler import byte_locked
 from tests.rig.long_record import make_long_record
 
 ROOT = Path(__file__).parents[2]
-HASTY = {**os.environ, "NUMBA_OPT": "0"}
-"""For processes that compile: what they compile is not asked to be fast."""
 OUTER = """
 from processing.kernel import kernel
 import inner_kernel
@@ -79,12 +77,7 @@ def imported_again() -> ModuleType:
 def printed(folder: Path, program: str) -> str:
     """What another process prints, which finds the kernels of the folder."""
     done = subprocess.run(
-        [sys.executable, "-B", "-c", program],
-        cwd=folder,
-        env=HASTY,
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-B", "-c", program], cwd=folder, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -217,7 +210,6 @@ def test_processes_that_need_a_kernel_at_once_compile_it_once(folder: Path) -> N
         subprocess.Popen(
             [sys.executable, "-B", "-c", AT_ONCE],
             cwd=folder,
-            env=HASTY,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
