@@ -1,5 +1,7 @@
 """The exact fit on ground that moves: an independent integration drives the pendulum."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -110,10 +112,10 @@ def test_with_a_drive_alone_the_residuals_are_errors_of_one_step() -> None:
 
 @pytest.mark.slow
 def test_on_driven_ground_the_truth_lies_within_the_uncertainties() -> None:
-    """A seed each; the full count is the row coverage-ground of docs/validation.md."""
+    """Two seeds each; the full count is the row coverage-ground of docs/validation.md."""
     z = []
     driven = [("glass_k8", 1e-9), ("glass_k8", 1e-8), ("glass_k8", 1e-7), ("silicon", 1e-8), ("steel", 1e-8)]
-    for seed, (flat, q) in enumerate(driven):
+    for seed, (flat, q) in product(range(2), driven):
         parameters, pendulum = paper_pair(flat)
         points = driven_decay(parameters, pendulum, q=q, noise_arcsec=0.005, seed=seed)
         result = fit_exact(points, pendulum, averaged=False)
@@ -127,9 +129,9 @@ def test_on_driven_ground_the_truth_lies_within_the_uncertainties() -> None:
         assert abs(result.chi2_per_dof - 1) < 5 * np.sqrt(2 / result.dof)
         assert result.whiteness is not None
         assert not result.whiteness.correlated
-    # six parameters with about three independent errors: 4 u once in 1,000, and the rms within 4 of its u
+    # six parameters with about three independent errors: 4 u once in 500, and the rms within 4 of its u
     assert np.abs(z).max() < 4.0
-    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(30)
+    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(60)
 
 
 def test_fits_that_see_no_drive_were_wrong_by_many_uncertainties() -> None:

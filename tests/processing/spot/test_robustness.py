@@ -15,7 +15,7 @@ from tests.processing.spot.frames import EIGHT_BIT, errors_px, exposed, light, r
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 Make = Callable[[float, float, np.random.Generator], Image]
 N = 96
-FRAMES = 120
+FRAMES = 250
 
 
 def run(
@@ -58,7 +58,7 @@ def test_three_hot_pixels(cold: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("cold", [False, True])
 def test_clipped_at_four_times_full_scale(cold: bool) -> None:
-    spots, errors = run(lambda x, y, rng: exposed(light((N, N), x, y, 6, 1000), rng), cold=cold, frames=300)
+    spots, errors = run(lambda x, y, rng: exposed(light((N, N), x, y, 6, 1000), rng), cold=cold, frames=600)
     assert all(spot.flags & SpotFlag.SATURATED for spot in spots)
     assert not any(spot.flags & SpotFlag.LOST for spot in spots)
     assert rms_mpx(errors) < 3.2 * (1 + rms_tolerance(errors.size))
