@@ -223,7 +223,7 @@ def test_a_session_whose_pendulum_turns_is_fitted_and_does_not_meet_its_conditio
     words = {
         "simulation.sensor.width_px": "320",
         "session.max_duration_s": "600",
-        "simulation.clock.frame_rate_hz": "12.5",
+        "simulation.clock.frame_rate_hz": "25",
         "simulation.axes.spin_rad_per_s": str(-FAST),
     }
     done = rig("run", DEMONSTRATION, "-o", tmp_path / "out", *set_words(words))
