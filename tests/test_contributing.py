@@ -1,5 +1,6 @@
 """The worked examples of docs/extending.md run in a copy of the tree, one after the other."""
 
+import json
 import os
 import re
 import shlex
@@ -7,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from processing.units import ARCSEC_RAD
 from tests.rig.command_line import SMALL, set_words
 from tests.rig.view.rrd_contents import measured
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("rig", "acquisition", "calibration", "processing", "tests", "configs")
 BLOCK = re.compile(r"^```(\w+)(?: ([^\n]+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -59,36 +61,81 @@ def put(copy: Path, place: str, content: str) -> None:
     path.write_text("".join(lines), encoding="utf-8")
 
 
-def run(tree: Path, command: str) -> str:
-    """The output of a command in the copy; the demonstration has small frames."""
-    program, *words = shlex.split(command)
-    assert program in ("rig", "pytest"), command
-    words += set_words(SMALL) if words[:2] == ["run", "configs/demo.toml"] else []
-    environment = {**os.environ, "PYTHONPATH": str(tree), "COLUMNS": "200"}
-    done = subprocess.run(
-        [sys.executable, "-m", program, *words],
+def commands(title: str) -> list[str]:
+    """The command lines of an example."""
+    blocks = BLOCK.findall(examples()[title])
+    return [line for kind, _, content in blocks if kind == "sh" for line in content.splitlines()]
+
+
+BESIDE = "rig camera show laser.toml"
+"""The configuration that an example shows beside its commands."""
+PROGRAM = """
+import contextlib, io, json, sys
+from pathlib import Path
+import pytest
+from acquisition.record.reader import RecordReader
+from tests.rig.command_line import rig
+
+def ran(program, *words):
+    if program == "rig":
+        one = rig(*words)
+        return one.returncode, one.stdout, one.stderr
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        status = int(pytest.main(list(words)))
+    return status, out.getvalue(), ""
+
+done = [ran(*words) for words in json.load(sys.stdin)]
+with RecordReader(Path("balance.mcap")) as record:
+    distances_rad = record.table("/balance")["rest_distance_rad"].tolist()
+print(json.dumps([done, distances_rad]))
+"""
+"""Commands one after the other: a process for each would spend most of its time on imports.
+
+Who reads a record has the fields of the version that wrote it.
+"""
+
+
+class Ran(NamedTuple):
+    """Exit status, output and errors of every command; what the record of the balance has of its quantity."""
+
+    by_line: dict[str, tuple[int, str, str]]
+    distances_rad: list[float]
+
+    def said(self, title: str) -> dict[str, str]:
+        """What the commands of an example printed, of which none failed."""
+        return {line: self.output(line) for line in commands(title)}
+
+    def output(self, line: str) -> str:
+        """What a command printed, which did not fail."""
+        status, out, errors = self.by_line[line]
+        assert status == 0, f"{line}\n{out[-2000:]}\n{errors[-2000:]}"
+        return out
+
+
+@pytest.fixture(scope="module")
+def ran(tree: Path) -> Ran:
+    """All commands of the page in the copy; the demonstration has small frames."""
+    lines = [*(line for title in examples() for line in commands(title)), BESIDE]
+    words = [shlex.split(line) for line in lines]
+    assert {program for program, *_ in words} == {"rig", "pytest"}
+    small = set_words(SMALL)
+    process = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
         cwd=tree,
-        env=environment,
+        env={**os.environ, "PYTHONPATH": str(tree), "COLUMNS": "200"},
         capture_output=True,
         text=True,
-        stdin=subprocess.DEVNULL,
-        timeout=600,
+        input=json.dumps([[*line, *(small if "configs/demo.toml" in line else [])] for line in words]),
+        timeout=590,
         check=False,
     )
-    assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
-    return done.stdout
+    assert process.returncode == 0, process.stderr[-2000:]
+    done, distances_rad = json.loads(process.stdout.splitlines()[-1])
+    return Ran(dict(zip(lines, done, strict=True)), distances_rad)
 
 
-def run_all(tree: Path, title: str) -> dict[str, str]:
-    """Output of every command of an example."""
-    blocks = BLOCK.findall(examples()[title])
-    lines = [line for kind, _, content in blocks if kind == "sh" for line in content.splitlines()]
-    assert lines, f"{title}: has no commands"
-    return {line: run(tree, line) for line in lines}
-
-
-def test_a_camera_is_found_and_delivers_frames(tree: Path) -> None:
-    said = run_all(tree, "Adding a camera")
+def test_a_camera_is_found_and_delivers_frames(ran: Ran) -> None:
+    said = ran.said("Adding a camera")
     assert "swinging_spot  Swinging spot  serial SW-1" in said["rig doctor"]
     assert "camera.frame_rate_hz = 40.0" in said["rig camera show swinging-spot.toml"]
     assert re.search(r"/spot +8\d\d\n", said["rig record info swinging-spot.mcap"])
@@ -96,55 +143,35 @@ def test_a_camera_is_found_and_delivers_frames(tree: Path) -> None:
     assert re.search(r"\b1\d passed", tested), tested
 
 
-def test_a_laser_passes_the_tests_of_lasers(tree: Path) -> None:
-    said = run_all(tree, "Adding a laser")
-    (tested,) = said.values()
+def test_a_laser_passes_the_tests_of_lasers(ran: Ran) -> None:
+    (tested,) = ran.said("Adding a laser").values()
     assert re.search(r"\b1\d passed", tested), tested
-    run(tree, "rig camera show laser.toml")
+    ran.output(BESIDE)
 
 
-def test_a_quantity_of_the_results_stands_in_every_file(tree: Path) -> None:
-    said = run_all(tree, "Adding a quantity of the results")
+def test_a_quantity_of_the_results_stands_in_every_file(tree: Path, ran: Ran) -> None:
+    said = ran.said("Adding a quantity of the results")
     assert "1 passed" in said["pytest tests/processing/fit/test_mean_pressure.py"]
     rows = (tree / "runs/pressure-csv/run-1-table.csv").read_text(encoding="utf-8").splitlines()
     (line,) = [row for row in rows if row.startswith('"mean_pressure_pa","exact",')]
     assert '"determined","Pa"' in line
 
 
-RECORDED = """
-from pathlib import Path
-from acquisition.record.reader import RecordReader
-with RecordReader(Path("balance.mcap")) as record:
-    print(*record.table("/balance")["rest_distance_rad"].tolist())
-"""
-"""Who reads a record has the fields of the version that wrote it."""
-
-
-def test_a_quantity_of_the_balance_is_recorded_and_drawn(tree: Path) -> None:
-    run_all(tree, "Adding a quantity of the balance")
-    said = subprocess.run(
-        [sys.executable, "-c", RECORDED],
-        cwd=tree,
-        env={**os.environ, "PYTHONPATH": str(tree)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    recorded = np.array([float(word) for word in said.stdout.split()])
+def test_a_quantity_of_the_balance_is_recorded_and_drawn(tree: Path, ran: Ran) -> None:
+    assert ran.said("Adding a quantity of the balance")
+    recorded = np.array(ran.distances_rad)
     times_s, shown, _ = measured(tree / "balance.rrd", "/balance/rest_distance")
     assert len(times_s) == len(recorded) > 3
     assert shown == pytest.approx(recorded / ARCSEC_RAD)
 
 
-def test_a_term_of_the_fit_has_its_line_in_the_budget(tree: Path) -> None:
-    said = run_all(tree, "Adding a term of the fit")
+def test_a_term_of_the_fit_has_its_line_in_the_budget(tree: Path, ran: Ran) -> None:
+    said = ran.said("Adding a term of the fit")
     assert "1 passed" in said["pytest tests/processing/fit/test_thermal_scale.py"]
     results = (tree / "runs/warming/results.json").read_text(encoding="utf-8")
     assert '"thermal_scale"' in results
 
 
-def test_a_law_is_fitted(tree: Path) -> None:
-    said = run_all(tree, "Adding a law of the contact")
-    (tested,) = said.values()
+def test_a_law_is_fitted(ran: Ran) -> None:
+    (tested,) = ran.said("Adding a law of the contact").values()
     assert re.search(r"\b[3-9] passed|\b\d\d passed", tested), tested

@@ -30,7 +30,7 @@ DOCUMENTS = [
     *sorted((ROOT / "docs" / "reference").glob("*.md")),
 ]
 SHORT = set_words(
-    {key: value for key, value in SMALL.items() if key != "view.file"} | {"session.max_duration_s": "70"}
+    {key: value for key, value in SMALL.items() if key != "view.file"} | {"session.max_duration_s": "40"}
 )
 
 
@@ -65,12 +65,12 @@ def test_commands_that_are_named_exist() -> None:
 
 def test_options_that_are_shown_exist() -> None:
     """Of every command line in the documents, also of those that need an instrument."""
-    shown = 0
+    shown, program = 0, typer.main.get_command(app)
     for document in DOCUMENTS:
         text = document.read_text(encoding="utf-8")
         for line in re.findall(r"^(?: {4,7})?(?:\$ )?(?:sudo )?(rig [a-z].*)$", text, re.MULTILINE):
             words = shlex.split(line, comments=True)[1:]
-            command: Any = typer.main.get_command(app)
+            command: Any = program
             while inner := getattr(command, "commands", {}):
                 assert words[0] in inner, f"{document.name}: {line}"
                 command = inner[words.pop(0)]

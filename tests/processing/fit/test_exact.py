@@ -29,8 +29,7 @@ def test_asymptotic_fit_has_its_known_bias(flat: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drag_s", [0.0, 1e-3])
-@pytest.mark.parametrize("flat", PAIRS)
+@pytest.mark.parametrize(("flat", "drag_s"), [*((flat, 0.0) for flat in PAIRS), ("silicon", 1e-3)])
 def test_exact_fit_returns_the_truth_without_noise(flat: str, drag_s: float) -> None:
     parameters, pendulum = paper_pair(flat, drag_s)
     points = decay(parameters, pendulum, noise_arcsec=0.0005, seed=0, noise_free=True)
@@ -44,8 +43,13 @@ def test_exact_fit_returns_the_truth_without_noise(flat: str, drag_s: float) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise_arcsec", [0.0005, 0.005, 0.05, 0.5])
-@pytest.mark.parametrize("flat", PAIRS)
+@pytest.mark.parametrize(
+    ("flat", "noise_arcsec"),
+    [
+        *(("glass_k8", 0.0005), ("silicon", 0.005), ("steel", 0.05)),
+        *((flat, 0.5) for flat in PAIRS),
+    ],
+)
 def test_exact_fit_is_within_its_uncertainty(flat: str, noise_arcsec: float) -> None:
     parameters, pendulum = paper_pair(flat)
     points = decay(parameters, pendulum, noise_arcsec=noise_arcsec, seed=20)
@@ -63,17 +67,13 @@ def test_exact_fit_is_within_its_uncertainty(flat: str, noise_arcsec: float) -> 
     assert np.all(np.abs(result.correlation) <= 1 + 1e-9)
 
 
-@pytest.mark.parametrize(
-    ("flat", "limits"), [("glass_k8", (0.5, 3)), ("silicon", (0.5, 3)), ("steel", (0.5, 3))]
-)
-def test_at_the_rigs_noise_the_parameters_are_known_to_per_mille(
-    flat: str, limits: tuple[float, float]
-) -> None:
+@pytest.mark.parametrize("flat", PAIRS)
+def test_at_the_rigs_noise_the_parameters_are_known_to_per_mille(flat: str) -> None:
     parameters, pendulum = paper_pair(flat)
     result = fit_exact(decay(parameters, pendulum, noise_arcsec=0.005, seed=4), pendulum)
     for name in PAPER.names():
         error = 100 * abs(result.estimate(name).value / getattr(parameters, name) - 1)
-        assert error < (limits[1] if name == "c" else limits[0]), name
+        assert error < (3 if name == "c" else 0.5), name
 
 
 def random_contact(seed: int) -> tuple[ContactParameters, float]:
@@ -179,8 +179,7 @@ def test_where_the_model_does_not_describe_the_decay_it_says_so() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("loss", ["soft_l1", "huber", "cauchy"])
-def test_robust_loss_lists_and_outlives_outliers(loss: str) -> None:
+def test_robust_losses_list_and_outlive_outliers() -> None:
     parameters, pendulum = paper_pair("silicon")
     points = decay(parameters, pendulum, noise_arcsec=0.005, seed=6)
     rng = np.random.default_rng(2)
@@ -188,14 +187,15 @@ def test_robust_loss_lists_and_outlives_outliers(loss: str) -> None:
     amplitude = points.amplitude.copy()
     amplitude[struck] += 60 * points.u_amplitude[struck] * rng.choice([-1, 1], 20)
     spoilt = TurningPoints(points.index, points.time_s, points.u_time_s, amplitude, points.u_amplitude)
-    robust = fit_exact(spoilt, pendulum, loss=loss)  # type: ignore[arg-type]
-    assert set(struck.tolist()) <= set(robust.outliers)
-    assert len(robust.outliers) <= 21
-    pull = (robust.values[:6] - truth(parameters, PAPER.names())) / robust.standard_uncertainty[:6]
-    assert np.all(np.abs(pull) < 4)
     plain = fit_exact(spoilt, pendulum)
     assert plain.chi2_per_dof > 5
-    assert np.all(plain.standard_uncertainty[:3] > 2 * robust.standard_uncertainty[:3])
+    for loss in ("soft_l1", "huber", "cauchy"):
+        robust = fit_exact(spoilt, pendulum, loss=loss)  # type: ignore[arg-type]
+        assert set(struck.tolist()) <= set(robust.outliers), loss
+        assert len(robust.outliers) <= 21, loss
+        pull = (robust.values[:6] - truth(parameters, PAPER.names())) / robust.standard_uncertainty[:6]
+        assert np.all(np.abs(pull) < 4), loss
+        assert np.all(plain.standard_uncertainty[:3] > 2 * robust.standard_uncertainty[:3]), loss
 
 
 def test_mean_period_is_known_where_period0_is_not() -> None:

@@ -1,5 +1,7 @@
 """The exact fit on ground that moves: an independent integration drives the pendulum."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -109,15 +111,12 @@ def test_with_a_drive_alone_the_residuals_are_errors_of_one_step() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("flat", "q"),
-    [("glass_k8", 1e-9), ("glass_k8", 1e-8), ("glass_k8", 1e-7), ("silicon", 1e-8), ("steel", 1e-8)],
-)
-def test_on_driven_ground_the_truth_lies_within_the_uncertainties(flat: str, q: float) -> None:
-    """Three seeds; the full count is the benchmark's."""
-    parameters, pendulum = paper_pair(flat)
+def test_on_driven_ground_the_truth_lies_within_the_uncertainties() -> None:
+    """Two seeds each; the full count is the row coverage-ground of docs/validation.md."""
     z = []
-    for seed in range(3):
+    driven = [("glass_k8", 1e-9), ("glass_k8", 1e-8), ("glass_k8", 1e-7), ("silicon", 1e-8), ("steel", 1e-8)]
+    for seed, (flat, q) in product(range(2), driven):
+        parameters, pendulum = paper_pair(flat)
         points = driven_decay(parameters, pendulum, q=q, noise_arcsec=0.005, seed=seed)
         result = fit_exact(points, pendulum, averaged=False)
         z.append(pulls(result, parameters))
@@ -130,9 +129,9 @@ def test_on_driven_ground_the_truth_lies_within_the_uncertainties(flat: str, q: 
         assert abs(result.chi2_per_dof - 1) < 5 * np.sqrt(2 / result.dof)
         assert result.whiteness is not None
         assert not result.whiteness.correlated
-    # six parameters with about three independent errors: 4 u once in 5,000, and the rms within 4 of its u
+    # six parameters with about three independent errors: 4 u once in 500, and the rms within 4 of its u
     assert np.abs(z).max() < 4.0
-    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(18)
+    assert np.sqrt(np.mean(np.square(z))) < 1 + 4 / np.sqrt(60)
 
 
 def test_fits_that_see_no_drive_were_wrong_by_many_uncertainties() -> None:
@@ -151,7 +150,7 @@ def test_eqs_5_and_6_state_the_scatter_that_the_drive_gives() -> None:
     parameters, pendulum = paper_pair("glass_k8")
     values, stated = [], []
     for seed in range(8):
-        points = driven_decay(parameters, pendulum, q=3e-8, noise_arcsec=0.005, seed=seed, last_arcsec=5)
+        points = driven_decay(parameters, pendulum, q=3e-8, noise_arcsec=0.005, seed=seed, last_arcsec=20)
         exact = fit_exact(points, pendulum, averaged=False)
         result = fit_asymptotic(points, pendulum, exact=exact)
         values.append(result.values[:SIX])

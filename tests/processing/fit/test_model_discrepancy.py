@@ -104,10 +104,10 @@ def test_a_true_law_costs_nothing() -> None:
 
 @pytest.mark.slow
 def test_what_every_run_lacks_is_not_averaged_away() -> None:
-    runs = [not_described(OTHER_AIR, seed) for seed in (1, 2)]
-    fits = [with_discrepancy(LinearisedFit.of(points, PENDULUM, fit)) for points, fit in runs]
-    both = combine_runs(fits).parameters["b"]
-    assert both.standard_uncertainty > 0.95 * min(fit.estimate("b").standard_uncertainty for fit in fits)
+    points, fit = not_described(OTHER_AIR, 1)
+    described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
+    both = combine_runs([described, described]).parameters["b"]
+    assert both.standard_uncertainty > 0.95 * described.estimate("b").standard_uncertainty
 
 
 @pytest.mark.slow

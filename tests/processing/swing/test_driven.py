@@ -52,7 +52,7 @@ def agrees(e: Errors, largest: float) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("contact", ["glass", "silicon", "steel"])
+@pytest.mark.parametrize("contact", ["glass", "steel"])
 def test_a_strong_drive_is_motion_not_vibration(contact: str) -> None:
     """3e-7 rad/s^2/sqrt(Hz): the driven motion is 0.3 arcsec rms, and all swings are above 2 arcsec."""
     record = driven(contact, 3e-7, 1)
@@ -102,8 +102,7 @@ def air(count: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("contact", ["glass", "steel"])
-@pytest.mark.parametrize("q", [0.0, 1e-7])
+@pytest.mark.parametrize(("contact", "q"), [("glass", 1e-7), ("steel", 0.0)])
 def test_air_counts_in_the_uncertainties(contact: str, q: float) -> None:
     record = driven(contact, q, 1, 60.0, 0.0027)
     windy = record.plus(air(len(record.times_ns), 60.0, np.random.default_rng(5)))

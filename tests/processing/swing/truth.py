@@ -1,14 +1,15 @@
 """Decays with known turning points: damped sinusoids and the integrated equation of motion."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
+from processing.contact import ContactParameters, PendulumOnBall
 from processing.swing import HalfCycle, TurningPointDetector
+from tests.processing.fit.driven import driven_path
 
 Floats = NDArray[np.float64]
 ARCSEC_RAD = math.pi / 648000.0
@@ -99,73 +100,37 @@ def contact_decay(
     start_s: float = 0.37,
     hold: bool = False,
 ) -> Record:
-    """Eq. 4 with the moments of Eqs. 1 and 3, integrated from turning point to turning point; in px."""
-    clean = _integrated(contact, half_cycles, first_arcsec, frames_per_s, start_s, hold)
-    count = len(clean.deflection)
-    deflection = clean.deflection
+    """Eq. 4 with the moments of Eqs. 1 and 3, integrated, in px; held before `start_s`, a whole frame."""
+    times_s, turns_rad, path_rad = _integrated(contact, first_arcsec, frames_per_s)
+    ahead = round(start_s * frames_per_s)
+    turn_time_s = start_s + times_s[: half_cycles + 1]
+    count = math.floor(turn_time_s[-1] * frames_per_s) + 1
+    deflection = PX_PER_RAD * np.concatenate([np.full(ahead, path_rad[0]), path_rad])[:count]
     if rng is not None:
         deflection = deflection + 7.0 + noise * rng.standard_normal(count)
-    u_deflection = np.full(count, noise if noise else 1e-3)
-    return replace(clean, deflection=deflection, u_deflection=u_deflection)
+    whole = Record(
+        np.round(np.arange(count) * (1e9 / frames_per_s)).astype(np.int64),
+        deflection,
+        np.full(count, noise if noise else 1e-3),
+        turn_time_s,
+        PX_PER_RAD * np.abs(turns_rad[: half_cycles + 1]),
+    )
+    return whole if hold else whole.keep(np.arange(count) >= ahead)
 
 
 @cache
-def _integrated(
-    contact: str, half_cycles: int, first_arcsec: float, frames_per_s: float, start_s: float, hold: bool
-) -> Record:
-    """A decay without noise."""
-    b, p, c, n, period0_s, gamma, radius = CONTACTS[contact]
-    rate2 = (2.0 * math.pi / period0_s) ** 2
-    kappa = 2.0 * gamma * radius**2 / (MASS_KG * GRAVITY)
-    times_ns = sample_times_ns(start_s + (half_cycles + 1) * period0_s * 0.53, frames_per_s)
-    t = times_ns * 1e-9
-    phi = np.full(len(t), np.nan)
-    amplitude, side, turn = first_arcsec * ARCSEC_RAD, 1.0, start_s
-    turns, amplitudes = [turn], [amplitude]
-    phi[t < turn] = amplitude
-
-    def motion(_: float, state: Floats) -> list[float]:
-        # in units of the amplitude, from +1 downwards: friction pushes upwards
-        x, v = state
-        size = abs(x) * amplitude
-        elastic = kappa * size ** (n + 1) * (math.pi / 2.0 - BALL_RADIUS_M / radius * size)
-        return [v, rate2 * (-x + (math.copysign(elastic, x) + c + b * size**p) / amplitude)]
-
-    def crosses_zero(_: float, state: Floats) -> float:
-        return float(state[0])
-
-    def turns_back(_: float, state: Floats) -> float:
-        return float(state[1])
-
-    for event, direction in ((crosses_zero, -1), (turns_back, 1)):
-        event.terminal, event.direction = True, direction  # type: ignore[attr-defined]
-    for _ in range(half_cycles):
-        down = solve_ivp(
-            motion, (0.0, period0_s), [1.0, 0.0], "DOP853", events=crosses_zero, dense_output=True,
-            rtol=1e-11, atol=1e-13,
-        )  # fmt: skip
-        zero_s = down.t[-1]
-        up = solve_ivp(
-            motion, (zero_s, period0_s), [0.0, down.y[1, -1]], "DOP853", events=turns_back, dense_output=True,
-            rtol=1e-11, atol=1e-13,
-        )  # fmt: skip
-        end_s = up.t[-1]
-        i, j = np.searchsorted(t, [turn, turn + end_s])
-        local = t[i:j] - turn
-        value = np.where(
-            local < zero_s, down.sol(np.minimum(local, zero_s))[0], up.sol(np.maximum(local, zero_s))[0]
-        )
-        phi[i:j] = side * amplitude * value
-        amplitude, side, turn = -up.y[0, -1] * amplitude, -side, turn + end_s
-        turns.append(turn)
-        amplitudes.append(amplitude)
-    seen = np.isfinite(phi) & ((t >= start_s) | hold)
-    return Record(
-        times_ns[seen],
-        phi[seen] * PX_PER_RAD,
-        np.full(np.count_nonzero(seen), 1e-3),
-        np.array(turns),
-        np.array(amplitudes) * PX_PER_RAD,
+def _integrated(contact: str, first_arcsec: float, frames_per_s: float) -> tuple[Floats, Floats, Floats]:
+    """Turning times (s) and points (rad), and positions (rad) in frames, of a whole decay without noise."""
+    *law, radius_m = CONTACTS[contact]
+    pendulum = PendulumOnBall(MASS_KG, BALL_RADIUS_M, radius_m, GRAVITY)
+    return driven_path(
+        ContactParameters(*law),
+        pendulum,
+        q=0.0,
+        seed=0,
+        first_arcsec=first_arcsec,
+        last_arcsec=1.0,
+        frames_per_s=frames_per_s,
     )
 
 

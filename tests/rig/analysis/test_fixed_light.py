@@ -12,7 +12,7 @@ from tests.rig.command_line import rig, set_words
 TRUE = {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "period0_s": 4.071}
 REFLECTION = {
     "session.max_duration_s": "300",
-    "camera.frame_rate_hz": "25",
+    "camera.frame_rate_hz": "12.5",
     "simulation.reference.relative": "0.03",
     # the spot swings along x 159.5, past y 400
     "simulation.reference.y_px": "400",
@@ -50,7 +50,7 @@ def test_the_parameters_know_nothing_of_a_reflection_of_three_percent(tmp_path: 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_fits_meanwhile")
 def test_without_pixels_the_run_does_not_meet_its_conditions(tmp_path: Path) -> None:
-    run = fitted(tmp_path / "run", **{"record.windows": "false"})
+    run = fitted(tmp_path / "run", **{"record.windows": "false", "camera.frame_rate_hz": "25"})
     said = condition(run)
     assert not said["ok"]
     assert "not taken off" in said["measured"]

@@ -206,9 +206,7 @@ def places(names: Sequence[str]) -> str:
     return "\n".join(["run,time_s,phi_deg", *rows])
 
 
-@pytest.mark.parametrize(
-    ("names", "reference"), [(("1", "2", "3"), 1), (("4", "7", "9"), 4), (("glass", "a", "b"), 1)]
-)
+@pytest.mark.parametrize(("names", "reference"), [(("4", "7", "9"), 4), (("glass", "a", "b"), 1)])
 def test_places_in_one_table_against_its_glass(
     tmp_path: Path, names: Sequence[str], reference: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -273,8 +271,7 @@ def test_a_reference_measured_elsewhere_and_a_clock_that_is_wrong(tmp_path: Path
     assert ratio["standard_uncertainty"] == pytest.approx(math.hypot(2e-3, 2e-3) * true_s / 250.0, rel=0.05)
 
 
-@pytest.mark.parametrize("kind", ["kuznetsov_one", "koenig"])
-@pytest.mark.parametrize("rate_rad_per_s", [2e-3, -4e-3])
+@pytest.mark.parametrize(("kind", "rate_rad_per_s"), [("kuznetsov_one", 2e-3), ("koenig", -4e-3)])
 def test_a_plane_that_turns_in_a_table_of_two_axes(tmp_path: Path, kind: str, rate_rad_per_s: float) -> None:
     """Times along the direction of all positions were up to nine uncertainties too short."""
     table = "\n".join(["time_s,x_deg,y_deg", *decaying(60.0, turning_rad_per_s=rate_rad_per_s)])

@@ -1,5 +1,6 @@
 """Errors of position that are fixed on the sensor are taken off before the laws are fitted."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from processing.swing import HarmonicsWatch, turning_points
 from processing.units import ARCSEC_RAD
 from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swings
 from rig.analysis.air import OPEN_DRAG, evidence_of
+from rig.analysis.contact_fits import RefinedHalfCycles
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results_file import read_results, write_results
 from rig.report.drawing import svg
@@ -23,11 +25,17 @@ def in_blocks(one: Run) -> list[Deflections]:
     return [one.deflections[start : start + 777] for start in range(0, len(one.deflections), 777)]
 
 
-@pytest.mark.slow
-def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
+@cache
+def settled_over_fringes() -> tuple[Run, PassingDeflections, RefinedHalfCycles]:
+    """A run over fringes, its deflections, and what is made of them."""
     one = run(fringes, seed=1)
     passing = PassingDeflections(in_blocks(one), DeflectionUnit.RAD)
-    settled = settled_swings(one.swings, passing, DeflectionUnit.RAD, one.pendulum, FitSettings())
+    return one, passing, settled_swings(one.swings, passing, DeflectionUnit.RAD, one.pendulum, FitSettings())
+
+
+@pytest.mark.slow
+def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
+    one, passing, settled = settled_over_fringes()
     assert settled.position_map is not None
     assert settled.exact is not None
     assert FIXED_PATTERN in settled.exact.terms
@@ -75,13 +83,11 @@ def test_without_structure_nothing_changes_bit_for_bit() -> None:
 @pytest.mark.slow
 def test_the_waveform_is_that_of_the_deflections_without_the_errors() -> None:
     """They change the third harmonic of friction, too, by which contact and air are told apart."""
-    one = run(fringes, seed=1)
-    blocks = in_blocks(one)
-    settled = settled_swings(one.swings, blocks, DeflectionUnit.RAD, one.pendulum, FitSettings())
+    one, _, settled = settled_over_fringes()
     assert settled.position_map is not None
     assert settled.harmonics is not None
     straight, raw = HarmonicsWatch(settled.swings), HarmonicsWatch(one.swings)
-    for block in blocks:
+    for block in in_blocks(one):
         straight.update(settled.position_map.corrected(block))
         raw.update(block)
     third = 1

@@ -19,7 +19,7 @@ DECREMENTS = (0.2, 0.3)
 
 def columns(decrement: float) -> tuple[np.ndarray, np.ndarray]:
     t, y = ring_downs([1.0], [10.0], decrement)
-    return np.round(t[50:], 6), y[50:]
+    return np.round(t[50:1050], 6), y[50:1050]
 
 
 def block(decrement: float, run: str = "", offset_s: float = 0.0) -> list[str]:
@@ -121,9 +121,9 @@ def test_times_that_begin_again_without_a_word_are_refused(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_every_run_of_a_table_gets_a_folder_like_that_of_a_session(tmp_path: Path) -> None:
     path = table(tmp_path, FILES["a column"])
-    done = rig("fit", path, "--unit", "mm", "-o", tmp_path / "out", figures=True)
+    done = rig("fit", path, "--unit", "mm", "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    assert "2 runs, told apart by the column run: 1 (2000 rows), 2 (2000 rows); this is 2" in done.stdout
+    assert "2 runs, told apart by the column run: 1 (1000 rows), 2 (1000 rows); this is 2" in done.stdout
     for number, decrement in enumerate(DECREMENTS, 1):
         value, u = read_results(tmp_path / "out" / f"run-{number}")["log_decrement"]
         assert abs(value - decrement) < 4 * u
@@ -147,9 +147,7 @@ def test_every_run_of_a_table_gets_a_folder_like_that_of_a_session(tmp_path: Pat
 
 def test_a_run_without_a_decay_does_not_keep_the_others_from_theirs(tmp_path: Path) -> None:
     rest = [f"{0.02 * k:.3f},0.0" for k in range(500)]
-    done = rig(
-        "fit", table(tmp_path, [*ONE, "", *rest]), "--unit", "mm", "-o", tmp_path / "out", figures=True
-    )
+    done = rig("fit", table(tmp_path, [*ONE, "", *rest]), "--unit", "mm", "-o", tmp_path / "out")
     assert done.returncode == 1
     assert "not analysed: " in done.stdout
     assert len(read_results(tmp_path / "out" / "run-1").runs) == 1
@@ -160,9 +158,9 @@ def test_the_films_of_a_folder_are_runs(tmp_path: Path) -> None:
     films = tmp_path / "films"
     films.mkdir()
     for name in ("swing10.mkv", "swing9.mkv"):
-        write_film(films / name, swing(count=300), Film())
+        write_film(films / name, swing(count=200), Film())
     (films / "notes.txt").write_text("two swings")
-    done = rig("fit", films, "-o", tmp_path / "out", figures=True)
+    done = rig("fit", films, "-o", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     assert f"{films}: 2 films: swing9.mkv, swing10.mkv" in done.stdout
     results = [read_results(tmp_path / "out" / name) for name in ("swing9", "swing10")]
@@ -170,7 +168,7 @@ def test_the_films_of_a_folder_are_runs(tmp_path: Path) -> None:
     for word in ("2", "swing10", "swing10.mkv"):
         one = rig("fit", films, "--run", word)
         assert one.returncode == 0, one.stderr
-        assert f"{films / 'swing10.mkv'}: 300 samples" in one.stdout
+        assert f"{films / 'swing10.mkv'}: 200 samples" in one.stdout
     refused = rig("fit", films, "--run", "3")
     assert "holds no such film; there are swing9.mkv, swing10.mkv" in refused.stderr
     assert "leave the option out" in rig("fit", films / "swing9.mkv", "--run", "1").stderr
