@@ -30,6 +30,14 @@ QUICK: dict[str, str] = {**SMALL, "instrument.kind": '"tomlinson"', "session.max
 """A whole session, from frames to results and report, without the fit of a contact: an eighth of its work."""
 
 
+WITHOUT_FIGURES = """
+from tests.rig.command_line import figures_are_drawn, main
+with figures_are_drawn(False):
+    main()
+"""
+"""The program for `python -c` in the project's folder, with reports as `rig` makes them."""
+
+
 def set_words(values: dict[str, str]) -> list[str]:
     """Options that set these keys of the configuration."""
     return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]

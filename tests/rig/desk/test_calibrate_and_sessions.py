@@ -19,7 +19,7 @@ from tests.rig.desk.desk_page import Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
-SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples" / "series"
+SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples" / "uncalibrated"
 RIG = """
 [session]
 output = "runs"
