@@ -19,6 +19,7 @@ from rig.cli import main
 from rig.report import session_report
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+SAMPLES = Path(__file__).resolve().parent / "data" / "samples"
 SMALL: dict[str, str] = {
     "simulation.sensor.width_px": "160",
     "simulation.sensor.height_px": "640",
