@@ -29,10 +29,9 @@ class Page:
         self.prefer("dark")
 
     def prefer(self, scheme: str) -> None:
-        """The system's preference, dark or light; nothing flashes, which is drawn again and again."""
-        preferences = {"prefers-color-scheme": scheme, "prefers-reduced-motion": "reduce"}
-        features = [{"name": name, "value": value} for name, value in preferences.items()]
-        self.browser.call("Emulation.setEmulatedMedia", features=features)
+        """The system's preference, dark or light."""
+        preference = {"name": "prefers-color-scheme", "value": scheme}
+        self.browser.call("Emulation.setEmulatedMedia", features=[preference])
 
     def open(self, address: str) -> None:
         self.browser.open(address)
@@ -47,15 +46,13 @@ class Page:
         """Until an expression is true; returns its value, of an element that it is there."""
         # what the page hangs on an element may be more than the browser tells by value
         told = f"(() => {{ const found = ({script}); return found instanceof Element || found }})()"
-        deadline_s, pause_s = time.monotonic() + limit_s, 0.05
+        deadline_s = time.monotonic() + limit_s
         while True:
             found = self.ask(f"(() => {{ try {{ return {told} }} catch (e) {{ return null }} }})()")
             if found:
                 return found
             assert time.monotonic() < deadline_s, f"never came true: {script}\n{self.text()}"
-            time.sleep(pause_s)
-            # each look makes the page lay itself out
-            pause_s = min(1.2 * pause_s, 0.5)
+            time.sleep(0.1)
 
     def wait_text(self, text: str, limit_s: float = LIMIT_S) -> None:
         """Until the page shows a text."""

@@ -21,8 +21,8 @@ from rig.analysis.seismometer import recorded_witness
 from rig.instrument import recorded_configuration
 from rig.measure import measure_session
 from rig.settings import load_configuration
-from tests.rig.command_line import QUICK
-from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
+from tests.rig.command_line import CONFIGS, QUICK, SMALL
+from tests.rig.conftest import APPARATUS
 
 GROUND = (
     "session.max_duration_s=200",
