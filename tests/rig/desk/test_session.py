@@ -22,8 +22,9 @@ power_w = 0.0009
 when_dark = "wait"
 [preflight]
 when = "never"
+"""
+NOT_FITTED = """
 [instrument]
-# nothing is fitted while one looks at the desk
 kind = "tomlinson"
 """
 HANDED_OVER = "[...document.querySelectorAll('button')].some(b => b.offsetParent && b.innerText === 'REPORT')"
@@ -113,7 +114,7 @@ def hold_enter(page: Page, until: str) -> None:
 
 @pytest.fixture(scope="module")
 def config(desk_configuration: Callable[[str], Path]) -> Path:
-    return desk_configuration(INTERLOCK)
+    return desk_configuration(INTERLOCK + NOT_FITTED)
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +127,7 @@ def page(config: Path, browser: HeadlessBrowser) -> Iterator[Page]:
 def test_a_session_by_keyboard_alone_in_a_phones_width(page: Page) -> None:
     fits = "document.documentElement.scrollWidth <= 391"
     page.browser.call(
-        "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True
+        "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True
     )
     for panel in "24513":
         page.type(panel)
@@ -155,31 +156,14 @@ def test_a_session_by_keyboard_alone_in_a_phones_width(page: Page) -> None:
     page.browser.call("Emulation.setDeviceMetricsOverride", **SIZE)
 
 
-def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm(
+def test_a_session_that_died_is_resumed_from_its_alarm_and_a_frozen_one_is_stopped(
     page: Page, config: Path
 ) -> None:
-    """By the same keys as one that answers; then killed, and resumed by the button in the alarm."""
+    """Killed, and resumed by the button in the alarm; then stopped by the same keys as one that answers."""
     # hidden, it still has the text of the session before
     measuring = "(a => a.offsetParent && parseFloat(a.innerText) > 50)(document.getElementById('amplitude'))"
     resume = 'document.querySelector(\'[aria-label^="Resume"][aria-label$="that died"]\')'
     page.key("3")
-    page.click("Start …")
-    page.in_dialog()
-    page.wait(measuring)
-    (channel,) = (config.parent / "runs").glob("*/.orders.json")
-    folder = channel.parent
-    os.kill(process_of(folder), signal.SIGSTOP)
-    page.wait_text("Session does not answer")
-    tab_to(page, "Stop the session")
-    page.type("\r")
-    page.wait_text("End its process?")
-    tab_to(page, "Stop it")
-    page.type("\r")
-    page.wait_text("its process ends")
-    page.wait_text("0 of 1 runs complete; terminated")
-    assert states(folder) == ["stopped"]
-    assert not page.ask(f"{resume}.offsetParent"), "a session that was stopped has not died"
-    # another one is killed
     page.click("Start …")
     page.in_dialog()
     page.wait(measuring)
@@ -194,10 +178,17 @@ def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm
     page.wait(measuring)
     assert states(folder)[0] == "interrupted"
     assert not page.ask(f"{resume}.offsetParent"), "one that runs is not to be resumed"
-    page.click("Stop")
-    page.click("Stop it")
-    page.wait(HANDED_OVER, 120.0)
+    os.kill(process_of(folder), signal.SIGSTOP)
+    page.wait_text("Session does not answer")
+    tab_to(page, "Stop the session")
+    page.type("\r")
+    page.wait_text("End its process?")
+    tab_to(page, "Stop it")
+    page.type("\r")
+    page.wait_text("its process ends")
+    page.wait_text("0 of 1 runs complete; terminated")
     assert states(folder) == ["interrupted", "stopped"]
+    assert not page.ask(f"{resume}.offsetParent"), "a session that was stopped has not died"
 
 
 def process_of(folder: Path) -> int:
