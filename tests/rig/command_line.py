@@ -19,6 +19,7 @@ from rig.cli import main
 from rig.report import session_report
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+SAMPLES = Path(__file__).resolve().parent / "data" / "samples"
 SMALL: dict[str, str] = {
     "simulation.sensor.width_px": "160",
     "simulation.sensor.height_px": "640",
@@ -28,6 +29,14 @@ SMALL: dict[str, str] = {
 """A fifth of the demonstration's work a second, the same swing."""
 QUICK: dict[str, str] = {**SMALL, "instrument.kind": '"tomlinson"', "session.max_duration_s": "24"}
 """A whole session, from frames to results and report, without the fit of a contact: an eighth of its work."""
+
+
+WITHOUT_FIGURES = """
+from tests.rig.command_line import figures_are_drawn, main
+with figures_are_drawn(False):
+    main()
+"""
+"""The program for `python -c` in the project's folder, with reports as `rig` makes them."""
 
 
 def set_words(values: dict[str, str]) -> list[str]:

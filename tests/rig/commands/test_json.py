@@ -12,7 +12,7 @@ import pytest
 import typer
 
 from rig.cli import app
-from tests.rig.command_line import CONFIGS, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, SAMPLES, SMALL, rig, set_words
 from tests.rig.commands.wrong_inputs import commands
 
 WITHOUT = {
@@ -88,9 +88,9 @@ def _has_json(command: Any) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
-def test_stdout_is_json_and_nothing_else(name: str, tmp_path: Path, measured_series: Path) -> None:
-    _inputs(name, tmp_path, measured_series)
-    words = shlex.split(RUNS[name].replace("SERIES", str(measured_series)))
+def test_stdout_is_json_and_nothing_else(name: str, tmp_path: Path) -> None:
+    _inputs(name, tmp_path)
+    words = shlex.split(RUNS[name].replace("SERIES", "series"))
     small = set_words({key: value for key, value in SMALL.items() if key != "view.file"})
     done = rig(*words, "--json", *(small if words[0] == "camera" else ()), cwd=tmp_path)
     assert done.returncode in (0, 1), done.stderr
@@ -116,9 +116,10 @@ def test_an_error_leaves_stdout_empty(tmp_path: Path) -> None:
     assert done.stderr.startswith("rig: ")
 
 
-def _inputs(name: str, folder: Path, series: Path) -> None:
+def _inputs(name: str, folder: Path) -> None:
+    shutil.copytree(SAMPLES / "series", folder / "series")
     if name == "compare":
-        shutil.copytree(series, folder / "other")
+        shutil.copytree(SAMPLES / "series", folder / "other")
     if name == "calibrate lever":
         (folder / "geometry.toml").write_text(
             "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n"
@@ -135,13 +136,13 @@ def _inputs(name: str, folder: Path, series: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_lines_of_the_page_run(tmp_path: Path, measured_series: Path) -> None:
+def test_the_lines_of_the_page_run(tmp_path: Path) -> None:
     page = (CONFIGS.parent / "docs" / "scripts.md").read_text(encoding="utf-8")
     lines = [
         line.split()[1:] for line in page.splitlines() if line.startswith("    rig ") and "--json" in line
     ]
     assert len(lines) == 2
     (tmp_path / "runs" / "first").mkdir(parents=True)
-    shutil.copy(measured_series / "run-1.mcap", tmp_path / "runs" / "first")
+    shutil.copy(SAMPLES / "first" / "run-1.mcap", tmp_path / "runs" / "first")
     for words in lines:
         assert json.loads(rig(*words, cwd=tmp_path).stdout)

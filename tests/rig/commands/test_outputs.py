@@ -7,10 +7,9 @@ import pytest
 import typer
 
 from rig.cli import app
-from tests.rig.command_line import CONFIGS, rig
+from tests.rig.command_line import CONFIGS, SAMPLES, rig
 from tests.rig.commands.wrong_inputs import commands
 
-SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 DEMO = str(CONFIGS / "demo.toml")
 NEW_FILES = {
     ("archive", "list"): ("out.csv", "-o"),

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.rig.command_line import CONFIGS, rig
+from tests.rig.command_line import CONFIGS, SAMPLES, rig
 from tests.rig.long_record import make_long_record
 
 DEMO = CONFIGS / "demo.toml"
-DECAY = Path(__file__).parents[1] / "data" / "samples" / "decay.csv"
+DECAY, SERIES = SAMPLES / "decay.csv", SAMPLES / "series"
 SENSOR = "sensor={gain_e_per_dn=1, read_noise_e=1, full_scale_dn=1023}"
 
 
@@ -192,8 +192,8 @@ def test_files_of_calibrations_are_refused_in_our_words(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_path: Path) -> None:
-    record = measured_series / "run-1.mcap"
+def test_a_changed_key_that_nothing_uses_is_refused(tmp_path: Path) -> None:
+    record = SERIES / "run-1.mcap"
     noise = ("--set", "sensor.read_noise_e=40")
     assert "what the tracker takes needs --retrack" in said("replay", record, *noise, cwd=tmp_path)
     assert "--set camera.exposure_us: has no effect here" in said(
@@ -217,14 +217,15 @@ def test_a_changed_key_that_nothing_uses_is_refused(measured_series: Path, tmp_p
 
 
 @pytest.mark.slow
-def test_a_key_that_is_used_is_never_refused(measured_series: Path, tmp_path: Path) -> None:
+def test_a_key_that_is_used_is_never_refused(tmp_path: Path) -> None:
     """The doubt of a shutter's rows is of the fit, its rows themselves of the recorded times."""
-    record = measured_series / "run-1.mcap"
+    record = SERIES / "run-1.mcap"
     doubt, rows = ("--set", "shutter.u_row_time_s=1e-5"), ("--set", "shutter.row_time_s=1e-5")
-    assert rig("fit", record, *doubt, "-o", "doubtful", cwd=tmp_path).returncode == 0
+    for folder, words in (("plain", ()), ("doubtful", doubt)):
+        assert rig("fit", record, *words, "-o", folder, cwd=tmp_path).returncode == 0
     (before, after) = (
-        json.loads((folder / "results.json").read_text())["runs"][0]["budget"]
-        for folder in (measured_series, tmp_path / "doubtful")
+        json.loads((tmp_path / folder / "results.json").read_text())["runs"][0]["budget"]
+        for folder in ("plain", "doubtful")
     )
     assert before != after
     assert "--set shutter.row_time_s: has no effect here" in said("fit", record, *rows, cwd=tmp_path)

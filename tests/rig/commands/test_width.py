@@ -10,7 +10,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from rig.presentation import Table, Verdict, print_line, print_tables, print_verdicts
-from tests.rig.command_line import CONFIGS, SMALL, set_words
+from tests.rig.command_line import CONFIGS, SAMPLES, SMALL, set_words
 from tests.rig.pseudo_terminal import rig_at_terminal
 
 WIDTH = 80
@@ -42,15 +42,13 @@ TURN = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SCREENS)
-def test_every_line_fits(
-    name: str, tmp_path: Path, measured_series: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_line_fits(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.delenv("COLUMNS", raising=False)
-    shutil.copytree(measured_series, tmp_path / "series")
+    shutil.copytree(SAMPLES / "series", tmp_path / "series")
     if "other" in SCREENS[name]:
-        shutil.copytree(measured_series, tmp_path / "other")
+        shutil.copytree(SAMPLES / "series", tmp_path / "other")
     (tmp_path / "turns.jsonl").write_text(TURN)
     (tmp_path / "geometry.toml").write_text(
         "[geometry]\narm_m = 1.0\nu_arm_m = 0.001\npixel_pitch_m = 4.8e-6\nu_pixel_pitch_m = 1e-9\n"

@@ -16,7 +16,7 @@ output = "OUTPUT"
 max_duration_s = 600.0
 [camera]
 driver = "simulated"
-frame_rate_hz = 50
+frame_rate_hz = 25
 [view]
 file = false
 [start]

@@ -11,11 +11,11 @@ import pytest
 
 from rig.archive import add_folders
 from rig.devices import OrderSocket, SessionNews
+from tests.rig.command_line import SAMPLES
 from tests.rig.desk.desk_page import DeskProcess, Page
 from tests.rig.desk.test_theme import themes
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
-SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 PACKAGE = "axe-core@4.10.3"
 PANELS = {"1": "Rig", "2": "Balance", "3": "Measure", "4": "Calibrate", "5": "Runs"}
 Shown = tuple[DeskProcess, Page]

@@ -15,11 +15,11 @@ from calibration import read_calibration
 from rig.desk.sessions import SessionIndex, served_file
 from rig.measure.session_file import RunState, SessionFile
 from rig.settings import load_configuration
+from tests.rig.command_line import SAMPLES
 from tests.rig.desk.desk_page import Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
-SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples" / "series"
 RIG = """
 [session]
 output = "runs"
@@ -27,7 +27,7 @@ sample = "steel on K8"
 operator = "A. Person"
 [camera]
 driver = "simulated"
-frame_rate_hz = 50
+frame_rate_hz = 25
 exposure_us = 100.0
 [view]
 file = false
@@ -35,6 +35,7 @@ file = false
 max_duration_s = 4
 [simulation.sensor]
 width_px = 160
+height_px = 640
 [simulation.release]
 way = "by command"
 [simulation.fast]
@@ -47,7 +48,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a rig at rest, a session that was made, and one that was interrupted."""
     place = tmp_path_factory.mktemp("desk")
     (place / "rig.toml").write_text(RIG, encoding="utf-8")
-    shutil.copytree(SAMPLES, place / "runs" / "older")
+    shutil.copytree(SAMPLES / "first", place / "runs" / "older")
     config = load_configuration(place / "rig.toml").model_dump(mode="json")
     broken = place / "runs" / "broken"
     broken.mkdir()

@@ -35,6 +35,9 @@ power_w = 0.0009
 when_dark = "wait"
 [preflight]
 when = "never"
+[instrument]
+# nothing is fitted while one looks at the desk
+kind = "tomlinson"
 """
 Rig = tuple[BoardProcess, DeskProcess, Page, Path]
 

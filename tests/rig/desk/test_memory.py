@@ -25,12 +25,12 @@ from tests.rig.view.headless_browser import HeadlessBrowser
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 ROOT = Path(__file__).resolve().parents[3]
-HALF_S, RATE_HZ = 1.2, 5.0
+HALF_S, RATE_HZ = 1.2, 2.0
 FULL_AFTER_S, LATER_S = 3600.0, 14_400.0
 """The run goes on from one hour to four."""
 MORE = 8000
 """Objects by which two counts may differ. A count has some 240,000; NiceGUI keeps messages for 48 s. Of
-9,000 half-cycles and 54,000 frames between the two none may stay."""
+9,000 half-cycles, 21,600 frames and 18,000 points of fits between the two none may stay."""
 
 
 class ToldRun:
@@ -71,7 +71,7 @@ class ToldRun:
         self.record.write_spots(numbers, at, at, [row] * len(at), moved)
         for swing in swings:
             self.record.write_swing(swing)
-        of = range(0, self._swings, -(-self._swings // 300))
+        of = range(0, self._swings, -(-self._swings // 100))
         at_ns, few = [int(k * HALF_S * 1e9) for k in of], self._random.normal(size=len(of)).tolist()
         end_ns = int(end_s * 1e9)
         estimates = {key: float(self._random.normal(1.0, 0.1)) for key in ("b", "p", "c")}

@@ -3,12 +3,12 @@
 import json
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.rig.desk.desk_page import DeskProcess, Page, desk_page
+from tests.rig.desk.desk_page import SIZE, DeskProcess, Page, desk_page
 from tests.rig.view.headless_browser import HeadlessBrowser
 
 INTERLOCK = """
@@ -23,6 +23,10 @@ when_dark = "wait"
 [preflight]
 when = "never"
 """
+NOT_FITTED = """
+[instrument]
+kind = "tomlinson"
+"""
 HANDED_OVER = "[...document.querySelectorAll('button')].some(b => b.offsetParent && b.innerText === 'REPORT')"
 OPENS = """
 [faults]
@@ -31,8 +35,9 @@ interlock_open_for_s = 1.5
 """
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(300)
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+
+
 def test_a_session_from_align_to_report_with_a_trip_and_a_desk_that_is_killed(
     desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
 ) -> None:
@@ -107,89 +112,83 @@ def hold_enter(page: Page, until: str) -> None:
     page.browser.call("Input.dispatchKeyEvent", type="keyUp", **enter)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_a_session_by_keyboard_alone_in_a_phones_width(
-    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
-) -> None:
+@pytest.fixture(scope="module")
+def config(desk_configuration: Callable[[str], Path]) -> Path:
+    return desk_configuration(INTERLOCK + NOT_FITTED)
+
+
+@pytest.fixture(scope="module")
+def page(config: Path, browser: HeadlessBrowser) -> Iterator[Page]:
+    """The page of one desk for sessions one after the other."""
+    with desk_page(browser, config) as (_, opened):
+        yield opened
+
+
+def test_a_session_by_keyboard_alone_in_a_phones_width(page: Page) -> None:
     fits = "document.documentElement.scrollWidth <= 391"
-    with desk_page(browser, desk_configuration(INTERLOCK)) as (_, page):
-        page.browser.call(
-            "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True
-        )
-        for panel in "24513":
-            page.type(panel)
-            page.wait(fits, 10.0)
-        page.wait("document.querySelector('[data-key=\"session.notes\"]').offsetParent !== null")
-        tab_to(page, "notes")
-        page.type("by keys")
-        tab_to(page, "Start … a session")
-        page.type("\r")
-        page.wait("document.querySelector('.q-dialog [data-deliberate]') !== null")
-        tab_to(page, "Start the session")
-        page.type("\r")
-        assert "session is starting" not in page.text(), "a key that is only pressed starts nothing"
-        hold_enter(page, "document.querySelector('.q-dialog [data-deliberate]') === null")
-        page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
-        page.wait(fits)
-        tab_to(page, "Stop the session")
-        page.type("\r")
-        page.wait_text("nothing is lost")
-        tab_to(page, "Stop it")
-        page.type("\r")
-        page.wait(HANDED_OVER, 120.0)
-        page.wait_text("stopped")
-        page.wait(fits)
-        tab_to(page, "Report")
+    page.browser.call(
+        "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True
+    )
+    for panel in "24513":
+        page.type(panel)
+        page.wait(fits, 10.0)
+    page.wait("document.querySelector('[data-key=\"session.notes\"]').offsetParent !== null")
+    tab_to(page, "notes")
+    page.type("by keys")
+    tab_to(page, "Start … a session")
+    page.type("\r")
+    page.wait("document.querySelector('.q-dialog [data-deliberate]') !== null")
+    tab_to(page, "Start the session")
+    page.type("\r")
+    assert "session is starting" not in page.text(), "a key that is only pressed starts nothing"
+    hold_enter(page, "document.querySelector('.q-dialog [data-deliberate]') === null")
+    page.wait("parseFloat(document.getElementById('amplitude').innerText) > 50")
+    page.wait(fits)
+    tab_to(page, "Stop the session")
+    page.type("\r")
+    page.wait_text("nothing is lost")
+    tab_to(page, "Stop it")
+    page.type("\r")
+    page.wait(HANDED_OVER, 120.0)
+    page.wait_text("stopped")
+    page.wait(fits)
+    tab_to(page, "Report")
+    page.browser.call("Emulation.setDeviceMetricsOverride", **SIZE)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_a_frozen_session_is_stopped_and_one_that_died_is_resumed_from_its_alarm(
-    desk_configuration: Callable[[str], Path], browser: HeadlessBrowser
+def test_a_session_that_died_is_resumed_from_its_alarm_and_a_frozen_one_is_stopped(
+    page: Page, config: Path
 ) -> None:
-    """By the same keys as one that answers; then killed, and resumed by the button in the alarm."""
-    config = desk_configuration(INTERLOCK)
+    """Killed, and resumed by the button in the alarm; then stopped by the same keys as one that answers."""
     # hidden, it still has the text of the session before
     measuring = "(a => a.offsetParent && parseFloat(a.innerText) > 50)(document.getElementById('amplitude'))"
     resume = 'document.querySelector(\'[aria-label^="Resume"][aria-label$="that died"]\')'
-    with desk_page(browser, config) as (_, page):
-        page.key("3")
-        page.click("Start …")
-        page.in_dialog()
-        page.wait(measuring)
-        (channel,) = (config.parent / "runs").glob("*/.orders.json")
-        folder = channel.parent
-        os.kill(process_of(folder), signal.SIGSTOP)
-        page.wait_text("Session does not answer")
-        tab_to(page, "Stop the session")
-        page.type("\r")
-        page.wait_text("End its process?")
-        tab_to(page, "Stop it")
-        page.type("\r")
-        page.wait_text("its process ends")
-        page.wait_text("0 of 1 runs complete; terminated")
-        assert states(folder) == ["stopped"]
-        assert not page.ask(f"{resume}.offsetParent"), "a session that was stopped has not died"
-        # another one is killed
-        page.click("Start …")
-        page.in_dialog()
-        page.wait(measuring)
-        (channel,) = (config.parent / "runs").glob("*/.orders.json")
-        folder = channel.parent
-        os.kill(process_of(folder), signal.SIGKILL)
-        page.wait_text("Session died")
-        page.wait(f"{resume}.offsetParent !== null")
-        page.ask(f"{resume}.click()")
-        page.wait_text(f"Measure the missing runs of {folder}?")
-        page.in_dialog()
-        page.wait(measuring)
-        assert states(folder)[0] == "interrupted"
-        assert not page.ask(f"{resume}.offsetParent"), "one that runs is not to be resumed"
-        page.click("Stop")
-        page.click("Stop it")
-        page.wait(HANDED_OVER, 120.0)
+    page.key("3")
+    page.click("Start …")
+    page.in_dialog()
+    page.wait(measuring)
+    (channel,) = (config.parent / "runs").glob("*/.orders.json")
+    folder = channel.parent
+    os.kill(process_of(folder), signal.SIGKILL)
+    page.wait_text("Session died")
+    page.wait(f"{resume}.offsetParent !== null")
+    page.ask(f"{resume}.click()")
+    page.wait_text(f"Measure the missing runs of {folder}?")
+    page.in_dialog()
+    page.wait(measuring)
+    assert states(folder)[0] == "interrupted"
+    assert not page.ask(f"{resume}.offsetParent"), "one that runs is not to be resumed"
+    os.kill(process_of(folder), signal.SIGSTOP)
+    page.wait_text("Session does not answer")
+    tab_to(page, "Stop the session")
+    page.type("\r")
+    page.wait_text("End its process?")
+    tab_to(page, "Stop it")
+    page.type("\r")
+    page.wait_text("its process ends")
+    page.wait_text("0 of 1 runs complete; terminated")
     assert states(folder) == ["interrupted", "stopped"]
+    assert not page.ask(f"{resume}.offsetParent"), "a session that was stopped has not died"
 
 
 def process_of(folder: Path) -> int:

@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.swing import HalfCycleFlag
-from tests.rig.command_line import CONFIGS, QUICK, Done, events_of, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, WITHOUT_FIGURES, Done, events_of, rig, set_words
 
 
 def run_with(folder: Path, **faults: str) -> Done:
@@ -95,9 +95,8 @@ def test_a_stalled_camera_ends_the_run_with_that_reason_and_the_record_is_whole(
 def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_path: Path) -> None:
     # a limit on the size of files stands for the disk's end; whole frames fill it soon
     script = (
-        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (4_500_000, 4_500_000)); "
-        "from rig.cli import main; main()"
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4_500_000, 4_500_000))" + WITHOUT_FIGURES
     )
     folder = tmp_path / "out"
     done = subprocess.run(
@@ -115,7 +114,7 @@ def test_a_full_disk_ends_the_run_with_that_reason_and_the_record_is_whole(tmp_p
                     **QUICK,
                     "session.max_duration_s": "1e5",
                     "session.final_amplitude_arcsec": "0.01",
-                    "record.full_frame_interval_s": "0.2",
+                    "record.full_frame_interval_s": "0.05",
                 }
             ),
         ],

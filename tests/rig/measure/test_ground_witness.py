@@ -21,8 +21,8 @@ from rig.analysis.seismometer import recorded_witness
 from rig.instrument import recorded_configuration
 from rig.measure import measure_session
 from rig.settings import load_configuration
-from tests.rig.command_line import QUICK
-from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
+from tests.rig.command_line import CONFIGS, QUICK, SMALL
+from tests.rig.conftest import APPARATUS
 
 GROUND = (
     "session.max_duration_s=200",
@@ -41,8 +41,11 @@ def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of one run on ground that shakes, with a witness of it."""
     folder = tmp_path_factory.mktemp("vault") / "run"
     source = CONFIGS / "demo.toml"
-    wanted = (*(f"{key}={value}" for key, value in SMALL.items()), *APPARATUS, *GROUND)
-    assert measure_session(load_configuration(source, wanted), source, folder) == 0
+    slower = SMALL | {"camera.frame_rate_hz": "25"}
+    wanted = (*(f"{key}={value}" for key, value in slower.items()), *APPARATUS, *GROUND)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rig.measure.run.live_posterior", lambda _: None)
+        assert measure_session(load_configuration(source, wanted), source, folder) == 0
     return folder
 
 
@@ -55,7 +58,7 @@ def test_its_samples_stand_in_the_record_on_the_clock_of_the_frames(vault: Path)
     assert len(table) == pytest.approx(20 * 200, abs=50)
     assert np.all(np.diff(table["time_ns"]) == 50_000_000)
     assert 0 <= table["time_ns"][0] - spots["time_ns"][0] < 50_000_000
-    assert 0 <= spots["time_ns"][-1] - table["time_ns"][-1] < 50_000_000 + 64 * 20_000_000
+    assert 0 <= spots["time_ns"][-1] - table["time_ns"][-1] < 50_000_000 + 64 * 40_000_000
     assert np.all(np.isnan(table["third"]))
     assert found is not None
     assert found.names == ("along", "across")

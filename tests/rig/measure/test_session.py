@@ -19,7 +19,7 @@ from acquisition.simulation.true_path import true_turning_points
 from rig.instrument.provenance import frame_shape, recorded_configuration
 from rig.settings import load_configuration
 from rig.view.replay import Replay
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, WITHOUT_FIGURES, rig, set_words
 
 TRUTH = {"b": 37.33e-4, "p": 0.944, "c": 10.51e-9, "n": 0.092, "period0_s": 4.071, "gamma_pa": 28.97e6}
 LIMITS = {"b": 0.05, "p": 0.01, "c": 0.03, "n": 0.005, "period0_s": 0.005, "gamma_pa": 0.005}
@@ -168,7 +168,7 @@ def test_no_spot_at_all_is_recorded_as_such(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> None:
-    words = set_words({**SMALL, "simulation.sensor.height_px": "400", "session.max_duration_s": "60"})
+    words = set_words({**SMALL, "simulation.sensor.height_px": "440", "session.max_duration_s": "40"})
     record = tmp_path / "run.mcap"
     done = rig("run", CONFIGS / "demo.toml", "--record-only", "-o", record, *words)
     assert "Traceback" not in done.stderr
@@ -176,7 +176,7 @@ def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> N
         kinds = [event.kind for event in reader.events()]
         swings = reader.swings()
     assert "spot lost" in kinds
-    # 124 arcsec are 250 px, the sensor ends at 200 px: what is reported must be right all the same
+    # 124 arcsec are 250 px, the sensor ends at 220 px: what is reported must be right all the same
     truth = true_turning_points(load_configuration(CONFIGS / "demo.toml").simulation, max_duration_s=70)
     first_ns = round(1e9 * load_configuration(CONFIGS / "demo.toml").simulation.clock.start_s)
     trusted = [swing for swing in swings if swing.flags == 0]
@@ -191,7 +191,15 @@ def test_a_spot_that_leaves_the_sensor_gives_no_wrong_swing(tmp_path: Path) -> N
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "rig", "run", str(CONFIGS / "demo.toml"), "-o", str(tmp_path / "out")]
+    words = [
+        sys.executable,
+        "-c",
+        WITHOUT_FIGURES,
+        "run",
+        str(CONFIGS / "demo.toml"),
+        "-o",
+        str(tmp_path / "out"),
+    ]
     endless = {
         **QUICK,
         "simulation.real_time": "false",
@@ -220,6 +228,7 @@ def test_ctrl_c_closes_the_record_and_fits_what_there_is(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_fits_meanwhile")
 def test_the_demonstration_finds_the_truth(tmp_path: Path) -> None:
     # a fiftieth of the pixels: every pixel of the demonstration is seen where README is executed
     less = {**SMALL, "camera.frame_rate_hz": "10"}
@@ -255,14 +264,14 @@ def test_a_slow_camera_ends_at_the_time_limit(tmp_path: Path, real_time: bool) -
 
 @pytest.mark.parametrize("rate_hz", [10, 200])
 def test_runs_of_other_rates_end_and_count_every_frame(rate_hz: int, tmp_path: Path) -> None:
-    words = set_words({**QUICK, "camera.frame_rate_hz": str(rate_hz)})
+    words = set_words({**QUICK, "camera.frame_rate_hz": str(rate_hz), "session.max_duration_s": "12"})
     record = tmp_path / "run.mcap"
     done = rig("run", CONFIGS / "basement.toml", "--record-only", "-o", record, *words)
     assert done.returncode == 0, done.stderr
     with RecordReader(record) as reader:
-        assert reader.events()[-1].text == "time limit of 24 s reached"
+        assert reader.events()[-1].text == "time limit of 12 s reached"
         sequences, losses = reader.spots()["sequence"].tolist(), reader.losses()
     # the run ends with a block of frames
-    assert 24 * rate_hz <= len(sequences) <= 24 * rate_hz + 64
+    assert 12 * rate_hz <= len(sequences) <= 12 * rate_hz + 64
     assert losses is None or losses.total == 0
     assert sequences == list(range(len(sequences)))
