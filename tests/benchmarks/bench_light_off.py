@@ -1,0 +1,144 @@
+"""Time from LIGHT OFF, pressed in a browser, to dark on the board's clock; a frozen session, a busy desk.
+
+Run as ``python -m tests.benchmarks light_off [--quick]`` from the repository. The board is a process of its
+own; its clock and the one that is read just before the click are the system's. Of each click on a session the
+session is stopped (SIGSTOP) 0.1 s before, in the second series.
+"""
+
+import json
+import os
+import signal
+import tempfile
+import time
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from processing.errors import RigError
+from rig.devices import OrderConnection
+from tests.rig.desk.board_process import BoardProcess, board_process
+from tests.rig.desk.conftest import RIG
+from tests.rig.desk.desk_page import Page, desk_page
+from tests.rig.desk.test_light_off import SERIAL
+from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser
+
+BUSY_PICTURES = 40
+"""Pictures that the page asks for at once, so that the desk's threads and its loop have all hands full."""
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """All numbers of this topic, in ms."""
+    clicks = 3 if quick else 10
+    results = {}
+    with headless_browser() as browser, tempfile.TemporaryDirectory() as place:
+        for name, frozen, busy in (
+            ("live picture", None, False),
+            ("session, desk busy", False, True),
+            ("session frozen, desk busy", True, True),
+        ):
+            took_ms = _series(browser, Path(place) / name.replace(" ", "-"), clicks, frozen, busy)
+            results[name] = {
+                "clicks": len(took_ms),
+                "median": float(np.median(took_ms)),
+                "largest": max(took_ms),
+            }
+            print(f"{name:<28} {json.dumps(results[name])}", flush=True)
+    return results
+
+
+def _series(
+    browser: HeadlessBrowser, folder: Path, clicks: int, frozen: bool | None, busy: bool
+) -> list[float]:
+    """Clicks on the live picture (`frozen` None) or on a session."""
+    took_ms = []
+    folder.mkdir()
+    # a board may get the port of one before, whose session was killed while it was lit: its rig stays latched
+    os.environ["XDG_STATE_HOME"] = str(folder / "state")
+    with ExitStack() as stack:
+        board = stack.enter_context(board_process())
+        config = folder / "rig.toml"
+        text = RIG.replace("OUTPUT", (folder / "runs").as_posix()) + SERIAL.replace("PORT", board.port)
+        config.write_text(text, encoding="utf-8")
+        _, page = stack.enter_context(desk_page(browser, config))
+        if frozen is None:
+            page.click("Live picture")
+        else:
+            page.key("3")
+            page.click("Start …")
+            page.in_dialog()
+            # it would take the port of the next series' board
+            stack.callback(_signal, folder / "runs", signal.SIGKILL)
+        board.wait_lit(True, 120)
+        for _ in range(clicks):
+            took_ms.append(_clicked(page, board, folder / "runs", bool(frozen), busy))
+            print(f"  {took_ms[-1]:.0f} ms", flush=True)
+            if frozen is None:
+                _lit_again(page, board)
+            else:
+                _ordered_again(folder / "runs", board)
+            board.wait_lit(True, 120)
+    return took_ms
+
+
+def _lit_again(page: Page, board: BoardProcess) -> None:
+    """As a person does it; the simulated camera sees light whatever the board does, so with a new picture."""
+    page.wait_text("LIGHT OFF was pressed")
+    page.click("Stop")
+    page.wait_text("No live picture yet")
+    page.click("Live picture")
+    page.wait_text("nearest edge")
+    seen = "[...document.querySelectorAll('.cries button')].find(b => b.innerText.startsWith('{}'))"
+    again, trip = seen.format("LIGHT AGAIN"), seen.format("ACKNOWLEDGE TRIP")
+    end_s = time.monotonic() + 300.0
+    while not board.lit:
+        assert time.monotonic() < end_s, page.text()
+        # also a trip that comes meanwhile; what moves just when it is clicked is missed
+        if page.ask(f"{trip}?.offsetParent != null"):
+            page.acknowledge()
+        if page.ask(f"{again}?.offsetParent != null"):
+            page.point_at(again)
+        time.sleep(1.0)
+
+
+def _ordered_again(runs: Path, board: BoardProcess) -> None:
+    """Acknowledge and ask for light until there is light: a session that was stopped trips once more."""
+    end_s = time.monotonic() + 120.0
+    with OrderConnection(next(runs.glob("*/.orders.json")).parent) as line:
+        while not board.lit:
+            assert time.monotonic() < end_s, line.news()["safety"]
+            trip = line.news()["safety"]["trip"]
+            with suppress(RigError):
+                if trip is not None:
+                    line.order(f"acknowledge {trip['number']} the benchmark")
+                line.order("light")
+            time.sleep(0.05)
+
+
+def _clicked(page: Page, board: BoardProcess, runs: Path, frozen: bool, busy: bool) -> float:
+    """Milliseconds from the click to dark."""
+    if frozen:
+        _signal(runs, signal.SIGSTOP)
+        time.sleep(0.1)
+    try:
+        if busy:
+            ask = "fetch('/picture?width=1600&height=1200&n=' + n)"
+            page.ask(f"void [...Array({BUSY_PICTURES}).keys()].forEach(n => {ask})")
+        x, y = page.ask(
+            "(r => [r.x + r.width / 2, r.y + r.height / 2])"
+            "(document.getElementById('light-off').getBoundingClientRect())"
+        )
+        pressed_ns = time.monotonic_ns()
+        for kind in ("mousePressed", "mouseReleased"):
+            page.browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        return 1e-6 * (board.wait_lit(False) - pressed_ns)
+    finally:
+        if frozen:
+            _signal(runs, signal.SIGCONT)
+
+
+def _signal(runs: Path, number: signal.Signals) -> None:
+    # none is there where its session has ended, whose reason is told by what waits for light
+    for orders in runs.glob("*/.orders.json"):
+        os.kill(int(json.loads(orders.read_text())["pid"]), number)
