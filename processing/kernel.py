@@ -33,6 +33,8 @@ class _Declared:
         """
         with _LOCK:
             if self._compiled is None:
+                # numba raises and catches a thousand errors as it compiles, and would colour the text of each
+                os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
                 for one in _DECLARED:
                     one._compiled = one._compile()
                 packages = {one.__module__.partition(".")[0] for one in _DECLARED}

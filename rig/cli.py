@@ -150,8 +150,6 @@ def main() -> None:
     # Matrices here have a few columns: OpenBLAS's threads only spin, at the expense of the frames', and
     # make the last digits depend on the number of cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # numba raises and catches a thousand errors while it compiles, and would colour the text of each
-    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
     # Imports make a hundred thousand objects that stay: to look through them for garbage as often as Python
     # does by itself takes a twentieth of the time of `rig fit`.
     gc.set_threshold(_MADE_BETWEEN_COLLECTIONS)
