@@ -1,6 +1,7 @@
 """The loop of `rig balance`: measure the balance, advise a turn of a weight, learn from it, repeat."""
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -81,7 +82,8 @@ class BalanceView:
             self._view = ScratchView("balancing", mode, self._rrd, "balancing")
             metadata = session_metadata(config, info, first)
             attachments = configuration_attachments(config, Path())
-            self._view.begin(0, ScratchHead(metadata, attachments, config.deflection_unit))
+            head = ScratchHead(metadata, attachments, config.deflection_unit, time.time_ns())
+            self._view.begin(0, head)
             self._view.event(Event(0, EventKind.START, "first frame"))
         else:
             self._shown_ns += _PAUSE_NS

@@ -1,5 +1,6 @@
 """`rig camera`: set up the camera, look at its pictures, record what calibrations need."""
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -309,7 +310,8 @@ def align(
                 if not shown.begun:
                     attachments = configuration_attachments(loaded, config)
                     metadata = session_metadata(loaded, info, frame)
-                    shown.begin(frame.time_ns, ScratchHead(metadata, attachments, loaded.deflection_unit))
+                    unit, epoch_offset_ns = loaded.deflection_unit, time.time_ns() - frame.time_ns
+                    shown.begin(frame.time_ns, ScratchHead(metadata, attachments, unit, epoch_offset_ns))
                 shown.look(frame, spot)
 
         optics = optics_of(loaded, info.full_scale_dn)

@@ -262,7 +262,9 @@ def replay_record(
                 view = stack.enter_context(ScratchView(name, mode, rrd, "measuring", math.inf))
                 attachments = {**reader.attachments, **configuration_attachments(config, Path())}
                 metadata = {name: texts for name, texts in reader.metadata.items() if name != "record"}
-                view.begin(replay.start_ns, ScratchHead(metadata, attachments, config.deflection_unit))
+                unit = config.deflection_unit
+                head = ScratchHead(metadata, attachments, unit, reader.epoch_offset_ns)
+                view.begin(replay.start_ns, head)
             keys = stack.enter_context(Keys())
             line = stack.enter_context(
                 ReplayLine(config.deflection_unit.shown, HELP if keys.available else "")

@@ -144,11 +144,16 @@ _LOST = Spot._make([*[math.nan] * 10, int(SpotFlag.LOST)])
 
 
 class ScratchHead(NamedTuple):
-    """The head of a scratch record: metadata, attachments and unit of deflections for `RecordWriter`."""
+    """The head of a scratch record: what `RecordWriter` begins with.
+
+    `epoch_offset_ns` is UTC minus the times of the record, which may be some seconds below 0: a turning point
+    may lie before the first frame.
+    """
 
     metadata: Mapping[str, Mapping[str, str]]
     attachments: Mapping[str, bytes]
     unit: DeflectionUnit
+    epoch_offset_ns: int
 
 
 class ScratchView:
@@ -199,7 +204,7 @@ class ScratchView:
         self._last_ns = self._picture_due_ns = time_ns
         self._writer = RecordWriter(
             self._path,
-            0,
+            head.epoch_offset_ns,
             metadata=head.metadata,
             attachments=head.attachments,
             deflection_unit=head.unit,
