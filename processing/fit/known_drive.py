@@ -45,14 +45,16 @@ _LOSS_NEIGHBOURS = 15
 """Half-swings on either side over which the loss is averaged; a tenth of it is accurate enough."""
 _PARTS = 5
 """Integrals of f: times cos and sin of theta, times theta cos and theta sin, and f alone."""
-_FREE_REST_WEIGHT = 1 / 3
-"""Weight of a half-cycle's own samples, against the earlier ones, in the swing detector's point of rest.
+FREE_REST_WEIGHT, U_FREE_REST_WEIGHT = 1 / 3, 0.3
+"""Weight of a half-cycle's own samples, against the earlier ones, in the swing detector's point of rest, and
+its standard uncertainty.
 
 The detector adapts it to how much the point of rest wanders. It does not follow from the turning points:
-their uncertainties imply 0.12, too small because they hold the drive's part, too. It was measured: 0.35 on a
-white drive of 1e-7 rad/s^2/sqrt(Hz). An error of it moves the fitted delay, at a period of 4 s by -0.026 s
-for each 0.1: with 0.2, 1/3 and 0.5 a seismometer without delay got 0.067, 0.024 and -0.012 s (each 0.016, of
-four runs). At one frequency a delay is a phase, which the response takes up."""
+their uncertainties imply 0.12, too small because they hold the drive's part, too. On a white drive of
+1e-7 rad/s^2/sqrt(Hz) it was 0.35 in long runs and 0.7 in runs of 100 half-cycles. An error of it moves the
+fitted delay, at a period of 4 s by -0.026 s for each 0.1: with 0.2, 1/3 and 0.5 a seismometer without delay
+got 0.067, 0.024 and -0.012 s (each 0.016, of four long runs). At one frequency a delay is a phase, which the
+response takes up."""
 _REST_DENOMINATOR = np.pi**2 / 2 - 4
 
 
@@ -168,10 +170,12 @@ class KnownDrive:
         return np.where(self.missing, mean, 0.0)
 
 
-def known_drive(points: TurningPoints, signals: Signals, *, averaged: bool = True) -> KnownDrive:
+def known_drive(
+    points: TurningPoints, signals: Signals, *, averaged: bool = True, rest_weight: float = FREE_REST_WEIGHT
+) -> KnownDrive:
     """The drive of turning points by signals, its gains 0; `averaged` is that of `fit_exact`.
 
-    The first turning point's side counts as positive.
+    The first turning point's side counts as positive. `rest_weight` is used only if `averaged`.
     """
     number = points.index - points.index[0]
     count = int(number[-1]) + 1
@@ -184,7 +188,7 @@ def known_drive(points: TurningPoints, signals: Signals, *, averaged: bool = Tru
     amplitude = np.interp(np.arange(count), number, points.amplitude)
     delay[:, 1:] = _half_cycle_response(signals, time, side, rate, _losses(amplitude))
     if averaged:
-        measured = _measurement_response(signals, time, side, rate, half)
+        measured = _measurement_response(signals, time, side, rate, half, rest_weight)
         # steps lead from measured turning point to measured one: the part of the last measurement goes off
         delay += measured
         delay[:, 1:] -= measured[:, :-1]
@@ -222,7 +226,9 @@ def _half_cycle_response(signals: Signals, time: Floats, side: Floats, rate: Flo
     return out
 
 
-def _measurement_response(signals: Signals, time: Floats, side: Floats, rate: Floats, half: Floats) -> Floats:
+def _measurement_response(
+    signals: Signals, time: Floats, side: Floats, rate: Floats, half: Floats, weight: float
+) -> Floats:
     w, s = rate[:, None], side[:, None]
     out = np.zeros((2, len(time), signals.value.shape[1]))
     rest = np.zeros(out.shape[1:])
@@ -232,19 +238,19 @@ def _measurement_response(signals: Signals, time: Floats, side: Floats, rate: Fl
         p = cosine - 0.5 * np.pi * sign * sine + x_sine
         r = alone - sign * sine
         free = (0.5 * np.pi * p - 2 * r) / _REST_DENOMINATOR
-        out[0] += s / w * ((1 - _FREE_REST_WEIGHT) * p / np.pi + _FREE_REST_WEIGHT * free)
+        out[0] += s / w * ((1 - weight) * p / np.pi + weight * free)
         rest += (0.5 * np.pi * r - p) / (w * _REST_DENOMINATOR)
         out[1] += s / w**2 * sign * (0.5 * np.pi * cosine - sign * x_cosine) / np.pi
-    out[0, 1:] -= s[1:] * 4 / np.pi * (1 - _FREE_REST_WEIGHT) * _detector_rest(rest)[:-1]
+    out[0, 1:] -= s[1:] * 4 / np.pi * (1 - weight) * _detector_rest(rest, weight)[:-1]
     return out
 
 
-def _detector_rest(rest: Floats) -> Floats:
+def _detector_rest(rest: Floats, weight: float) -> Floats:
     """The point of rest (half-swings, terms) that the detector has after each half-cycle."""
     # its change in a gap is not known, and taken as zero
-    kept = np.nan_to_num(rest) * _FREE_REST_WEIGHT
+    kept = np.nan_to_num(rest) * weight
     for k in range(1, len(kept)):
-        kept[k] += (1 - _FREE_REST_WEIGHT) * kept[k - 1]
+        kept[k] += (1 - weight) * kept[k - 1]
     return kept
 
 

@@ -21,7 +21,13 @@ from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise
-from processing.fit.known_drive import KnownDrive, Signals, known_drive
+from processing.fit.known_drive import (
+    FREE_REST_WEIGHT,
+    U_FREE_REST_WEIGHT,
+    KnownDrive,
+    Signals,
+    known_drive,
+)
 from processing.fit.result import FitResult
 from processing.fit.terms import Term, solve
 from processing.least_squares import FactoredJacobian
@@ -152,6 +158,8 @@ _MARGIN = 3.0
 """Periods of the seismometer's record before and after the run that its signals need."""
 _SHIFT = 0.02
 """Shift of the signals, in periods, for the derivative by their time."""
+_WEIGHT_CHANGE = 0.1
+"""Change of the weight of a half-cycle's own samples for the derivative by it."""
 _SPACING = 1 / 8
 """Spacing of offsets that are tried, in periods: gain and quadrature take up the offset from the nearest."""
 _MOST_TRIED = 20_000
@@ -181,6 +189,10 @@ class SignalDrives:
         middle = 0.5 * float(self._points.time_s[0] + self._points.time_s[-1])
         moved = replace(self.signals, time_s=time + by_s + stretched * (time - middle))
         return known_drive(self._points, moved, averaged=self._averaged)
+
+    def with_rest_weight(self, weight: float) -> KnownDrive:
+        """The drive by all signals with another weight of a half-cycle's own samples in its point of rest."""
+        return known_drive(self._points, self.signals, averaged=self._averaged, rest_weight=weight)
 
 
 def place(component: int, term: SignalKind) -> int:
@@ -274,29 +286,34 @@ def clock_correction(
     """Correction of the seismometer's clock by a fit with some terms, with free gain and phase.
 
     A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes that
-    up; the delay shows in the change of the phase within the band to which a half-swing responds.
+    up; the delay shows in the change of the phase within the band to which a half-swing responds. So does the
+    weight of a half-cycle's own samples in its point of rest, which is known only roughly.
     """
     drive = with_start_gains(drives, fit, chosen)
     places = [place(*term) for term in chosen]
     by_s = _SHIFT * drives.period_s
     half_s = 0.5 * float(points.time_s[-1] - points.time_s[0])
     moved = []
+    heavier, lighter = FREE_REST_WEIGHT + _WEIGHT_CHANGE, FREE_REST_WEIGHT - _WEIGHT_CHANGE
     for late, early, size in (
         (drives.later(by_s), drives.later(-by_s), by_s),
         (drives.later(0.0, by_s / half_s), drives.later(0.0, -by_s / half_s), by_s / half_s),
+        (drives.with_rest_weight(heavier), drives.with_rest_weight(lighter), _WEIGHT_CHANGE),
     ):
         change = (late.steps - early.steps)[:, :, places] @ drive.gains / (2 * size)
         moved.append(np.where(late.missing | early.missing, 0.0, change))
     both = KnownDrive(
         np.concatenate([drive.steps, np.stack(moved, axis=2)], axis=2),
         drive.missing,
-        np.concatenate([drive.gains, np.zeros(2)]),
+        np.concatenate([drive.gains, np.zeros(len(moved))]),
     )
     residuals, by_gains, by_law = residuals_at_fit(model_of(points, pendulum, fit, both), fit)
-    fitted = np.column_stack([by_law, by_gains[:, :-2]])
-    found = solve(residuals, fitted, [Term("clock", by_gains[:, -2:])])
+    fitted = np.column_stack([by_law, by_gains[:, : -len(moved)]])
+    clock = Term("clock", by_gains[:, -3:-1])
+    found = solve(residuals, fitted, [clock, Term("rest weight", by_gains[:, -1:], U_FREE_REST_WEIGHT)])
     u = np.sqrt(np.diag(found.covariance)) * found.scatter(fit.dof)
-    return ClockCorrection(*(Estimate(float(a), float(b)) for a, b in zip(found.values, u, strict=True)))
+    delay_s, drift = (Estimate(float(found.values[k]), float(u[k])) for k in range(2))
+    return ClockCorrection(delay_s, drift)
 
 
 class ClockOffset(NamedTuple):

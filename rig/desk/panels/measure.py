@@ -92,7 +92,7 @@ class RunNumbers:
                 stop = tab.button("Stop", self._stop)
                 stop.props('color="negative" size="lg" aria-label="Stop the session"')
                 self._brakes = tab.button("Brake", self._brake)
-                self._brakes.props('outline size="lg" aria-label="Brake on or off"')
+                self._brakes.props('outline size="lg"')
 
     def refresh(self, news: Mapping[str, Any]) -> bool:
         """Show the state of a session; returns whether its values are old."""
@@ -113,7 +113,13 @@ class RunNumbers:
         self._left.set_text(words.time_left(state))
         self._done.set_value(round(float(state.get("done") or 0.0), 3))
         self._brakes.set_visibility(following.devices.controller is not None)
+        self._brakes.set_text("Brake off" if self._brake_is_on else "Brake")
         return is_blind
+
+    @property
+    def _brake_is_on(self) -> bool:
+        status = self._desk.following.devices.status
+        return status is not None and status.brake_on
 
     async def _stop(self) -> None:
         following = self._desk.following
@@ -122,9 +128,8 @@ class RunNumbers:
             ui.notify(await run.io_bound(self._desk.stop_session))
 
     async def _brake(self) -> None:
-        status = self._desk.following.devices.status
-        is_on = status is not None and status.brake_on
-        ui.notify(await run.io_bound(self._desk.following.order, "brake off" if is_on else "brake on"))
+        order = "brake off" if self._brake_is_on else "brake on"
+        ui.notify(await run.io_bound(self._desk.following.order, order))
 
 
 class RunFacts:

@@ -217,7 +217,7 @@ def test_sessions_are_found_by_words(tmp_path: Path) -> None:
     assert index.rows(None, "person-12-x failed") == []
     shutil.rmtree(tmp_path / "s12")
     os.utime(tmp_path / "s00" / "session.json", (99, 99))
-    shutil.copy(SAMPLES / "results.json", tmp_path / "s00")
+    shutil.copy(SAMPLES / "series" / "results.json", tmp_path / "s00")
     index.look()
     rows = index.rows(None)
     assert len(rows) == 29

@@ -37,7 +37,7 @@ LIVE = CONFIGS / "live.toml"
 
 ASKS = {
     # what asks the rig for light; a new name here needs a walk below
-    ("balance/balancing.py", "look"),
+    ("balance/balancing.py", "measure"),
     ("desk/aligner.py", "_lit"),
     ("devices/acknowledgement.py", "_light"),
     ("measure/plain_record.py", "preflight_rig"),
@@ -184,7 +184,7 @@ def typed(config: Configuration, folder: Path) -> None:
 
 
 WALKS: dict[tuple[str, str], tuple[Callable[[Configuration, Path], None], ...]] = {
-    ("balance/balancing.py", "look"): (balance,),
+    ("balance/balancing.py", "measure"): (balance,),
     ("devices/acknowledgement.py", "_light"): (typed,),
     ("measure/plain_record.py", "preflight_rig"): (preflight,),
     ("measure/run.py", "_execute"): (run, calibrate),

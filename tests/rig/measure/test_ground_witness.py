@@ -41,8 +41,7 @@ def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of one run on ground that shakes, with a witness of it."""
     folder = tmp_path_factory.mktemp("vault") / "run"
     source = CONFIGS / "demo.toml"
-    slower = SMALL | {"camera.frame_rate_hz": "25"}
-    wanted = (*(f"{key}={value}" for key, value in slower.items()), *APPARATUS, *GROUND)
+    wanted = (*(f"{key}={value}" for key, value in SMALL.items()), *APPARATUS, *GROUND)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rig.measure.run.live_posterior", lambda _: None)
         assert measure_session(load_configuration(source, wanted), source, folder) == 0
@@ -58,7 +57,7 @@ def test_its_samples_stand_in_the_record_on_the_clock_of_the_frames(vault: Path)
     assert len(table) == pytest.approx(20 * 200, abs=50)
     assert np.all(np.diff(table["time_ns"]) == 50_000_000)
     assert 0 <= table["time_ns"][0] - spots["time_ns"][0] < 50_000_000
-    assert 0 <= spots["time_ns"][-1] - table["time_ns"][-1] < 50_000_000 + 64 * 40_000_000
+    assert 0 <= spots["time_ns"][-1] - table["time_ns"][-1] < 50_000_000 + 64 * 20_000_000
     assert np.all(np.isnan(table["third"]))
     assert found is not None
     assert found.names == ("along", "across")
@@ -74,7 +73,7 @@ def test_the_run_itself_is_fitted_with_it_and_so_is_its_record(vault: Path) -> N
     assert run.witness.explained > 0.9
     # it is late by 0.05 s, which is in the response's phase; so short a run bounds it
     delay_s, u_s = run.witness.delay_s
-    assert abs(delay_s + 0.05) < 4 * u_s < 2.0
+    assert abs(delay_s + 0.05) < 3 * u_s < 0.5
     again = fitted_once(vault / "run-1.mcap")
     assert again.witness == run.witness
     assert again.fits["exact"].estimate("b") == run.fits["exact"].estimate("b")
