@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from processing.errors import ConfigurationError, DeviceError, RigError
+from processing.errors import ConfigurationError, RigError
 from rig.control import STALE_S, LatchedTrip, Light, Loop, SafetyNow, SafetyState, TripCause, darken_beside
 from rig.desk.aligner import Aligner
 from rig.desk.following import Following
@@ -125,7 +125,8 @@ class Lighting:
             _beside(presses.press, AT).result(_KEPT_WITHIN_S)
         except TimeoutError:
             return f"{presses.path}: the disk hangs"
-        except DeviceError as error:
+        except Exception as error:
+            # whatever it is: what follows switches off
             return str(error)
         return ""
 

@@ -78,6 +78,23 @@ def test_a_press_that_cannot_be_kept_is_said_and_all_else_is_done(
     assert len(ordered) == 1
 
 
+@pytest.mark.parametrize("error", [OSError("no such device"), RuntimeError("of another kind")])
+def test_whatever_keeping_a_press_meets_all_else_is_done(
+    desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    desk = desk_of(REAL + LASER)
+    assert isinstance(desk.rig, SafetyState)
+    assert desk.rig.presses is not None
+
+    def press(_presses: object, _at: str) -> None:
+        raise error
+
+    monkeypatch.setattr(type(desk.rig.presses), "press", press)
+    off, unkept, _ = desk.lighting.off("one")
+    assert off.startswith("/dev/ttyNobodyHasIt: cannot be switched off")
+    assert unkept.startswith(f"it is not kept ({error})")
+
+
 def test_a_disk_that_hangs_holds_nothing_up(
     desk_of: Callable[[str], Desk], monkeypatch: pytest.MonkeyPatch
 ) -> None:
