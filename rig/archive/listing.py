@@ -217,6 +217,30 @@ def named_runs(archive: Path, names: Sequence[str]) -> str:
     return f"sha256 in ({', '.join(runs)})" if names else "true"
 
 
+_ORDERED_RUNS_SQL = """
+with numbered as (
+  select *, coalesce(try_cast(regexp_extract(run, '[0-9]+$') as bigint), 0) as number from chosen
+)
+select sha256, run, sample, folder, results from numbered where results is not null
+order by max(began_utc) over (partition by folder order by number, run) nulls last, folder, number, run
+"""
+"""Query of runs in order; runs of one session are ordered by number, even if the clock was set back."""
+
+
+def ordered_runs(archive: Path, condition: str) -> list[tuple[Any, ...]]:
+    """SHA-256, name, sample, folder and results file of the runs with results that meet a condition of SQL,
+    in the order of their beginnings.
+
+    Raises ConfigurationError if there are none.
+    """
+    _, found = selected(archive, "*", condition, _ORDERED_RUNS_SQL)
+    if not found:
+        raise ConfigurationError(
+            f"condition {condition!r}: no run with results meets it; rig archive list shows all"
+        )
+    return found
+
+
 _FOUND_COLUMNS = (
     f"{_ID}, began_utc, folder, run, {_SAMPLE}, operator, state, "
     f"b, p, c, {', '.join(_u_columns(('b', 'p', 'c')))}"

@@ -190,21 +190,33 @@ def model_runs(
     sample: bool,
 ) -> None:
     """Fit the model to the runs, print its tables and save the results in `output`."""
+    if archive is not None and folders:
+        raise ConfigurationError(f"{folders[0]}: folders and --archive exclude each other; leave one out")
+    if where and archive is None:
+        raise ConfigurationError(f"--where {where!r}: has no effect without --archive")
+    if by_sample and archive is not None:
+        raise ConfigurationError("--by-sample: has no effect with --archive, where each sample is a contact")
     if archive is None and not folders:
         raise ConfigurationError("rig compare --model needs runs: name folders of sessions, or --archive")
     from rig.analysis import encoded
-    from rig.campaigns import (
-        NamedRuns,
+    from rig.presentation import answer, print_tables, say
+    from rig.report import (
         StatedCampaign,
         campaign_tables,
         fit_model,
         read_campaign,
+        runs_of_archive,
+        runs_of_folders,
         save_campaign,
     )
-    from rig.presentation import answer, print_tables, say
 
     stated = StatedCampaign() if model == DEFAULT else read_campaign(there(Path(model)))
-    runs = NamedRuns(list(folders), archive, where, by_sample=by_sample).found()
+    if archive is None:
+        runs = runs_of_folders(folders, by_sample=by_sample)
+    else:
+        from rig.archive import ordered_runs
+
+        runs = runs_of_archive(ordered_runs(archive, where))
     found = fit_model(runs, stated, sample=sample)
     answer(campaign=encoded(found.results))
     print_tables(campaign_tables(found))

@@ -68,7 +68,7 @@ def balance(
       rig balance mine.toml --view
       rig balance configs/demo.toml --follow 6
     """
-    from rig.balance import InJsonLines, balance_rig, show_history
+    from rig.prepare import InJsonLines, balance_rig, show_history
     from rig.presentation import one_json_object
     from rig.settings import load_configuration
 

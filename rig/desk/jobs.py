@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from processing.errors import ConfigurationError, RigError
-from rig.balance import BalanceDialogue, BalanceStage, balance_dialogue
+from rig.prepare import BalanceDialogue, BalanceStage, balance_dialogue
 from rig.terminal import start_python
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from typing import Any, get_origin
 import pytest
 import typer.main
 
-from rig.calibrate.inputs import read_transfer
 from rig.cli import app
+from rig.prepare.calibration_inputs import read_transfer
 from rig.settings import Configuration, load_configuration, validate_configuration
 from rig.settings.validation_messages import section_fields, section_of
 from tests.rig.command_line import SMALL, rig, set_words

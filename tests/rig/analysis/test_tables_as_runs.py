@@ -12,7 +12,7 @@ import pytest
 from processing.ambient import AmbientConditions
 from rig.analysis import read_results
 from rig.archive.session_rows import session_rows
-from rig.campaigns.sources import runs_of_folders
+from rig.report.campaign_input import runs_of_folders
 from tests.rig.analysis.test_table_laws import swings
 from tests.rig.analysis.test_tables import ring_downs, write
 from tests.rig.command_line import rig

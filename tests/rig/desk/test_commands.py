@@ -12,8 +12,8 @@ from unittest.mock import patch
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.balance import InJsonLines
 from rig.devices import OrderSocket, SessionNews
+from rig.prepare import InJsonLines
 from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
 from tests.waiting import until
 

@@ -11,7 +11,6 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError, RigError
-from rig.balance import BalanceStage
 from rig.cli import app
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
@@ -21,6 +20,7 @@ from rig.desk.lighting import refusal
 from rig.desk.panels.balance import net_of
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
+from rig.prepare import BalanceStage
 from rig.terminal import start_python
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.waiting import until

@@ -29,20 +29,19 @@ from processing.series import (
 )
 from processing.units import ARCSEC_RAD
 from rig.analysis import SURFACE_ENERGY, RunResults
-from rig.campaigns.campaign_file import StatedCampaign, StatedEffect, stated_model
-from rig.campaigns.likelihoods import (
+from rig.presentation import quantity
+from rig.report.campaign_input import FoundRun, StatedCampaign, StatedEffect, stated_model
+from rig.report.likelihoods import (
     CampaignDifference,
     CampaignEffect,
     CampaignResults,
     CampaignRun,
     CampaignSource,
     CampaignValue,
-    FoundRun,
     SamplerFindings,
     compress,
     likelihood_tree,
 )
-from rig.presentation import quantity
 
 _MIN_BAD_PROBABILITY = 0.5
 _MIN_EFFECTIVE_FRACTION = 0.05

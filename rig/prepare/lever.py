@@ -22,8 +22,8 @@ from processing.contact import PendulumOnBall, vane_drag_s_per_m2
 from processing.errors import ConfigurationError, DataError
 from processing.fit import FitMethod, MeasuredAir, VanedRun, air_of_vanes
 from rig.analysis import analyse_record, expected_drag, stated_surroundings
-from rig.calibrate.frame_times import binning_of_record, mean_spot, spots_of_record
-from rig.calibrate.inputs import (
+from rig.instrument import pendulum_on_ball, recorded_configuration
+from rig.prepare.calibration_inputs import (
     Filing,
     LadderFile,
     VaneFile,
@@ -32,7 +32,7 @@ from rig.calibrate.inputs import (
     read_ladder,
     read_vanes,
 )
-from rig.instrument import pendulum_on_ball, recorded_configuration
+from rig.prepare.frame_times import binning_of_record, mean_spot, spots_of_record
 from rig.presentation import percent, signed_percent
 from rig.settings import Configuration
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from processing.balance import BalanceLimits, Room, Unreachable, WeightResponses
-from rig.balance.learned_turns import LearnedTurns
 from rig.instrument.balance import nominal_effects
-from tests.rig.balance.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
+from rig.prepare.learned_turns import LearnedTurns
 from tests.rig.command_line import CONFIGS, rig
+from tests.rig.prepare.cases import CONFIG, follow_advice, seen, state_of, trimmed_pendulum
 from tests.rig.view.rrd_contents import column, measured
 
 LIMITS = BalanceLimits()

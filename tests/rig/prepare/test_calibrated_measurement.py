@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.rig.calibrate.calibrated_measurement import measure
+from tests.rig.prepare.calibrated_measurement import measure
 
 SEEDS = 4
 

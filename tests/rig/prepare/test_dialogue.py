@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from rig.balance import BalanceStage, balance_dialogue
+from rig.prepare import BalanceStage, balance_dialogue
 
 
 def fault(ok: bool | None) -> dict[str, Any]:

@@ -8,13 +8,13 @@ import pytest
 from acquisition.record.reader import RecordReader
 from calibration import read_calibration
 from calibration.shutter import ShutterFit
-from rig.calibrate import Filing, calibrate_shutter
 from rig.instrument import recorded_configuration
 from rig.measure.session import simulate_record
+from rig.prepare import Filing, calibrate_shutter
 from rig.settings import load_configuration
 from rig.view.replay import Replay
-from tests.rig.calibrate.rolling_measurement import compare
 from tests.rig.command_line import rig
+from tests.rig.prepare.rolling_measurement import compare
 
 DEMO = Path(__file__).resolve().parents[3] / "configs" / "demo.toml"
 ROW_TIME_S = 15e-6
@@ -94,7 +94,7 @@ def test_a_global_shutter_is_believed_only_where_the_swing_agrees(
         of_stretches_s=(row_time_s,) * 6,
         u_of_stretches_s=(abs(row_time_s) / 4,) * 6,
     )
-    monkeypatch.setattr("rig.calibrate.frame_times.fit_row_time", lambda *_: fitted)
+    monkeypatch.setattr("rig.prepare.frame_times.fit_row_time", lambda *_: fitted)
     found = read_calibration(calibrate_shutter(measured_series / "run-1.mcap", Filing(tmp_path)))
     assert found.values["row_time_s"] == filed_s
     assert any(said in note for note in found.notes) == (filed_s == 0.0)

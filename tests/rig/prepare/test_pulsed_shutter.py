@@ -10,8 +10,8 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.spot import Spot
-from rig.calibrate import Filing, calibrate_shutter, filed
 from rig.instrument import configuration_attachments, session_metadata
+from rig.prepare import Filing, calibrate_shutter, filed
 from rig.settings import validate_configuration
 
 ROWS, EXPOSURE_US, ROW_TIME_US = 400, 8000.0, 12.0

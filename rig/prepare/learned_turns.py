@@ -1,5 +1,10 @@
-"""Judgement of measurements of the balance, learning of the effect of turns, and advice."""
+"""Judgement of measurements of the balance, learning of the effect of turns, and advice.
 
+The history of turns and their effects is a file with a line of JSON for each checked measurement.
+"""
+
+import datetime
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -19,12 +24,119 @@ from processing.balance import (
     implausible,
     names_with_units,
 )
-from rig.balance import history
-from rig.instrument import mass_centre_height, nominal_effects, sensor_room
-from rig.presentation import say
+from rig.instrument import WEIGHTS, mass_centre_height, nominal_effects, sensor_room
+from rig.presentation import Table, answer, print_line, print_tables, say
 from rig.settings import Configuration
 
 Floats = NDArray[np.float64]
+
+
+class TurnEffect(NamedTuple):
+    """Turns of one weight in sequence, and the states (arcsec, arcsec, m) before and after them, with u."""
+
+    utc: str
+    weight: str
+    parts: tuple[float, ...]
+    before: Floats
+    after: Floats
+    u: Floats
+
+
+def _refusal(config: Configuration, responses: WeightResponses, pair: TurnEffect) -> str:
+    """Why nothing can be learned from the effect of a turn; empty if it is sound."""
+    radius_m = np.nan if config.pendulum is None else config.pendulum.ball_radius_m
+    for state in (pair.before, pair.after):
+        if why := implausible(state, np.nan_to_num(pair.u), config.balance, radius_m, None):
+            return why
+    if not responses.can_make(pair.weight, pair.parts, pair.before, pair.after, pair.u):
+        moved = np.hypot(*(pair.after - pair.before)[:2])
+        return (
+            f"{_turns(pair.parts)} turns of weight {pair.weight} cannot have moved the rest position by"
+            f" {moved:.0f} arcsec and the mass centre by {(pair.after - pair.before)[2] * 1e6:.0f} um;"
+            " was something else touched?"
+        )
+    return ""
+
+
+def _append(path: Path, **entry: object) -> None:
+    """Add one line to the file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in entry.items()}
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"utc": now, **plain}) + "\n")
+
+
+def append_turn(path: Path, pair: TurnEffect) -> None:
+    """Add the effect of a turn to the file."""
+    turns = pair.parts[0] if len(pair.parts) == 1 else list(pair.parts)
+    _append(path, weight=pair.weight, turns=turns, before=pair.before, after=pair.after, u=pair.u)
+
+
+def read_turns(path: Path) -> list[TurnEffect]:
+    """The turns that were not forgotten; lines that cannot be read are reported and skipped."""
+    pairs: list[TurnEffect] = []
+    if not path.exists():
+        return pairs
+    text = path.read_text(encoding="utf-8", errors="replace")
+    for number, line in enumerate(text.splitlines(), start=1):
+        try:
+            entry = json.loads(line)
+            if entry.get("forgotten"):
+                del pairs[-1:]
+            if entry.get("weight") not in WEIGHTS:
+                continue
+            turns = entry["turns"]
+            parts = tuple(float(part) for part in (turns if isinstance(turns, list) else [turns]))
+            states = [np.array(entry[key], dtype=np.float64) for key in ("before", "after", "u")]
+            if any(state.shape != (3,) for state in states) or not np.all(np.isfinite(parts)):
+                raise ValueError
+            pairs.append(TurnEffect(str(entry.get("utc", "")), entry["weight"], parts, *states))
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
+            # a line truncated by a power failure or edited by hand; the other lines are still valid
+            say(f"{path}: line {number} cannot be read and is skipped")
+    return pairs
+
+
+def forget_last_turn(path: Path) -> str:
+    """Discard the last turn by a line in the file; returns a message."""
+    pairs = read_turns(path)
+    if not pairs:
+        return "nothing learned yet"
+    _append(path, forgotten=True)
+    return f"the turn of weight {pairs[-1].weight} is forgotten"
+
+
+_HEAD = ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used")
+
+
+def show_turns(config: Configuration, path: Path) -> None:
+    """Print the turns of a history, which of them are used, and the learned effects of the weights."""
+    responses = WeightResponses(nominal_effects(config), config.balance)
+    rows, learned = [], []
+    for pair in read_turns(path):
+        why = _refusal(config, responses, pair)
+        change = pair.after - pair.before
+        numbers = [f"{change[0]:+.1f}", f"{change[1]:+.1f}", f"{change[2] * 1e6:+.1f}"]
+        rows.append([pair.utc, pair.weight, _turns(pair.parts), *numbers, why or "yes"])
+        if not why:
+            responses.learn(pair.weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
+    for name, count in responses.pairs.items():
+        if count:
+            (x, y, height), (u_x, u_y, u_height) = responses.effect(name)
+            learned.append(
+                f"one turn of {name}: X {x:+.1f} ± {u_x:.1f}, Y {y:+.1f} ± {u_y:.1f} arcsec,"
+                f" height {height * 1e6:+.2f} ± {u_height * 1e6:.2f} um"
+            )
+    answer(turns=[dict(zip(_HEAD, row, strict=True)) for row in rows], learned=learned)
+    print_tables([Table("turns", "", _HEAD, rows, _HEAD, rows)])
+    for line in learned:
+        print_line(line)
+
+
+def _turns(parts: tuple[float, ...]) -> str:
+    return " ".join(f"{part:+.2f}" for part in parts)
+
 
 _MIN_GONE_FRACTION = 0.9
 _SMALL_SWING_ARCSEC = 10.0
@@ -72,7 +184,7 @@ class LearnedTurns:
         self._turned: list[tuple[str, tuple[float, ...]]] = []
         self._state: Floats | None = None
         self._doubts: dict[str, list[Doubt]] = {}
-        self._pairs: dict[str, history.TurnEffect] = {}
+        self._pairs: dict[str, TurnEffect] = {}
         self._searched, self._lost_after = 0, 0.0
         self._relearn()
 
@@ -164,22 +276,22 @@ class LearnedTurns:
 
     def forget(self) -> None:
         """Discard the last learned turn."""
-        say(history.forget_last(self._path))
+        say(forget_last_turn(self._path))
         self._relearn()
 
     def _learn(self, balance: Balance, state: Floats, u_state: Floats) -> None:
         weights = {name for name, _ in self._turned}
         if not weights or self._state is None:
             numbers = {key: getattr(balance, name) for name, key in names_with_units(balance.unit).items()}
-            history.append(self._path, state=state, balance=numbers)
+            _append(self._path, state=state, balance=numbers)
             return
         parts = tuple(part for _, turns in self._turned for part in turns)
         weight = next(iter(weights))
-        pair = history.TurnEffect("", weight, parts, self._state, state, np.nan_to_num(u_state))
+        pair = TurnEffect("", weight, parts, self._state, state, np.nan_to_num(u_state))
         why = (
             f"weights {' and '.join(sorted(weights))} were turned between two measurements"
             if len(weights) > 1
-            else history.refusal(self._config, self.responses, pair)
+            else _refusal(self._config, self.responses, pair)
         )
         if why:
             say(f"nothing is learned from this turn: {why}")
@@ -190,9 +302,9 @@ class LearnedTurns:
             return
         self.responses.learn(weight, parts, pair.before, state, pair.u)
         self._pairs[weight] = pair
-        history.append_pair(self._path, pair)
+        append_turn(self._path, pair)
 
-    def _doubts_turn(self, pair: history.TurnEffect) -> bool:
+    def _doubts_turn(self, pair: TurnEffect) -> bool:
         """Whether a turn contradicts what was stated; it is then reported, and not learned from."""
         weight, responses = pair.weight, self.responses
         doubts = self._doubts.setdefault(weight, [])
@@ -224,8 +336,8 @@ class LearnedTurns:
     def _relearn(self) -> None:
         self.responses = WeightResponses(nominal_effects(self._config), self.limits)
         used = 0
-        for pair in history.read(self._path):
-            if why := history.refusal(self._config, self.responses, pair):
+        for pair in read_turns(self._path):
+            if why := _refusal(self._config, self.responses, pair):
                 say(f"{self._path}: the turn of {pair.utc} is not used: {why}")
                 continue
             self.responses.learn(pair.weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))

@@ -12,13 +12,14 @@ import pytest
 from processing.errors import ConfigurationError
 from processing.units import ARCSEC_RAD
 from rig.analysis import read_results
-from rig.archive import selected
+from rig.archive import ordered_runs
 from rig.archive.listing import write_sessions, writing
-from rig.campaigns import StatedCampaign, fit_model, read_campaign, runs_of_folders
-from rig.campaigns.likelihoods import FoundRun, compress
-from rig.campaigns.sources import _ORDERED_RUNS_SQL
-from rig.campaigns.tables import effects_table
-from tests.rig.campaigns.made_sessions import (
+from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
+from rig.report.campaign_input import FoundRun
+from rig.report.campaign_page import effects_table
+from rig.report.likelihoods import compress
+from tests.rig.command_line import rig
+from tests.rig.report.made_sessions import (
     ENERGY_OVER_C,
     GLASS,
     NAMES,
@@ -28,7 +29,6 @@ from tests.rig.campaigns.made_sessions import (
     session,
     twice,
 )
-from tests.rig.command_line import rig
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 STATED = """
@@ -301,7 +301,7 @@ def test_runs_of_an_archive_are_in_the_order_of_their_beginnings(tmp_path: Path)
         rows.append({"sha256": f"{number}", "folder": folder, "run": run, "began_utc": began, "results": "x"})
     with writing(tmp_path / "archive.duckdb") as connection:
         write_sessions(connection, {"a": "", "b": "", "c": ""}, rows)
-    found = selected(tmp_path / "archive.duckdb", "*", "", _ORDERED_RUNS_SQL)[1]
+    found = ordered_runs(tmp_path / "archive.duckdb", "")
     runs = [f"{row[3]}/{row[1]}" for row in found]
     assert runs == ["a/run-1", *(f"b/run-{n}" for n in range(1, 13)), "a/run-2", "c/run-1"]
 

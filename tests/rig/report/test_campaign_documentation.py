@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.rig.campaigns.made_sessions import humid_campaign
 from tests.rig.command_line import rig
+from tests.rig.report.made_sessions import humid_campaign
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "many-runs.md").read_text(encoding="utf-8")

@@ -28,7 +28,7 @@ from processing.series import (
     to_coordinates,
 )
 from rig.analysis import Fit, JsonObject, ResultRow, RunResults
-from rig.campaigns.campaign_file import SURROUNDING_COVARIATES
+from rig.report.campaign_input import SURROUNDING_COVARIATES, FoundRun
 
 _AIR, _MISFIT = "air", "misfit"
 _OWN = ("period_drift", "drag_drift", "plane_of_swing_rad")
@@ -42,16 +42,6 @@ _MIN_ASYMMETRY = 0.1
 _MAX_ASYMMETRY = 0.8
 _SOFT = 0.3
 """Softness of a bound: width of its edge in the coordinate."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FoundRun:
-    """The results of a run that may enter a campaign, with its label, its contact and the results' hash."""
-
-    label: str
-    contact: str
-    results_sha256: str
-    run: RunResults
 
 
 def compress(

@@ -32,9 +32,9 @@ from processing.errors import ConfigurationError, DataError
 from processing.noise_models import robust_scatter
 from processing.spot import SpotFlag
 from processing.units import S_PER_NS, seconds
-from rig.calibrate.inputs import Filing, details_of, file_calibration, frames_of, read_transfer
 from rig.devices import ntp_state
 from rig.instrument import U_QUARTZ, frame_shape, recorded_configuration
+from rig.prepare.calibration_inputs import Filing, details_of, file_calibration, frames_of, read_transfer
 from rig.presentation import percent
 from rig.settings import Configuration
 

@@ -13,7 +13,10 @@ from calibration import relate_clocks
 from calibration.store import read_calibration, write_calibration
 from processing.errors import ConfigurationError, RigError
 from rig.analysis import analyse_record
-from rig.calibrate import (
+from rig.instrument import complete
+from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
+from rig.measure.session import simulate_record
+from rig.prepare import (
     calibrate_axes,
     calibrate_clock,
     calibrate_lever,
@@ -21,11 +24,8 @@ from rig.calibrate import (
     calibrate_sensor,
     check_known_angle,
 )
-from rig.calibrate.frame_times import arrival_residuals
-from rig.calibrate.inputs import Filing
-from rig.instrument import complete
-from rig.instrument.calibration import calibration_attachments, fill_from_files, judge_calibration
-from rig.measure.session import simulate_record
+from rig.prepare.calibration_inputs import Filing
+from rig.prepare.frame_times import arrival_residuals
 from rig.settings import Configuration, validate_configuration
 from tests.calibration.simulated_sensor import random_sensor, transfer_frames
 from tests.rig.command_line import rig

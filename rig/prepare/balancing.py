@@ -16,9 +16,6 @@ from processing.deflections import Deflections
 from processing.errors import ConfigurationError, DataError, DeviceError
 from processing.spot import SpotFlag
 from processing.units import nanoseconds, seconds
-from rig.balance import history
-from rig.balance.dialogue import OnTerminal, Reporter
-from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
 from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, light_told, wait_for_command
 from rig.instrument import (
     DIRECTIONS,
@@ -32,6 +29,8 @@ from rig.instrument import (
     prepare_kernels,
     session_metadata,
 )
+from rig.prepare.dialogue import OnTerminal, Reporter
+from rig.prepare.learned_turns import BalanceMeasurement, LearnedTurns, forget_last_turn, show_turns
 from rig.presentation import say
 from rig.settings import Configuration
 from rig.view import ScratchHead, ScratchView
@@ -232,8 +231,8 @@ def show_history(config: Configuration, stated: Path | None, *, forget: bool) ->
     config = complete(config)
     path = history_path(config, stated)
     if forget:
-        say(history.forget_last(path))
-    history.show(config, path)
+        say(forget_last_turn(path))
+    show_turns(config, path)
 
 
 def balance_rig(

@@ -10,8 +10,9 @@ from processing.fit import AIR, drift_effects
 from processing.series import to_coordinates
 from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record
-from rig.campaigns import StatedCampaign, fit_model, runs_of_folders
-from rig.campaigns.likelihoods import FoundRun, compress
+from rig.report import StatedCampaign, fit_model, runs_of_folders
+from rig.report.campaign_input import FoundRun
+from rig.report.likelihoods import compress
 
 REFERENCE_RAD = 60 * ARCSEC_RAD
 

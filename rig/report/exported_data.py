@@ -31,8 +31,6 @@ from rig.analysis import (
 from rig.instrument import CONFIGURATION_NAME
 from rig.intake import read_positions
 
-SERIES_NAME = "series"
-
 
 @dataclass(frozen=True)
 class ExportData:
@@ -60,33 +58,30 @@ class ExportData:
         return self.own_units.get(column) or unit_of_name(column)
 
 
-def runs_in(source: Path) -> tuple[list[tuple[str, Path, RunResults | None]], Series | None]:
-    """Name, record and results of each run in a folder, a results file or a record, and their series.
+def exported_data(source: Path) -> list[ExportData]:
+    """The runs in a folder, a results file or a record, and after them their series, if they make one.
 
-    Results of a record are those next to it, if any; a record has no series.
+    Results of a record are those next to it, if any; a record has no series. Raises RecordError if a record,
+    or the positions of a table, cannot be read, or if results were made from another record.
     """
-    if source.is_dir() or source.suffix == ".json":
-        folder, results = source if source.is_dir() else source.parent, read_results(source)
-        is_single = len(results.runs) == 1
-        return [
-            (_name(run, None if is_single else k), folder / run.record, run)
-            for k, run in enumerate(results.runs, start=1)
-        ], results.series
-    found = None
-    if (source.parent / RESULTS_NAME).exists():
-        runs = read_results(source.parent).runs
-        found = next((run for run in runs if run.record == source.name), None)
-    return [(source.stem, source, found)], None
+    if not source.is_dir() and source.suffix != ".json":
+        beside = read_results(source.parent).runs if (source.parent / RESULTS_NAME).exists() else ()
+        return [_read_run(source, next((run for run in beside if run.record == source.name), None))]
+    folder, results = source if source.is_dir() else source.parent, read_results(source)
+    found = []
+    for number, run in enumerate(results.runs, start=1):
+        if run.decay is None:
+            found.append(_read_run(folder / run.record, run))
+        else:
+            suffix = "" if len(results.runs) == 1 else f"-decay-{number}"
+            found.append(_read_table_decay(folder, run, run.decay, f"{run.source_name}{suffix}"))
+    series = results.series
+    if series is not None:
+        found.append(_exported_series(source, series, list(zip(found, results.runs, strict=True))))
+    return found
 
 
-def _name(run: RunResults, decay: int | None) -> str:
-    if run.decay is None:
-        return Path(run.record).stem
-    return run.source_name if decay is None else f"{run.source_name}-decay-{decay}"
-
-
-def read_run(path: Path, results: RunResults | None) -> ExportData:
-    """Read a record; raises RecordError if the results were made from another record."""
+def _read_run(path: Path, results: RunResults | None) -> ExportData:
     with RecordReader(path) as reader:
         provenance = {"record": path.name, "deflection_unit": reader.deflection_unit}
         for section, texts in reader.metadata.items():
@@ -123,7 +118,7 @@ def _fields(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
     return {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
 
 
-def exported_series(
+def _exported_series(
     source: Path, series: Series, runs: Sequence[tuple[ExportData, RunResults]]
 ) -> ExportData:
     """The series of a results file, with the hashes of the file and of the combined records.
@@ -140,18 +135,14 @@ def exported_series(
     simulated = sum(bool(one.simulated) for _, one in runs)
     if simulated:
         about["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
-    is_single = SessionResults(runs=(), series=series)
     notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
-    tree = cast(JsonObject, encoded(is_single)["series"])
-    return ExportData(SERIES_NAME, series.table, tree, about, notes)
+    tree = cast(JsonObject, encoded(SessionResults(runs=(), series=series))["series"])
+    return ExportData("series", series.table, tree, about, notes)
 
 
-def read_table_decay(folder: Path, decay: RunResults, name: str) -> ExportData:
-    """A decay of a table by the results in a folder; angles in rad, other positions in the table's unit.
-
-    Raises RecordError if the positions next to the results cannot be read.
-    """
-    stored, place = decay.stored, decay.decay or TableDecay()
+def _read_table_decay(folder: Path, decay: RunResults, place: TableDecay, name: str) -> ExportData:
+    """A decay of a table by the results in a folder; angles in rad, other positions in the table's unit."""
+    stored = decay.stored
     own = decay.amplitude_unit or "unit"
     is_angle = stored.unit is DeflectionUnit.RAD
     unit, size = ("rad", conversion(own, "rad")) if is_angle else (own, 1.0)

@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 
 from processing.balance import Balance, Turn, find_faults
-from rig.balance import history
-from rig.balance.dialogue import OnTerminal
-from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
-from tests.rig.balance.random_starts import LIMITS, follow, modelled_look, random_start
+from rig.prepare.dialogue import OnTerminal
+from rig.prepare.learned_turns import (
+    BalanceMeasurement,
+    LearnedTurns,
+    TurnEffect,
+    append_turn,
+    read_turns,
+)
 from tests.rig.command_line import CONFIGS, rig
+from tests.rig.prepare.random_starts import LIMITS, follow, modelled_look, random_start
 
 SHAPE = (640, 640)
 
@@ -92,9 +97,9 @@ def test_looks_that_cannot_be_believed_are_rejected_and_the_turn_is_kept(
     back = session.way_back()
     assert back is not None
     assert (back.weight, back.turns) == ("x", -0.1)
-    assert not history.read(tmp_path / "history.jsonl")
+    assert not read_turns(tmp_path / "history.jsonl")
     assert session.take(BalanceMeasurement(replace(sound, rest_x=sound.rest_x + 5e-5), 0.0, SHAPE)) == ""
-    (pair,) = history.read(tmp_path / "history.jsonl")
+    (pair,) = read_turns(tmp_path / "history.jsonl")
     assert (pair.weight, pair.parts) == ("x", (0.2,))
 
 
@@ -107,7 +112,7 @@ def test_a_change_that_the_turn_cannot_have_made_is_not_learned(
     session.take(BalanceMeasurement(replace(sound, rest_x=sound.rest_x - 4e-4), 0.0, SHAPE))
     assert "nothing is learned from this turn" in capsys.readouterr().err
     assert session.responses.pairs["height"] == 0
-    assert not history.read(tmp_path / "history.jsonl")
+    assert not read_turns(tmp_path / "history.jsonl")
 
 
 def test_a_false_pair_of_an_earlier_session_is_not_used(
@@ -132,14 +137,14 @@ def test_the_history_is_shown_and_its_last_turn_forgotten(tmp_path: Path) -> Non
     for turns in (0.5, 0.25):
         zero = np.zeros(3)
         after = np.array([0.0, 84.0 * turns, 0.0])
-        history.append_pair(path, history.TurnEffect("", "y", (turns,), zero, after, zero + 1e-9))
+        append_turn(path, TurnEffect("", "y", (turns,), zero, after, zero + 1e-9))
     words = ("balance", CONFIGS / "demo.toml", "--history-file", path)
     shown = rig(*words, "--history")
     assert shown.returncode == 0, shown.stderr
     assert shown.stdout.count("yes") == 2
     assert "one turn of y" in shown.stdout
     assert rig(*words, "--forget-last").stdout.count("yes") == 1
-    assert [pair.parts for pair in history.read(path)] == [(0.5,)]
+    assert [pair.parts for pair in read_turns(path)] == [(0.5,)]
 
 
 def test_no_turn_is_larger_than_a_weak_weight_needs(tmp_path: Path, sound: Balance) -> None:

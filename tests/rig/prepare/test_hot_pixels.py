@@ -8,11 +8,11 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from acquisition.simulation.settings import SensorTruth
-from rig.calibrate import calibrate_sensor
-from rig.calibrate.inputs import Filing
 from rig.instrument.calibration import fill_from_files
 from rig.instrument.provenance import recorded_configuration
 from rig.measure.session import simulate_record
+from rig.prepare import calibrate_sensor
+from rig.prepare.calibration_inputs import Filing
 from rig.settings import validate_configuration
 from rig.view.replay import Replay
 from tests.calibration.simulated_sensor import transfer_frames

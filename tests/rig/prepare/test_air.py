@@ -10,9 +10,9 @@ import pytest
 from calibration import read_calibration
 from processing.errors import ConfigurationError, DataError
 from rig.analysis import AnalysedRun, analyse_record, remarks
-from rig.calibrate import Filing, calibrate_air, vanes_to_cut
 from rig.instrument import complete
 from rig.measure.session import simulate_record
+from rig.prepare import Filing, calibrate_air, vanes_to_cut
 from rig.settings import validate_configuration
 
 DRAG_S = 1.7e-3
@@ -52,7 +52,7 @@ def vanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_drag_is_measured_filed_and_used(
     vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.calibrate.lever.analyse_record", fitted_once)
+    monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
     path = calibrate_air(vanes, Filing(tmp_path / "c", 30, "A. Person"))
     found = read_calibration(path, "air")
     drag_s, u_drag_s = found.values["drag_s"], found.values["u_drag_s"]
@@ -116,7 +116,7 @@ def test_a_run_too_short_for_the_waveform_is_refused(
         without = replace(fit, evidence=replace(fit.evidence, waveform=None))
         return replace(run, fitted={**run.fitted, "exact": without})
 
-    monkeypatch.setattr("rig.calibrate.lever.analyse_record", short)
+    monkeypatch.setattr("rig.prepare.lever.analyse_record", short)
     with pytest.raises(DataError, match="too short for the waveform"):
         calibrate_air(vanes, Filing(tmp_path / "c"))
     assert not (tmp_path / "c").exists()

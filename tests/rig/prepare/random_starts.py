@@ -16,9 +16,9 @@ from acquisition.simulation.true_path import TrimWeight, noisy, true_path
 from processing.balance import BalanceEstimator, BalanceLimits, Turn, Unreachable
 from processing.deflections import Deflections, DeflectionUnit
 from processing.units import ARCSEC_RAD
-from rig.balance.balancing import SimulatedOperator
-from rig.balance.learned_turns import BalanceMeasurement, LearnedTurns
 from rig.instrument import complete
+from rig.prepare.balancing import SimulatedOperator
+from rig.prepare.learned_turns import BalanceMeasurement, LearnedTurns
 from rig.settings import Configuration
 
 SENSOR_PX = 640

@@ -1,6 +1,8 @@
-"""The file campaign.toml, which states a campaign, and the model made of it."""
+"""The input of a campaign: campaign.toml, which states its model, and the runs of folders or an archive."""
 
+import json
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from math import log
 from pathlib import Path
 from typing import Annotated, Final, Self
@@ -8,11 +10,13 @@ from typing import Annotated, Final, Self
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
+from acquisition.record.digest import sha256_of
 from processing.contact import DRAG
 from processing.contact.laws import DEFAULT_LAW
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
 from processing.series import EXPONENT_OF, FRICTION, ORDER, POSITIVE, CompressedRun, Effect, Form, SeriesModel
+from rig.analysis import RunResults, read_results, results_path
 from rig.settings import read_toml, validated
 
 SURROUNDING_COVARIATES: Final = ("humidity_percent", "temperature_c", "pressure_pa", "dwell_s", "age_s")
@@ -162,3 +166,93 @@ def stated_model(stated: StatedCampaign, reference_rad: float, runs: Sequence[Co
         contacts_alike=stated.contacts_alike,
         bad_run_chance=stated.bad_run_chance,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundRun:
+    """The results of a run that may enter a campaign, with its label, its contact and the results' hash."""
+
+    label: str
+    contact: str
+    results_sha256: str
+    run: RunResults
+
+
+_SESSION = "session.json"
+
+
+def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list[FoundRun]:
+    """All runs of sessions, in the order of the folders; each folder is a contact, or with `by_sample` each
+    sample.
+
+    A folder without results of its own stands for all series in its subfolders, as one contact.
+
+    Raises ConfigurationError for a run or folder that occurs twice, or no stated sample, and RecordError.
+    """
+    names = [folder.resolve().name if folder.is_dir() else folder.resolve().parent.name for folder in folders]
+    found: list[FoundRun] = []
+    for folder, name in zip(folders, names, strict=True):
+        label, sessions = name if names.count(name) == 1 else str(folder), [folder]
+        if folder.is_dir() and not any(folder.glob("results*.json")):
+            sessions = sorted({path.parent for path in folder.glob("*/results*.json")}) or sessions
+        for session in sessions:
+            own = label if session == folder else f"{label}/{session.name}"
+            contact = _sample(session) if by_sample else label
+            found += _runs(results_path(session), own, contact)
+    return _without_duplicates(found)
+
+
+def _sample(folder: Path) -> str:
+    """The sample stated in the configuration of a session or of a table's fit."""
+    runs = read_results(results_path(folder)).runs
+    stated = [run.decay.session for run in runs if run.decay is not None]
+    place = folder if folder.is_dir() else folder.parent
+    path = results_path(folder) if stated else place / _SESSION
+    try:
+        session = stated[0] if stated else json.loads(path.read_bytes())["configuration"]["session"]
+        sample = session.get("sample", "")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigurationError(
+            f"{path}: names no sample ({type(error).__name__}); leave out --by-sample, then each folder is a "
+            "contact"
+        ) from None
+    if not sample:
+        raise ConfigurationError(f"{path}: its session.sample is empty; leave out --by-sample")
+    return str(sample)
+
+
+def runs_of_archive(listed: Sequence[Sequence[str]]) -> list[FoundRun]:
+    """Runs that an archive lists in order (`rig.archive.ordered_runs`); each sample is a contact."""
+    found: list[FoundRun] = []
+    for sha256, run, sample, folder, results in listed:
+        path = Path(folder) / results
+        own = [one for one in _runs(path, "", sample or path.parent.name) if one.run.sha256 == sha256]
+        if not own:
+            raise RecordError(f"{path}: knows no run {sha256[:8]}; rig archive update reads it again")
+        found.append(replace(own[0], label=f"{path.parent.name}/{run}"))
+    return _without_duplicates(found)
+
+
+def _runs(path: Path, folder: str, contact: str) -> list[FoundRun]:
+    results, sha256 = read_results(path), sha256_of(path)
+    return [
+        FoundRun(
+            label="/".join(filter(None, (folder, Path(run.record).stem or f"run-{number}"))),
+            contact=contact, results_sha256=sha256, run=run,
+        )
+        for number, run in enumerate(results.runs, start=1)
+    ]  # fmt: skip
+
+
+def _without_duplicates(runs: list[FoundRun]) -> list[FoundRun]:
+    """The runs unchanged; raises ConfigurationError if a run occurs twice."""
+    seen: dict[str, str] = {}
+    for one in runs:
+        before = seen.get(one.run.sha256)
+        if before == one.label:
+            raise ConfigurationError(f"{one.label}: its folder is named twice, and counts once; name it once")
+        if before is not None:
+            raise ConfigurationError(f"{one.label}: is the run of {before} (same hash), which counts once")
+        if one.run.sha256:
+            seen[one.run.sha256] = one.label
+    return runs
