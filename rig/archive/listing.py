@@ -184,7 +184,7 @@ def list_runs(
     names, rows = selected(archive, columns if columns.strip() else default, condition)
     if json_lines:
         for row in rows:
-            print_json_line("run", dict(zip(names, map(_json_value, row), strict=True)))
+            print_json_line("run", dict(zip(names, row, strict=True)))
         return
     table = _table(names, rows)
     if output is None:
@@ -339,8 +339,6 @@ def _shown(name: str, row: Mapping[str, Any]) -> str:
 def _cell(value: Any) -> Cell:
     if value is None:
         return nan
-    return value if isinstance(value, int | float) else str(_json_value(value))
-
-
-def _json_value(value: Any) -> Any:
-    return value.isoformat() if isinstance(value, datetime.datetime | datetime.date) else value
+    if isinstance(value, datetime.datetime | datetime.date):
+        return value.isoformat()
+    return value if isinstance(value, int | float) else str(value)

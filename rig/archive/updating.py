@@ -34,6 +34,7 @@ from rig.archive.listing import (
     write_sessions,
     writing,
 )
+from rig.archive.session_rows import session_rows
 from rig.instrument import code_identity, recorded_configuration
 from rig.presentation import say
 from rig.view import analyse_replayed
@@ -87,9 +88,6 @@ def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = 
         seen.add(str(folder))
         if not read and known.get(str(folder)) == files:
             continue
-        # imported here: it takes a second, for which an update without changes must not wait
-        from rig.archive.session_rows import session_rows
-
         try:
             found = session_rows(folder)
         except RecordError as error:
@@ -176,8 +174,6 @@ def check_archive(archive: Path) -> int:
 
 
 def _differences(folder: Path, rows: Sequence[tuple[Any, ...]]) -> Iterator[str]:
-    from rig.archive.session_rows import session_rows
-
     try:
         now = {(row["record"], row["run"]): row for row in session_rows(folder).rows}
     except RecordError as error:

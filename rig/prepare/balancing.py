@@ -29,7 +29,7 @@ from rig.instrument import (
     prepare_kernels,
     session_metadata,
 )
-from rig.prepare.dialogue import OnTerminal, Reporter
+from rig.prepare.dialogue import Reporter
 from rig.prepare.learned_turns import BalanceMeasurement, LearnedTurns, forget_last_turn, show_turns
 from rig.presentation import say
 from rig.settings import Configuration
@@ -257,7 +257,7 @@ def balance_rig(
         raise ConfigurationError(f"--seed {seed} works with the simulated rig only: leave it out")
     if operator is None and config.simulated:
         operator = SimulatedOperator(config, 1 if seed is None else seed)
-    reporter = OnTerminal() if reporter is None else reporter
+    reporter = reporter or Reporter()
     session = LearnedTurns(config, history_path(config, path))
     stated = config
 

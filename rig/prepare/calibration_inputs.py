@@ -153,21 +153,6 @@ class TransferFile(BaseModel, frozen=True, extra="forbid"):
     full_scale_dn: int | None = Field(default=None, gt=1, description="None: from the frames' files")
 
 
-def read_ladder(path: Path) -> LadderFile:
-    """Read the file of a ladder; raises ConfigurationError, one line with every fault."""
-    return _read(path, LadderFile)
-
-
-def read_transfer(path: Path) -> TransferFile:
-    """Read the file of a photon transfer; raises ConfigurationError, one line with every fault."""
-    return _read(path, TransferFile)
-
-
-def read_vanes(path: Path) -> VaneFile:
-    """Read the list of runs in different air; raises ConfigurationError, one line with every fault."""
-    return _read(path, VaneFile)
-
-
 def frames_of(path: Path) -> tuple[list[Image], int]:
     """Whole frames (at most 64) and full scale in DN of a record, a folder of images or a stack.
 
@@ -192,7 +177,8 @@ def frames_of(path: Path) -> tuple[list[Image], int]:
     return [item.pixels for item in stored], stored[0].full_scale
 
 
-def _read(path: Path, model: type[_Model]) -> _Model:
+def read_input(path: Path, model: type[_Model]) -> _Model:
+    """Read the input file of a calibration; raises ConfigurationError, one line with every fault."""
     if path.suffix.lower() == ".mcap":
         raise ConfigurationError(
             f"{path}: is a record; a list of measured values (TOML) is needed here, see docs/calibrate.md"

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from calibration import CalibrationFile, read_calibration, toml_value
 from processing.units import ARCSEC_RAD
@@ -100,68 +100,47 @@ def _budget(lines: Sequence[Mapping[str, Any]]) -> Table:
     )
 
 
+_RESIDUALS: Final = (
+    ("direction of the slow mode", "slow_at_s", "at, s", 1.0, "slow_off_rad", "off the mean, mrad", 1e3),
+    ("direction of the fast mode", "fast_at_s", "at, s", 1.0, "fast_off_rad", "off the mean, mrad", 1e3),
+    ("arrivals of frames", "parts_at_s", "at, s", 1.0, "off_line_s", "off the line, µs", 1e6),
+    (
+        "drag of each run, with the contact of all",
+        "areas_m2", "area of vanes, cm²", 1e4, "off_drags_s", "off the line, µs", 1e6,
+    ),
+    (
+        "drag of each run, with the contact of all",
+        "pressures_pa", "pressure, Pa", 1.0, "off_drags_s", "off the line, µs", 1e6,
+    ),
+    ("row time by stretch", "stretches_at_s", "at, s", 1.0, "off_stretches_s", "off the mean, µs", 1e6),
+    ("brightness by row", "rows_px", "row, px", 1.0, "off", "off the fit, %", 100.0),
+)  # fmt: skip
+"""Residuals of axes, clock, air and shutter: title, then detail, heading and display factor of both columns.
+
+Standard uncertainties are the detail with the name of the second column after ``u_``.
+"""
+
+
 def _residual_tables(found: CalibrationFile) -> Iterator[Table]:
     """Tables of residuals of axes, clock, shutter and air."""
-    details = found.details
+    details = dict(found.details)
     for mode in ("slow", "fast"):
-        if parts := details.get(f"{mode}_parts"):
-            yield _residuals(
-                f"direction of the {mode} mode",
-                "at, s",
-                "off the mean, mrad",
-                parts["at_s"],
-                _scaled(1e3, parts["off_rad"]),
-                _scaled(1e3, parts["u_off_rad"]),
-            )
-    if "off_line_s" in details:
-        yield _residuals(
-            "arrivals of frames",
-            "at, s",
-            "off the line, µs",
-            details["parts_at_s"],
-            _scaled(1e6, details["off_line_s"]),
-            _scaled(1e6, details["u_off_line_s"]),
-        )
+        parts = details.get(f"{mode}_parts") or {}
+        details |= {f"{mode}_at_s": parts.get("at_s"), f"{mode}_off_rad": parts.get("off_rad")}
+        details[f"u_{mode}_off_rad"] = parts.get("u_off_rad")
     if "off_drags_s" in details:
-        vanes = "areas_m2" in details
-        yield _residuals(
-            "drag of each run, with the contact of all",
-            "area of vanes, cm²" if vanes else "pressure, Pa",
-            "off the line, µs",
-            _scaled(1e4, details["areas_m2"]) if vanes else details["pressures_pa"],
-            _scaled(1e6, details["off_drags_s"]),
-            _scaled(1e6, details["u_drags_s"]),
-        )
+        details["u_off_drags_s"] = details["u_drags_s"]
     if "of_stretches_s" in details:
         mean_s = details["fitted_row_time_s"]
-        yield _residuals(
-            "row time by stretch",
-            "at, s",
-            "off the mean, µs",
-            details["stretches_at_s"],
-            _scaled(1e6, [value - mean_s for value in details["of_stretches_s"]]),
-            _scaled(1e6, details["u_of_stretches_s"]),
-        )
-    if "rows_px" in details:
-        yield _residuals(
-            "brightness by row",
-            "row, px",
-            "off the fit, %",
-            details["rows_px"],
-            _scaled(100.0, details["off"]),
-            _scaled(100.0, details["u_off"]),
-        )
-
-
-def _residuals(
-    title: str, x_name: str, y_name: str, x: Sequence[float], y: Sequence[float], u: Sequence[float]
-) -> Table:
-    """Table of the residuals of a fit: `y` against `x`, with standard uncertainties `u` (0: unknown)."""
-    return _table("residuals", title, (x_name, y_name, "u"), list(zip(x, y, u, strict=True)))
-
-
-def _scaled(factor: float, values: Sequence[float]) -> list[float]:
-    return [factor * value for value in values]
+        details["off_stretches_s"] = [value - mean_s for value in details["of_stretches_s"]]
+        details["u_off_stretches_s"] = details["u_of_stretches_s"]
+    for title, x, x_name, x_factor, y, y_name, y_factor in _RESIDUALS:
+        if details.get(x) and details.get(y):
+            rows = [
+                (x_factor * at, y_factor * off, y_factor * u)
+                for at, off, u in zip(details[x], details[y], details[f"u_{y}"], strict=True)
+            ]
+            yield _table("residuals", title, (x_name, y_name, "u"), rows)
 
 
 def _steps(details: Mapping[str, Any]) -> Table:

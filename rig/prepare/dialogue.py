@@ -5,7 +5,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 from processing.balance import Fault, Turn, Unreachable
 from processing.deflections import Deflections
@@ -161,47 +161,26 @@ QUESTION = (
 _POINTS_PER_LINE = 12
 
 
-class Reporter(Protocol):
-    """Reports the measurements of the balance, and asks the operator for the turn made."""
+class Reporter:
+    """Reports the measurements of the balance to a person at the terminal, and asks for the turn made."""
 
     def way(self, at: Deflections) -> None:
-        """Report the deflections of some frames."""
+        """Report the deflections of some frames: nothing here, because the live view shows them."""
 
     def live(self, faults: Sequence[Fault]) -> None:
         """Report the balance while it is measured."""
-
-    def found(
-        self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
-    ) -> None:
-        """Report a sound measurement, the faults before the last turn (or empty), and the advised turn."""
-
-    def rejected(self, why: str, hint: str, back: Turn | None) -> None:
-        """Report a rejected measurement; the turn `back` may help."""
-
-    def ask(self) -> str:
-        """The operator's answer on what was turned; raises EOFError at the end."""
-
-    def wrong(self, problem: str) -> None:
-        """Report an invalid answer."""
-
-
-class OnTerminal:
-    """Reports to a person at the terminal."""
-
-    def way(self, at: Deflections) -> None:
-        """Report nothing: the live view shows the trajectory."""
-
-    def live(self, faults: Sequence[Fault]) -> None:
         parts = [f"{f.name} {f.value:+.3g} {f.unit}".rstrip() for f in faults[:2] if math.isfinite(f.value)]
         say("  ".join(parts))
 
     def found(
         self, faults: Sequence[Fault], before: Sequence[Fault], advice: Turn | Unreachable | None
     ) -> None:
+        """Report a sound measurement, the faults before the last turn (or empty), and the advised turn."""
         print_faults(faults, before)
         print_line(turn_text(advice, faults))
 
     def rejected(self, why: str, hint: str, back: Turn | None) -> None:
+        """Report a rejected measurement; the turn `back` may help."""
         say(f"this measurement is not used: {why}")
         if hint:
             say(hint)
@@ -209,16 +188,18 @@ class OnTerminal:
             say(turn_text(back, []))
 
     def ask(self) -> str:
+        """The operator's answer on what was turned; raises EOFError at the end."""
         # a measurement lights the laser, which a single key must not do
         while not (answer := input(QUESTION)).strip():
             say("nothing done: m and Enter measures again, which lights the laser")
         return answer
 
     def wrong(self, problem: str) -> None:
+        """Report an invalid answer."""
         say(problem)
 
 
-class InJsonLines:
+class InJsonLines(Reporter):
     """Reports to a program: a JSON object on each line of stdout, answers line by line on stdin."""
 
     def way(self, at: Deflections) -> None:

@@ -34,7 +34,14 @@ from processing.spot import SpotFlag
 from processing.units import S_PER_NS, seconds
 from rig.devices import ntp_state
 from rig.instrument import U_QUARTZ, frame_shape, recorded_configuration
-from rig.prepare.calibration_inputs import Filing, details_of, file_calibration, frames_of, read_transfer
+from rig.prepare.calibration_inputs import (
+    Filing,
+    TransferFile,
+    details_of,
+    file_calibration,
+    frames_of,
+    read_input,
+)
 from rig.presentation import percent
 from rig.settings import Configuration
 
@@ -119,7 +126,7 @@ def calibrate_axes(record: Path, filing: Filing, slow_began: Sign | None, fast_b
 
 def calibrate_sensor(frames: Path, filing: Filing) -> Path:
     """Calibrate the sensor by photon transfer from dark and uniformly lit frames; returns the file."""
-    table = read_transfer(frames)
+    table = read_input(frames, TransferFile)
     place = frames.parent
     levels = {f"level {n}: frames": item.frames for n, item in enumerate(table.level, 1)}
     named = {"darks": table.darks, **levels}

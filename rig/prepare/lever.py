@@ -29,8 +29,7 @@ from rig.prepare.calibration_inputs import (
     VaneFile,
     details_of,
     file_calibration,
-    read_ladder,
-    read_vanes,
+    read_input,
 )
 from rig.prepare.frame_times import binning_of_record, mean_spot, spots_of_record
 from rig.presentation import percent, signed_percent
@@ -38,8 +37,8 @@ from rig.settings import Configuration
 
 
 def calibrate_lever(ladder: Path, filing: Filing) -> Path:
-    """Calibrate the lever from its geometry, or from a ladder of tilts or shifts (see `read_ladder`)."""
-    table = read_ladder(ladder)
+    """Calibrate the lever from its geometry, or from a ladder of tilts or shifts (see `LadderFile`)."""
+    table = read_input(ladder, LadderFile)
     if table.geometry is not None:
         found = lever_from_geometry(table.geometry)
         details = {"u_scale_relative": found.lever.u_scale_relative, **details_of(found, "lever")}
@@ -62,7 +61,7 @@ def calibrate_lever(ladder: Path, filing: Filing) -> Path:
 
 def check_known_angle(ladder: Path, lever: Path, filing: Filing) -> Path:
     """Compare a calibrated lever with known tilts; returns the file of the check."""
-    table = read_ladder(ladder)
+    table = read_input(ladder, LadderFile)
     if table.kind != "tilt" or not table.step:
         raise ConfigurationError(f"{ladder}: known tilts are needed for a check (kind = 'tilt')")
     in_use = Lever.model_validate(read_calibration(lever, "lever").values)
@@ -167,7 +166,7 @@ def _with_defaults(found: AmbientConditions) -> dict[str, float]:
 
 def calibrate_air(vanes: Path, filing: Filing) -> Path:
     """Calibrate the drag of the air from a list of runs (see `VaneFile`); returns the file."""
-    table = read_vanes(vanes)
+    table = read_input(vanes, VaneFile)
     for listed_run in table.run:
         if not (vanes.parent / listed_run.record).is_file():
             raise ConfigurationError(f"{vanes}: {vanes.parent / listed_run.record}: no such record")

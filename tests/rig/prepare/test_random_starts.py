@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from processing.balance import Balance, Turn, find_faults
-from rig.prepare.dialogue import OnTerminal
+from rig.prepare.dialogue import Reporter
 from rig.prepare.learned_turns import (
     BalanceMeasurement,
     LearnedTurns,
@@ -162,7 +162,7 @@ def test_what_was_not_determined_is_unknown_and_no_go(
     sound: Balance, capsys: pytest.CaptureFixture[str]
 ) -> None:
     faults = find_faults(replace(sound, rotation_rad_per_s=math.nan), (0.0, 1e-6), LIMITS)
-    OnTerminal().found(faults, [], None)
+    Reporter().found(faults, [], None)
     lines = capsys.readouterr().out.splitlines()
     (spin,) = [line for line in lines if " spin" in line]
     assert spin.startswith("?")
