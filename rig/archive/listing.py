@@ -16,7 +16,7 @@ from processing.errors import ConfigurationError, MissingPackage, RecordError
 from processing.estimate import Determinacy
 from rig.analysis import ResultRow
 from rig.archive.session_rows import COLUMNS, IMPORTANT, IS_SIMULATED, SHORT_NAMES, SHOWN, row_columns
-from rig.presentation import (
+from rig.terminal import (
     NOT_KNOWN,
     Cell,
     Table,

@@ -36,7 +36,7 @@ from rig.archive.listing import (
 )
 from rig.archive.session_rows import session_rows
 from rig.instrument import code_identity, recorded_configuration
-from rig.presentation import say
+from rig.terminal import say
 from rig.view import analyse_replayed
 
 _WRITE_INTERVAL_S = 5.0

@@ -156,8 +156,8 @@ def air(
       rig calibrate air vanes.toml
     """
     from rig.prepare import calibrate_air, vanes_to_cut
-    from rig.presentation import print_line
     from rig.settings import load_configuration
+    from rig.terminal import print_line
 
     if vanes is not None:
         return calibrate_air(vanes, filing)
@@ -242,7 +242,7 @@ def _command(made: Made) -> Callable[..., None]:
 def _say(path: Path) -> None:
     """Print the content of the new file."""
     from rig.prepare import filed, numbers_of
-    from rig.presentation import answer, print_line, print_tables
+    from rig.terminal import answer, print_line, print_tables
 
     made = filed(path)
     found = made.calibration

@@ -46,8 +46,8 @@ def report(
     Example:
       rig report runs/first
     """
-    from rig.presentation import answer
     from rig.report import make_report
+    from rig.terminal import answer
 
     page = make_report(folder, output)
     answer(written=[page])
@@ -92,8 +92,8 @@ def export(
     Example:
       rig export runs/first --format csv -o runs/csv
     """
-    from rig.presentation import answer
     from rig.report import export_session
+    from rig.terminal import answer
 
     (new_file(makes_folders=True) if format_ == "hdf5" else folder_without())(output)
     for path in export_session(source, format_, output):
@@ -166,8 +166,8 @@ def compare(
     if len(folders) < 2 and not against:
         raise ConfigurationError(f"{folders[0]}: a comparison needs two sessions or more; name another")
 
-    from rig.presentation import answer, print_tables
     from rig.report import compare as compare_sessions
+    from rig.terminal import answer, print_tables
 
     print_tables(compare_sessions(folders, output, against))
     if output is not None:
@@ -199,7 +199,6 @@ def model_runs(
     if archive is None and not folders:
         raise ConfigurationError("rig compare --model needs runs: name folders of sessions, or --archive")
     from rig.analysis import encoded
-    from rig.presentation import answer, print_tables, say
     from rig.report import (
         StatedCampaign,
         campaign_tables,
@@ -209,6 +208,7 @@ def model_runs(
         runs_of_folders,
         save_campaign,
     )
+    from rig.terminal import answer, print_tables, say
 
     stated = StatedCampaign() if model == DEFAULT else read_campaign(there(Path(model)))
     if archive is None:

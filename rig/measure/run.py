@@ -23,8 +23,7 @@ from rig.measure.recording import Recording
 from rig.measure.run_parts import RunOutcome, RunParts, RunPlan, set_aside
 from rig.measure.screen import RunDisplay
 from rig.measure.session_orders import StartJudge
-from rig.presentation import Verdict, say
-from rig.terminal import reason_of
+from rig.terminal import Verdict, reason_of, say
 from rig.view import RunningView
 
 _MAX_PAUSE_S = 60.0

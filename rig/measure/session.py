@@ -25,9 +25,8 @@ from rig.measure.run import measure_run, ready_for_frames
 from rig.measure.run_parts import RunPlan
 from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
 from rig.measure.session_orders import Notes, await_acknowledgement, orders
-from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
-from rig.terminal import Terminated, reason_of
+from rig.terminal import Terminated, answer, failures, print_json_line, reason_of, say
 
 
 def measure_session(

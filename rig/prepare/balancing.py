@@ -31,8 +31,8 @@ from rig.instrument import (
 )
 from rig.prepare.dialogue import Reporter
 from rig.prepare.learned_turns import BalanceMeasurement, LearnedTurns, forget_last_turn, show_turns
-from rig.presentation import say
 from rig.settings import Configuration
+from rig.terminal import say
 from rig.view import ScratchHead, ScratchView
 
 _BAD_SPOT = SpotFlag.LOST | SpotFlag.EDGE

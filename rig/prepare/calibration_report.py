@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from calibration import CalibrationFile, read_calibration, toml_value
 from processing.units import ARCSEC_RAD
-from rig.presentation import Table
+from rig.terminal import Table
 
 _ROUNDING_DN2 = 1.0 / 12.0
 """Variance of the rounding to whole DN."""

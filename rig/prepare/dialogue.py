@@ -10,7 +10,7 @@ from typing import Any
 from processing.balance import Fault, Turn, Unreachable
 from processing.deflections import Deflections
 from rig.instrument import turn_text
-from rig.presentation import (
+from rig.terminal import (
     NOT_KNOWN,
     Table,
     judged_number,

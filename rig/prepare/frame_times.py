@@ -42,8 +42,8 @@ from rig.prepare.calibration_inputs import (
     frames_of,
     read_input,
 )
-from rig.presentation import percent
 from rig.settings import Configuration
+from rig.terminal import percent
 
 _SEGMENTS = 16  # the scatter of so many means is known to 18 %
 _MAX_SATURATED_FRACTION = 0.1

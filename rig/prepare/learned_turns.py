@@ -25,8 +25,8 @@ from processing.balance import (
     names_with_units,
 )
 from rig.instrument import WEIGHTS, mass_centre_height, nominal_effects, sensor_room
-from rig.presentation import Table, answer, print_line, print_tables, say
 from rig.settings import Configuration
+from rig.terminal import Table, answer, print_line, print_tables, say
 
 Floats = NDArray[np.float64]
 

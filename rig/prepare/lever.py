@@ -32,8 +32,8 @@ from rig.prepare.calibration_inputs import (
     read_input,
 )
 from rig.prepare.frame_times import binning_of_record, mean_spot, spots_of_record
-from rig.presentation import percent, signed_percent
 from rig.settings import Configuration
+from rig.terminal import percent, signed_percent
 
 
 def calibrate_lever(ladder: Path, filing: Filing) -> Path:

@@ -29,7 +29,6 @@ from processing.series import (
 )
 from processing.units import ARCSEC_RAD
 from rig.analysis import SURFACE_ENERGY, RunResults
-from rig.presentation import quantity
 from rig.report.campaign_input import FoundRun, StatedCampaign, StatedEffect, stated_model
 from rig.report.likelihoods import (
     CampaignDifference,
@@ -42,6 +41,7 @@ from rig.report.likelihoods import (
     compress,
     likelihood_tree,
 )
+from rig.terminal import quantity
 
 _MIN_BAD_PROBABILITY = 0.5
 _MIN_EFFECTIVE_FRACTION = 0.05

@@ -16,7 +16,12 @@ from processing.estimate import Estimate
 from processing.series import ABSENT, ORDER, POSITIVE, CompressedRun, Effect, Form, LatentNumber
 from processing.units import ARCSEC_RAD
 from rig.analysis import encoded
-from rig.presentation import (
+from rig.report import html
+from rig.report.campaign import Campaign
+from rig.report.drawing import INK, ReportFigure, canvas, styled, three_columns
+from rig.report.likelihoods import CampaignEffect, CampaignResults
+from rig.report.session_report import save_figures, save_tables
+from rig.terminal import (
     SOURCES,
     Cell,
     Table,
@@ -29,11 +34,6 @@ from rig.presentation import (
     with_uncertainty,
     written,
 )
-from rig.report import html
-from rig.report.campaign import Campaign
-from rig.report.drawing import INK, ReportFigure, canvas, styled, three_columns
-from rig.report.likelihoods import CampaignEffect, CampaignResults
-from rig.report.session_report import save_figures, save_tables
 
 _MAX_SHOWN_SOURCES = 4
 _OTHER_COVARIATES: Final = {
@@ -324,9 +324,9 @@ def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
             axes.set_xscale("log")
         axes.set_xlabel(label)
         # b, c and gamma are shown as relative changes
-        at = f" at {results.reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
+        near = f" at {results.reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
         title = _scaled(name)[0]
-        axes.set_title(f"{title}{at}, from its middle" if name in POSITIVE else title, fontsize=7.5)
+        axes.set_title(f"{title}{near}, from its middle" if name in POSITIVE else title, fontsize=7.5)
     whole_in = figure.get_figheight()
     figure.subplots_adjust(bottom=0.5 / whole_in, top=1 - 0.6 / whole_in)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)

@@ -16,7 +16,11 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.series import CombinedValue, Comparison, combine, compare_series
 from rig.analysis import SURFACE_ENERGY, ResultRow, SessionResults, read_results
-from rig.presentation import (
+from rig.report import html
+from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, styled, three_columns
+from rig.report.figures_contact import comparison_figure
+from rig.report.session_report import save_figures, save_tables
+from rig.terminal import (
     Cell,
     Table,
     TableRow,
@@ -25,10 +29,6 @@ from rig.presentation import (
     quantity,
     written,
 )
-from rig.report import html
-from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, styled, three_columns
-from rig.report.figures_contact import comparison_figure
-from rig.report.session_report import save_figures, save_tables
 
 _MIN_RUNS = 3
 """Fewest runs for a fitted line whose slope has an uncertainty."""

@@ -12,9 +12,9 @@ from acquisition.atomic_write import being_written, write_new
 from processing.errors import ConfigurationError, MissingPackage, RecordError
 from processing.units import in_ascii
 from rig.analysis import ResultRow
-from rig.presentation import harmless_text, say, written
 from rig.report.exported_data import ExportData, exported_data
 from rig.report.session_report import latex_tables
+from rig.terminal import harmless_text, say, written
 
 Format = Literal["csv", "parquet", "hdf5", "latex"]
 

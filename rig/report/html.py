@@ -10,8 +10,8 @@ from typing import Final
 from acquisition.record.check import Finding
 from acquisition.record.digest import sha256_of
 from processing.errors import RecordError
-from rig.presentation import Table, palette
 from rig.report.drawing import DATA, INK, ReportFigure
+from rig.terminal import Table, palette
 
 RESULTS_SHA256 = "results-sha256"
 LIGHT: Final[Mapping[str, str]] = {

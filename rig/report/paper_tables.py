@@ -19,17 +19,6 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.units import ARCSEC_RAD
 from rig.analysis import curves_of
-from rig.presentation import (
-    Table,
-    TableRow,
-    answer,
-    plain,
-    power,
-    print_line,
-    print_tables,
-    with_uncertainty,
-    written,
-)
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, styled
 from rig.report.paper_simulation import (
@@ -45,6 +34,17 @@ from rig.report.paper_simulation import (
 )
 from rig.report.session_report import save_figures, save_tables
 from rig.report.tables import series_table
+from rig.terminal import (
+    Table,
+    TableRow,
+    answer,
+    plain,
+    power,
+    print_line,
+    print_tables,
+    with_uncertainty,
+    written,
+)
 
 CONTRADICTION: Final = "known contradiction"
 _AGREES: Final = "agrees"

@@ -13,7 +13,6 @@ from processing.errors import RecordError
 from processing.fit import FitMethod
 from rig.analysis import AnalysedTable, Curves, Series, SessionResults, curves_of, results_path
 from rig.intake import write_positions
-from rig.presentation import Table, latex_table, quantity, written
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, png, styled, svg
 from rig.report.figures_contact import instrument_figures
@@ -21,6 +20,7 @@ from rig.report.figures_motion import damped_figure, position_error_figure, witn
 from rig.report.source import ReportSource, RunData, read_source
 from rig.report.summary import notes_of, run_sentence, summary_of, title_of
 from rig.report.tables import run_tables, series_tables
+from rig.terminal import Table, latex_table, quantity, written
 
 _DEFAULT_PERIOD_S = 4.0
 

@@ -16,10 +16,10 @@ from rig.analysis import (
     remarks,
     whole_result,
 )
-from rig.presentation import latex_rows, plain, quantity
 from rig.report import html
 from rig.report.source import ReportSource, RunData
 from rig.report.tables import headline
+from rig.terminal import latex_rows, plain, quantity
 
 _NOT_STATED = "not stated"
 _PAPER = "I. Gilavdary, S. Mekid, N. Riznookaya, Lubricants 2023, 11(2), 88, doi:10.3390/lubricants11020088"

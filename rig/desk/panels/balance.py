@@ -11,7 +11,7 @@ from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab, apart, at_once, box
 from rig.instrument import WEIGHTS
 from rig.prepare import BalanceStage
-from rig.presentation import judged_number
+from rig.terminal import judged_number
 
 _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 

@@ -17,7 +17,7 @@ from rig.desk.dialogs import resume_dialog
 from rig.desk.sessions import NUMBERS, SERVED, SessionRow
 from rig.desk.tab import Tab, at_once
 from rig.prepare import next_free
-from rig.presentation import quantity
+from rig.terminal import quantity
 
 KEYS = (("o", "runs: open the report"), ("v", "runs: show in Rerun"))
 _COLUMNS = ("begun", "name", "sample", "runs", "state", *NUMBERS, "balance", "conditions", "operator")

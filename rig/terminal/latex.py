@@ -6,7 +6,7 @@ from typing import Final
 
 from processing.errors import ConfigurationError
 from processing.units import factors, split_prefix
-from rig.presentation.printing import Table
+from rig.terminal.printing import Table
 
 _NUMBER = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 _SUPERSCRIPTS: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹ᵖ", "-0123456789p")

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rig.presentation.printing import folded
+from rig.terminal.printing import folded
 
 
 @dataclass(frozen=True, slots=True)

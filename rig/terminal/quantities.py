@@ -16,7 +16,7 @@ from processing.ambient import AmbientConditions
 from processing.number_text import with_uncertainty
 from processing.quantity import Quantity, quantities_of
 from processing.units import ARCSEC_RAD, unit_of_name
-from rig.presentation import palette
+from rig.terminal import palette
 
 if TYPE_CHECKING:
     from processing.balance import Balance
