@@ -61,14 +61,11 @@ def paper(
             "Folder for paper.html with figures and tables.", folder_without("paper.html", "paper")
         ),
     ] = None,
-    b_exponent: Annotated[
-        int, typer.Option(help="Power of ten of b, which the paper's Table 2 omits.", min=-6, max=-3)
-    ] = -4,
 ) -> None:
     """Simulate the paper's runs and compare with its tables."""
     from rig.report import reproduce_paper
 
-    reproduce_paper(output, b_exponent)
+    reproduce_paper(output)
 
 
 def export(

@@ -20,7 +20,6 @@ from rig.report import html
 from rig.report.campaign import Campaign
 from rig.report.drawing import INK, ReportFigure, canvas, styled, three_columns
 from rig.report.likelihoods import CampaignEffect, CampaignResults
-from rig.report.session_report import save_figures, save_tables
 from rig.terminal import (
     SOURCES,
     Cell,
@@ -390,11 +389,11 @@ def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
         text = json.dumps(plain_values(encoded(campaign.results)), indent=1, allow_nan=False) + "\n"
         atomic_write.write_new(path, text.encode())
         tables = campaign_tables(campaign)
-        save_tables(tables, files)
+        html.save_tables(tables, files)
         atomic_write.replace(files / "contacts.tex", latex_table(_contacts_table(campaign.results)).encode())
         with styled():
             over, residuals = _covariate_figure(campaign), _residual_figure(campaign)
-            figures = save_figures([residuals] if over is None else [over, residuals], files)
+            figures = html.save_figures([residuals] if over is None else [over, residuals], files)
         atomic_write.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
     return [path, target]
 

@@ -19,7 +19,6 @@ from rig.analysis import SURFACE_ENERGY, ResultRow, SessionResults, read_results
 from rig.report import html
 from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, styled, three_columns
 from rig.report.figures_contact import comparison_figure
-from rig.report.session_report import save_figures, save_tables
 from rig.terminal import (
     Cell,
     Table,
@@ -198,10 +197,10 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         names = [name for name in compared if all(name in known for known in rows.values())]
         with written(output, "name"):
             files.mkdir(parents=True, exist_ok=True)
-            save_tables(tables, files)
+            html.save_tables(tables, files)
             with styled():
                 drawings = [comparison_figure(names, rows), *([ambient_figure(seen, over)] if over else [])]
-                figures = save_figures(drawings, files)
+                figures = html.save_figures(drawings, files)
             body = [*figures.values(), *(html.table(content) for content in tables)]
             page = html.page("Series compared", ", ".join(series), body)
             atomic_write.write_new(output, page.encode())

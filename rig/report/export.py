@@ -4,17 +4,173 @@ import io
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_type_hints
+from typing import Any, Literal, cast, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.atomic_write import being_written, write_new
+from acquisition.record.digest import cached_sha256, sha256_of, utc
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import SPOT, SWING
+from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, MissingPackage, RecordError
-from processing.units import in_ascii
-from rig.analysis import ResultRow
-from rig.report.exported_data import ExportData, exported_data
-from rig.report.session_report import latex_tables
-from rig.terminal import harmless_text, say, written
+from processing.units import NS_PER_S, conversion, in_ascii, unit_of_name
+from rig.analysis import (
+    RESULTS_NAME,
+    JsonObject,
+    ResultRow,
+    RunResults,
+    Series,
+    SessionResults,
+    TableDecay,
+    encoded,
+    read_results,
+    results_path,
+)
+from rig.instrument import CONFIGURATION_NAME
+from rig.intake import read_positions
+from rig.report.source import read_source
+from rig.report.tables import run_tables, series_tables
+from rig.terminal import Table, harmless_text, latex_table, say, written
+
+
+@dataclass(frozen=True)
+class ExportData:
+    """The data exported of a run or a series."""
+
+    name: str
+    rows: Sequence[ResultRow]
+    """The table of results."""
+    results: JsonObject
+    """Its part of results.json; empty if the run was not fitted."""
+    provenance: Mapping[str, str]
+    """Texts by name: hash, complete configuration and metadata of the record."""
+    notes: tuple[str, ...] = ()
+    """What is missing in the records: truncated or damaged parts."""
+    columns: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
+    """Columns of `spots` and `swings` of a run, by the record's names of fields."""
+    began: str = ""
+    ended: str = ""
+    """UTC of the first and the last frame, as ISO 8601."""
+    own_units: Mapping[str, str] = field(default_factory=dict)
+    """Units of the columns whose names do not end in them."""
+
+    def unit_of(self, column: str) -> str:
+        """Unit of a column of `spots` or `swings`."""
+        return self.own_units.get(column) or unit_of_name(column)
+
+
+def _exported_data(source: Path) -> list[ExportData]:
+    """The runs in a folder, a results file or a record, and after them their series, if they make one.
+
+    Results of a record are those next to it, if any; a record has no series. Raises RecordError if a record,
+    or the positions of a table, cannot be read, or if results were made from another record.
+    """
+    if not source.is_dir() and source.suffix != ".json":
+        beside = read_results(source.parent).runs if (source.parent / RESULTS_NAME).exists() else ()
+        return [_read_run(source, next((run for run in beside if run.record == source.name), None))]
+    folder, results = source if source.is_dir() else source.parent, read_results(source)
+    found = []
+    for number, run in enumerate(results.runs, start=1):
+        if run.decay is None:
+            found.append(_read_run(folder / run.record, run))
+        else:
+            suffix = "" if len(results.runs) == 1 else f"-decay-{number}"
+            found.append(_read_table_decay(folder, run, run.decay, f"{run.source_name}{suffix}"))
+    series = results.series
+    if series is not None:
+        found.append(_exported_series(source, series, list(zip(found, results.runs, strict=True))))
+    return found
+
+
+def _read_run(path: Path, results: RunResults | None) -> ExportData:
+    with RecordReader(path) as reader:
+        provenance = {"record": path.name, "deflection_unit": reader.deflection_unit}
+        for section, texts in reader.metadata.items():
+            provenance |= {f"{section}.{key}": text for key, text in texts.items() if text}
+        configuration = reader.attachments.get(CONFIGURATION_NAME)
+        if configuration is not None:
+            provenance["configuration"] = json.dumps(json.loads(configuration))
+        spots, swings = reader.table(SPOT.topic), reader.table(SWING.topic)
+        began, ended = (utc(time_ns).isoformat() for time_ns in _span_ns(reader, spots))
+        notes = tuple(reader.doubts())
+        if configuration is None and CONFIGURATION_NAME in reader.contents.attachment_places:
+            notes = (*notes, "the configuration is damaged and not part of this export")
+    provenance["sha256"] = cached_sha256(path)
+    if results is not None and results.sha256 != provenance["sha256"]:
+        raise RecordError(
+            f"{path}: differs from the record from which {RESULTS_NAME} was made (other hash); "
+            "run rig fit again"
+        )
+    columns = {"spots": _fields(spots), "swings": _fields(swings)}
+    rows, tree = ((), {}) if results is None else (results.table, encoded(results))
+    return ExportData(path.stem, rows, tree, provenance, notes, columns, began, ended)
+
+
+def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
+    """UTC of the first and the last frame; without frames of the first and the last message."""
+    if not len(spots):
+        return reader.contents.start_ns, reader.contents.end_ns
+    first_ns, last_ns = int(spots["time_ns"][0]), int(spots["time_ns"][-1])
+    return first_ns + reader.epoch_offset_ns, last_ns + reader.epoch_offset_ns
+
+
+def _fields(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """The fields of a structured array as contiguous arrays, in order."""
+    return {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
+
+
+def _exported_series(
+    source: Path, series: Series, runs: Sequence[tuple[ExportData, RunResults]]
+) -> ExportData:
+    """The series of a results file, with the hashes of the file and of the combined records.
+
+    Records are in the order of the series' lists of runs.
+    """
+    runs = series.combined(runs)
+    path = results_path(source)
+    about = {"results": path.name, "sha256": sha256_of(path)}
+    samples = {run.provenance.get("session.sample", "") for run, _ in runs}
+    if len(samples) == 1 and (sample := samples.pop()):
+        about["session.sample"] = sample
+    about |= {f"runs.{place}": f"{one.record}, SHA-256 {one.sha256}" for place, (_, one) in enumerate(runs)}
+    simulated = sum(bool(one.simulated) for _, one in runs)
+    if simulated:
+        about["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
+    notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
+    tree = cast(JsonObject, encoded(SessionResults(runs=(), series=series))["series"])
+    return ExportData("series", series.table, tree, about, notes)
+
+
+def _read_table_decay(folder: Path, decay: RunResults, place: TableDecay, name: str) -> ExportData:
+    """A decay of a table by the results in a folder; angles in rad, other positions in the table's unit."""
+    stored = decay.stored
+    own = decay.amplitude_unit or "unit"
+    is_angle = stored.unit is DeflectionUnit.RAD
+    unit, size = ("rad", conversion(own, "rad")) if is_angle else (own, 1.0)
+    time_s, positions = read_positions(folder)
+    inside = (time_s >= place.began_s) & (time_s <= place.ended_s)
+    suffix = re.sub(r"\W", "_", unit)
+    spots: dict[str, NDArray[Any]] = {"time_s": time_s[inside]}
+    spots |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
+    provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
+    provenance |= {f"session.{name}": text for name, text in place.session.items()}
+    air = {} if decay.surroundings is None else decay.surroundings.known()
+    provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
+    swings: dict[str, NDArray[Any]] = {
+        "index": stored.index,
+        "time_s": stored.first_ns / NS_PER_S + stored.time_s,
+        "u_time_s": stored.u_time_s,
+        f"amplitude_{suffix}": stored.amplitude,
+        f"u_amplitude_{suffix}": stored.u_amplitude,
+    }
+    units = {key: unit for key in (*spots, *swings) if key.endswith(f"_{suffix}")}
+    columns = {"spots": spots, "swings": swings}
+    return ExportData(name, decay.table, encoded(decay), provenance, columns=columns, own_units=units)
+
 
 Format = Literal["csv", "parquet", "hdf5", "latex"]
 
@@ -40,7 +196,7 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
                 output.mkdir(parents=True, exist_ok=True)
                 write_new(path, content)
         return list(made)
-    exported = exported_data(source)
+    exported = _exported_data(source)
     if len({_item_name(one.name) if kind == "hdf5" else one.name for one in exported}) < len(exported):
         raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
     tables = [output / f"{one.name}-{name}.{kind}" for one in exported for name in (*one.columns, "table")]
@@ -58,6 +214,20 @@ def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
             return [output]
         output.mkdir(parents=True, exist_ok=True)
         return [path for one in exported for path in _write_tables(output, one, kind)]
+
+
+def latex_tables(folder: Path) -> Mapping[str, str]:
+    """LaTeX of every table of the report and of the series, by file name (`run-1-parameters.tex`).
+
+    Raises RecordError for a folder without results, or whose record is missing.
+    """
+    source = read_source(folder)
+    found = dict[str, Table]()
+    for number, run in enumerate(source.runs, start=1):
+        found |= {f"run-{number}-{each.name}.tex": each for each in run_tables(run, None)}
+    if source.series is not None:
+        found |= {f"{each.name}.tex": each for each in series_tables(source.series)}
+    return {name: latex_table(each, Path(name).stem) for name, each in found.items() if each.shown}
 
 
 def _write_tables(folder: Path, run: ExportData, kind: Literal["csv", "parquet"]) -> Iterator[Path]:

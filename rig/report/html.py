@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from acquisition import atomic_write
 from acquisition.record.check import Finding
 from acquisition.record.digest import sha256_of
 from processing.errors import RecordError
-from rig.report.drawing import DATA, INK, ReportFigure
+from rig.report.drawing import DATA, INK, ReportFigure, png, svg
 from rig.terminal import Table, palette
 
 RESULTS_SHA256 = "results-sha256"
@@ -256,6 +257,25 @@ def check_report(results: Path) -> list[Finding]:
             Finding("error", f"{report.name} was made from other results than {results.name}; run rig report")
         ]
     return [Finding("note", f"{report.name} was made from {results.name}")]
+
+
+def save_figures(drawings: Sequence[ReportFigure], files: Path) -> dict[str, str]:
+    """Write every figure as a file, frames as PNG, others as SVG; returns the HTML of each by name."""
+    atomic_write.take_away_leftovers(files)
+    found = {}
+    for drawing in drawings:
+        is_frame = drawing.name.endswith("frame")
+        data = png(drawing) if is_frame else svg(drawing)
+        atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
+        found[drawing.name] = picture(drawing, data, "image/png" if is_frame else "image/svg+xml")
+    return found
+
+
+def save_tables(tables: Sequence[Table], files: Path) -> None:
+    """Write every table as CSV."""
+    atomic_write.take_away_leftovers(files)
+    for table in tables:
+        atomic_write.replace(files / f"{table.name}.csv", table.csv().encode())
 
 
 def with_theme(figure: bytes) -> bytes:
