@@ -10,7 +10,6 @@ from rig.report.html import check_report
 from rig.report.paper_tables import reproduce_paper
 from rig.report.plan import ageing_table, make_plan, plan_figure, plan_table, save_plan
 from rig.report.planned_run import (
-    PlannedContact,
     planned_contact,
     planned_contact_of_file,
     planned_contact_of_run,

@@ -8,7 +8,6 @@ from processing.number_text import (
     percent,
     plain,
     power,
-    rounded,
     signed,
     signed_percent,
     with_uncertainty,
