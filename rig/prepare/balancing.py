@@ -1,11 +1,10 @@
 """The loop of `rig balance`: measure the balance, advise a turn of a weight, learn from it, repeat."""
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from acquisition.camera import CameraInfo, Frame
 from acquisition.record.events import Event, EventKind
@@ -40,7 +39,7 @@ _PAUSE_NS = 2_000_000_000
 _MIN_PULSE_S = 0.01
 
 
-class BalanceView:
+class BalanceView(contextlib.ExitStack):
     """The view in the balancing layout, where measurements follow each other in time; a context manager.
 
     The view is opened at the first frame, if a live view or a Rerun file is wanted. At the end RecordError is
@@ -54,6 +53,7 @@ class BalanceView:
         advise: Callable[[Balance], str],
         way: Callable[[Deflections], None],
     ) -> None:
+        super().__init__()
         self._config = config
         self._rrd = rrd
         self._advise = advise
@@ -62,15 +62,6 @@ class BalanceView:
         self._shift_ns = 0
         self._shown_ns = 0
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._view is not None:
-            self._view.__exit__(kind, error, trace)
-
     def begin(self, first: Frame, info: CameraInfo) -> None:
         """Begin a measurement; the frames' clock may have been reset."""
         mode = self._config.view.mode
@@ -78,7 +69,7 @@ class BalanceView:
             return
         if self._view is None:
             config = self._config
-            self._view = ScratchView("balancing", mode, self._rrd, "balancing")
+            self._view = self.enter_context(ScratchView("balancing", mode, self._rrd, "balancing"))
             metadata = session_metadata(config, info, first)
             attachments = configuration_attachments(config, Path())
             head = ScratchHead(metadata, attachments, config.deflection_unit, time.time_ns())
@@ -264,6 +255,9 @@ def balance_rig(
     def advise(balance: Balance) -> str:
         return advice_for(stated, balance, session.responses, session.room).markdown
 
+    def show(balance: Balance) -> None:
+        reporter.live(find_faults(balance, mass_centre_height(config, balance), config.balance))
+
     turns = measurements = 0
     swing_arcsec = math.inf
     folder = history_path(config, path).parent
@@ -277,7 +271,7 @@ def balance_rig(
                 config = config.model_copy(update={"simulation": operator.simulation})
             measurements += 1
             try:
-                why = session.take(measure(config, devices, _shower(config, reporter), view, swing_arcsec))
+                why = session.take(measure(config, devices, show, view, swing_arcsec))
             except DataError as error:
                 why = str(error)
             if why:
@@ -317,12 +311,6 @@ def _after_rejection(session: LearnedTurns, why: str, reporter: Reporter) -> Tur
         hint += "; if that does not help:" if turn else ""
     reporter.rejected(why, hint, turn)
     return turn
-
-
-def _shower(config: Configuration, reporter: Reporter) -> Callable[[Balance], None]:
-    return lambda balance: reporter.live(
-        find_faults(balance, mass_centre_height(config, balance), config.balance)
-    )
 
 
 _MAX_TURNS = 50.0

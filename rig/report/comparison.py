@@ -114,14 +114,11 @@ def _line(runs: Sequence[RunAtCondition], key: str) -> tuple[float, float, float
     )
     if len(known) < _MIN_RUNS or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
         return nan, nan, nan
-    weight = known[:, 2] ** -2.0
-    x = known[:, 0] - np.average(known[:, 0], weights=weight)
-    y = known[:, 1] - np.average(known[:, 1], weights=weight)
-    power = float(weight @ x**2)
-    slope = float(weight @ (x * y)) / power
-    dof = len(known) - 2
-    u = float(np.sqrt(weight @ (y - slope * x) ** 2 / dof / power))
-    return slope, u, 2 * float(stdtr(dof, -abs(slope) / u)) if u else 0.0
+    # about the middle: far from zero the slope would lose digits
+    x, y, weight = known[:, 0] - known[:, 0].mean(), known[:, 1], 1 / known[:, 2]
+    found, covariance = np.polyfit(x, y, 1, w=weight, cov=True)
+    slope, u = float(found[0]), float(np.sqrt(covariance[0, 0]))
+    return slope, u, 2 * float(stdtr(len(known) - 2, -abs(slope) / u)) if u else 0.0
 
 
 def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:

@@ -141,11 +141,6 @@ def paragraph(text: str, kind: str = "") -> str:
     return f"<p{attribute}>{escape(text)}</p>"
 
 
-def preformatted(text: str) -> str:
-    """Lines of text to be copied."""
-    return f"<pre>{escape(text)}</pre>"
-
-
 def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
     """A figure with its caption; `kind` is the media type of the data.
 
@@ -186,11 +181,6 @@ def table(content: Table, level: int = 3) -> str:
         f'<div class="scroll" tabindex="0" role="group" aria-label="{escape(content.title)}">'
         f"<table{short}>{header}<tbody>{''.join(lines)}</tbody></table></div>{note}"
     )
-
-
-def first_screen(left: Sequence[str], right: Sequence[str]) -> str:
-    """The top of the page, seen without scrolling: two columns, verdict and decay."""
-    return f'<div class="first"><div>{"".join(left)}</div><div>{"".join(right)}</div></div>'
 
 
 def verdict(lines: Sequence[tuple[str, str]]) -> str:
@@ -235,24 +225,19 @@ def key_values(items: Sequence[tuple[str, str]]) -> str:
     )
 
 
-def stated_results_sha256(text: str) -> str:
-    """SHA-256 of the results that a page was made from, from its head; empty if it states none."""
-    found = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', text)
-    return found[1] if found else ""
-
-
 def check_report(results: Path) -> list[Finding]:
     """Compare the SHA-256 in the report of a results file with the file; no findings without a report."""
     report = results.with_name(results.stem.replace("results", "report", 1) + ".html")
     if not report.is_file():
         return []
     try:
-        stated = stated_results_sha256(report.read_text(encoding="utf-8", errors="replace"))
+        page_text = report.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise RecordError(f"{report}: cannot be read: {error.strerror or error}") from None
-    if not stated:
+    stated = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', page_text)
+    if stated is None:
         return [Finding("note", f"{report.name} does not say which results it was made from")]
-    if stated != sha256_of(results):
+    if stated[1] != sha256_of(results):
         return [
             Finding("error", f"{report.name} was made from other results than {results.name}; run rig report")
         ]

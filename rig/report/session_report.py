@@ -288,7 +288,8 @@ def _summary_of(source: ReportSource, decay: str) -> list[str]:
         values = headline(run, None if series is None else series.instrument)
         first.append(html.key_values(values))
         first.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
-    body.append(html.first_screen(first, [decay]))
+    # seen without scrolling: two columns, verdict and decay
+    body.append(f'<div class="first"><div>{"".join(first)}</div><div>{decay}</div></div>')
     body.append(html.heading("Summary"))
     body.append(html.facts(_circumstances(source)))
     for data in source.runs:
@@ -395,7 +396,7 @@ def _text_to_copy(source: ReportSource, found: RowsByName) -> list[str]:
     return [
         html.heading("To copy", 3),
         html.paragraph(text),
-        html.preformatted(latex_rows(head, [row.text for row in rows], _title_of(source)[0])),
+        f"<pre>{html.escape(latex_rows(head, [row.text for row in rows], _title_of(source)[0]))}</pre>",
     ]
 
 
