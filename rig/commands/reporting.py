@@ -187,14 +187,14 @@ def model_runs(
     sample: bool,
 ) -> None:
     """Fit the model to the runs, print its tables and save the results in `output`."""
+    if archive is None and not folders:
+        raise ConfigurationError("rig compare --model needs runs: name folders of sessions, or --archive")
     if archive is not None and folders:
         raise ConfigurationError(f"{folders[0]}: folders and --archive exclude each other; leave one out")
     if where and archive is None:
         raise ConfigurationError(f"--where {where!r}: has no effect without --archive")
     if by_sample and archive is not None:
         raise ConfigurationError("--by-sample: has no effect with --archive, where each sample is a contact")
-    if archive is None and not folders:
-        raise ConfigurationError("rig compare --model needs runs: name folders of sessions, or --archive")
     from rig.analysis import encoded
     from rig.report import (
         StatedCampaign,
