@@ -32,7 +32,7 @@ ALLOWED = {
     "rig/desk/store.py": "a lock",
     "rig/measure/session_file.py": "a lock",
     "rig/measure/run_parts.py": "a record set aside under another name",
-    "rig/terminal/interruption.py": "the null device",
+    "rig/interruption.py": "the null device",
     "rig/measure/screen.py": "the null device",
     # devices
     "rig/control/presses.py": "the time of a file alone, where a full disk takes no content; a device's port",

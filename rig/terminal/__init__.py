@@ -1,4 +1,4 @@
-"""The terminal: interrupts, child processes; symbols, units, tables, colours, verdicts of what is shown."""
+"""What is shown at the terminal and in files: symbols, units, tables, colours, verdicts; keys."""
 
 from processing.number_text import (
     NOT_KNOWN,
@@ -13,19 +13,6 @@ from processing.number_text import (
     with_uncertainty,
 )
 from rig.terminal import palette
-from rig.terminal.interruption import (
-    BY_USER,
-    LOOPBACK,
-    Terminated,
-    call_on_hang_up,
-    free_port,
-    own_group,
-    reason_of,
-    replace_missing_characters,
-    spelled,
-    start_python,
-    terminated_by_signals,
-)
 from rig.terminal.latex import latex_rows, latex_table
 from rig.terminal.printing import (
     Cell,

@@ -23,12 +23,12 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import RunNow, configuration_attachments, recorded_configuration
+from rig.interruption import Terminated
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import (
     Keys,
     QuantityDisplay,
     Table,
-    Terminated,
     answer,
     plain,
     print_line,

@@ -18,10 +18,10 @@ from rig.desk.calibrating import KINDS
 from rig.desk.desk import Desk
 from rig.desk.lighting import refusal
 from rig.desk.panels.balance import net_of
+from rig.interruption import start_python
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
 from rig.prepare import BalanceStage
-from rig.terminal import start_python
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.waiting import until
 

@@ -182,7 +182,7 @@ def start_python(*words: str, **how: Any) -> "subprocess.Popen[Any]":
 
     The variables of `env` are added to the environment of this process.
     """
-    project = str(Path(__file__).resolve().parents[2])
+    project = str(Path(__file__).resolve().parents[1])
     path = os.pathsep.join(part for part in (project, os.environ.get("PYTHONPATH")) if part)
     environment = {**os.environ, **how.pop("env", {}), "PYTHONPATH": path}
     return subprocess.Popen([sys.executable, "-P", *words], env=environment, **how, **own_group())
