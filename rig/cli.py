@@ -31,7 +31,7 @@ from rig.commands import (
     reporting,
     session,
 )
-from rig.terminal import reason_of, replace_missing_characters, terminated_by_signals
+from rig.interruption import reason_of, replace_missing_characters, terminated_by_signals
 
 _MADE_BETWEEN_COLLECTIONS = 10_000
 

@@ -17,12 +17,11 @@ ALLOWED = {
     "acquisition/atomic_write.py": "is the way",
     "acquisition/record/mcap_file.py": "a record while it is measured, which a cut must leave readable",
     # names that being_written or folder_being_written gave
-    "rig/report/session_export.py": "under the name that being_written gives",
-    "rig/report/nexus.py": "under the name that being_written gives",
+    "rig/report/export.py": "under the name that being_written gives",
     "rig/settings/written_file.py": "under the name that being_written gives",
     "rig/measure/plain_record.py": "in the folder that folder_being_written gives",
     # lines that are added, never changed
-    "rig/balance/history.py": "a history to which lines are added",
+    "rig/prepare/learned_turns.py": "a history to which lines are added",
     "rig/measure/session_orders.py": "lines of a file beside the record, which holds them too",
     "rig/devices/audit.py": "a chain of lines, each forced to the disk, which knows where it was cut",
     "rig/desk/jobs.py": "what a program prints",
@@ -33,7 +32,7 @@ ALLOWED = {
     "rig/desk/store.py": "a lock",
     "rig/measure/session_file.py": "a lock",
     "rig/measure/run_parts.py": "a record set aside under another name",
-    "rig/terminal/interruption.py": "the null device",
+    "rig/interruption.py": "the null device",
     "rig/measure/screen.py": "the null device",
     # devices
     "rig/control/presses.py": "the time of a file alone, where a full disk takes no content; a device's port",

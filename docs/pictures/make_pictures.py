@@ -22,7 +22,8 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1]))
 
 from rig.instrument import complete  # noqa: E402
-from rig.report import draw_run, make_plan, plan_figure, planned_contact, png, styled  # noqa: E402
+from rig.report import draw_run, make_plan, plan_figure, planned_contact, styled  # noqa: E402
+from rig.report.drawing import png  # noqa: E402
 from rig.settings import load_configuration  # noqa: E402
 from rig.view import LayoutName  # noqa: E402
 from rig.view.layout import TIMELINE  # noqa: E402

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 
 import rig
 from rig.measure import simulate_record
-from rig.presentation import palette
 from rig.settings import load_configuration
+from rig.terminal import palette
 
 HERE = Path(__file__).resolve().parent / "troubles"
 CONFIGURATION = HERE.parents[2] / "configs" / "demo.toml"

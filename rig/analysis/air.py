@@ -17,8 +17,8 @@ from processing.contact import ExpectedDrag, PendulumOnBall, bar_of, expected_dr
 from processing.estimate import Estimate
 from processing.fit import Evidence, FitResult, InputQuantity, waveform_of
 from processing.swing import SwingHarmonics
-from rig.presentation import percent, quantity
 from rig.settings import Configuration
+from rig.terminal import percent, quantity
 
 _AIR = ("temperature_c", "humidity_percent", "pressure_pa")
 _USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}

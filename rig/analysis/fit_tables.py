@@ -13,7 +13,7 @@ from rig.analysis.contact_results import ComparedLaws, Fit
 from rig.analysis.result_rows import SURFACE_ENERGY
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.run_remarks import dominant_text, has_apparatus
-from rig.presentation import Cell, Table, TableRow, decimals, plain, quantity
+from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:

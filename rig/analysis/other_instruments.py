@@ -42,8 +42,8 @@ from processing.units import seconds
 from rig.analysis.decay_values import INSTRUMENT, InstrumentResults
 from rig.analysis.result_rows import ResultRow, plain_row
 from rig.analysis.turning_plane import FollowedPlane
-from rig.presentation import with_uncertainty
 from rig.settings import InstrumentSettings
+from rig.terminal import with_uncertainty
 
 Found = TypeVar("Found", bound=NamedTuple)
 

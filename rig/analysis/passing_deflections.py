@@ -22,8 +22,8 @@ from processing.reference_spot import (
 )
 from processing.spot import SPOT_DTYPE, FixedLight, Spot, SpotFlag, SpotTracker, fixed_light
 from rig.instrument import NO_STRAY_LIGHT, optics_of, sensor_model
-from rig.presentation import Verdict, percent, with_uncertainty
 from rig.settings import Configuration
+from rig.terminal import Verdict, percent, with_uncertainty
 
 _MOST_IN_MEMORY = 300_000
 """Most frames whose deflections stay in memory: some twenty megabytes, fifty minutes at 100 frames/s."""

@@ -11,7 +11,7 @@ from processing.estimate import NOT_DETERMINED, WELL_DETERMINED, Determinacy, Es
 from processing.fit import Budget, Determination, FitMethod, FitResult
 from processing.quantity import OF, Quantity
 from processing.series import CombinedValue
-from rig.presentation import QuantityDisplay, interval, law_parameters, plain, quantity, unit_of
+from rig.terminal import QuantityDisplay, interval, law_parameters, plain, quantity, unit_of
 
 SURFACE_ENERGY: Final = "surface_energy_table2_j_per_m2"
 ENERGIES: Final = (SURFACE_ENERGY, "surface_energy_eq2_j_per_m2")

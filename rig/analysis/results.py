@@ -29,7 +29,7 @@ from rig.analysis.decay_values import AmplitudeDamping, InstrumentResults, Instr
 from rig.analysis.encoding import Entries, Floats, Integers, JsonObject, MergedField
 from rig.analysis.result_rows import ResultRow, RowsByName
 from rig.analysis.run_conditions import Beam, RunClock
-from rig.presentation import Verdict
+from rig.terminal import Verdict
 
 SCHEMA = 1
 _RECORD_NAME = re.compile(r"run-(\d+)(-recovered)?\.mcap")

@@ -13,8 +13,8 @@ from acquisition import atomic_write
 from processing.errors import RecordError, place_in_words, require_schema
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults
-from rig.presentation import plain_values, written
 from rig.settings import expected_text
+from rig.terminal import plain_values, written
 
 RESULTS_NAME = "results.json"
 _REMEDY = "rig fit makes it again from the record"

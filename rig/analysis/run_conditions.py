@@ -20,8 +20,8 @@ from processing.quantity import Quantity
 from processing.spot import LONGEST_CHOICE_FRAMES, BeamUse, SpotFlag, SpotModel
 from processing.units import seconds
 from rig.instrument import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED, rate_text
-from rig.presentation import Verdict, percent
 from rig.settings import Configuration, PreflightSettings
+from rig.terminal import Verdict, percent
 
 _EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
 """Flags that name the model of a spot and no fault of it."""

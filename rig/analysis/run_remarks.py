@@ -15,7 +15,7 @@ from rig.analysis.decay_values import DECAY, AmplitudeDamping
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import RunResults, Series
 from rig.analysis.seismometer import witness_sentences
-from rig.presentation import SOURCES, plain, quantity, signed_percent, with_uncertainty
+from rig.terminal import SOURCES, plain, quantity, signed_percent, with_uncertainty
 
 _LARGE = 0.25
 """Share of the variance above which a source is named; the largest one always is."""

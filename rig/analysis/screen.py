@@ -29,8 +29,8 @@ from rig.analysis.table_fit import (
 )
 from rig.instrument import fill_from_files
 from rig.intake import TableColumns, Trajectory
-from rig.presentation import answer, print_line, print_tables, with_uncertainty
 from rig.settings import KeyUseMonitor, load_configuration
+from rig.terminal import answer, print_line, print_tables, with_uncertainty
 
 logger = logging.getLogger(__name__)
 

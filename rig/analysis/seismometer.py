@@ -11,8 +11,8 @@ from acquisition.record.topics import WITNESS
 from processing.arrays import Floats, Ints
 from processing.fit import Response, SeismometerUse
 from rig.analysis.seismometer_file import SeismometerRecord
-from rig.presentation import percent, plain, quantity, with_uncertainty
 from rig.settings import Configuration
+from rig.terminal import percent, plain, quantity, with_uncertainty
 
 _VALUES = ("first", "second", "third")
 _FEWEST = 3

@@ -33,8 +33,8 @@ from rig.analysis.other_instruments import Reduction
 from rig.analysis.result_rows import series_rows, withheld
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
-from rig.presentation import with_uncertainty
 from rig.settings import InstrumentSettings, KeyUseMonitor
+from rig.terminal import with_uncertainty
 
 _PLANE: Final = "plane_of_swing_rad"
 

@@ -16,7 +16,7 @@ from processing.deflections import Deflections
 from processing.swing import HalfCycle, TurningPoints, swings_of_blocks, turning_points
 from processing.units import seconds
 from rig.analysis.passing_deflections import ChangedDeflections, PassingDeflections
-from rig.presentation import with_uncertainty
+from rig.terminal import with_uncertainty
 
 DEGREE_RAD: Final = math.pi / 180.0
 _SQUARE: Final = Axes()

@@ -16,7 +16,7 @@ from processing.errors import ConfigurationError, MissingPackage, RecordError
 from processing.estimate import Determinacy
 from rig.analysis import ResultRow
 from rig.archive.session_rows import COLUMNS, IMPORTANT, IS_SIMULATED, SHORT_NAMES, SHOWN, row_columns
-from rig.presentation import (
+from rig.terminal import (
     NOT_KNOWN,
     Cell,
     Table,
@@ -184,7 +184,7 @@ def list_runs(
     names, rows = selected(archive, columns if columns.strip() else default, condition)
     if json_lines:
         for row in rows:
-            print_json_line("run", dict(zip(names, map(_json_value, row), strict=True)))
+            print_json_line("run", dict(zip(names, row, strict=True)))
         return
     table = _table(names, rows)
     if output is None:
@@ -215,6 +215,30 @@ def named_runs(archive: Path, names: Sequence[str]) -> str:
     """SQL condition for runs named by the first characters of their SHA-256; all runs without a name."""
     runs = (f"'{run}'" for name in names for run in _named(archive, name))
     return f"sha256 in ({', '.join(runs)})" if names else "true"
+
+
+_ORDERED_RUNS_SQL = """
+with numbered as (
+  select *, coalesce(try_cast(regexp_extract(run, '[0-9]+$') as bigint), 0) as number from chosen
+)
+select sha256, run, sample, folder, results from numbered where results is not null
+order by max(began_utc) over (partition by folder order by number, run) nulls last, folder, number, run
+"""
+"""Query of runs in order; runs of one session are ordered by number, even if the clock was set back."""
+
+
+def ordered_runs(archive: Path, condition: str) -> list[tuple[Any, ...]]:
+    """SHA-256, name, sample, folder and results file of the runs with results that meet a condition of SQL,
+    in the order of their beginnings.
+
+    Raises ConfigurationError if there are none.
+    """
+    _, found = selected(archive, "*", condition, _ORDERED_RUNS_SQL)
+    if not found:
+        raise ConfigurationError(
+            f"condition {condition!r}: no run with results meets it; rig archive list shows all"
+        )
+    return found
 
 
 _FOUND_COLUMNS = (
@@ -315,8 +339,6 @@ def _shown(name: str, row: Mapping[str, Any]) -> str:
 def _cell(value: Any) -> Cell:
     if value is None:
         return nan
-    return value if isinstance(value, int | float) else str(_json_value(value))
-
-
-def _json_value(value: Any) -> Any:
-    return value.isoformat() if isinstance(value, datetime.datetime | datetime.date) else value
+    if isinstance(value, datetime.datetime | datetime.date):
+        return value.isoformat()
+    return value if isinstance(value, int | float) else str(value)

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from acquisition.record import records_of, recovered_beside
 from acquisition.record.digest import cached_sha256_of_path, sha256_of, utc
@@ -79,15 +79,11 @@ IS_SIMULATED: Final = "coalesce(camera = 'simulated rig', false)"
 Row = dict[str, Any]
 
 
-class SessionRows(NamedTuple):
-    """Rows of one session, one for each record, and its flaws in lines."""
+def session_rows(folder: Path) -> tuple[list[Row], list[str]]:
+    """The rows of a folder with records, results, or both, one for each record, and its flaws in lines.
 
-    rows: list[Row]
-    flaws: list[str]
-
-
-def session_rows(folder: Path) -> SessionRows:
-    """The rows of a folder with records, results, or both; raises RecordError if a file cannot be read."""
+    Raises RecordError if a file cannot be read.
+    """
     rows, flaws = list[Row](), list[str]()
     source, results = results_path(folder), list[RunResults]()
     source_columns: Row = {"results_sha256": sha256_of(source) if source.is_file() else ""}
@@ -120,7 +116,7 @@ def session_rows(folder: Path) -> SessionRows:
         rows.append(_table_row(folder, decay, number) | source_columns | {"results": source.name})
     flaws += [f"{folder / row['record']}: {row['state']}: {row['flaw']}" for row in rows if row["flaw"]]
     session = hashlib.sha256("".join(sorted({row["sha256"] for row in rows})).encode()).hexdigest()
-    return SessionRows([row | {"session": session} for row in rows], flaws)
+    return [row | {"session": session} for row in rows], flaws
 
 
 def _table_row(folder: Path, decay: RunResults, number: int) -> Row:

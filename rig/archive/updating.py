@@ -34,8 +34,9 @@ from rig.archive.listing import (
     write_sessions,
     writing,
 )
+from rig.archive.session_rows import session_rows
 from rig.instrument import code_identity, recorded_configuration
-from rig.presentation import say
+from rig.terminal import say
 from rig.view import analyse_replayed
 
 _WRITE_INTERVAL_S = 5.0
@@ -57,11 +58,12 @@ def add_folders(archive: Path, folders: Sequence[Path], *, read: bool = False) -
     with writing(archive) as connection:
         for root in roots:
             connection.execute("insert or ignore into folders values (?)", [str(root)])
-    return update_below(archive, roots, read=read)
+    return update_archive(archive, roots, read=read)
 
 
-def update_archive(archive: Path, *, read: bool = False) -> str:
-    """Read new and changed sessions in all folders that were added; returns a line with counts.
+def update_archive(archive: Path, folders: Sequence[Path] | None = None, *, read: bool = False) -> str:
+    """Read new and changed sessions in and below folders, by default all that were added; returns a line
+    with counts.
 
     A session whose files have the same names, sizes and times is not read again, unless `read`. Rows of
     folders that are unavailable now stay. Flaws of records are printed on stderr and stored as `state`.
@@ -69,11 +71,6 @@ def update_archive(archive: Path, *, read: bool = False) -> str:
     Raises RecordError, after all other sessions are written, if a session's files cannot be read.
     """
     check_is_there(archive)
-    return update_below(archive, None, read=read)
-
-
-def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = False) -> str:
-    """Like `update_archive` for sessions in and below some folders; None: all added folders."""
     with writing(archive) as connection:
         known = dict(connection.execute("select folder, files from sessions").fetchall())
         added = connection.execute("select folder from folders order by folder").fetchall()
@@ -87,23 +84,20 @@ def update_below(archive: Path, folders: Sequence[Path] | None, *, read: bool = 
         seen.add(str(folder))
         if not read and known.get(str(folder)) == files:
             continue
-        # imported here: it takes a second, for which an update without changes must not wait
-        from rig.archive.session_rows import session_rows
-
         try:
-            found = session_rows(folder)
+            found, flaws = session_rows(folder)
         except RecordError as error:
             say(f"{error}; {folder} stays as it was in the archive")
             unread.append(folder)
             continue
-        for flaw in found.flaws:
+        for flaw in flaws:
             say(flaw)
         now = datetime.datetime.now(datetime.UTC).replace(tzinfo=None)
-        rows += [row | {"folder": str(folder), "added_utc": now} for row in found.rows]
+        rows += [row | {"folder": str(folder), "added_utc": now} for row in found]
         # changes of a record outside the folder are not noticed, so such a folder is read each time
-        has_own_records = not any(Path(row["record"]).is_absolute() for row in found.rows)
+        has_own_records = not any(Path(row["record"]).is_absolute() for row in found)
         sessions[str(folder)] = files if has_own_records else ""
-        read_sessions, read_runs = read_sessions + 1, read_runs + len(found.rows)
+        read_sessions, read_runs = read_sessions + 1, read_runs + len(found)
         if time.monotonic() - written_s > _WRITE_INTERVAL_S:
             with writing(archive) as connection:
                 write_sessions(connection, sessions, rows)
@@ -176,10 +170,8 @@ def check_archive(archive: Path) -> int:
 
 
 def _differences(folder: Path, rows: Sequence[tuple[Any, ...]]) -> Iterator[str]:
-    from rig.archive.session_rows import session_rows
-
     try:
-        now = {(row["record"], row["run"]): row for row in session_rows(folder).rows}
+        now = {(row["record"], row["run"]): row for row in session_rows(folder)[0]}
     except RecordError as error:
         yield str(error)
         return
@@ -291,7 +283,7 @@ def refit_runs(
             if (len(fitted) + failed_count) % _PROGRESS_INTERVAL == 0:
                 say(f"{len(fitted) + failed_count} of {len(tasks)} sessions")
     finally:
-        update_below(archive, fitted)
+        update_archive(archive, fitted)
     print(f"{len(fitted)} sessions fitted again, {failed_count} left as they were")
     return 1 if failed_count else 0
 

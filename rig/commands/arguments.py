@@ -116,7 +116,7 @@ def with_results(given: _Given) -> _Given:
             )
         if any(path.glob("results-*.json")):
             from rig.analysis import results_path
-            from rig.presentation import say
+            from rig.terminal import say
 
             newest = results_path(path)
             say(f"{path}: {newest.name}, the newest of its results, is taken; name others to take them")
@@ -318,14 +318,14 @@ _AsJson = Annotated[
 
 
 def in_json(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option ``--json``, which prints the values given to `rig.presentation.answer`."""
+    """The command with the option ``--json``, which prints the values given to `rig.terminal.answer`."""
 
     @functools.wraps(command)
     def with_option(*words: Any, as_json: bool = False, **named: Any) -> None:
         if not as_json:
             command(*words, **named)
             return
-        from rig.presentation import one_json_object
+        from rig.terminal import one_json_object
 
         status = 0
         with one_json_object():

@@ -11,7 +11,7 @@ import typer
 from rig.commands.arguments import Record, folder_without, in_json, one_record, output_option, there
 
 if TYPE_CHECKING:
-    from rig.calibrate import Filing
+    from rig.prepare import Filing
 
 Ladder = Annotated[
     Path,
@@ -52,7 +52,7 @@ def lever(ladder: Ladder, filing: "Filing") -> Path:
     Example:
       rig calibrate lever geometry.toml
     """
-    from rig.calibrate import calibrate_lever
+    from rig.prepare import calibrate_lever
 
     return calibrate_lever(ladder, filing)
 
@@ -66,7 +66,7 @@ def axes(record: Record, filing: "Filing", slow_began: Side = None, fast_began: 
     Example:
       rig calibrate axes both-modes.mcap --slow-began +
     """
-    from rig.calibrate import calibrate_axes
+    from rig.prepare import calibrate_axes
 
     return calibrate_axes(one_record(record), filing, slow_began, fast_began)
 
@@ -90,7 +90,7 @@ def sensor(
     Example:
       rig calibrate sensor frames.toml
     """
-    from rig.calibrate import calibrate_sensor
+    from rig.prepare import calibrate_sensor
 
     return calibrate_sensor(frames, filing)
 
@@ -111,7 +111,7 @@ def clock(
     Example:
       rig calibrate clock runs/first/run-1.mcap
     """
-    from rig.calibrate import calibrate_clock
+    from rig.prepare import calibrate_clock
 
     return calibrate_clock(one_record(record), filing, counter_bits)
 
@@ -121,7 +121,7 @@ def shutter(record: Record, filing: "Filing") -> Path:
 
     From a run in which the spot swings across the rows.
     """
-    from rig.calibrate import calibrate_shutter
+    from rig.prepare import calibrate_shutter
 
     return calibrate_shutter(one_record(record), filing)
 
@@ -155,9 +155,9 @@ def air(
       rig calibrate air --config mine.toml
       rig calibrate air vanes.toml
     """
-    from rig.calibrate import calibrate_air, vanes_to_cut
-    from rig.presentation import print_line
+    from rig.prepare import calibrate_air, vanes_to_cut
     from rig.settings import load_configuration
+    from rig.terminal import print_line
 
     if vanes is not None:
         return calibrate_air(vanes, filing)
@@ -183,7 +183,7 @@ def pointing(record: Record, filing: "Filing") -> Path:
     Example:
       rig calibrate pointing clamped.mcap
     """
-    from rig.calibrate import calibrate_pointing
+    from rig.prepare import calibrate_pointing
 
     return calibrate_pointing(one_record(record), filing)
 
@@ -210,13 +210,13 @@ def check(
     Example:
       rig calibrate check tilts.toml --lever calibrations/lever-001.toml
     """
-    from rig.calibrate import check_known_angle
+    from rig.prepare import check_known_angle
 
     return check_known_angle(ladder, lever, filing)
 
 
 def _filing(output: Folder = Path("calibrations"), valid_days: Days = 90.0, by: By = "") -> "Filing":
-    from rig.calibrate import Filing
+    from rig.prepare import Filing
 
     return Filing(output, valid_days, by)
 
@@ -241,8 +241,8 @@ def _command(made: Made) -> Callable[..., None]:
 
 def _say(path: Path) -> None:
     """Print the content of the new file."""
-    from rig.calibrate import filed, numbers_of
-    from rig.presentation import answer, print_line, print_tables
+    from rig.prepare import filed, numbers_of
+    from rig.terminal import answer, print_line, print_tables
 
     made = filed(path)
     found = made.calibration

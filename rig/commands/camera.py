@@ -67,7 +67,7 @@ def show(config: Config, set_: Set = None) -> None:
       rig camera show mine.toml
     """
     from rig.devices import feature_lines
-    from rig.presentation import answer, print_line
+    from rig.terminal import answer, print_line
 
     with _opened_camera(config, set_) as (camera, info, applied):
         print_line(f"{info.driver}: {info.vendor} {info.model} serial {info.serial or 'unknown'}")
@@ -99,8 +99,8 @@ def set_features(
     """
     from acquisition.camera import CameraSettings
     from processing.errors import ConfigurationError
-    from rig.presentation import answer, print_line
     from rig.settings import apply_overrides, load_configuration, validate_configuration
+    from rig.terminal import answer, print_line
 
     loaded = load_configuration(config, set_ or [])
     with _opened_camera(config, set_) as (camera, _, _):
@@ -150,8 +150,8 @@ def snap(
     from rig.devices import SeenReference
     from rig.devices import picture as camera_picture
     from rig.instrument import beam_quality, complete, optics_of
-    from rig.presentation import answer, print_line
     from rig.settings import load_configuration
+    from rig.terminal import answer, print_line
 
     loaded = complete(load_configuration(config, set_ or []))
     with _opened_camera(config, set_) as (camera, info, _):
@@ -206,8 +206,8 @@ def record(
       rig camera record mine.toml -o clamped.mcap --seconds 120
     """
     from rig.measure import record_plainly
-    from rig.presentation import answer
     from rig.settings import load_configuration
+    from rig.terminal import answer
 
     made = record_plainly(load_configuration(config, set_ or []), config, output, seconds)
     answer(written=[made])
@@ -229,8 +229,8 @@ def frames(
       rig camera frames mine.toml -o level-1 --set camera.exposure_us=50
     """
     from rig.measure import take_frames
-    from rig.presentation import answer
     from rig.settings import load_configuration
+    from rig.terminal import answer
 
     folder = take_frames(load_configuration(config, set_ or []), output, number)
     answer(written=[folder])
@@ -252,7 +252,7 @@ def focus(
 
     from rig.devices import picture as camera_picture
     from rig.devices import watch_latest
-    from rig.presentation import answer
+    from rig.terminal import answer
 
     with _opened_camera(config, set_) as (camera, info, _):
         best = 0.0
@@ -295,8 +295,8 @@ def align(
 
     from rig.devices import align_camera
     from rig.instrument import complete, configuration_attachments, optics_of, session_metadata
-    from rig.presentation import answer
     from rig.settings import load_configuration
+    from rig.terminal import answer
     from rig.view import ScratchHead, ScratchView
 
     loaded = complete(load_configuration(config, set_ or []))
@@ -344,7 +344,7 @@ def expose(
       rig camera expose mine.toml --target 0.6
     """
     from rig.devices import find_exposure
-    from rig.presentation import answer, print_line
+    from rig.terminal import answer, print_line
 
     with _opened_camera(config, set_) as (camera, info, applied):
         found = find_exposure(camera, info, applied, target)

@@ -220,7 +220,7 @@ def fit_records(
         with_laws,
         write_results,
     )
-    from rig.presentation import say
+    from rig.terminal import say
 
     compared = chosen_laws(laws) if laws else ()
     refuse_copies(paths)
@@ -257,7 +257,7 @@ def fit_film(
     """
     from rig.analysis import TableOptions, fit_several
     from rig.intake import film_trajectory, films_in
-    from rig.presentation import TimeLeft, print_line
+    from rig.terminal import TimeLeft, print_line
 
     if overrides and config is None:
         raise ConfigurationError(f"--set {overrides[0]}: has no effect without --config")

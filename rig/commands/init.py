@@ -60,8 +60,8 @@ def init(
     file = file or Path("my-rig.toml")
     from acquisition.cameras.drivers import find_cameras
     from rig.control import list_serial_ports
-    from rig.presentation import answer, say
     from rig.settings import refuse_existing, write_configuration
+    from rig.terminal import answer, say
 
     refuse_existing(file)
     # nothing is printed before the first question
@@ -78,7 +78,7 @@ def init(
 
 def _list_instruments() -> None:
     from processing.instruments import INSTRUMENTS
-    from rig.presentation import answer, print_line
+    from rig.terminal import answer, print_line
 
     answer(instruments={each.kind: each.sentence for each in INSTRUMENTS.values()})
     for description in INSTRUMENTS.values():
@@ -86,8 +86,8 @@ def _list_instruments() -> None:
 
 
 def _write_example(name: str, file: Path | None) -> None:
-    from rig.presentation import answer, say
     from rig.settings import copy_shipped, refuse_existing, shipped
+    from rig.terminal import answer, say
 
     shipped(name)
     file = file or Path(f"{name}.toml")
@@ -168,7 +168,7 @@ def ask(cameras: Sequence["PluggedCamera"], ports: Sequence[tuple[str, str]]) ->
     KeyboardInterrupt
         After Ctrl-C.
     """
-    from rig.presentation import say
+    from rig.terminal import say
 
     say("A configuration for your rig. Enter accepts the value in brackets, Ctrl-C ends and writes nothing.")
     stated: dict[str, Any] = {}
@@ -325,7 +325,7 @@ def _chosen(question: Question, text: str) -> str:
 
 
 def _typed(question: Question) -> str:
-    from rig.presentation import say
+    from rig.terminal import say
 
     for number, (answer, what) in enumerate(question.choices, 1):
         say(f"  {number}  {answer}{f': {what}' if what else ''}")

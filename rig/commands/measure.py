@@ -241,7 +241,7 @@ def view(
       rig view runs/first/run-1.mcap --view web
       rig view runs/first/run-1.mcap --layout analysing --rrd fits.rrd
     """
-    from rig.presentation import answer
+    from rig.terminal import answer
     from rig.view import show_records
 
     if rrd is not None and view:

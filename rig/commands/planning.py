@@ -94,7 +94,6 @@ def plan(
             "smaller one, or a larger --first"
         )
 
-    from rig.presentation import print_tables, say
     from rig.report import (
         ageing_table,
         make_plan,
@@ -104,6 +103,7 @@ def plan(
         planned_contact_of_table,
         save_plan,
     )
+    from rig.terminal import print_tables, say
 
     if source.suffix.lower() == ".toml":
         expected = planned_contact_of_file(source, set_ or [], noise, contact)

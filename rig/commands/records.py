@@ -37,7 +37,7 @@ def _print_info(path: Path) -> None:
     from acquisition.record.digest import RecordedCamera, utc_text
     from acquisition.record.reader import RecordReader
     from processing.units import seconds
-    from rig.presentation import answer, print_line
+    from rig.terminal import answer, print_line
 
     with RecordReader(path) as reader:
         contents, metadata = reader.contents, reader.metadata
@@ -142,7 +142,7 @@ def check(
 def _print_check(path: Path, results: Path | None) -> int:
     """Print one line for each finding; returns the exit status, 1 if there is an error."""
     from acquisition.record.check import check_record
-    from rig.presentation import answer, print_line
+    from rig.terminal import answer, print_line
 
     if results is None and (path.parent / "results.json").exists():
         results = path.parent / "results.json"
@@ -175,7 +175,7 @@ def recover(
     from acquisition.record.digest import utc_text
     from acquisition.record.reader import RecordReader
     from acquisition.record.recover import recover as recover_into
-    from rig.presentation import answer, print_line
+    from rig.terminal import answer, print_line
 
     path = one_record(record)
     with RecordReader(path) as reader:

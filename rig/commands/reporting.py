@@ -46,8 +46,8 @@ def report(
     Example:
       rig report runs/first
     """
-    from rig.presentation import answer
     from rig.report import make_report
+    from rig.terminal import answer
 
     page = make_report(folder, output)
     answer(written=[page])
@@ -61,14 +61,11 @@ def paper(
             "Folder for paper.html with figures and tables.", folder_without("paper.html", "paper")
         ),
     ] = None,
-    b_exponent: Annotated[
-        int, typer.Option(help="Power of ten of b, which the paper's Table 2 omits.", min=-6, max=-3)
-    ] = -4,
 ) -> None:
     """Simulate the paper's runs and compare with its tables."""
     from rig.report import reproduce_paper
 
-    reproduce_paper(output, b_exponent)
+    reproduce_paper(output)
 
 
 def export(
@@ -92,8 +89,8 @@ def export(
     Example:
       rig export runs/first --format csv -o runs/csv
     """
-    from rig.presentation import answer
     from rig.report import export_session
+    from rig.terminal import answer
 
     (new_file(makes_folders=True) if format_ == "hdf5" else folder_without())(output)
     for path in export_session(source, format_, output):
@@ -166,8 +163,8 @@ def compare(
     if len(folders) < 2 and not against:
         raise ConfigurationError(f"{folders[0]}: a comparison needs two sessions or more; name another")
 
-    from rig.presentation import answer, print_tables
     from rig.report import compare as compare_sessions
+    from rig.terminal import answer, print_tables
 
     print_tables(compare_sessions(folders, output, against))
     if output is not None:
@@ -192,19 +189,31 @@ def model_runs(
     """Fit the model to the runs, print its tables and save the results in `output`."""
     if archive is None and not folders:
         raise ConfigurationError("rig compare --model needs runs: name folders of sessions, or --archive")
+    if archive is not None and folders:
+        raise ConfigurationError(f"{folders[0]}: folders and --archive exclude each other; leave one out")
+    if where and archive is None:
+        raise ConfigurationError(f"--where {where!r}: has no effect without --archive")
+    if by_sample and archive is not None:
+        raise ConfigurationError("--by-sample: has no effect with --archive, where each sample is a contact")
     from rig.analysis import encoded
-    from rig.campaigns import (
-        NamedRuns,
+    from rig.report import (
         StatedCampaign,
         campaign_tables,
         fit_model,
         read_campaign,
+        runs_of_archive,
+        runs_of_folders,
         save_campaign,
     )
-    from rig.presentation import answer, print_tables, say
+    from rig.terminal import answer, print_tables, say
 
     stated = StatedCampaign() if model == DEFAULT else read_campaign(there(Path(model)))
-    runs = NamedRuns(list(folders), archive, where, by_sample=by_sample).found()
+    if archive is None:
+        runs = runs_of_folders(folders, by_sample=by_sample)
+    else:
+        from rig.archive import ordered_runs
+
+        runs = runs_of_archive(ordered_runs(archive, where))
     found = fit_model(runs, stated, sample=sample)
     answer(campaign=encoded(found.results))
     print_tables(campaign_tables(found))

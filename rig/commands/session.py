@@ -68,9 +68,9 @@ def balance(
       rig balance mine.toml --view
       rig balance configs/demo.toml --follow 6
     """
-    from rig.balance import InJsonLines, balance_rig, show_history
-    from rig.presentation import one_json_object
+    from rig.prepare import InJsonLines, balance_rig, show_history
     from rig.settings import load_configuration
+    from rig.terminal import one_json_object
 
     overrides = [*(set_ or []), *([f'view.mode="{MODES[view]}"'] if view else [])]
     loaded = load_configuration(config, overrides)
@@ -146,8 +146,8 @@ def doctor(
       sudo .venv/bin/rig doctor --install-udev
     """
     from rig.devices import RULES_FOLDER, examine, install_rules
-    from rig.presentation import print_json_line, say
     from rig.settings import load_configuration
+    from rig.terminal import print_json_line, say
 
     if install_udev or udev_folder is not None:
         path, then = install_rules(udev_folder or RULES_FOLDER)
@@ -176,7 +176,7 @@ def _list_devices(*, json_lines: bool) -> None:
 
     from acquisition.cameras.drivers import find_cameras
     from rig.control import list_serial_ports
-    from rig.presentation import print_json_line, print_line
+    from rig.terminal import print_json_line, print_line
 
     cameras, notes = find_cameras()
     ports = list_serial_ports()

@@ -16,7 +16,7 @@ from rig.control.protocol import ControllerStatus
 from rig.control.sensors import parse_environment
 from rig.control.serial_port import LineReader, PortLost, SerialPort, ports_here
 from rig.control.settings import ControllerSettings, EnvironmentSettings
-from rig.presentation import Verdict
+from rig.terminal import Verdict
 
 PICO = 0x2E8A
 """Raspberry Pi's USB vendor number, under which MicroPython presents the controller's board."""

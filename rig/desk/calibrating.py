@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from acquisition import atomic_write
 from processing.errors import ConfigurationError, DataError, RecordError, RigError
-from rig.calibrate import CalibrationReport, filed, next_free
 from rig.desk.jobs import Job
+from rig.prepare import CalibrationReport, filed, next_free
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk

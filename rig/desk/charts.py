@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 
 from nicegui import ui
 
-from rig.presentation import QuantityDisplay, quantity
+from rig.terminal import QuantityDisplay, quantity
 
 Points = Sequence[Sequence[float | None]]
 Mark = tuple[float, str]

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from processing.errors import ConfigurationError, RigError
-from rig.balance import BalanceDialogue, BalanceStage, balance_dialogue
-from rig.terminal import start_python
+from rig.interruption import start_python
+from rig.prepare import BalanceDialogue, BalanceStage, balance_dialogue
 
 if TYPE_CHECKING:
     from rig.desk.desk import Desk

@@ -19,7 +19,7 @@ from rig.desk.panels import PANELS
 from rig.desk.sessions import last_state
 from rig.desk.tab import DELIBERATE, Tab, apart, at_once
 from rig.instrument import Phase
-from rig.presentation import loud
+from rig.terminal import loud
 
 _LOOK_S = 0.25
 

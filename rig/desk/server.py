@@ -29,8 +29,8 @@ from rig.desk.page import DARK, build_page
 from rig.desk.panels.live_picture import picture_now
 from rig.desk.sessions import SERVED, served_file
 from rig.devices import check_wiring
-from rig.presentation import say
-from rig.terminal import LOOPBACK, call_on_hang_up
+from rig.interruption import LOOPBACK, call_on_hang_up
+from rig.terminal import say
 
 _NAMES = (LOOPBACK, "localhost")
 _POLICY = (

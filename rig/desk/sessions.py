@@ -14,7 +14,7 @@ from processing.errors import RigError
 from processing.fit import FitMethod
 from rig.instrument import BALANCE_CONDITIONS
 from rig.measure import STATE_NAME, HandOver, RunState, hand_over, read_session, state_of
-from rig.presentation import quantity, with_uncertainty
+from rig.terminal import quantity, with_uncertainty
 
 SERVED = "/sessions"
 """Where the server has the files of the sessions' folder."""

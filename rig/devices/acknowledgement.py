@@ -13,7 +13,7 @@ from rig.control import Light
 from rig.devices.audit import AuditEntry
 from rig.devices.lit_devices import LitDevices
 from rig.devices.session_devices import Devices
-from rig.presentation import say
+from rig.terminal import say
 
 _ASKS_LIGHT = "Type light and Enter: the laser is lit again"
 

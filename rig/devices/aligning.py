@@ -20,7 +20,7 @@ from processing.spot import Spot, SpotTracker
 from processing.units import nanoseconds
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.udev import watch_latest
-from rig.presentation import Keys, answer
+from rig.terminal import Keys, answer
 
 HELP = "e E exposure   g G gain   z zoom   s save a picture   q end"
 _BELOW_ROWS = 10

@@ -13,8 +13,8 @@ from processing.spot import Spot, SpotFlag, SpotTracker
 from rig.devices import picture
 from rig.devices.picture import PictureFigures
 from rig.instrument import beam_quality
-from rig.presentation import Verdict, decimals, palette
 from rig.settings import PreflightSettings
+from rig.terminal import Verdict, decimals, palette
 
 _CENTRED = 0.1
 """Largest distance of a centred spot from the crosshair, over the frame's shorter side."""

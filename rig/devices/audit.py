@@ -18,7 +18,7 @@ from typing import BinaryIO
 
 from processing.errors import DeviceError, RecordError
 from rig.control import SafetyState
-from rig.presentation import say
+from rig.terminal import say
 
 try:
     import fcntl

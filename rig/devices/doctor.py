@@ -29,8 +29,8 @@ from rig.devices.lit_devices import LEFT_LIT
 from rig.devices.session_devices import Devices
 from rig.devices.udev import as_root
 from rig.instrument import check_materials, complete
-from rig.presentation import Verdict, print_json_line, print_verdicts
 from rig.settings import Configuration
+from rig.terminal import Verdict, print_json_line, print_verdicts
 
 _FRAMES = 60
 _MOST_RATE_ERROR = 0.1

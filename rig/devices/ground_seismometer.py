@@ -13,8 +13,8 @@ from acquisition.simulation.settings import SimulationSettings
 from processing.errors import ConfigurationError, RigError
 from processing.units import nanoseconds, seconds
 from rig.control import SeismometerLines, SeismometerSettings
-from rig.presentation import Verdict
 from rig.settings import Configuration
+from rig.terminal import Verdict
 
 _LOOK_S = 0.02
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from rig.devices.session_devices import Devices
 from rig.devices.session_news import SessionNews
-from rig.presentation import plain_values
+from rig.terminal import plain_values
 
 ORDERS_NAME = ".orders.json"
 LOOPBACK = "127.0.0.1"

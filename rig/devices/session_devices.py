@@ -38,8 +38,8 @@ from rig.instrument import (
     setting_differences,
     shift_to_light_ns,
 )
-from rig.presentation import say
 from rig.settings import Configuration
+from rig.terminal import say
 
 _PRESSES_EACH_S, _WATCH_ENDS_S = 0.1, 1.0
 

@@ -16,7 +16,7 @@ from processing.deflections import Deflections
 from processing.spot import Spot, SpotFlag
 from processing.units import NS_PER_S
 from rig.instrument import Block
-from rig.presentation import Verdict, table_tree
+from rig.terminal import Verdict, table_tree
 
 PATH_S = 20.0
 """Length of the trajectory that a page draws, in s."""

@@ -27,8 +27,8 @@ from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.units import ARCSEC_RAD
 from rig.instrument.pipeline import Deflector
-from rig.presentation import Verdict, judged_number, percent
 from rig.settings import Configuration
+from rig.terminal import Verdict, judged_number, percent
 
 
 def pendulum_on_ball(config: Configuration) -> PendulumOnBall | None:

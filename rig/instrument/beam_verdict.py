@@ -14,8 +14,8 @@ from processing.spot import BeamShape, FixedLight, Spot, SpotFlag, SpotModel, be
 from processing.swing import HalfCycle, TurningPointDetector
 from processing.units import seconds
 from rig.instrument.pipeline import Block, Deflector, EstimateThread
-from rig.presentation import Verdict, percent
 from rig.settings import PreflightSettings
+from rig.terminal import Verdict, percent
 
 NAME = "beam quality"
 _MAX_DEPARTURE = 0.03

@@ -8,8 +8,8 @@ from typing import Any
 
 from calibration import CalibrationFile, Kind, Lever, moved_between, parse_calibration
 from processing.errors import ConfigurationError
-from rig.presentation import percent, signed_percent
 from rig.settings import Configuration, FitSettings, validate_configuration
+from rig.terminal import percent, signed_percent
 
 PREFIX = "calibration/"
 _SECTIONS: Mapping[Kind, str] = {

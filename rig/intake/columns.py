@@ -167,8 +167,12 @@ def _blocks(cells: Cells, t_column: int | None) -> list[str]:
     for border in borders:
         if border - starts[-1] < _MIN_ROWS_OF_RUN or len(cells.rows) - border < _MIN_ROWS_OF_RUN:
             continue
-        if t_column is None or _begins_again(cells.rows, t_column, starts[-1], border):
-            starts.append(border)
+        if t_column is not None:
+            before = _first_time(row[t_column] for row in reversed(cells.rows[starts[-1] : border]))
+            after = _first_time(row[t_column] for row in cells.rows[border:])
+            if before is None or after is None or after > before:
+                continue
+        starts.append(border)
     if t_column is None and len(starts) <= len(borders):
         # blank lines also occur elsewhere, so they do not separate runs
         return ["1"] * len(cells.rows)
@@ -180,22 +184,10 @@ def _blocks(cells: Cells, t_column: int | None) -> list[str]:
     return found
 
 
-def _begins_again(rows: Sequence[Sequence[str]], t_column: int, start: int, border: int) -> bool:
-    """Whether the first time after a border is not later than the last one before it."""
-    before = _first_time(row[t_column] for row in reversed(rows[start:border]))
-    after = _first_time(row[t_column] for row in rows[border:])
-    return before is not None and after is not None and after <= before
-
-
 def _first_time(cells: Iterable[str]) -> float | None:
-    return next((time for cell in cells if (time := _time(cell)) is not None), None)
-
-
-def _time(cell: str) -> float | None:
-    if is_moment(cell):
-        return moments_ns([cell])[0]
-    value = number(cell)
-    return value if value == value else None
+    """The first time in some cells; None without any."""
+    times = (moments_ns([cell])[0] if is_moment(cell) else number(cell) for cell in cells)
+    return next((time for time in times if time is not None and not math.isnan(time)), None)
 
 
 def _rows(cells: Cells, labels: Sequence[str], name: str) -> Cells:

@@ -18,8 +18,8 @@ from rig.intake.cell_text import MOMENT, is_missing
 from rig.intake.times import likely_units, number
 from rig.intake.trajectory import ANGLES, NOT_STATED, Trajectory
 from rig.intake.units import NOT_STATED_TIME, TIME_UNITS
-from rig.presentation import plain
 from rig.settings import Configuration
+from rig.terminal import plain
 
 _LARGEST_RAD: Final = 1.1 * math.pi
 """Largest amplitude of a pendulum that swings and returns, with a tenth for the uncertainty of its middle."""

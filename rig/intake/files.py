@@ -298,12 +298,11 @@ def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:
 
 def _numeric_rows(rows: list[list[str]]) -> int:
     """Number of rows that may belong to a table: they hold two numbers, or one and nothing else."""
-    values = ([_is_value(cell) for cell in row if cell] for row in rows)
+    values = [
+        [(is_number(cell) and not is_missing(cell)) or is_moment(cell) for cell in row if cell]
+        for row in rows
+    ]
     return sum(sum(row) > 1 or (len(row) == 1 and all(row)) for row in values)
-
-
-def _is_value(cell: str) -> bool:
-    return (is_number(cell) and not is_missing(cell)) or is_moment(cell)
 
 
 def _rows(shown: list[list[Any]], stored: list[list[Any]]) -> list[list[str]]:

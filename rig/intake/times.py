@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from processing.errors import ConfigurationError, DataError
 from processing.units import conversion, seconds
 from rig.intake.cell_text import MOMENT, moments_ns
-from rig.intake.units import ColumnName, known_unit
+from rig.intake.units import ColumnName, known_unit, refuse_contradiction
 
 SORT: Final = (
     "sort the rows or name the time column with --time; several runs need a blank line between them or a "
@@ -165,11 +165,7 @@ def clock_form(
                 "leave the option out"
             )
         return "", ""
-    if by_option and by_header and by_option != by_header:
-        raise ConfigurationError(
-            f"{path}: {title!r} says {by_header}, --time-unit says {by_option}; leave the option out, or "
-            "correct the header"
-        )
+    refuse_contradiction(path, title, by_header, "--time-unit", by_option)
     stated = by_option or by_header
     fraction = next((cell for cell in two if "." in cell or "," in cell), "")
     if stated == H_MM and fraction:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition import atomic_write
 from processing.errors import DataError, RecordError
-from rig.presentation import written
+from rig.terminal import written
 
 ANGLES: Final = ("rad", "mrad", "urad", "nrad", "arcsec", "arcmin", "deg")
 NOT_STATED: Final = "unit"

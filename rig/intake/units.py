@@ -171,6 +171,15 @@ def _without_brackets(text: str) -> tuple[str, str] | None:
     return None
 
 
+def refuse_contradiction(path: Path, title: str, by_header: str, option: str, by_option: str) -> None:
+    """Raise ConfigurationError if a header and an option state two units."""
+    if by_header and by_option and not _same(by_header, by_option):
+        raise ConfigurationError(
+            f"{path}: {title!r} says {by_header}, {option} says {by_option}; leave the option out, or "
+            "correct the header"
+        )
+
+
 NOT_STATED_TIME: Final = "nothing states another"
 """Source of the unit of times that are assumed to be in s."""
 TIME_UNITS: Final = ("ns", "us", "ms", "s", "min", "h", "d")
@@ -188,11 +197,7 @@ def unit_of_time(path: Path, title: str, named: ColumnName, asked: str) -> tuple
             "--time, or state --rate"
         )
     stated = known_unit(asked)
-    if stated and named.unit and stated != named.unit:
-        raise ConfigurationError(
-            f"{path}: {title!r} says {named.unit}, --time-unit says {stated}; leave the option out, or "
-            "correct the header"
-        )
+    refuse_contradiction(path, title, named.unit, "--time-unit", stated)
     if stated:
         return stated, "--time-unit"
     if named.strange:
@@ -214,11 +219,7 @@ def unit_of_positions(
                 f"{path}: {each.strange!r} in {title!r} is not a known unit; state --unit, one of "
                 f"{', '.join(ANGLES)} or any word"
             )
-        if each.unit and stated and not _same(each.unit, stated):
-            raise ConfigurationError(
-                f"{path}: {title!r} says {each.unit}, --unit says {stated}; leave the option out, or correct "
-                "the header"
-            )
+        refuse_contradiction(path, title, each.unit, "--unit", stated)
     units = [each.unit for each in named]
     if len(set(units)) > 1:
         raise ConfigurationError(

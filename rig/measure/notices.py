@@ -13,10 +13,10 @@ from typing import Literal
 from acquisition.record.events import Severity
 from processing.errors import ConfigurationError, RigError
 from rig.instrument import RecordContents
+from rig.interruption import reason_of
 from rig.measure.session_file import SessionFile, read_session
-from rig.presentation import say
 from rig.settings import Configuration, PreflightSettings, SessionSettings
-from rig.terminal import reason_of
+from rig.terminal import say
 
 _MAX_CALL_S = 20.0
 _LAST_WAIT_S = 10.0

@@ -20,8 +20,8 @@ from rig.instrument import Optics, Phase
 from rig.measure.end_of_run import StopRequest
 from rig.measure.preflight import TrialFrames, frame_checks, rest_checks, vault_checks
 from rig.measure.recent_frames import PhaseWait, RecentFrames, WaitStopped, Watch
-from rig.presentation import Verdict, failures
 from rig.settings import Configuration
+from rig.terminal import Verdict, failures
 
 _AT_ONCE_FRAMES = 100
 """Number of frames that the preflight of a run without a rest phase looks at."""

@@ -36,7 +36,8 @@ from rig.measure.end_of_run import StopRequest
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run import measure_run
 from rig.measure.run_parts import RunPlan
-from rig.presentation import (
+from rig.settings import Configuration
+from rig.terminal import (
     Verdict,
     answer,
     failures,
@@ -46,7 +47,6 @@ from rig.presentation import (
     say,
     table_tree,
 )
-from rig.settings import Configuration
 
 _NEVER_ARCSEC = 1e-9
 """Final amplitude in arcsec that no record reaches, not even that of a clamped pendulum."""

@@ -11,9 +11,9 @@ from queue import Empty, SimpleQueue
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError
 from processing.swing import HalfCycle
+from rig.interruption import start_python
 from rig.measure.posterior_worker import FIRST_HALF_CYCLES, Posterior, next_fit_half_cycles
 from rig.settings import Configuration
-from rig.terminal import start_python
 
 _PROGRAM = "from rig.measure.posterior_worker import main; main()"
 # one thread: on few columns the threads of linear algebra would mostly wait for one another, busily

@@ -25,7 +25,6 @@ from rig.measure.session import (
     result_faults,
 )
 from rig.measure.session_file import STATE_NAME, RunEntry, RunState, SessionFile, end_noted, read_session
-from rig.presentation import say
 from rig.settings import (
     Configuration,
     apply_overrides,
@@ -34,6 +33,7 @@ from rig.settings import (
     unnumbered,
     validate_configuration,
 )
+from rig.terminal import say
 
 _SEED_STEP_OF_SESSIONS = 2_000_003
 

@@ -16,6 +16,7 @@ from processing import decay_summary
 from processing.errors import ConfigurationError, DataError, DeviceError, RecordError
 from rig.devices import Devices, OpenCamera, TypedAcknowledgement
 from rig.instrument import Phase, RecordContents, RunNow, optics_of, prepare_kernels
+from rig.interruption import reason_of
 from rig.measure.phases import PhasesBeforeRecord, free_bytes, phases_wanted
 from rig.measure.posterior import LivePosterior, live_posterior
 from rig.measure.recorder import Recorder
@@ -23,8 +24,7 @@ from rig.measure.recording import Recording
 from rig.measure.run_parts import RunOutcome, RunParts, RunPlan, set_aside
 from rig.measure.screen import RunDisplay
 from rig.measure.session_orders import StartJudge
-from rig.presentation import Verdict, say
-from rig.terminal import reason_of
+from rig.terminal import Verdict, say
 from rig.view import RunningView
 
 _MAX_PAUSE_S = 60.0

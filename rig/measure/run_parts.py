@@ -19,8 +19,8 @@ from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.posterior import LivePosterior
 from rig.measure.run_status import RunStatus, Watcher
 from rig.measure.session_orders import Notes
-from rig.presentation import Verdict, table_tree
 from rig.settings import Configuration
+from rig.terminal import Verdict, table_tree
 
 _log = logging.getLogger(__name__)
 

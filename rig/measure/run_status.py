@@ -25,8 +25,8 @@ from processing.estimate import Estimate
 from rig.devices import Devices, LightWatch
 from rig.instrument import ObserverGuard, Phase, RecordContents, RunNow
 from rig.measure.posterior_worker import Posterior
-from rig.presentation import loud, percent, quantity
 from rig.settings import StopCondition
+from rig.terminal import loud, percent, quantity
 
 _HEALTH_INTERVAL_NS = 1_000_000_000
 

@@ -24,8 +24,8 @@ from processing.units import seconds
 from rig.instrument import Phase, RecordContents, RunNow
 from rig.measure.end_of_run import BELOW_IN_A_ROW
 from rig.measure.run_status import Rates, estimate_rows, run_panel
-from rig.presentation import Verdict, loud, print_json_line, print_verdicts, say, table_tree
 from rig.settings import StopCondition
+from rig.terminal import Verdict, loud, print_json_line, print_verdicts, say, table_tree
 
 _log = logging.getLogger(__name__)
 _PLAIN_INTERVAL_S = 5.0

@@ -18,6 +18,7 @@ from rig.analysis import (
 )
 from rig.devices import Devices, OrderSocket, SessionNews, devices_now
 from rig.instrument import check_materials, complete
+from rig.interruption import Terminated, reason_of
 from rig.measure.notices import Notices, PreflightWait, announced, check_waiting
 from rig.measure.phases import NoGo
 from rig.measure.posterior import check_stop_when
@@ -25,9 +26,8 @@ from rig.measure.run import measure_run, ready_for_frames
 from rig.measure.run_parts import RunPlan
 from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
 from rig.measure.session_orders import Notes, await_acknowledgement, orders
-from rig.presentation import answer, failures, print_json_line, say
 from rig.settings import Configuration, stored_configuration
-from rig.terminal import Terminated, reason_of
+from rig.terminal import answer, failures, print_json_line, say
 
 
 def measure_session(

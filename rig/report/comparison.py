@@ -16,7 +16,10 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.series import CombinedValue, Comparison, combine, compare_series
 from rig.analysis import SURFACE_ENERGY, ResultRow, SessionResults, read_results
-from rig.presentation import (
+from rig.report import html
+from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, styled, three_columns
+from rig.report.figures_contact import comparison_figure
+from rig.terminal import (
     Cell,
     Table,
     TableRow,
@@ -25,10 +28,6 @@ from rig.presentation import (
     quantity,
     written,
 )
-from rig.report import html
-from rig.report.drawing import ASYMPTOTIC, DATA, EXACT, ReportFigure, styled, three_columns
-from rig.report.figures_contact import comparison_figure
-from rig.report.session_report import save_figures, save_tables
 
 _MIN_RUNS = 3
 """Fewest runs for a fitted line whose slope has an uncertainty."""
@@ -115,14 +114,11 @@ def _line(runs: Sequence[RunAtCondition], key: str) -> tuple[float, float, float
     )
     if len(known) < _MIN_RUNS or np.ptp(known[:, 0]) == 0 or not np.all(known[:, 2] > 0):
         return nan, nan, nan
-    weight = known[:, 2] ** -2.0
-    x = known[:, 0] - np.average(known[:, 0], weights=weight)
-    y = known[:, 1] - np.average(known[:, 1], weights=weight)
-    power = float(weight @ x**2)
-    slope = float(weight @ (x * y)) / power
-    dof = len(known) - 2
-    u = float(np.sqrt(weight @ (y - slope * x) ** 2 / dof / power))
-    return slope, u, 2 * float(stdtr(dof, -abs(slope) / u)) if u else 0.0
+    # about the middle: far from zero the slope would lose digits
+    x, y, weight = known[:, 0] - known[:, 0].mean(), known[:, 1], 1 / known[:, 2]
+    found, covariance = np.polyfit(x, y, 1, w=weight, cov=True)
+    slope, u = float(found[0]), float(np.sqrt(covariance[0, 0]))
+    return slope, u, 2 * float(stdtr(len(known) - 2, -abs(slope) / u)) if u else 0.0
 
 
 def ambient_figure(runs: Sequence[RunAtCondition], name: str) -> ReportFigure:
@@ -198,10 +194,10 @@ def compare(folders: Sequence[Path], output: Path | None, against: str = "") -> 
         names = [name for name in compared if all(name in known for known in rows.values())]
         with written(output, "name"):
             files.mkdir(parents=True, exist_ok=True)
-            save_tables(tables, files)
+            html.save_tables(tables, files)
             with styled():
                 drawings = [comparison_figure(names, rows), *([ambient_figure(seen, over)] if over else [])]
-                figures = save_figures(drawings, files)
+                figures = html.save_figures(drawings, files)
             body = [*figures.values(), *(html.table(content) for content in tables)]
             page = html.page("Series compared", ", ".join(series), body)
             atomic_write.write_new(output, page.encode())

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from processing.arrays import Floats
-from rig.presentation import palette
+from rig.terminal import palette
 
 WIDTH_IN: Final = 7.1
 DATA: Final = palette.BLUE

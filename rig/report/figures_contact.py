@@ -13,7 +13,6 @@ from processing.instruments import DEGREE_RAD
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis import TABLE4_AMPLITUDE_ARCSEC, ResultRow, RunResults, Series
-from rig.presentation import palette, plain, quantity
 from rig.report.drawing import (
     ASYMPTOTIC,
     DATA,
@@ -25,6 +24,7 @@ from rig.report.drawing import (
     one_axes,
     three_columns,
 )
+from rig.terminal import palette, plain, quantity
 
 
 def loop_figure(

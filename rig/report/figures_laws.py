@@ -12,7 +12,6 @@ from processing.fit import FitMethod
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis import ComparedLaws, Curves, ModelFreeMoments
-from rig.presentation import palette
 from rig.report.drawing import (
     ASYMPTOTIC,
     DATA,
@@ -28,6 +27,7 @@ from rig.report.drawing import (
     thinned,
 )
 from rig.report.source import ShownUnit
+from rig.terminal import palette
 
 _MAX_DOTS = 700
 _MAX_BARS = 150

@@ -13,7 +13,6 @@ from processing.fit import BaseMotion, Ground, SeismometerSpectra
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.swing import ResidualSpectrum
 from rig.analysis import PositionErrors, RunResults
-from rig.presentation import palette
 from rig.report.drawing import (
     ASYMPTOTIC,
     DATA,
@@ -28,6 +27,7 @@ from rig.report.drawing import (
     thinned,
 )
 from rig.report.source import RecordedPicture, ShownTrajectory, ShownUnit
+from rig.terminal import palette
 
 _WIDE = 0.11
 

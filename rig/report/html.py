@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from acquisition import atomic_write
 from acquisition.record.check import Finding
 from acquisition.record.digest import sha256_of
 from processing.errors import RecordError
-from rig.presentation import Table, palette
-from rig.report.drawing import DATA, INK, ReportFigure
+from rig.report.drawing import DATA, INK, ReportFigure, png, svg
+from rig.terminal import Table, palette
 
 RESULTS_SHA256 = "results-sha256"
 LIGHT: Final[Mapping[str, str]] = {
@@ -140,11 +141,6 @@ def paragraph(text: str, kind: str = "") -> str:
     return f"<p{attribute}>{escape(text)}</p>"
 
 
-def preformatted(text: str) -> str:
-    """Lines of text to be copied."""
-    return f"<pre>{escape(text)}</pre>"
-
-
 def picture(drawing: ReportFigure, data: bytes, kind: str) -> str:
     """A figure with its caption; `kind` is the media type of the data.
 
@@ -185,11 +181,6 @@ def table(content: Table, level: int = 3) -> str:
         f'<div class="scroll" tabindex="0" role="group" aria-label="{escape(content.title)}">'
         f"<table{short}>{header}<tbody>{''.join(lines)}</tbody></table></div>{note}"
     )
-
-
-def first_screen(left: Sequence[str], right: Sequence[str]) -> str:
-    """The top of the page, seen without scrolling: two columns, verdict and decay."""
-    return f'<div class="first"><div>{"".join(left)}</div><div>{"".join(right)}</div></div>'
 
 
 def verdict(lines: Sequence[tuple[str, str]]) -> str:
@@ -234,28 +225,42 @@ def key_values(items: Sequence[tuple[str, str]]) -> str:
     )
 
 
-def stated_results_sha256(text: str) -> str:
-    """SHA-256 of the results that a page was made from, from its head; empty if it states none."""
-    found = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', text)
-    return found[1] if found else ""
-
-
 def check_report(results: Path) -> list[Finding]:
     """Compare the SHA-256 in the report of a results file with the file; no findings without a report."""
     report = results.with_name(results.stem.replace("results", "report", 1) + ".html")
     if not report.is_file():
         return []
     try:
-        stated = stated_results_sha256(report.read_text(encoding="utf-8", errors="replace"))
+        page_text = report.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise RecordError(f"{report}: cannot be read: {error.strerror or error}") from None
-    if not stated:
+    stated = re.search(f'<meta name="{RESULTS_SHA256}" content="([0-9a-f]{{64}})">', page_text)
+    if stated is None:
         return [Finding("note", f"{report.name} does not say which results it was made from")]
-    if stated != sha256_of(results):
+    if stated[1] != sha256_of(results):
         return [
             Finding("error", f"{report.name} was made from other results than {results.name}; run rig report")
         ]
     return [Finding("note", f"{report.name} was made from {results.name}")]
+
+
+def save_figures(drawings: Sequence[ReportFigure], files: Path) -> dict[str, str]:
+    """Write every figure as a file, frames as PNG, others as SVG; returns the HTML of each by name."""
+    atomic_write.take_away_leftovers(files)
+    found = {}
+    for drawing in drawings:
+        is_frame = drawing.name.endswith("frame")
+        data = png(drawing) if is_frame else svg(drawing)
+        atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
+        found[drawing.name] = picture(drawing, data, "image/png" if is_frame else "image/svg+xml")
+    return found
+
+
+def save_tables(tables: Sequence[Table], files: Path) -> None:
+    """Write every table as CSV."""
+    atomic_write.take_away_leftovers(files)
+    for table in tables:
+        atomic_write.replace(files / f"{table.name}.csv", table.csv().encode())
 
 
 def with_theme(figure: bytes) -> bytes:

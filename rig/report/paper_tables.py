@@ -19,20 +19,10 @@ from processing.estimate import Estimate
 from processing.fit import FitMethod
 from processing.units import ARCSEC_RAD
 from rig.analysis import curves_of
-from rig.presentation import (
-    Table,
-    TableRow,
-    answer,
-    plain,
-    power,
-    print_line,
-    print_tables,
-    with_uncertainty,
-    written,
-)
 from rig.report import figures_contact, figures_laws, figures_motion, html
 from rig.report.drawing import ReportFigure, styled
 from rig.report.paper_simulation import (
+    B_EXPONENT,
     BALL,
     BALL_RADIUS_M,
     MASS_KG,
@@ -43,8 +33,18 @@ from rig.report.paper_simulation import (
     PrintedPair,
     simulate_pair,
 )
-from rig.report.session_report import save_figures, save_tables
 from rig.report.tables import series_table
+from rig.terminal import (
+    Table,
+    TableRow,
+    answer,
+    plain,
+    power,
+    print_line,
+    print_tables,
+    with_uncertainty,
+    written,
+)
 
 CONTRADICTION: Final = "known contradiction"
 _AGREES: Final = "agrees"
@@ -76,7 +76,7 @@ CONTRADICTIONS: Final = (
 )
 
 
-def reproduce_paper(output: Path | None, b_exponent: int) -> None:
+def reproduce_paper(output: Path | None) -> None:
     """Simulate and analyse the three contact pairs, three runs each, and print Tables 1 to 4 beside the
     paper's.
 
@@ -84,8 +84,8 @@ def reproduce_paper(output: Path | None, b_exponent: int) -> None:
     PNG) and tables (CSV) into its subfolder ``paper``.
     """
     seeds = {pair: _SEED + 1000 * place for place, pair in enumerate(PAIRS, start=1)}
-    found = [simulate_pair(pair, b_exponent, seed) for pair, seed in seeds.items()]
-    tables = [table1(), table2(found, b_exponent), table3(found), table4(found)]
+    found = [simulate_pair(pair, seed) for pair, seed in seeds.items()]
+    tables = [table1(), table2(found), table3(found), table4(found)]
     print_tables(tables)
     print_line("Known contradictions of the printed text:")
     for line in CONTRADICTIONS:
@@ -120,10 +120,10 @@ def table1() -> Table:
     )  # fmt: skip
 
 
-def table2(found: Sequence[PairSeries], b_exponent: int) -> Table:
-    """Table 2, friction: b, p, c, surface energy in both forms, ARAE; `b_exponent` is b's power of ten."""
-    left_out = f"with the power of ten set to {b_exponent}, which the paper leaves out"
-    unit, scale = f"{power(b_exponent)} rad⁻ᵖ", 10.0**b_exponent
+def table2(found: Sequence[PairSeries]) -> Table:
+    """Table 2, friction: b, p, c, surface energy in both forms, ARAE."""
+    left_out = f"with the power of ten set to {B_EXPONENT}, which the paper leaves out"
+    unit, scale = f"{power(B_EXPONENT)} rad⁻ᵖ", 10.0**B_EXPONENT
     rows = [
         row
         for series in found
@@ -298,15 +298,15 @@ def write_paper(output: Path, found: Sequence[PairSeries], tables: Sequence[Tabl
     ]
     with written(output):
         files.mkdir(parents=True, exist_ok=True)
-        save_tables(tables, files)
+        html.save_tables(tables, files)
         for series in found:
             folder, combined = files / series.pair.flat, series_table(series.series)
             folder.mkdir(exist_ok=True)
-            save_tables([combined], folder)
+            html.save_tables([combined], folder)
             body.append(html.heading(series.pair.name[0].upper() + series.pair.name[1:]))
             body.append(html.table(combined))
             with styled():
-                body += save_figures(_drawings(series), folder).values()
+                body += html.save_figures(_drawings(series), folder).values()
         page = html.page("Tables and figures of Lubricants 2023, 11(2), 88", "made again", body)
         atomic_write.write_new(target, page.encode())
     return target

@@ -14,8 +14,8 @@ from processing.contact import DRAG
 from processing.errors import DataError
 from processing.fit import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.units import ARCSEC_RAD
-from rig.presentation import Table, TableRow, answer, palette, percent, plain, quantity
 from rig.report.planned_run import PlannedContact
+from rig.terminal import Table, TableRow, answer, palette, percent, plain, quantity
 
 if TYPE_CHECKING:
     from rig.report.drawing import ReportFigure

@@ -9,18 +9,34 @@ from pathlib import Path
 import numpy as np
 
 from acquisition import atomic_write
+from processing.contact.laws import DEFAULT_LAW
 from processing.errors import RecordError
-from processing.fit import FitMethod
-from rig.analysis import AnalysedTable, Curves, Series, SessionResults, curves_of, results_path
+from processing.fit import Budget, FitMethod
+from processing.instruments import INSTRUMENTS
+from rig.analysis import (
+    SURFACE_ENERGY,
+    AnalysedTable,
+    Curves,
+    RowsByName,
+    Series,
+    SessionResults,
+    curves_of,
+    decay_lines,
+    dominant_text,
+    has_apparatus,
+    named,
+    remarks,
+    results_path,
+    whole_result,
+)
 from rig.intake import write_positions
-from rig.presentation import Table, latex_table, quantity, written
 from rig.report import figures_contact, figures_laws, figures_motion, html
-from rig.report.drawing import ReportFigure, png, styled, svg
+from rig.report.drawing import ReportFigure, styled
 from rig.report.figures_contact import instrument_figures
 from rig.report.figures_motion import damped_figure, position_error_figure, witness_figure
 from rig.report.source import ReportSource, RunData, read_source
-from rig.report.summary import notes_of, run_sentence, summary_of, title_of
-from rig.report.tables import run_tables, series_tables
+from rig.report.tables import headline, run_tables, series_tables
+from rig.terminal import latex_rows, plain, quantity, written
 
 _DEFAULT_PERIOD_S = 4.0
 
@@ -45,11 +61,11 @@ def make_report(folder: Path, output: Path | None = None) -> Path:
         single = len(source.runs) == 1
         runs = [_run(run, files / f"run-{k}", single=single) for k, run in enumerate(source.runs, start=1)]
         # the first decay is shown at the top beside the verdict, every other with its run
-        body = [*summary_of(source, runs[0].pop("fig12-decay", "")), *series]
+        body = [*_summary_of(source, runs[0].pop("fig12-decay", "")), *series]
         for each in runs:
             body += each.values()
         body += _provenance(source)
-        title, subtitle = title_of(source)
+        title, subtitle = _title_of(source)
         atomic_write.replace(
             target, html.page(title, subtitle, body, results_sha256=source.results[1]).encode()
         )
@@ -89,9 +105,9 @@ def _series(source: ReportSource, series: Series, files: Path) -> list[str]:
     body.append(html.notes(disagreements))
     if series.fits:
         with styled():
-            body += save_figures([figures_contact.series_figure(series)], files).values()
+            body += html.save_figures([figures_contact.series_figure(series)], files).values()
     body += [html.table(table) for table in tables[1:]]
-    save_tables(tables, files)
+    html.save_tables(tables, files)
     return body
 
 
@@ -112,13 +128,13 @@ def _run(run: RunData, files: Path, *, single: bool) -> dict[str, str]:
     files.mkdir(parents=True, exist_ok=True)
     curves = curves_of(run.results)
     tables = run_tables(run, curves)
-    save_tables(tables, files)
+    html.save_tables(tables, files)
     tables_shown = {table.name: html.table(table) for table in tables if table.shown}
     with styled():
-        figures = save_figures(_drawings(run, curves), files)
+        figures = html.save_figures(_drawings(run, curves), files)
     body = {"heading": html.heading(run.title)}
     if not single:
-        body["said"] = html.paragraph(run_sentence(run)) + html.notes(notes_of(run))
+        body["said"] = html.paragraph(_run_sentence(run)) + html.notes(_notes_of(run))
     if run.results.instrument is not None:
         body["instrument-said"] = html.notes(run.results.instrument.text)
     for part in _ORDER:
@@ -193,25 +209,6 @@ def _period(run: RunData) -> float:
     return float(2 * (points.time_s[-1] - points.time_s[0]) / (points.index[-1] - points.index[0]))
 
 
-def save_figures(drawings: Sequence[ReportFigure], files: Path) -> dict[str, str]:
-    """Write every figure as a file, frames as PNG, others as SVG; returns the HTML of each by name."""
-    atomic_write.take_away_leftovers(files)
-    found = {}
-    for drawing in drawings:
-        is_frame = drawing.name.endswith("frame")
-        data = png(drawing) if is_frame else svg(drawing)
-        atomic_write.replace(files / f"{drawing.name}.{'png' if is_frame else 'svg'}", data)
-        found[drawing.name] = html.picture(drawing, data, "image/png" if is_frame else "image/svg+xml")
-    return found
-
-
-def save_tables(tables: Sequence[Table], files: Path) -> None:
-    """Write every table as CSV."""
-    atomic_write.take_away_leftovers(files)
-    for table in tables:
-        atomic_write.replace(files / f"{table.name}.csv", table.csv().encode())
-
-
 def _provenance(source: ReportSource) -> list[str]:
     name, sha256 = source.results
     body = [html.heading("Provenance"), html.facts([(f"sha256 of {name}", sha256)])]
@@ -239,15 +236,185 @@ def make_table_report(table: AnalysedTable, folder: Path) -> Sequence[tuple[str,
     return [("positions", write_positions(table.trajectory, folder)), ("report", make_report(folder))]
 
 
-def latex_tables(folder: Path) -> Mapping[str, str]:
-    """LaTeX of every table of the report and of the series, by file name (`run-1-parameters.tex`).
+_NOT_STATED = "not stated"
+_PAPER = "I. Gilavdary, S. Mekid, N. Riznookaya, Lubricants 2023, 11(2), 88, doi:10.3390/lubricants11020088"
 
-    Raises RecordError for a folder without results, or whose record is missing.
-    """
-    source = read_source(folder)
-    found = dict[str, Table]()
-    for number, run in enumerate(source.runs, start=1):
-        found |= {f"run-{number}-{each.name}.tex": each for each in run_tables(run, None)}
-    if source.series is not None:
-        found |= {f"{each.name}.tex": each for each in series_tables(source.series)}
-    return {name: latex_table(each, Path(name).stem) for name, each in found.items() if each.shown}
+
+def _title_of(source: ReportSource) -> tuple[str, str]:
+    """Title and subtitle of the page."""
+    first = source.runs[0]
+    session = first.provenance.get("session", {})
+    name = source.folder.resolve().name
+    if first.results.decay is not None:
+        run = first.results.decay.run
+        name = Path(first.results.record).name + (f", run {run}" if run else "")
+    title = session.get("sample") or name
+    counted = "decay" if first.is_table else "run"
+    words = [f"{len(source.runs)} {counted}{'s' if len(source.runs) > 1 else ''}"]
+    if session.get("operator"):
+        words.append(f"operator {session['operator']}")
+    words += [word for word in (session.get("contact_history"), session.get("notes")) if word]
+    if any(run.results.simulated for run in source.runs):
+        title = f"SIMULATED: {title}"
+    results = first.results
+    what = "Free decay of a pendulum on one ball" if results.fits else "Free decay of a pendulum"
+    if results.instrument is not None:
+        what = INSTRUMENTS[results.instrument.kind].title
+    return title, f"{what}: " + ", ".join(words)
+
+
+def _summary_of(source: ReportSource, decay: str) -> list[str]:
+    """The verdict with the parameters beside the first decay; below it the circumstances."""
+    run, series = source.runs[0].results, source.series
+    body = []
+    if any(data.results.simulated for data in source.runs):
+        body.append(
+            '<div class="warn">SIMULATED: every number comes from the simulated rig; '
+            "nothing was measured.</div>"
+        )
+    first = [html.verdict(_verdict(source))]
+    found = series if series is not None and series.table else run
+    if found.contact:
+        first.append(html.key_values(_key_results(found, found.budget)))
+        what = "combined over the runs" if found is series else "of the run"
+        first.append(
+            html.paragraph(
+                f"Exact fit {what}, value ± standard uncertainty: of swings and apparatus together where the "
+                "main sources are named, otherwise of the swings alone.",
+                "note",
+            )
+        )
+    if run.instrument is not None:
+        values = headline(run, None if series is None else series.instrument)
+        first.append(html.key_values(values))
+        first.append(html.paragraph("Value ± standard uncertainty of the swings.", "note"))
+    # seen without scrolling: two columns, verdict and decay
+    body.append(f'<div class="first"><div>{"".join(first)}</div><div>{decay}</div></div>')
+    body.append(html.heading("Summary"))
+    body.append(html.facts(_circumstances(source)))
+    for data in source.runs:
+        body.append(html.paragraph(_run_sentence(data)))
+        if data.results.problem:
+            body.append(f'<div class="warn">{html.escape("No fit: " + data.results.problem)}</div>')
+            body.append(html.notes(decay_lines(data.results)))
+    if len(source.runs) == 1:
+        body.append(html.notes(_notes_of(source.runs[0])))
+    return body + (_text_to_copy(source, found) if found.contact else [])
+
+
+def _verdict(source: ReportSource) -> list[tuple[str, str]]:
+    """The result, its largest uncertainties, the next step, and whether conditions were met, as lines."""
+    first = source.runs[0].results
+    found = whole_result(first, source.series)
+    lines = [(found.text or "Nothing was fitted", "")]
+    if found.limits:
+        limited = ", ".join(f"{one.name} {100 * one.share:.0f} %" for one in found.limits[:2])
+        lines.append((f"Its uncertainty: {limited}. Next: {'; '.join(found.next_steps)}.", ""))
+    judged = [item for run in source.runs for item in run.results.conditions]
+    broken = [item for item in judged if not item.ok]
+    doubtful = [item for item in judged if item.ok and item.remedy]
+    if broken:
+        names = ", ".join(dict.fromkeys(item.name for item in broken))
+        lines.append((f"Conditions NOT met: {names}", "bad"))
+    elif judged:
+        names = ", ".join(dict.fromkeys(item.name for item in doubtful))
+        lines.append(
+            (f"Conditions met, with a warning of {names}" if names else "All conditions met", "good")
+        )
+    return lines
+
+
+def _circumstances(source: ReportSource) -> list[tuple[str, str]]:
+    """Operator, begin and duration of each run, ambient conditions, and source of the positions."""
+    first = source.runs[0]
+    rows = []
+    if first.results.instrument is not None:
+        kind = INSTRUMENTS[first.results.instrument.kind]
+        rows.append(("instrument", f"{kind.sentence.rstrip('.')} ({kind.kind})"))
+    rows.append(("operator", first.provenance.get("session", {}).get("operator", "") or _NOT_STATED))
+    ambient = [_ambient_conditions(run) for run in source.runs]
+    is_common = len(set(ambient)) == 1
+    for run, conditions in zip(source.runs, ambient, strict=True):
+        began = run.provenance["file"].get("began", "")
+        text = f"{began and f'began {began}, '}lasted {_duration_text(run)}"
+        rows.append((run.title, text if is_common else f"{text}; {conditions or f'air {_NOT_STATED}'}"))
+    if is_common:
+        rows.append(("ambient conditions", ambient[0] or _NOT_STATED))
+    if first.is_table:
+        rows.append(("positions from", first.results.record))
+    else:
+        driver = first.provenance.get("camera", {}).get("driver", "")
+        stored = "a film or a folder of images" if driver == "files" else "a camera"
+        rows.append(("frames from", "the simulated rig" if first.results.simulated else stored))
+    rows += [("laws of the contact", _PAPER)] if first.results.fits else []
+    return [(name, text) for name, text in rows if text]
+
+
+def _duration_text(run: RunData) -> str:
+    time_s = run.motion.time_s if len(run.motion.time_s) else run.results.points.time_s
+    length_s = time_s[-1] - time_s[0] if len(time_s) else 0.0
+    return f"{length_s / 60:.1f} min"
+
+
+def _ambient_conditions(run: RunData) -> str:
+    """The ambient conditions of a run, in words."""
+    found = run.results.surroundings
+    texts = []
+    for name, value in ({} if found is None else found.known()).items():
+        shown = quantity(name)
+        texts.append(f"{shown.name} {plain(value * shown.factor, 4)} {shown.unit}")
+    return ", ".join(texts)
+
+
+def _key_results(found: RowsByName, budget: Mapping[str, Budget]) -> list[tuple[str, str]]:
+    """Labels and values; the label names the dominant source if the apparatus contributes to u."""
+    names = [SURFACE_ENERGY, *DEFAULT_LAW.names(drag=True)]
+    shown = []
+    for row in (found.rows[name] for name in names if name in found.rows):
+        item, label = budget.get(row.quantity), named(row.quantity)
+        if row.determined and item is not None and has_apparatus(item):
+            label = f"{label} (u: {dominant_text(item)})"
+        shown.append((label, row.text))
+    return shown
+
+
+def _text_to_copy(source: ReportSource, found: RowsByName) -> list[str]:
+    """A sentence with the values and the reference to cite, and a row for a table in LaTeX."""
+    rows = [found.rows[name] for name in (*DEFAULT_LAW.names(), SURFACE_ENERGY) if name in found.rows]
+    first = source.runs[0]
+    several = f"{len(source.runs)} runs" if len(source.runs) > 1 else "one run"
+    half_cycles = sum(data.results.half_cycles for data in source.runs)
+    version = first.provenance.get("versions", {}).get("optical-pendulum-rig", "")
+    simulated = "SIMULATED: " if any(data.results.simulated for data in source.runs) else ""
+    values = ", ".join(row.equation for row in rows)
+    text = (
+        f"{simulated}From {several} with {half_cycles} half-cycles: {values} (standard uncertainties of "
+        "swings and apparatus together, as far as they are stated, or 95 % limits; exact fit by "
+        f"optical-pendulum-rig{f' {version}' if version else ''} of the laws of {_PAPER})."
+    )
+    head = [quantity(row.quantity).label for row in rows]
+    return [
+        html.heading("To copy", 3),
+        html.paragraph(text),
+        f"<pre>{html.escape(latex_rows(head, [row.text for row in rows], _title_of(source)[0]))}</pre>",
+    ]
+
+
+def _run_sentence(run: RunData) -> str:
+    """A sentence on the extent of a run: half-cycles, duration, frames, flags."""
+    results, unit = run.results, run.motion.unit.shown
+    left_out = len(run.results.stored.left_out_flags)
+    taken = (
+        f"{results.frames} rows"
+        if run.is_table
+        else f"{results.frames} frames, {results.dropped_frames} dropped"
+    )
+    return (
+        f"{run.title}: {results.half_cycles_text(unit, ' from ')} in {_duration_text(run)}; {taken}; "
+        f"{left_out} half-cycle{'s' if left_out != 1 else ''} flagged and left out."
+    )
+
+
+def _notes_of(run: RunData) -> list[str]:
+    """Remarks, warnings and notes of a run."""
+    return [*remarks(run.results), *run.results.warnings, *run.notes]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.record.digest import RecordedCamera, cached_sha256
 from acquisition.record.reader import RecordReader
-from acquisition.record.topics import RecordedNote
 from processing.arrays import Floats
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError, RecordError, RigError
@@ -140,7 +139,9 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
                 **provenance["file"],
                 "began": f"{reader.utc(int(spots['time_ns'][0])):%Y-%m-%d %H:%M:%S} UTC",
             }
-        notes += [_note_text(note, rate, spots) for note in reader.notes()]
+        for note in reader.notes():
+            since_ns = note.time_ns - int(spots["time_ns"][0]) if len(spots) else 0
+            notes.append(f"noted at {since_ns * 1e-9 * rate:.1f} s, {note.event.text}")
         notes += [line for line in reader.doubts() if line not in results.warnings]
     if results.sha256 != cached_sha256(path):
         notes.append("the record is not the one that the results were made from: its hash differs")
@@ -165,12 +166,6 @@ def _read_run(folder: Path, results: RunResults, number: int) -> RunData:
 def _hashes(run: RunResults) -> dict[str, str]:
     """SHA-256 of the record or table of a run, and of its other inputs, by name."""
     return {"sha256": run.sha256, **{f"sha256 of {name}": one for name, one in run.inputs_sha256.items()}}
-
-
-def _note_text(note: RecordedNote, rate: float, spots: NDArray[Any]) -> str:
-    """A note of an operator with its time after the first frame."""
-    first_ns = int(spots["time_ns"][0]) if len(spots) else note.time_ns
-    return f"noted at {(note.time_ns - first_ns) * 1e-9 * rate:.1f} s, {note.event.text}"
 
 
 def _spectrum(reader: RecordReader, deflections: Deflections) -> ResidualSpectrum | None:

@@ -25,7 +25,8 @@ from rig.analysis import (
     quality_table,
     waveform_table,
 )
-from rig.presentation import (
+from rig.report.source import RunData
+from rig.terminal import (
     NOT_KNOWN,
     SOURCES,
     Cell,
@@ -37,7 +38,6 @@ from rig.presentation import (
     quantity,
     with_uncertainty,
 )
-from rig.report.source import RunData
 
 _MIN_SHOWN_SHARE = 0.005
 """Fraction of the variance below which sources are shown together in one line."""

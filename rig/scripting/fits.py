@@ -19,8 +19,8 @@ from rig.analysis import (
     session_results,
     with_laws,
 )
-from rig.campaigns import Campaign, StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
 from rig.intake import FilmOptions, TableColumns, film_trajectory
+from rig.report import Campaign, StatedCampaign, fit_model, read_campaign, runs_of_folders, save_campaign
 from rig.scripting.session import Record, Session, columns_of, overrides_of, path_of, several, text_of
 from rig.settings import load_configuration
 

@@ -1,15 +1,47 @@
-"""The terminal and the processes of the program: interrupts, hang-up, encoding, child processes, ports."""
+"""What is shown at the terminal and in files: symbols, units, tables, colours, verdicts; keys."""
 
-from rig.terminal.interruption import (
-    BY_USER,
-    LOOPBACK,
-    Terminated,
-    call_on_hang_up,
-    free_port,
-    own_group,
-    reason_of,
-    replace_missing_characters,
-    spelled,
-    start_python,
-    terminated_by_signals,
+from processing.number_text import (
+    NOT_KNOWN,
+    decimals,
+    interval,
+    judged_number,
+    percent,
+    plain,
+    power,
+    signed,
+    signed_percent,
+    with_uncertainty,
 )
+from rig.terminal import palette
+from rig.terminal.latex import latex_rows, latex_table
+from rig.terminal.printing import (
+    Cell,
+    Table,
+    TableRow,
+    TimeLeft,
+    answer,
+    harmless_text,
+    loud,
+    one_json_object,
+    plain_values,
+    print_json_line,
+    print_line,
+    print_tables,
+    say,
+    screen_width,
+    terminal_columns,
+    written,
+)
+from rig.terminal.quantities import (
+    SOURCES,
+    Keys,
+    QuantityDisplay,
+    balance_numbers,
+    balance_panels,
+    balance_style,
+    balance_table,
+    law_parameters,
+    quantity,
+    unit_of,
+)
+from rig.terminal.verdict import Verdict, failures, print_verdicts, table_tree

@@ -22,7 +22,7 @@ from rig.analysis import (
     recorded_results,
     remarks,
 )
-from rig.presentation import Table, palette
+from rig.terminal import Table, palette
 from rig.view import layout
 from rig.view.graticule import Graticule, faded, graticule_marks
 from rig.view.values import AnalysisCurve, Panel

@@ -12,7 +12,7 @@ from acquisition.record.events import Event, EventKind, Severity
 from processing.estimate import Estimate
 from processing.spot import SpotFlag
 from processing.units import ARCSEC_RAD
-from rig.presentation import QuantityDisplay, balance_style, balance_table, palette, quantity
+from rig.terminal import QuantityDisplay, balance_style, balance_table, palette, quantity
 from rig.view import layout
 from rig.view.graticule import spot_cross
 from rig.view.transverse import Decimator, GapBreaker, Lissajous, SendBuffer, TransverseCurves

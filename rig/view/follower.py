@@ -31,8 +31,8 @@ from processing.spot import SpotFlag
 from processing.swing import HalfCycle
 from processing.units import nanoseconds, seconds
 from rig.instrument import Phase, RecordContents, RunNow, advice_for, piece_contents, recorded_configuration
-from rig.presentation import balance_numbers
 from rig.settings import Configuration
+from rig.terminal import balance_numbers
 from rig.view import layout
 from rig.view.drawing import Drawing
 from rig.view.values import Floats, is_drawn

@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from rig.presentation import palette
+from rig.terminal import palette
 from rig.view.values import Floats
 
 PLANE_REACH = 100.0

@@ -16,7 +16,7 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rig.presentation import balance_panels
+from rig.terminal import balance_panels
 from rig.view.graticule import BACKGROUND, BOX, PLANE_REACH
 from rig.view.values import Setup
 

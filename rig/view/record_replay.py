@@ -23,7 +23,9 @@ from rig.analysis import (
     write_results,
 )
 from rig.instrument import RunNow, configuration_attachments, recorded_configuration
-from rig.presentation import (
+from rig.interruption import Terminated
+from rig.settings import Configuration, KeyUseMonitor
+from rig.terminal import (
     Keys,
     QuantityDisplay,
     Table,
@@ -36,8 +38,6 @@ from rig.presentation import (
     signed,
     terminal_columns,
 )
-from rig.settings import Configuration, KeyUseMonitor
-from rig.terminal import Terminated
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import ParameterDifference, ReplayDifferences, parameter_changes
 from rig.view.replay_player import HELP, MAX_FRAMES, Player

@@ -10,7 +10,7 @@ from acquisition.record.events import Event
 from processing.spot import SpotFlag
 from processing.units import nanoseconds
 from rig.instrument import RecordContents, RunNow
-from rig.presentation import Keys
+from rig.terminal import Keys
 from rig.view.replay import Replay, ReplayResult, ReplayStep
 from rig.view.scratch import ScratchView
 

@@ -24,7 +24,7 @@ from typing import Self
 import rerun_cli
 
 from processing.errors import ConfigurationError
-from rig.terminal import LOOPBACK, free_port, own_group
+from rig.interruption import LOOPBACK, free_port, own_group
 from rig.view.scratch import no_window, page_address, ports_of_view
 from rig.view.values import ShowMode
 

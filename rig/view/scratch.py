@@ -25,8 +25,8 @@ from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycle
 from rig.instrument import Block
-from rig.presentation import say
-from rig.terminal import LOOPBACK, free_port, start_python
+from rig.interruption import LOOPBACK, free_port, start_python
+from rig.terminal import say
 from rig.view.values import LayoutName, Mode
 
 _MAX_SHOW_END_S, _MAX_WRITE_END_S = 10.0, 30.0

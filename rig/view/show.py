@@ -18,8 +18,8 @@ from processing.contact.laws import DEFAULT_LAW
 from processing.deflections import DeflectionUnit
 from processing.errors import ConfigurationError, RecordError
 from rig.instrument import pendulum_on_ball
-from rig.presentation import say
 from rig.settings import Configuration
+from rig.terminal import say
 from rig.view.values import LayoutName, Setup, ShowMode
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 from tests.benchmarks.coverage import coverage
 from tests.calibration.ladders import LADDERS, pull
 from tests.calibration.simulated_rig import deviations
-from tests.rig.calibrate.calibrated_measurement import measure
+from tests.rig.prepare.calibrated_measurement import measure
 
 FRAME_RATES_HZ = (25.0, 60.0)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from calibration import relate_clocks, stability
-from rig.calibrate.frame_times import u_camera_rate
+from rig.prepare.frame_times import u_camera_rate
 
 Array = NDArray[np.float64]
 RATE_HZ = 25.0

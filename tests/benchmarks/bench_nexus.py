@@ -8,7 +8,7 @@ from typing import Any
 
 import h5py
 
-from rig.report.session_export import export_session
+from rig.report.export import export_session
 from tests.rig.view.replay_record import make_record
 
 SAMPLES = Path(__file__).resolve().parents[1] / "rig" / "data" / "samples"

@@ -25,9 +25,9 @@ from rig.control.service import ControlService
 from rig.desk.aligner import Aligner
 from rig.devices import Devices, session_devices
 from rig.devices.frame_stream import FrameStream
+from rig.interruption import terminated_by_signals
 from rig.measure import record_plainly
 from rig.settings import load_configuration
-from rig.terminal import terminated_by_signals
 
 PLACES: dict[str, tuple[type, str]] = {
     "camera stalls": (SimulatedCamera, "read"),

@@ -16,7 +16,8 @@ from processing.errors import DataError
 from processing.fit import drag_verdict, identifiability
 from rig.analysis import contact_verdicts
 from rig.cli import main
-from rig.report import session_report
+from rig.report import html, session_report
+from rig.report.drawing import png, svg
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SAMPLES = Path(__file__).resolve().parent / "data" / "samples"
@@ -99,15 +100,18 @@ def rig_process(*words: str | Path, cwd: Path | None = None) -> Done:
     return Done(done.returncode, done.stdout, done.stderr)
 
 
-REAL = {name: getattr(session_report, name) for name in ("_drawings", "svg", "png")}
-"""What draws a report."""
+REAL_DRAWINGS = session_report._drawings
 
 
 @contextlib.contextmanager
 def figures_are_drawn(drawn: bool) -> Iterator[None]:
     """Whether a report is made with its figures, or with everything else."""
-    left_out = {"_drawings": lambda *_: [], "svg": lambda *_: b"<svg/>", "png": lambda *_: b""}
-    with patch.multiple(session_report, **(REAL if drawn else left_out)):
+    with (
+        patch.object(session_report, "_drawings", REAL_DRAWINGS if drawn else lambda *_: []),
+        patch.multiple(
+            html, svg=svg if drawn else lambda *_: b"<svg/>", png=png if drawn else lambda *_: b""
+        ),
+    ):
         yield
 
 

@@ -24,10 +24,10 @@ from processing.errors import RigError
 from rig.analysis import encoded, read_results
 from rig.archive import list_runs
 from rig.archive.listing import write_sessions, writing
-from rig.balance import history
-from rig.calibrate.inputs import read_ladder, read_transfer
 from rig.intake.table import TableColumns
 from rig.measure.session_file import SessionFile
+from rig.prepare.calibration_inputs import LadderFile, TransferFile, read_input
+from rig.prepare.learned_turns import read_turns
 from rig.settings import load_configuration
 from tests.acquisition.record.samples import write_sample
 
@@ -173,14 +173,14 @@ FILES: dict[str, tuple[Path | bytes, str, Callable[[Path], Any]]] = {
     "PNG": (stored("png"), "frame0.png", read_images),
     "TIFF stack": (stored("tiff"), "frames.tiff", read_stack),
     "NumPy stack": (stored("npy"), "frames.npy", read_stack),
-    "ladder": (LADDER, "ladder.toml", read_ladder),
+    "ladder": (LADDER, "ladder.toml", lambda path: read_input(path, LadderFile)),
     "photon transfer": (
         b'darks = "dark"\n[[level]]\nframes = "1"\nexposure_us = 50.0\n',
         "t.toml",
-        read_transfer,
+        lambda path: read_input(path, TransferFile),
     ),
     "ground": (GROUND, "ground.csv", read_ground_file),
-    "turned weights": (2 * TURN, "weights.jsonl", history.read),
+    "turned weights": (2 * TURN, "weights.jsonl", read_turns),
     "times": (b"time_ns,sequence\n10,0\n", "timestamps.csv", read_images),
 }
 

@@ -13,8 +13,8 @@ from typing import Any, get_origin
 import pytest
 import typer.main
 
-from rig.calibrate.inputs import read_transfer
 from rig.cli import app
+from rig.prepare.calibration_inputs import TransferFile, read_input
 from rig.settings import Configuration, load_configuration, validate_configuration
 from rig.settings.validation_messages import section_fields, section_of
 from tests.rig.command_line import SMALL, rig, set_words
@@ -135,7 +135,7 @@ def test_the_files_of_calibrations_are_read_as_they_are_shown(tmp_path: Path) ->
     done = rig("calibrate", "check", "tilts.toml", "--lever", levers[0], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "calibrate again" not in done.stdout
-    assert len(read_transfer(tmp_path / "transfer.toml").level) == 5
+    assert len(read_input(tmp_path / "transfer.toml", TransferFile).level) == 5
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from types import FrameType
 
 import pytest
 
-from rig.terminal import BY_USER, Terminated, reason_of, terminated_by_signals
+from rig.interruption import BY_USER, Terminated, reason_of, terminated_by_signals
 
 
 def own_handler(_number: int, _frame: FrameType | None) -> None:
@@ -97,7 +97,7 @@ except BaseException:
 """As a module written in C does, such as those of scipy, whatever is raised while it loads numpy."""
 DURING_AN_IMPORT = """
 import signal, sys, threading
-from rig.terminal import Terminated, terminated_by_signals
+from rig.interruption import Terminated, terminated_by_signals
 signal.signal(signal.SIGINT, signal.default_int_handler)
 try:
     with terminated_by_signals():
@@ -109,7 +109,7 @@ print(sys.modules["turned"].cut_short.whole)
 """
 IMPORTED_ITSELF = """
 import signal
-from rig.terminal import terminated_by_signals
+from rig.interruption import terminated_by_signals
 signal.signal(signal.SIGINT, signal.default_int_handler)
 try:
     with terminated_by_signals():

@@ -6,12 +6,12 @@ from typing import Any
 
 from nicegui import ui
 
-from rig.balance import BalanceStage
 from rig.desk import charts, tables
 from rig.desk.desk import Desk
 from rig.desk.tab import DELIBERATE, Tab, apart, at_once, box
 from rig.instrument import WEIGHTS
-from rig.presentation import judged_number
+from rig.prepare import BalanceStage
+from rig.terminal import judged_number
 
 _STATE = {True: ("go", "go"), False: ("no", "NO"), None: ("dim", "?")}
 

@@ -5,12 +5,12 @@ from functools import partial
 
 from nicegui import run, ui
 
-from rig.calibrate import CalibrationReport
 from rig.desk import tables
 from rig.desk.calibrating import FOLDER, KINDS, Calibrating
 from rig.desk.desk import Desk
 from rig.desk.panels.between_runs import as_typed
 from rig.desk.tab import DELIBERATE, Tab, at_once, box
+from rig.prepare import CalibrationReport
 
 _DAYS, _DARK_FRAMES = "90", "16"
 

@@ -20,7 +20,7 @@ from rig.desk.following import doing
 from rig.desk.panels.between_runs import as_typed, setting_field
 from rig.desk.panels.live_picture import LivePicture, has_picture, look_now
 from rig.desk.tab import DELIBERATE, Handler, Tab, apart, at_once, box
-from rig.presentation import Verdict
+from rig.terminal import Verdict
 
 KEYS = (("z", "rig: zoom 1, 4, 16"),)
 _SIZE = (800, 540)

@@ -8,7 +8,7 @@ from typing import Any
 from processing.estimate import Estimate
 from rig.instrument import Phase
 from rig.measure import FIRST_HALF_CYCLES, estimate_texts
-from rig.presentation import quantity
+from rig.terminal import quantity
 
 _STEPS: Mapping[str, str] = {
     Phase.WAITING: "devices",

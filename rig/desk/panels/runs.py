@@ -12,12 +12,12 @@ from nicegui import run, ui
 
 from processing.errors import ConfigurationError, RigError
 from rig.archive import find_runs
-from rig.calibrate import next_free
 from rig.desk.desk import Desk
 from rig.desk.dialogs import resume_dialog
 from rig.desk.sessions import NUMBERS, SERVED, SessionRow
 from rig.desk.tab import Tab, at_once
-from rig.presentation import quantity
+from rig.prepare import next_free
+from rig.terminal import quantity
 
 KEYS = (("o", "runs: open the report"), ("v", "runs: show in Rerun"))
 _COLUMNS = ("begun", "name", "sample", "runs", "state", *NUMBERS, "balance", "conditions", "operator")

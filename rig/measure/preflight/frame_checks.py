@@ -25,8 +25,8 @@ from rig.measure.preflight.rest_checks import (
     rest_position,
     stillness,
 )
-from rig.presentation import Verdict, with_uncertainty
 from rig.settings import Configuration, PreflightSettings
+from rig.terminal import Verdict, with_uncertainty
 
 _RECORDED_SPOT_BYTES = 260
 """Size of the numbers of one frame in the record."""

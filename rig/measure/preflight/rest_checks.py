@@ -16,8 +16,8 @@ from processing.pendulum_at_rest import ground_at_rest
 from processing.spot import Spot, SpotModel
 from rig.analysis import base_motion, drive_text
 from rig.instrument import PLANE_OF_SWING, balance_verdicts
-from rig.presentation import Verdict, decimals
 from rig.settings import PendulumSettings, PreflightSettings
+from rig.terminal import Verdict, decimals
 
 _MIN_LONG_PREFLIGHT_S = 50.0
 NO_LEVER = "no lever: values in px have no limit in arcsec"

@@ -21,8 +21,8 @@ from processing.units import seconds
 from rig.analysis import sample_times
 from rig.control import SeismometerSettings
 from rig.measure.preflight.rest_checks import TrialFrames, judged, longer_look, not_at_rest
-from rig.presentation import Verdict, percent, plain, with_uncertainty
 from rig.settings import PreflightSettings, ReferenceSettings
+from rig.terminal import Verdict, percent, plain, with_uncertainty
 
 _LIMIT = "samples come"
 _MIN_SAMPLES = 20

@@ -22,8 +22,8 @@ from rig.analysis.run_remarks import (
     remarks,
     whole_result,
 )
-from rig.presentation import Verdict
 from rig.settings import PendulumSettings
+from rig.terminal import Verdict
 from tests.processing.fit.decays import decay, paper_pair
 from tests.processing.fit.driven import driven_decay
 

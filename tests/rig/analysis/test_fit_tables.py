@@ -21,7 +21,7 @@ from rig.analysis import (
     read_results,
 )
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow
-from rig.presentation import Verdict
+from rig.terminal import Verdict
 
 _RUN = RunResults(
     record="run-1.mcap",

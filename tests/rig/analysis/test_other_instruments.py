@@ -17,8 +17,8 @@ from rig.cli import app
 from rig.commands.fitting import fit_records
 from rig.intake import TableColumns
 from rig.measure.session import measure_session, simulate_record
-from rig.presentation import with_uncertainty
 from rig.settings import load_configuration
+from rig.terminal import with_uncertainty
 from tests.rig.command_line import figures_are_drawn
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"

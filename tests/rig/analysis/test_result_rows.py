@@ -22,8 +22,8 @@ from processing.series import CombinedValue
 from rig.analysis import RunResults, Series, SessionResults, analyse_record, encoded
 from rig.analysis.fit_tables import parameter_table
 from rig.analysis.result_rows import ResultRow, result_rows, series_rows, withheld
-from rig.presentation import latex_table
 from rig.report.tables import budget_table
+from rig.terminal import latex_table
 from tests.processing.fit.decays import decay, paper_pair
 from tests.processing.fit.test_uncertainty import rig
 

@@ -129,7 +129,7 @@ def test_every_run_of_a_table_gets_a_folder_like_that_of_a_session(tmp_path: Pat
         assert abs(value - decrement) < 4 * u
         page = (tmp_path / "out" / f"run-{number}" / "report.html").read_text()
         assert f"runs.csv, run {number}" in page
-        assert [row["state"] for row in session_rows(tmp_path / "out" / f"run-{number}").rows] == ["whole"]
+        assert [row["state"] for row in session_rows(tmp_path / "out" / f"run-{number}")[0]] == ["whole"]
     again = rig("fit", path, "--unit", "mm", "-o", tmp_path / "out")
     assert again.returncode != 0
     assert "run-1/results.json: exists already" in again.stderr

@@ -12,7 +12,7 @@ import pytest
 from processing.ambient import AmbientConditions
 from rig.analysis import read_results
 from rig.archive.session_rows import session_rows
-from rig.campaigns.sources import runs_of_folders
+from rig.report.campaign_input import runs_of_folders
 from tests.rig.analysis.test_table_laws import swings
 from tests.rig.analysis.test_tables import ring_downs, write
 from tests.rig.command_line import rig
@@ -90,11 +90,11 @@ def test_the_archive_lists_its_decays(fitted: Path, tmp_path: Path) -> None:
 def test_the_archive_says_what_became_of_a_table(tmp_path: Path) -> None:
     table = swings(tmp_path / "t.csv")
     assert rig("fit", table, "-o", tmp_path / "out").returncode == 0
-    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["whole"]
+    assert [row["state"] for row in session_rows(tmp_path / "out")[0]] == ["whole"]
     table.write_text(table.read_text() + "80.0,0.0\n")
-    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["damaged"]
+    assert [row["state"] for row in session_rows(tmp_path / "out")[0]] == ["damaged"]
     table.unlink()
-    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["missing"]
+    assert [row["state"] for row in session_rows(tmp_path / "out")[0]] == ["missing"]
 
 
 def test_it_is_exported(fitted: Path, tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_a_fitted_table_gives_the_report_and_the_plan_of_a_run(tmp_path: Path) -
     assert "without the waveform" in planned.stdout + planned.stderr
     # the run that was made goes to an amplitude of 60 arcsec; one to 30 tells more
     assert 0.0 < float(row["u_n"]) < run.fits["exact"].parameters["n"].standard_uncertainty
-    rows = session_rows(tmp_path / "out").rows
+    rows = session_rows(tmp_path / "out")[0]
     assert rows[0]["b"] > 0
     assert rows[0]["law"] == "paper"
 
@@ -149,9 +149,9 @@ def test_a_folder_of_images_is_analysed_and_known_again(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert len(results["runs"][0]["sha256"]) == 64
-    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["whole"]
+    assert [row["state"] for row in session_rows(tmp_path / "out")[0]] == ["whole"]
     (frames / "f0100.png").unlink()
-    assert [row["state"] for row in session_rows(tmp_path / "out").rows] == ["damaged"]
+    assert [row["state"] for row in session_rows(tmp_path / "out")[0]] == ["damaged"]
 
 
 def test_an_envelope_has_no_runs(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_what_the_configuration_states_of_air_and_sample_goes_with_the_table(tmp
     assert done.returncode == 0, done.stderr
     (run,) = read_results(tmp_path / "out").runs
     assert run.surroundings == AmbientConditions(humidity_percent=45.0, dwell_s=7200.0)
-    (row,) = session_rows(tmp_path / "out").rows
+    (row,) = session_rows(tmp_path / "out")[0]
     assert (row["sample"], row["operator"], row["humidity_percent"]) == ("A7", "O.", 45.0)
     (found,) = runs_of_folders([tmp_path / "out"], by_sample=True)
     assert found.contact == "A7"

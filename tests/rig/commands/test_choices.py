@@ -7,7 +7,7 @@ import typer
 
 from rig.archive.updating import Level
 from rig.cli import app
-from rig.report.session_export import Format as ExportFormat
+from rig.report.export import Format as ExportFormat
 from rig.settings.configuration import ViewSettings
 from rig.view.values import LayoutName, Mode
 from tests.rig.commands.wrong_inputs import commands

@@ -9,7 +9,7 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from rig.presentation import Table, Verdict, print_line, print_tables, print_verdicts
+from rig.terminal import Table, Verdict, print_line, print_tables, print_verdicts
 from tests.rig.command_line import CONFIGS, SAMPLES, SMALL, set_words
 from tests.rig.pseudo_terminal import rig_at_terminal
 
@@ -69,7 +69,7 @@ def test_every_line_fits(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_a_table_that_is_too_wide_goes_on_below(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("rig.presentation.printing.terminal_columns", lambda _: 40)
+    monkeypatch.setattr("rig.terminal.printing.terminal_columns", lambda _: 40)
     head = ("", *(f"u(q{number})" for number in range(9)))
     row = ["what is measured", *(f"0.123456{number}" for number in range(9))]
     print_tables([Table("wide", "Too wide", head, [row], head, [row])])
@@ -87,7 +87,7 @@ LONG = "the friction b is (3.7333 ± 0.0030) × 10⁻³, drag moves it by 29 % o
 def test_no_line_ends_within_a_number(
     columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("rig.presentation.printing.terminal_columns", lambda _: columns)
+    monkeypatch.setattr("rig.terminal.printing.terminal_columns", lambda _: columns)
     print_line(LONG)
     print_tables([Table("t", "", ("", "text"), [[LONG]], ("", "text"), [["b", LONG]])])
     print_verdicts(Console(width=columns), [Verdict("b", False, "", remedy=LONG)])

@@ -11,7 +11,7 @@ from rig.control.lasers import LaserSettings, serial_laser
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
 from rig.control.serial_port import PortLost
 from rig.control.settings import ControllerSettings, EnvironmentSettings
-from rig.presentation import Verdict
+from rig.terminal import Verdict
 from tests.rig.control.instruments import FakeCobolt, Instrument
 from tests.rig.control.stepped import Clock, InstrumentLine, SteppedBoard, stepped_clock
 

@@ -20,7 +20,7 @@ from rig.control import (
 from rig.control.protocol import ControllerStatus, Latch
 from rig.desk.following import Following
 from rig.measure.preflight import frame_checks
-from rig.presentation import plain_values
+from rig.terminal import plain_values
 
 
 def status(**changed: Any) -> ControllerStatus:

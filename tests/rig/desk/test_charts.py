@@ -8,7 +8,7 @@ from nicegui import Client
 from nicegui.page import page
 
 from rig.desk.charts import WAY, Chart, ChartCurve, chart_options, trajectory_reach
-from rig.presentation import quantity
+from rig.terminal import quantity
 
 
 def test_axes_are_named_by_the_catalogue_and_rows_below_each_other_have_the_same_time() -> None:

@@ -12,8 +12,8 @@ from unittest.mock import patch
 import pytest
 
 from processing.errors import ConfigurationError
-from rig.balance import InJsonLines
 from rig.devices import OrderSocket, SessionNews
+from rig.prepare import InJsonLines
 from tests.rig.command_line import CONFIGS, SMALL, Done, rig, set_words
 from tests.waiting import until
 
@@ -89,7 +89,7 @@ def test_what_was_asked_to_end_is_waited_for_before_the_camera_is_refused(
     pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
     from rig.desk import jobs
     from rig.desk.desk import Desk
-    from rig.terminal import start_python
+    from rig.interruption import start_python
 
     def sleeping(*_words: str, **how: Any) -> "subprocess.Popen[Any]":
         return start_python("-c", "import time; time.sleep(60)", **how)

@@ -23,7 +23,7 @@ from rig.desk.alarm_bar import sentence
 from rig.desk.alarm_list import AlarmKey
 from rig.devices import OrderSocket, SessionNews
 from rig.instrument import Block
-from rig.presentation import Verdict
+from rig.terminal import Verdict
 from tests.rig.control.test_states import status
 from tests.rig.desk.desk_page import DeskProcess, Page
 

@@ -11,7 +11,6 @@ pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.
 
 from acquisition.camera import CameraSettings
 from processing.errors import ConfigurationError, RigError
-from rig.balance import BalanceStage
 from rig.cli import app
 from rig.control import Loop, SafetyNow
 from rig.desk import jobs
@@ -19,9 +18,10 @@ from rig.desk.calibrating import KINDS
 from rig.desk.desk import Desk
 from rig.desk.lighting import refusal
 from rig.desk.panels.balance import net_of
+from rig.interruption import start_python
 from rig.measure import RunState
 from rig.measure.session_file import SessionFile
-from rig.terminal import start_python
+from rig.prepare import BalanceStage
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.waiting import until
 

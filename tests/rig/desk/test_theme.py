@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from rig.desk import page
-from rig.presentation import palette
 from rig.report import html
+from rig.terminal import palette
 
 DESK = Path(page.__file__).parent
 _TEXTS = ("ink", "dim", "line", "go", "warn", "no")

@@ -17,9 +17,9 @@ from rig.devices.aligning import half_blocks, histogram_line
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
 from rig.devices.picture import figures
 from rig.instrument import camera_settings, make_camera
-from rig.presentation import palette
-from rig.presentation.quantities import Keys
 from rig.settings import load_configuration
+from rig.terminal import palette
+from rig.terminal.quantities import Keys
 from tests.rig.command_line import CONFIGS
 
 FULL_SCALE_DN = 255

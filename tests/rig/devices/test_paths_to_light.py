@@ -16,7 +16,6 @@ import rig
 from acquisition.camera import Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from processing.errors import DeviceError, RigError
-from rig.balance.balancing import BalanceView, measure
 from rig.control import ControlService, LightRefused, Stage, TripCause
 from rig.control.light_permit import LONGEST_PAUSE_S, OVER
 from rig.control.simulated import SimulatedBoard
@@ -26,6 +25,7 @@ from rig.devices.acknowledgement import TypedAcknowledgement
 from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
 from rig.measure.session_orders import Notes, orders
+from rig.prepare.balancing import BalanceView, measure
 from rig.settings import Configuration, load_configuration
 from tests.rig.command_line import CONFIGS, QUICK
 from tests.rig.control.instruments import FakeCobolt

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from processing.spot import SpotFlag, SpotModel, SpotTracker, fixed_light
 from rig.instrument import beam_quality
-from rig.presentation import Verdict
 from rig.settings import PreflightSettings
+from rig.terminal import Verdict
 from tests.processing.spot.frames import LIT_EIGHT_BIT, exposed, light
 
 SHAPE = (110, 120)

@@ -17,7 +17,7 @@ from rig.analysis import read_results
 from rig.analysis.table_fit import analyse_trajectory
 from rig.intake import FilmOptions, film_trajectory
 from rig.intake.film import has_dark_object, inverted
-from rig.presentation import TimeLeft
+from rig.terminal import TimeLeft
 from tests.acquisition.cameras.made_films import NX, NY, Film, write_film
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path

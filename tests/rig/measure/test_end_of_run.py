@@ -4,8 +4,8 @@ from typing import cast
 
 from processing.errors import DataError
 from rig.devices import FrameStream
+from rig.interruption import BY_USER
 from rig.measure.end_of_run import StopRequest
-from rig.terminal import BY_USER
 
 
 class Stream:

@@ -129,7 +129,7 @@ def test_a_stump_is_complete_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert end is not None
     assert (end.kind, end.text) == (EventKind.FAILED, "the program has failed")
 
-    (row,) = session_rows(out).rows
+    (row,) = session_rows(out)[0]
     assert (row["state"], row["flaw"]) == ("cut short", "failed: the program has failed")
     fitted = rig("fit", out / "run-1.mcap", "-o", tmp_path / "fit")
     assert "END: the program has failed (limit its own); an error ended it" in fitted.stdout

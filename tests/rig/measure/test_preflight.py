@@ -16,10 +16,10 @@ from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
 from rig.control import ControlState, DevicesNow, LaserNow, Light
 from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
-from rig.presentation import failures
-from rig.presentation.verdict import Verdict, print_verdicts
 from rig.settings import PendulumSettings
 from rig.settings.sections import PreflightSettings
+from rig.terminal import failures
+from rig.terminal.verdict import Verdict, print_verdicts
 from tests.rig.control.test_states import opened
 
 LIMITS = PreflightSettings()

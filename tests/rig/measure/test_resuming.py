@@ -18,12 +18,12 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from rig.analysis import read_results
 from rig.devices import Devices
+from rig.interruption import Terminated
 from rig.measure import measure_session, measure_sessions, resume_session
 from rig.measure import resuming as resuming_module
 from rig.measure import session as session_module
 from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.settings import load_configuration
-from rig.terminal import Terminated
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig
 from tests.rig.measure.test_preparation import BY_HAND
 

@@ -22,8 +22,8 @@ from rig.instrument import Phase, RunNow, piece_contents
 from rig.measure import measure_session
 from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunOutcome
-from rig.presentation import plain_values
 from rig.settings import load_configuration
+from rig.terminal import plain_values
 from tests.rig.command_line import CONFIGS, SMALL
 
 

@@ -17,8 +17,8 @@ import pytest
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
 from rig.devices import FrameStream
+from rig.interruption import _may_block
 from rig.measure import plain_record
-from rig.terminal.interruption import _may_block
 from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="pipes and signals of POSIX")]

@@ -15,9 +15,9 @@ from rig.control import SeismometerSettings
 from rig.devices.ground_seismometer import check_witness
 from rig.measure import preflight_rig
 from rig.measure.preflight import TrialFrames, vault_checks
-from rig.presentation import Verdict
 from rig.settings import ReferenceSettings, load_configuration
 from rig.settings.sections import PreflightSettings
+from rig.terminal import Verdict
 from tests.processing.test_seismometer_at_rest import FRAMES_PER_S, shaken
 from tests.rig.conftest import APPARATUS, CONFIGS, SMALL
 

@@ -16,7 +16,7 @@ from pyarrow import csv, parquet
 
 from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError, RecordError
-from rig.report.session_export import export_session
+from rig.report.export import export_session
 
 h5py = pytest.importorskip("h5py")
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.report.session_export import export_session
+from rig.report.export import export_session
 from tests.rig.command_line import rig
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"

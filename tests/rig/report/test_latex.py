@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from processing.units import _OTHERS, _PREFIXABLE
-from rig.presentation import Table, latex_table
-from rig.presentation.latex import _UNITS, _UNNAMED_UNITS
+from rig.terminal import Table, latex_table
+from rig.terminal.latex import _UNITS, _UNNAMED_UNITS
 from tests.rig.command_line import rig
 
 

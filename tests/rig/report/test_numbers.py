@@ -17,8 +17,8 @@ from processing.number_text import (
     signed_percent,
     with_uncertainty,
 )
+from rig.interruption import spelled
 from rig.report.drawing import broken, envelope, thinned
-from rig.terminal import spelled
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from rig.report.paper_tables import CONTRADICTION, _agreement, table1, table2, t
 @pytest.fixture(scope="module")
 def glass() -> PairSeries:
     """The pair whose decay is the shortest."""
-    return simulate_pair(PAIRS[0], -4, seed=5)
+    return simulate_pair(PAIRS[0], seed=5)
 
 
 def test_table_1_is_reproduced_as_rounded() -> None:
@@ -34,7 +34,7 @@ def test_the_printed_surface_energies_are_those_of_the_swept_area() -> None:
 
 
 def test_the_exact_fit_gives_the_printed_parameters_back(glass: PairSeries) -> None:
-    rows = [row for table in (table2([glass], -4), table3([glass])) for row in table.rows]
+    rows = [row for table in (table2([glass]), table3([glass])) for row in table.rows]
     verdicts = {str(row[1]): str(row[-1]) for row in rows}
     for name in ("b", "p", "c", "n", "T₀", "γ"):
         assert verdicts[name].startswith("agrees"), (name, verdicts[name])
@@ -49,7 +49,7 @@ def test_the_exact_fit_gives_the_printed_parameters_back(glass: PairSeries) -> N
 
 def test_eqs_5_and_6_are_biased_as_known(glass: PairSeries) -> None:
     """On glass b comes out 6.2 %, c 3.6 %, gamma 1.7 to 1.9 % too large."""
-    rows = {str(row[1]): float(row[8]) for t in (table2([glass], -4), table3([glass])) for row in t.rows}
+    rows = {str(row[1]): float(row[8]) for t in (table2([glass]), table3([glass])) for row in t.rows}
     assert rows["b"] == pytest.approx(0.062, abs=0.002)
     assert rows["c"] == pytest.approx(0.036, abs=0.002)
     assert rows["γ"] == pytest.approx(0.018, abs=0.002)
@@ -67,7 +67,7 @@ def test_table_4_has_no_printed_number_and_says_so(glass: PairSeries) -> None:
 
 @pytest.mark.usefixtures("figures")
 def test_page_figures_and_tables_are_written(glass: PairSeries, tmp_path: Path) -> None:
-    page = write_paper(tmp_path, [glass], [table1(), table2([glass], -4)])
+    page = write_paper(tmp_path, [glass], [table1(), table2([glass])])
     text = page.read_text(encoding="utf-8")
     assert "known contradiction with Table 2" in text
     folder = tmp_path / "paper" / "glass_k8"

@@ -19,9 +19,8 @@ from rig.analysis import InstrumentSeries, Series, read_results, write_results
 from rig.analysis.decay_values import MeanOverPlaces
 from rig.analysis.record_fit import analyse_record
 from rig.analysis.series import session_results
+from rig.report.export import export_session, latex_tables
 from rig.report.figures_contact import series_figure
-from rig.report.session_export import export_session
-from rig.report.session_report import latex_tables
 
 
 @pytest.fixture

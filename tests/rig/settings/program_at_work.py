@@ -15,7 +15,6 @@ from acquisition.simulation.inputs import FaultSettings, RigInputs
 from acquisition.simulation.settings import SimulationSettings
 from acquisition.simulation.true_path import true_turning_points
 from processing.errors import RigError
-from rig.balance.balancing import BalanceView, measure
 from rig.control import (
     Controller,
     ControllerSettings,
@@ -40,6 +39,7 @@ from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.session import measure_session, session_folder
+from rig.prepare.balancing import BalanceView, measure
 from rig.settings import Configuration, load_configuration
 from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, SMALL

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient, ViewerState
 
-from rig.terminal import LOOPBACK, free_port, own_group
+from rig.interruption import LOOPBACK, free_port, own_group
 from rig.view.rerun_program import program, quiet_environment
 
 ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")

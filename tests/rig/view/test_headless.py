@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.presentation import palette
+from rig.terminal import palette
 from rig.view.layout import TIMELINE, X_STRETCH
 from rig.view.values import LayoutName
 from tests.rig.view import scene as view_scene

@@ -18,8 +18,8 @@ from processing.deflections import DeflectionUnit
 from processing.fit import DerivedQuantity, FitQuality, Work
 from processing.quantity import quantities_of
 from processing.units import ARCSEC_RAD
-from rig.presentation import palette
-from rig.presentation.quantities import (
+from rig.terminal import palette
+from rig.terminal.quantities import (
     BALANCE_STYLES,
     balance_numbers,
     balance_style,

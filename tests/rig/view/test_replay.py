@@ -18,7 +18,7 @@ from rig.analysis import Fit, InstrumentResults, RunResults, analyse_record
 from rig.analysis.result_rows import ResultRow
 from rig.instrument.provenance import recorded_configuration
 from rig.instrument.run_now import RunNow
-from rig.presentation.quantities import KeyParser, Keys
+from rig.terminal.quantities import KeyParser, Keys
 from rig.view.record_replay import ReplayLine, replay_record, speed_of
 from rig.view.replay import Replay
 from rig.view.replay_comparison import parameter_changes

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
-from rig.terminal import LOOPBACK, start_python
+from rig.interruption import LOOPBACK, start_python
 from rig.view import RunningView, replay_record
 from rig.view.show import write_rrd
 from tests.rig.command_line import CONFIGS, rig, set_words

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.presentation import palette
+from rig.terminal import palette
 from rig.view.show import write_rrd
 from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser, wait_for_picture
 from tests.rig.view.headless_viewer import pixels_of

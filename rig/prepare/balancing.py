@@ -1,0 +1,347 @@
+"""The loop of `rig balance`: measure the balance, advise a turn of a weight, learn from it, repeat."""
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from acquisition.camera import CameraInfo, Frame
+from acquisition.record.events import Event, EventKind
+from acquisition.simulation.settings import SimulationSettings
+from acquisition.simulation.true_path import TrimmedPendulum, TrimWeight, imperfect_weights
+from processing.balance import Balance, Turn, find_faults
+from processing.deflections import Deflections
+from processing.errors import ConfigurationError, DataError, DeviceError
+from processing.spot import SpotFlag
+from processing.units import nanoseconds, seconds
+from rig.devices import AuditEntry, Devices, LightWatch, ask_leave, light_told, wait_for_command
+from rig.instrument import (
+    DIRECTIONS,
+    WEIGHTS,
+    Block,
+    advice_for,
+    complete,
+    configuration_attachments,
+    mass_centre_height,
+    optics_of,
+    prepare_kernels,
+    session_metadata,
+)
+from rig.prepare.dialogue import Reporter
+from rig.prepare.learned_turns import BalanceMeasurement, LearnedTurns, forget_last_turn, show_turns
+from rig.settings import Configuration
+from rig.terminal import say
+from rig.view import ScratchHead, ScratchView
+
+_BAD_SPOT = SpotFlag.LOST | SpotFlag.EDGE
+_PAUSE_NS = 2_000_000_000
+_MIN_PULSE_S = 0.01
+
+
+class BalanceView(contextlib.ExitStack):
+    """The view in the balancing layout, where measurements follow each other in time; a context manager.
+
+    The view is opened at the first frame, if a live view or a Rerun file is wanted. At the end RecordError is
+    raised if that file is not whole.
+    """
+
+    def __init__(
+        self,
+        config: Configuration,
+        rrd: Path | None,
+        advise: Callable[[Balance], str],
+        way: Callable[[Deflections], None],
+    ) -> None:
+        super().__init__()
+        self._config = config
+        self._rrd = rrd
+        self._advise = advise
+        self._way = way
+        self._view: ScratchView | None = None
+        self._shift_ns = 0
+        self._shown_ns = 0
+
+    def begin(self, first: Frame, info: CameraInfo) -> None:
+        """Begin a measurement; the frames' clock may have been reset."""
+        mode = self._config.view.mode
+        if mode == "none" and self._rrd is None:
+            return
+        if self._view is None:
+            config = self._config
+            self._view = self.enter_context(ScratchView("balancing", mode, self._rrd, "balancing"))
+            metadata = session_metadata(config, info, first)
+            attachments = configuration_attachments(config, Path())
+            head = ScratchHead(metadata, attachments, config.deflection_unit, time.time_ns())
+            self._view.begin(0, head)
+            self._view.event(Event(0, EventKind.START, "first frame"))
+        else:
+            self._shown_ns += _PAUSE_NS
+            self._view.jump(self._shown_ns, f"restarted at {seconds(self._shown_ns):.1f} s")
+        self._shift_ns = first.time_ns - self._shown_ns
+
+    def block(self, frames: Sequence[Frame], block: Block) -> None:
+        """Show processed frames."""
+        self._way(block.deflections)
+        if self._view is not None and frames:
+            self._view.block(block, frames, self._shift_ns)
+            for balance in block.balances:
+                at_ns = balance.time_ns - self._shift_ns
+                self._view.event(Event(at_ns, EventKind.ADVICE, self._advise(balance)))
+            self._shown_ns = frames[-1].time_ns - self._shift_ns
+
+
+def measure(
+    config: Configuration,
+    devices: Devices,
+    show: Callable[[Balance], None],
+    view: BalanceView,
+    swing_arcsec: float = math.inf,
+) -> BalanceMeasurement:
+    """Measure the balance over some periods; `show` is called with each balance.
+
+    The starter or magnet that starts runs also starts this swing, the starter with at most `swing_arcsec`.
+    Raises DataError without frames, DeviceError if the laser goes dark or the camera fails.
+    """
+    if config.lever is None:
+        raise ConfigurationError("rig balance needs [lever], because its limits are in arcsec")
+    found: Balance | None = None
+    with devices.camera(config) as camera:
+        optics = optics_of(config, camera.info.full_scale_dn)
+        prepare_kernels(optics.sensor, say)
+        # lit only while frames are taken: at other times the operator's hands may be at the pendulum
+        ask_leave(devices)
+        if lit := devices.light():
+            say(lit)
+        stream = devices.stream(config, camera)
+        light = LightWatch(devices)
+        try:
+            stream.start_camera()
+            first = stream.begin()
+            if first is None:
+                raise DataError("the camera delivered no frame at all")
+            shape = (first.image.shape[0], first.image.shape[1])
+            pipeline = optics.pipeline(shape)
+            view.begin(first, camera.info)
+            lost = taken = 0
+            begin_ns = first.time_ns + nanoseconds(_start_swing(config, devices, swing_arcsec))
+            end_ns = begin_ns + nanoseconds(config.balance.seconds)
+            held = begin_ns > first.time_ns
+            while not stream.drained:
+                frames = stream.take(32, 0.1)
+                light.look()
+                if light.alarm:
+                    raise DeviceError(light.alarm)
+                if held and frames and frames[-1].time_ns >= begin_ns:
+                    wait_for_command(devices.required_control("the magnet").release())
+                    held = False
+                if not frames or held:
+                    continue
+                block = pipeline.process(frames)
+                view.block(frames, block)
+                taken += len(frames)
+                lost += sum(bool(spot.flags & _BAD_SPOT) for spot in block.spots)
+                for balance in block.balances:
+                    found = balance
+                    show(balance)
+                if frames[-1].time_ns >= end_ns:
+                    break
+        finally:
+            devices.darken()
+            stream.close()
+    if found is None and stream.failure is not None:
+        raise stream.failure
+    return BalanceMeasurement(found, lost / max(taken, 1), shape)
+
+
+def _start_swing(config: Configuration, devices: Devices, swing_arcsec: float) -> float:
+    """Let the starter push or the magnet hold; returns the time in s after which the magnet must release."""
+    start = config.start
+    if start.way == "starter":
+        part = min(1.0, swing_arcsec / config.session.initial_amplitude_arcsec)
+        pulse_s = max(part * start.starter_pulse_s, _MIN_PULSE_S)
+        wait_for_command(devices.required_control("the starter").starter_pulse(pulse_s))
+    if start.way != "magnet":
+        return 0.0
+    wait_for_command(devices.required_control("the magnet").hold())
+    return config.phases.rest_window_s
+
+
+_MAX_MEASUREMENTS_PER_TURN = 5
+_MIN_SWING_ARCSEC = 10.0
+
+
+class SimulatedOperator:
+    """A simulated operator, who turns the weights of the simulated pendulum and lets it swing.
+
+    Without given `weights` they deviate at random (`seed`) from their drawings.
+    """
+
+    def __init__(
+        self, config: Configuration, seed: int, weights: dict[str, TrimWeight] | None = None
+    ) -> None:
+        if weights is None:
+            settings = {name: getattr(config.balance, f"weight_{name}") for name in WEIGHTS}
+            nominal = {
+                name: TrimWeight(weight.mass_kg, weight.pitch_m, DIRECTIONS[name])
+                for name, weight in settings.items()
+            }
+            weights = imperfect_weights(nominal, seed)
+        self._pendulum = TrimmedPendulum(config.simulation, weights, seed=seed)
+        self._full_swing_arcsec = self._swing_arcsec = config.simulation.release.amplitude_arcsec
+
+    @property
+    def simulation(self) -> SimulationSettings:
+        """Settings of the simulated rig in its present state."""
+        settings = self._pendulum.settings
+        release = settings.release.model_copy(update={"amplitude_arcsec": self._swing_arcsec})
+        return settings.model_copy(update={"release": release})
+
+    def follow(self, turn: Turn) -> None:
+        """Turn a weight, then let the pendulum swing no more than the advice allows."""
+        for part in turn.parts:
+            self._pendulum.turn(turn.weight, part)
+        self._swing_arcsec = min(self._full_swing_arcsec, turn.swing_arcsec)
+
+    def swing_less(self) -> bool:
+        """Halve the amplitude; returns False if it is small already."""
+        if self._swing_arcsec <= _MIN_SWING_ARCSEC:
+            return False
+        self._swing_arcsec = max(0.5 * self._swing_arcsec, _MIN_SWING_ARCSEC)
+        return True
+
+
+def history_path(config: Configuration, stated: Path | None) -> Path:
+    """The file in which turns are stored; simulated turns have their own, because they teach nothing."""
+    name = "balance-history-simulated.jsonl" if config.simulated else "balance-history.jsonl"
+    return stated or config.session.output / name
+
+
+def show_history(config: Configuration, stated: Path | None, *, forget: bool) -> None:
+    """Print what was learned from earlier turns; with `forget` discard the last turn first."""
+    config = complete(config)
+    path = history_path(config, stated)
+    if forget:
+        say(forget_last_turn(path))
+    show_turns(config, path)
+
+
+def balance_rig(
+    config: Configuration,
+    path: Path | None,
+    follow: int,
+    seed: int | None,
+    rrd: Path | None = None,
+    operator: SimulatedOperator | None = None,
+    reporter: Reporter | None = None,
+) -> int:
+    """Measure, advise and ask which weight was turned, until the operator ends it.
+
+    With the simulated rig, `operator` makes the stated turns, by default one whose weights are random by
+    `seed`; with `follow` > 0 it follows the advice, for at most that many turns. All measurements are drawn
+    into the configured live view and into `rrd`, and reported by `reporter`, by default on the terminal.
+    """
+    config = complete(config)
+    if follow and not config.simulated:
+        raise ConfigurationError("--follow works with the simulated rig only: leave it out")
+    if seed is not None and not config.simulated:
+        raise ConfigurationError(f"--seed {seed} works with the simulated rig only: leave it out")
+    if operator is None and config.simulated:
+        operator = SimulatedOperator(config, 1 if seed is None else seed)
+    reporter = reporter or Reporter()
+    session = LearnedTurns(config, history_path(config, path))
+    stated = config
+
+    def advise(balance: Balance) -> str:
+        return advice_for(stated, balance, session.responses, session.room).markdown
+
+    def show(balance: Balance) -> None:
+        reporter.live(find_faults(balance, mass_centre_height(config, balance), config.balance))
+
+    turns = measurements = 0
+    swing_arcsec = math.inf
+    folder = history_path(config, path).parent
+    with (
+        Devices(config, folder, "rig balance") as devices,
+        light_told(devices, folder),
+        BalanceView(config, rrd, advise, reporter.way) as view,
+    ):
+        while True:
+            if operator is not None:
+                config = config.model_copy(update={"simulation": operator.simulation})
+            measurements += 1
+            try:
+                why = session.take(measure(config, devices, show, view, swing_arcsec))
+            except DataError as error:
+                why = str(error)
+            if why:
+                turn = _after_rejection(session, why, reporter)
+                ended = False
+                # the starter can follow the hint by itself
+                smaller = 0.5 * min(swing_arcsec, config.session.initial_amplitude_arcsec)
+                swing_arcsec = max(smaller, _MIN_SWING_ARCSEC)
+            else:
+                advice = session.advice()
+                reporter.found(session.faults, session.before, advice)
+                ended, turn = advice is None, advice if isinstance(advice, Turn) else None
+                swing_arcsec = math.inf if turn is None else turn.swing_arcsec
+            if operator is None or not follow:
+                stated_turn = _ask(session, devices, reporter)
+                if stated_turn is None:
+                    return 0 if ended else 1
+                if operator is not None and stated_turn.weight:
+                    operator.follow(stated_turn)
+            elif why and not session.spot_is_gone and operator.swing_less():
+                continue
+            elif turn is None or turns >= follow or measurements > _MAX_MEASUREMENTS_PER_TURN * follow:
+                return 0 if ended else 1
+            else:
+                operator.follow(turn)
+                session.turned(turn.weight, turn.parts)
+                devices.audit(AuditEntry.WEIGHT, "as advised", weight=turn.weight, turns=turn.parts)
+                turns += 1
+
+
+def _after_rejection(session: LearnedTurns, why: str, reporter: Reporter) -> Turn | None:
+    """Report why a measurement was rejected, and the remedy; returns a turn back that may help."""
+    turn = session.way_back()
+    hint = ""
+    if not session.spot_is_gone:
+        hint = "let it swing by half as much, and measure again"
+        hint += "; if that does not help:" if turn else ""
+    reporter.rejected(why, hint, turn)
+    return turn
+
+
+_MAX_TURNS = 50.0
+"""Largest number of turns: no thread is longer, so that more is a typing error."""
+_NO_TURN = Turn("", 0.0, "")
+
+
+def _ask(session: LearnedTurns, devices: Devices, reporter: Reporter) -> Turn | None:
+    """Ask the operator for the turn made; returns a turn without a weight for none, None to end."""
+    while True:
+        try:
+            answer = reporter.ask().split()
+        except (EOFError, KeyboardInterrupt):
+            return None
+        if not answer or answer == ["m"]:
+            return _NO_TURN
+        if answer[0] == "q":
+            return None
+        if answer[0] == "f":
+            session.forget()
+            continue
+        try:
+            weight, parts = answer[0].lower(), [float(word) for word in answer[1:]]
+            if weight not in WEIGHTS or not parts or not all(abs(part) <= _MAX_TURNS for part in parts):
+                raise ValueError
+        except ValueError:
+            reporter.wrong(
+                f"{' '.join(answer)!r}: should be a weight ({', '.join(WEIGHTS)}) and its turns, up to "
+                f"{_MAX_TURNS:g}, with a point, positive clockwise: {WEIGHTS[0]} -0.5"
+            )
+            continue
+        session.turned(weight, parts)
+        devices.audit(AuditEntry.WEIGHT, "stated by the operator", weight=weight, turns=parts)
+        return Turn(weight, parts[0], "", sum(parts[1:]))

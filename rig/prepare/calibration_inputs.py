@@ -1,0 +1,285 @@
+"""Input files (TOML) of calibrations, frames of a source, and the writing of calibration files."""
+
+import datetime
+import getpass
+import socket
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, model_validator
+
+from acquisition import atomic_write
+from acquisition.cameras.files.sources import UnreadableFrame, open_source
+from acquisition.record.digest import sha256_of
+from acquisition.record.reader import RecordReader
+from calibration import CalibrationFile, Kind, LadderSteps, LeverGeometry, Source, write_calibration
+from processing.errors import ConfigurationError, DataError
+from processing.units import conversion
+from rig.instrument import versions
+from rig.settings import read_toml, validated
+
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+_Model = TypeVar("_Model", bound=BaseModel)
+_MAX_FRAMES = 64
+LADDER_UNITS = {"tilt": ("arcsec", "arcmin", "rad", "mrad", "urad"), "shift": ("mm", "um", "m")}
+"""Units of the readings of the reference, by kind of ladder."""
+_SI = {"tilt": "rad", "shift": "m"}
+
+
+class LadderStep(BaseModel, frozen=True, extra="forbid"):
+    """One step of a ladder: the reading of the reference, and a record at rest or the spot's position."""
+
+    reference: float
+    record: Path | None = None
+    x_px: float = 0.0
+    y_px: float = 0.0
+    u_px: float = Field(default=0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _either(self) -> Self:
+        if (self.record is None) == (self.u_px == 0.0):
+            raise ValueError("a step needs either a record or x_px, y_px and u_px")
+        return self
+
+
+class LadderFile(BaseModel, frozen=True, extra="forbid"):
+    """A ladder of known tilts or shifts, or the geometry of the lever instead.
+
+    `pixel_pitch_m` is that of the sensor; `binning` is the camera's for stated spots (records state their
+    own). Steps are in the order of the measurement. `u_reference` is the standard uncertainty of one setting,
+    in `unit`; `u_reference_relative` that of the scale of the reference. Paths of records are relative to the
+    file.
+    """
+
+    kind: Literal["tilt", "shift"] = "tilt"
+    unit: str = "arcsec"
+    u_reference: float = Field(default=0.0, ge=0)
+    u_reference_relative: float = Field(default=0.0, ge=0)
+    pixel_pitch_m: float | None = Field(default=None, gt=0, lt=1e-3)
+    arm_m: float | None = Field(default=None, gt=0, lt=100)
+    u_arm_m: float = Field(default=0.0, ge=0)
+    binning: int = Field(default=1, ge=1, le=16)
+    step: tuple[LadderStep, ...] = ()
+    geometry: LeverGeometry | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.unit not in LADDER_UNITS[self.kind]:
+            raise ValueError(f"unit = {self.unit!r}: {', '.join(LADDER_UNITS[self.kind])} for a {self.kind}")
+        if bool(self.step) == (self.geometry is not None):
+            raise ValueError("state either [[step]] or [geometry]")
+        return self
+
+    def in_si(self, reading: float) -> float:
+        """A reading in rad or m."""
+        return reading * conversion(self.unit, _SI[self.kind])
+
+    def required_value(self, name: Literal["pixel_pitch_m", "arm_m"], path: Path) -> float:
+        """A value that this kind of ladder requires; raises ConfigurationError, with `path`, without it."""
+        value: float | None = getattr(self, name)
+        if value is None:
+            raise ConfigurationError(f"{path}: {name} is missing: a ladder of {self.kind}s needs it")
+        return value
+
+    def steps(self, rows: list[tuple[float, float, float, float]]) -> LadderSteps:
+        """The ladder with the spots (x, y, u_x, u_y in px) of its steps."""
+        table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+        count = len(table)
+        reference = np.array([self.in_si(step.reference) for step in self.step])
+        return LadderSteps(reference, np.full(count, self.in_si(self.u_reference)), *table.T)
+
+
+class VanesOfRun(BaseModel, frozen=True, extra="forbid"):
+    """One run: its record, and the area of the vanes on the pendulum, or the pressure."""
+
+    record: Path
+    area_m2: float | None = Field(default=None, ge=0, lt=10)
+    u_area_m2: float = Field(default=0.0, ge=0)
+    pressure_pa: float | None = Field(default=None, gt=0, lt=1e6)
+
+    @model_validator(mode="after")
+    def _either(self) -> Self:
+        if (self.area_m2 is None) == (self.pressure_pa is None):
+            raise ValueError("a run needs either area_m2 or pressure_pa")
+        return self
+
+    @property
+    def exposure(self) -> float:
+        """The area, or else the pressure."""
+        found = self.pressure_pa if self.area_m2 is None else self.area_m2
+        assert found is not None
+        return found
+
+
+class VaneFile(BaseModel, frozen=True, extra="forbid"):
+    """Runs of one contact with vanes of different areas, all at one place, or at different pressures.
+
+    `area_m2` is the sum over all vanes, one face of each, 0 without vanes; drag is proportional to it, so
+    that only its ratios enter the drag of the pendulum itself. Paths of records are relative to the file.
+    """
+
+    run: tuple[VanesOfRun, ...]
+
+    @property
+    def by_pressure(self) -> bool:
+        """Whether pressures are stated in place of areas."""
+        return self.run[0].area_m2 is None
+
+    @model_validator(mode="after")
+    def _one_kind_only(self) -> Self:
+        if len({run.area_m2 is None for run in self.run}) != 1:
+            raise ValueError("state area_m2 of every [[run]], or pressure_pa of every one")
+        if len({run.exposure for run in self.run}) < 2:
+            raise ValueError("runs of two different areas or pressures are needed, better of three")
+        return self
+
+
+class ExposureLevel(BaseModel, frozen=True, extra="forbid"):
+    """Frames of one exposure and illumination; the first two are used."""
+
+    frames: Path
+    exposure_us: float | None = Field(default=None, gt=0)
+
+
+class TransferFile(BaseModel, frozen=True, extra="forbid"):
+    """Dark frames and levels: records, folders of images or .npy stacks, named relative to the file."""
+
+    darks: Path
+    level: tuple[ExposureLevel, ...]
+    full_scale_dn: int | None = Field(default=None, gt=1, description="None: from the frames' files")
+
+
+def frames_of(path: Path) -> tuple[list[Image], int]:
+    """Whole frames (at most 64) and full scale in DN of a record, a folder of images or a stack.
+
+    Raises DataError if there are none, or if they are in colour.
+    """
+    if path.suffix == ".mcap":
+        with RecordReader(path) as reader:
+            full_scale = reader.full_scale_dn
+            images = [frame.image for frame, _ in zip(reader.images(), range(_MAX_FRAMES), strict=False)]
+        if not images:
+            raise DataError(f"{path}: contains no whole frames")
+        return images, full_scale
+    source = open_source(path)
+    try:
+        stored = [source.read(index) for index in range(min(source.count, _MAX_FRAMES))]
+    except (UnreadableFrame, OSError) as error:
+        raise DataError(f"{path}: {error}") from None
+    finally:
+        source.close()
+    if not stored or any(item.pixels.ndim != 2 for item in stored):
+        raise DataError(f"{path}: grey frames are needed")
+    return [item.pixels for item in stored], stored[0].full_scale
+
+
+def read_input(path: Path, model: type[_Model]) -> _Model:
+    """Read the input file of a calibration; raises ConfigurationError, one line with every fault."""
+    if path.suffix.lower() == ".mcap":
+        raise ConfigurationError(
+            f"{path}: is a record; a list of measured values (TOML) is needed here, see docs/calibrate.md"
+        )
+    tree = read_toml(path, "file; docs/calibrate.md shows one")
+    if {"camera", "session"} & set(tree):
+        raise ConfigurationError(
+            f"{path}: is a configuration of the rig; a list of measured values is needed here, "
+            "docs/calibrate.md shows one (rig calibrate air takes a configuration after --config)"
+        )
+    found, faults = validated(model, tree)
+    if found is None:
+        said = "; ".join(fault.line for fault in faults)
+        raise ConfigurationError(f"{path}: {said}; docs/calibrate.md shows such a file")
+    return found
+
+
+_MIN_DAYS, _MAX_DAYS = 0.01, 36_525.0
+
+
+@dataclass(frozen=True, slots=True)
+class Filing:
+    """Folder, author and validity of a calibration; raises ConfigurationError for an impossible validity."""
+
+    folder: Path
+    valid_days: float = 90.0
+    made_by: str = ""
+
+    def __post_init__(self) -> None:
+        # a NaN is in no range, and so refused
+        if not _MIN_DAYS <= self.valid_days <= _MAX_DAYS:
+            raise ConfigurationError(
+                f"valid for {self.valid_days:g} days: should be from {_MIN_DAYS:g} to {_MAX_DAYS:g}"
+            )
+
+
+def file_calibration(
+    kind: Kind,
+    filing: Filing,
+    method: str,
+    values: Mapping[str, Any],
+    details: Mapping[str, Any],
+    sources: Sequence[Path],
+    notes: Sequence[str] = (),
+    measured_at: datetime.datetime | None = None,
+) -> Path:
+    """Write one calibration, valid from `measured_at` (None: now) on; returns the file.
+
+    `values` fill a section of the configuration, `details` are shown in a report, `sources` are the files
+    used, whose hashes are stored. A detail with the name of a value but another number was fitted and is not
+    used; it is stored as ``fitted_NAME``.
+    """
+    stored_details = {
+        f"fitted_{name}" if name in values else name: detail
+        for name, detail in details.items()
+        if name not in values or detail != values[name]
+    }
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    measured_at = measured_at or now
+    valid_until = measured_at + datetime.timedelta(days=filing.valid_days)
+    used = [Source(name=path.name, sha256=sha256_of(path)) for path in sources if path.is_file()]
+    calibration = CalibrationFile(
+        kind=kind,
+        made_by=filing.made_by or _user(),
+        made_at=now,
+        valid_until=valid_until.replace(microsecond=0),
+        measured_at=measured_at,
+        host=socket.gethostname(),
+        software=f"optical-pendulum-rig {versions()['optical-pendulum-rig']}",
+        method=method,
+        sources=tuple(used),
+        notes=tuple(notes),
+        values=dict(values),
+        details=stored_details,
+    )
+    return write_calibration(filing.folder, calibration, atomic_write.write_new)
+
+
+def next_free(folder: Path, stem: str, suffix: str = "") -> Path:
+    """The first of STEM-001, STEM-002 ... that does not exist."""
+    number = 1
+    while (path := folder / f"{stem}-{number:03d}{suffix}").exists():
+        number += 1
+    return path
+
+
+def details_of(found: Any, *left_out: str) -> dict[str, Any]:
+    """Fields of a dataclass as plain values for a calibration file: arrays as lists, parts as tables."""
+    return {name: _plain(value) for name, value in asdict(found).items() if name not in left_out}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return ""

@@ -1,0 +1,346 @@
+"""Judgement of measurements of the balance, learning of the effect of turns, and advice.
+
+The history of turns and their effects is a file with a line of JSON for each checked measurement.
+"""
+
+import datetime
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.balance import (
+    Balance,
+    Doubt,
+    Fault,
+    Room,
+    Turn,
+    Unreachable,
+    WeightResponses,
+    find_faults,
+    implausible,
+    names_with_units,
+)
+from rig.instrument import WEIGHTS, mass_centre_height, nominal_effects, sensor_room
+from rig.settings import Configuration
+from rig.terminal import Table, answer, print_line, print_tables, say
+
+Floats = NDArray[np.float64]
+
+
+class TurnEffect(NamedTuple):
+    """Turns of one weight in sequence, and the states (arcsec, arcsec, m) before and after them, with u."""
+
+    utc: str
+    weight: str
+    parts: tuple[float, ...]
+    before: Floats
+    after: Floats
+    u: Floats
+
+
+def _refusal(config: Configuration, responses: WeightResponses, pair: TurnEffect) -> str:
+    """Why nothing can be learned from the effect of a turn; empty if it is sound."""
+    radius_m = np.nan if config.pendulum is None else config.pendulum.ball_radius_m
+    for state in (pair.before, pair.after):
+        if why := implausible(state, np.nan_to_num(pair.u), config.balance, radius_m, None):
+            return why
+    if not responses.can_make(pair.weight, pair.parts, pair.before, pair.after, pair.u):
+        moved = np.hypot(*(pair.after - pair.before)[:2])
+        return (
+            f"{_turns(pair.parts)} turns of weight {pair.weight} cannot have moved the rest position by"
+            f" {moved:.0f} arcsec and the mass centre by {(pair.after - pair.before)[2] * 1e6:.0f} um;"
+            " was something else touched?"
+        )
+    return ""
+
+
+def _append(path: Path, **entry: object) -> None:
+    """Add one line to the file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in entry.items()}
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"utc": now, **plain}) + "\n")
+
+
+def append_turn(path: Path, pair: TurnEffect) -> None:
+    """Add the effect of a turn to the file."""
+    turns = pair.parts[0] if len(pair.parts) == 1 else list(pair.parts)
+    _append(path, weight=pair.weight, turns=turns, before=pair.before, after=pair.after, u=pair.u)
+
+
+def read_turns(path: Path) -> list[TurnEffect]:
+    """The turns that were not forgotten; lines that cannot be read are reported and skipped."""
+    pairs: list[TurnEffect] = []
+    if not path.exists():
+        return pairs
+    text = path.read_text(encoding="utf-8", errors="replace")
+    for number, line in enumerate(text.splitlines(), start=1):
+        try:
+            entry = json.loads(line)
+            if entry.get("forgotten"):
+                del pairs[-1:]
+            if entry.get("weight") not in WEIGHTS:
+                continue
+            turns = entry["turns"]
+            parts = tuple(float(part) for part in (turns if isinstance(turns, list) else [turns]))
+            states = [np.array(entry[key], dtype=np.float64) for key in ("before", "after", "u")]
+            if any(state.shape != (3,) for state in states) or not np.all(np.isfinite(parts)):
+                raise ValueError
+            pairs.append(TurnEffect(str(entry.get("utc", "")), entry["weight"], parts, *states))
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
+            # a line truncated by a power failure or edited by hand; the other lines are still valid
+            say(f"{path}: line {number} cannot be read and is skipped")
+    return pairs
+
+
+def forget_last_turn(path: Path) -> str:
+    """Discard the last turn by a line in the file; returns a message."""
+    pairs = read_turns(path)
+    if not pairs:
+        return "nothing learned yet"
+    _append(path, forgotten=True)
+    return f"the turn of weight {pairs[-1].weight} is forgotten"
+
+
+_HEAD = ("when", "weight", "turns", "X arcsec", "Y arcsec", "height um", "used")
+
+
+def show_turns(config: Configuration, path: Path) -> None:
+    """Print the turns of a history, which of them are used, and the learned effects of the weights."""
+    responses = WeightResponses(nominal_effects(config), config.balance)
+    rows, learned = [], []
+    for pair in read_turns(path):
+        why = _refusal(config, responses, pair)
+        change = pair.after - pair.before
+        numbers = [f"{change[0]:+.1f}", f"{change[1]:+.1f}", f"{change[2] * 1e6:+.1f}"]
+        rows.append([pair.utc, pair.weight, _turns(pair.parts), *numbers, why or "yes"])
+        if not why:
+            responses.learn(pair.weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
+    for name, count in responses.pairs.items():
+        if count:
+            (x, y, height), (u_x, u_y, u_height) = responses.effect(name)
+            learned.append(
+                f"one turn of {name}: X {x:+.1f} ± {u_x:.1f}, Y {y:+.1f} ± {u_y:.1f} arcsec,"
+                f" height {height * 1e6:+.2f} ± {u_height * 1e6:.2f} um"
+            )
+    answer(turns=[dict(zip(_HEAD, row, strict=True)) for row in rows], learned=learned)
+    print_tables([Table("turns", "", _HEAD, rows, _HEAD, rows)])
+    for line in learned:
+        print_line(line)
+
+
+def _turns(parts: tuple[float, ...]) -> str:
+    return " ".join(f"{part:+.2f}" for part in parts)
+
+
+_MIN_GONE_FRACTION = 0.9
+_SMALL_SWING_ARCSEC = 10.0
+_SEARCH = (
+    (0.5, "half of the last turn back, to see the spot again"),
+    (0.0, "all of the last turn back, to see the spot again"),
+    (1.5, "now the other way: the last turn may have been made the wrong way"),
+    (2.0, "further that way, where the spot was if the last turn was made the wrong way"),
+    (-0.5, "back beyond the beginning, to find the spot"),
+    (2.5, "further the other way, to find the spot"),
+    (-1.0, "further beyond the beginning, to find the spot"),
+    (3.0, "further still the other way, to find the spot"),
+)
+"""Positions of the search, in units of the last turn from where it began, with their reasons."""
+_TEST_TURN_TEXTS = {
+    Doubt.STUCK: "a test turn: it seems not to move; check that it follows its screw and is not at its stop",
+    Doubt.OPEN: "a test turn",
+    Doubt.REVERSED: "a test turn: it seems to have been turned the other way; clockwise is as one looks at "
+    "the head of its screw",
+}
+
+
+class BalanceMeasurement(NamedTuple):
+    """One measurement: last balance (None: no swing seen), fraction of bad spots, (ny, nx) of the sensor."""
+
+    balance: Balance | None
+    lost_fraction: float
+    sensor_shape: tuple[int, int]
+
+
+class LearnedTurns:
+    """States, turns and learned responses; each sound measurement appends a line of JSON to `path`.
+
+    `room` is the range of tilts on the sensor, known from the first measurement on.
+    """
+
+    def __init__(self, config: Configuration, path: Path) -> None:
+        self._config = config
+        self._path = path
+        self.limits = config.balance
+        self.room: Room | None = None
+        self.faults: list[Fault] = []
+        self.before: list[Fault] = []
+        self._lost_fraction = 0.0
+        self._turned: list[tuple[str, tuple[float, ...]]] = []
+        self._state: Floats | None = None
+        self._doubts: dict[str, list[Doubt]] = {}
+        self._pairs: dict[str, TurnEffect] = {}
+        self._searched, self._lost_after = 0, 0.0
+        self._relearn()
+
+    def take(self, look: BalanceMeasurement) -> str:
+        """Take a measurement; returns why it is rejected, empty if it is sound.
+
+        A sound measurement sets `faults`, and `before` to the faults before the last turn (empty at first).
+        After a rejected one the turns made are stored until the next sound one.
+        """
+        self._lost_fraction = look.lost_fraction
+        self.room = sensor_room(self._config, look.sensor_shape)
+        balance = look.balance
+        if balance is None:
+            return f"no swing was seen in {self.limits.seconds:g} s"
+        if look.lost_fraction > self._config.preflight.max_lost_fraction:
+            return (
+                f"{100 * look.lost_fraction:.0f} % of the spots were lost or cut: the spot leaves the sensor,"
+                " or something covers it"
+            )
+        height_m, u_height_m = mass_centre_height(self._config, balance)
+        faults = find_faults(balance, (height_m, u_height_m), self.limits)
+        state = np.array([faults[0].value, faults[1].value, height_m])
+        u_state = np.array([faults[0].u_value, faults[1].u_value, u_height_m])
+        radius_m = np.nan if self._config.pendulum is None else self._config.pendulum.ball_radius_m
+        if why := implausible(state, np.nan_to_num(u_state), self.limits, radius_m, self.room):
+            return why
+        self.before, self.faults = self.faults, faults
+        self._learn(balance, state, u_state)
+        self._turned, self._state = [], state
+        self._searched = 0
+        return ""
+
+    def advice(self) -> Turn | Unreachable | None:
+        """The next turn after a sound measurement; None if all values are within limits.
+
+        A turn with another effect than expected is repeated, to test whether the weight is stuck or was
+        turned the other way. A weight that twice did not move is left out.
+        """
+        assert self._state is not None
+        state, room = self._state, self.room
+        stuck = {name for name, doubts in self._doubts.items() if doubts.count(Doubt.STUCK) > 1}
+        usable = self.responses.without_weights(stuck)
+        advice = usable.advise(state, room)
+        if advice is None:
+            return None
+        if stuck and not usable.can_help(state, room):
+            return Unreachable(
+                f"weight {' and '.join(sorted(stuck))} does not move: two turns of it changed nothing; check "
+                "that it is free, not at its stop and not slipping on its screw, then turn it again"
+            )
+        doubted = [
+            (name, doubts[-1]) for name, doubts in self._doubts.items() if name not in stuck and doubts
+        ]
+        if doubted:
+            name, doubt = doubted[0]
+            return usable.test_turn(name, state, room, _TEST_TURN_TEXTS[doubt])
+        return advice
+
+    def way_back(self) -> Turn | None:
+        """A turn back after a measurement without a balance: part of the last turn; None if there was none.
+
+        While the spot is off the sensor it is a search: half of the turn back, all of it, then as far the
+        other way, in case the turn was made in the wrong direction, and so on in widening steps.
+        """
+        if not self._turned:
+            return None
+        weight = self._turned[-1][0]
+        net = sum(sum(parts) for name, parts in self._turned if name == weight)
+        why = "half of the last turn back, to see the spot again"
+        back = round(-0.5 * net, 2)
+        if self.spot_is_gone or self._searched:
+            if self._searched == 0:
+                self._lost_after = net
+            if self._searched >= len(_SEARCH):
+                return None
+            place, why = _SEARCH[self._searched]
+            self._searched += 1
+            back = round(place * self._lost_after - net, 2)
+        return Turn(weight, back, why, swing_arcsec=_SMALL_SWING_ARCSEC) if back else None
+
+    @property
+    def spot_is_gone(self) -> bool:
+        """Whether nearly all spots are lost after a turn, when a smaller swing would not help."""
+        return bool(self._turned) and self._lost_fraction > _MIN_GONE_FRACTION
+
+    def turned(self, weight: str, parts: Sequence[float]) -> None:
+        """Store the turns made, in sequence; their effect is learned from the next sound measurement."""
+        self._turned.append((weight, tuple(parts)))
+
+    def forget(self) -> None:
+        """Discard the last learned turn."""
+        say(forget_last_turn(self._path))
+        self._relearn()
+
+    def _learn(self, balance: Balance, state: Floats, u_state: Floats) -> None:
+        weights = {name for name, _ in self._turned}
+        if not weights or self._state is None:
+            numbers = {key: getattr(balance, name) for name, key in names_with_units(balance.unit).items()}
+            _append(self._path, state=state, balance=numbers)
+            return
+        parts = tuple(part for _, turns in self._turned for part in turns)
+        weight = next(iter(weights))
+        pair = TurnEffect("", weight, parts, self._state, state, np.nan_to_num(u_state))
+        why = (
+            f"weights {' and '.join(sorted(weights))} were turned between two measurements"
+            if len(weights) > 1
+            else _refusal(self._config, self.responses, pair)
+        )
+        if why:
+            say(f"nothing is learned from this turn: {why}")
+            for name, turns in self._turned:
+                self.responses.turned(name, turns)
+            return
+        if self._doubts_turn(pair):
+            return
+        self.responses.learn(weight, parts, pair.before, state, pair.u)
+        self._pairs[weight] = pair
+        append_turn(self._path, pair)
+
+    def _doubts_turn(self, pair: TurnEffect) -> bool:
+        """Whether a turn contradicts what was stated; it is then reported, and not learned from."""
+        weight, responses = pair.weight, self.responses
+        doubts = self._doubts.setdefault(weight, [])
+        doubt = responses.doubt(weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
+        if doubt is Doubt.OPEN and self._searched:
+            # an advised turn, made as advised, would have left the spot on the sensor
+            doubt = Doubt.REVERSED
+        if doubt is None and doubts:
+            say(f"weight {weight} now moves as stated: the previous turn was not as stated")
+            doubts.clear()
+        if doubt is None or (doubt is Doubt.OPEN and not doubts):
+            return False
+        if doubt is Doubt.OPEN:
+            responses.turned(weight, pair.parts)
+            return True
+        say(f"nothing is learned from this turn: it looks as if weight {weight} {doubt}")
+        told = [each for each in (self._pairs.get(weight), pair) if each is not None]
+        if doubt is Doubt.REVERSED and (doubts[-1:] == [doubt] or responses.pairs[weight] == 1):
+            # either this turn or the earlier learning is wrong
+            say(f"weight {weight} may do the opposite of what was learned; what was learned is discarded")
+            seen = [(each.parts, each.before, each.after, np.nan_to_num(each.u)) for each in told]
+            responses.relearn(weight, seen if responses.pairs[weight] == 1 else seen[-1:])
+            doubts.clear()
+        else:
+            responses.turned(weight, pair.parts)
+        doubts.append(doubt)
+        return True
+
+    def _relearn(self) -> None:
+        self.responses = WeightResponses(nominal_effects(self._config), self.limits)
+        used = 0
+        for pair in read_turns(self._path):
+            if why := _refusal(self._config, self.responses, pair):
+                say(f"{self._path}: the turn of {pair.utc} is not used: {why}")
+                continue
+            self.responses.learn(pair.weight, pair.parts, pair.before, pair.after, np.nan_to_num(pair.u))
+            used += 1
+        if used:
+            say(f"{self._path}: {used} turns of earlier sessions are used")

@@ -1,0 +1,374 @@
+"""The fit of a campaign: from runs and the stated campaign to its results."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from math import isfinite, nan, sqrt
+
+import numpy as np
+
+from processing.ambient import in_other_unit
+from processing.arrays import Floats
+from processing.contact import surface_energy
+from processing.errors import DataError
+from processing.estimate import NOT_DETERMINED, Estimate
+from processing.fit import FitMethod
+from processing.series import (
+    ORDER,
+    POSITIVE,
+    SEEN,
+    CompressedRun,
+    LatentNumber,
+    SeriesModel,
+    SeriesPosterior,
+    compare_forms,
+    find_change,
+    fit_series,
+    parameters,
+    sample_series,
+)
+from processing.units import ARCSEC_RAD
+from rig.analysis import SURFACE_ENERGY, RunResults
+from rig.report.campaign_input import FoundRun, StatedCampaign, StatedEffect, stated_model
+from rig.report.likelihoods import (
+    CampaignDifference,
+    CampaignEffect,
+    CampaignResults,
+    CampaignRun,
+    CampaignSource,
+    CampaignValue,
+    SamplerFindings,
+    compress,
+    likelihood_tree,
+)
+from rig.terminal import quantity
+
+_MIN_BAD_PROBABILITY = 0.5
+_MIN_EFFECTIVE_FRACTION = 0.05
+"""Fraction of the draws that must be effective."""
+_MAX_RELATIVE_WIDTH = 20.0
+"""Width of a 68 % band, relative to its median, above which a quantity is not determined."""
+_SEED = 8
+
+
+@dataclass(frozen=True, repr=False)
+class Campaign:
+    """The results of a campaign, with its posterior and the stated campaign for figures and tables."""
+
+    results: CampaignResults
+    posterior: SeriesPosterior
+    stated: StatedCampaign
+
+    def __repr__(self) -> str:
+        lines = ["campaign"]
+        for contact, values in self.results.contacts.items():
+            lines += [
+                f"  {contact}: {quantity(name).symbol} = "
+                f"{quantity(name).text(one.value, one.standard_uncertainty)} {quantity(name).unit}".rstrip()
+                for name, one in values.items()
+            ]
+        return "\n".join(lines)
+
+
+def fit_model(found: Sequence[FoundRun], stated: StatedCampaign, *, sample: bool = False) -> Campaign:
+    """Fit one model to all runs of a campaign; with `sample` the posterior is sampled by emcee.
+
+    Raises DataError if no run can enter, or the data hold no covariate asked for; ConfigurationError if an
+    unknown parameter is stated.
+    """
+    reference_rad = stated.reference_arcsec * ARCSEC_RAD
+    tried = [(one, *compress(one, reference_rad, stated.u)) for one in found]
+    entered = [(one, run) for one, run, _ in tried if run is not None]
+    left_out = tuple(problem for _, run, problem in tried if run is None)
+    if not entered:
+        raise DataError(f"no run can enter the campaign: {'; '.join(left_out)}")
+    runs = [run for _, run in entered]
+    model = stated_model(stated, reference_rad, runs)
+
+    def fit(of: SeriesModel) -> SeriesPosterior:
+        return fit_series(runs, of, draws=stated.draws, seed=stated.seed)
+
+    sampled = sample_series(runs, model, seed=stated.seed) if sample else None
+    posterior = fit(model) if sampled is None else sampled.posterior
+    without_priors = fit(model.without_priors())
+    effects = tuple(_effect(one, posterior, without_priors, stated) for one in stated.effect)
+    candidates, no_effect = [], 1.0
+    if stated.candidate:
+        gains, shares, no_effect = compare_forms(runs, model, [one.effect() for one in stated.candidate])
+        for one, gain, share in zip(stated.candidate, gains.tolist(), shares.tolist(), strict=True):
+            shown = _effect(one, fit(model.with_effects(one.effect())), None, stated)
+            candidates.append(replace(shown, log_bayes_factor=gain, probability=share))
+    runs_of_contact: dict[str, list[RunResults]] = {}
+    for source, run in entered:
+        runs_of_contact.setdefault(run.contact, []).append(source.run)
+    contacts = {
+        contact: _contact(contact, (posterior, without_priors), own, reference_rad)
+        for contact, own in runs_of_contact.items()
+    }
+    warnings = [*_covariate_warnings(stated, runs), *_warnings(posterior, without_priors)]
+    sampler = None
+    if sampled is not None:
+        worst = max(sampled.r_hat.values())
+        sampler = SamplerFindings(
+            worst_r_hat=worst, fewest_draws=min(sampled.effective.values()), settled=sampled.settled
+        )
+        if not sampled.settled:
+            warnings.append(f"the sampler's chains differ (R-hat {worst:.2f}): do not trust its answer")
+    results = CampaignResults(
+        parameters=model.names,
+        reference_arcsec=stated.reference_arcsec,
+        runs=_runs(entered, posterior, reference_rad),
+        contacts=contacts,
+        differences=_differences(posterior, list(contacts)),
+        between_runs=_estimates(posterior, posterior.hyper, "between runs"),
+        between_contacts=_estimates(posterior, posterior.hyper, "between contacts"),
+        effects=effects,
+        candidates=tuple(candidates),
+        nothing=no_effect,
+        changes=tuple(find_change(runs, model, name) for name in stated.change_points),
+        shared=_estimates(posterior, posterior.levels, "shared"),
+        budgets={
+            contact: {name: _budget(posterior, name, contact) for name in model.names} for contact in contacts
+        },
+        draws=len(posterior.weight),
+        draws_that_count=posterior.effective,
+        predictive_p=posterior.predictive_check(seed=stated.seed),
+        sampler=sampler,
+        left_out=left_out,
+        warnings=tuple(warnings),
+        simulated=any(bool(source.run.simulated) for source, _ in entered),
+        stated=stated.model_dump(mode="json", exclude_defaults=True),
+    )
+    return Campaign(results, posterior, stated)
+
+
+def _estimates(found: SeriesPosterior, levels: Sequence[LatentNumber], kind: str) -> dict[str, Estimate]:
+    return {level.name: found.estimate(level) for level in levels if level.kind == kind}
+
+
+def _effect(
+    one: StatedEffect, found: SeriesPosterior, without_priors: SeriesPosterior | None, stated: StatedCampaign
+) -> CampaignEffect:
+    effect = one.effect()
+    level = LatentNumber("effect", effect.label)
+    draws, span = found.draws(level), effect.span(found.runs)
+    low, high = found.quantiles(draws, (0.025, 0.975))
+    value, u = found.moments(draws)
+    by_chance, tried = found.chance(draws), len(stated.effect) + len(stated.candidate)
+    return CampaignEffect(
+        label=effect.label,
+        parameter=effect.parameter,
+        covariate=effect.covariate,
+        form=str(effect.form),
+        reference=effect.reference,
+        slope=Estimate(value, u),
+        slope_without_priors=NOT_DETERMINED if without_priors is None else without_priors.estimate(level),
+        lower_95=low,
+        upper_95=high,
+        over_span=Estimate(value * span, u * span),
+        chance=by_chance,
+        # true if less than one effective draw lies on the other side of zero
+        chance_is_limit=by_chance <= 1 / found.effective,
+        seen=by_chance * max(tried, 1) < SEEN,
+        margin=one.margin,
+        equivalent=nan if one.margin is None else found.below(np.abs(draws * span), one.margin),
+    )
+
+
+def _differences(found: SeriesPosterior, contacts: Sequence[str]) -> tuple[CampaignDifference, ...]:
+    """Differences of all pairs of contacts, coordinate by coordinate."""
+    names, out = found.model.names, []
+    pairs = list(combinations(contacts, 2))
+    levels = {contact: found.level_draws(contact) for contact in contacts}
+    for first, second in pairs:
+        for name, draws in zip(names, (levels[first] - levels[second]).T, strict=True):
+            low, high = found.quantiles(draws, (0.025, 0.975))
+            by_chance = found.chance(draws)
+            out.append(
+                CampaignDifference(
+                    first=first, second=second, parameter=name, difference=found.moments(draws),
+                    lower_95=low, upper_95=high, chance=by_chance,
+                    seen=by_chance * len(pairs) * len(names) < SEEN,
+                )
+            )  # fmt: skip
+    return tuple(out)
+
+
+def _contact(
+    contact: str,
+    posteriors: tuple[SeriesPosterior, SeriesPosterior],
+    runs: Sequence[RunResults],
+    reference_rad: float,
+) -> dict[str, CampaignValue]:
+    """Quantities of a contact by key, at zero effects; the second posterior is without priors."""
+    drawn = [_quantities(one, contact, runs, reference_rad) for one in posteriors]
+    out = {}
+    for name, draws in drawn[0].items():
+        low, high = posteriors[0].quantiles(draws, (0.025, 0.975))
+        value, u = _median_and_u(posteriors[0], draws)
+        out[name] = CampaignValue(
+            value=value, standard_uncertainty=u, lower_95=low, upper_95=high,
+            without_priors=_median_and_u(posteriors[1], drawn[1][name]),
+        )  # fmt: skip
+    return out
+
+
+def _quantities(
+    found: SeriesPosterior, contact: str, runs: Sequence[RunResults], reference_rad: float
+) -> dict[str, Floats]:
+    """Draws of all quantities of a contact, by key."""
+    names = found.model.names
+    out = dict(zip(names, parameters(names, found.level_draws(contact), reference_rad).T, strict=True))
+    energy = _energy(found, out["c"], runs) if "c" in out else None
+    return out if energy is None else {**out, SURFACE_ENERGY: energy}
+
+
+def _median_and_u(found: SeriesPosterior, draws: Floats) -> Estimate:
+    """Median and half of the 68 % band, robust against outlying draws; NaN if the band is too wide."""
+    low, value, high = found.quantiles(draws, (0.1587, 0.5, 0.8413))
+    if not isfinite(high - low) or high - low > _MAX_RELATIVE_WIDTH * abs(value):
+        return NOT_DETERMINED
+    return Estimate(value, 0.5 * (high - low))
+
+
+def _energy(found: SeriesPosterior, c: Floats, runs: Sequence[RunResults]) -> Floats | None:
+    """Draws of the surface energy (Table 2's form); None if no run has a budget of it.
+
+    It is c times a factor of the apparatus. Inputs shared by runs use their draws of the posterior, inputs
+    that move no fitted parameter get new draws; each enters once, however many runs there are.
+    """
+    ratios: list[float] = []
+    moved: dict[str, float] = {}
+    for run in runs:
+        energy, of_c, pendulum = run.budget.get(SURFACE_ENERGY), run.budget.get("c"), run.pendulum
+        c_of_run = run.fits[FitMethod.EXACT].estimate("c").value
+        if energy is None or of_c is None or pendulum is None or c_of_run == 0:
+            continue
+        ratios.append(surface_energy(Estimate(1.0, 0.0), pendulum).table2.value)
+        for budget, value in ((energy, ratios[-1] * c_of_run), (of_c, -c_of_run)):
+            for one in budget.sources:
+                if isfinite(one.sensitivity):
+                    moved[one.source] = moved.get(one.source, 0.0) + one.sensitivity * one.u_source / value
+    if not ratios:
+        return None
+    rng = np.random.default_rng(_SEED)
+    log_energy = np.full(len(c), float(np.mean(np.log(ratios))))
+    for source, part in moved.items():
+        level = LatentNumber("shared", source)
+        draws = found.draws(level) if level in found.levels else rng.standard_normal(len(c))
+        log_energy += draws * (part / len(ratios))
+    return np.asarray(c * np.exp(log_energy))
+
+
+def _runs(
+    entered: Sequence[tuple[FoundRun, CompressedRun]], found: SeriesPosterior, reference_rad: float
+) -> tuple[CampaignRun, ...]:
+    together, u_together = found.run_values
+    names, out = found.model.names, []
+    values = parameters(names, together, reference_rad)
+    # u of b and gamma is that at a known exponent: the coordinate's, at the reference amplitude
+    u_values = np.where([name in POSITIVE for name in names], np.abs(values), 1.0) * u_together
+    for row, (source, run) in enumerate(entered):
+        fit, own = source.run.fits[FitMethod.EXACT], [name for name in names if name in run.names]
+        out.append(
+            CampaignRun(
+                label=run.label,
+                contact=run.contact,
+                record=source.run.record,
+                sha256=source.run.sha256,
+                results_sha256=source.results_sha256,
+                likelihood=likelihood_tree(run),
+                alone={name: fit.estimate(name) for name in own},
+                together={
+                    name: Estimate(float(values[row, place]), float(u_values[row, place]))
+                    for place, name in enumerate(names)
+                },
+                residuals={name: float(found.residuals[row, names.index(name)]) for name in own},
+                bad=float(found.bad[row]),
+            )
+        )
+    return tuple(out)
+
+
+def _listed(labels: Sequence[str]) -> str:
+    return f"{', '.join(labels[:3])}{' ...' if len(labels) > 3 else ''}"
+
+
+def _covariate_warnings(stated: StatedCampaign, runs: Sequence[CompressedRun]) -> list[str]:
+    """Warnings of covariates that some runs lack or seem to have in another unit."""
+    texts: list[str] = []
+    for covariate in sorted(stated.covariates - {"", ORDER}):
+        known = {run.label: run.covariates[covariate].value for run in runs if covariate in run.covariates}
+        texts += filter(None, [in_other_unit(covariate, known)])
+        without = [run.label for run in runs if covariate not in run.covariates]
+        if without:
+            texts.append(
+                f"{covariate} is not known of {len(without)} of {len(runs)} runs ({_listed(without)}): it is "
+                "taken to be as in the others, by their mean and scatter"
+            )
+    return texts
+
+
+def _warnings(found: SeriesPosterior, without_priors: SeriesPosterior) -> list[str]:
+    texts: list[str] = []
+    blind = [run.label for run in found.runs if run.by_growth is None]
+    if blind and any(effect.bends_decays for effect in found.model.effects):
+        texts.append(
+            f"{_listed(blind)}: their results do not say how growing friction changes the decay, so it is "
+            "ignored; rig fit --set fit.u_ageing=0.01 adds it"
+        )
+    texts += [
+        f"{run.label} is a bad run with probability {100 * bad:.0f} % and counts for little"
+        for run, bad in zip(found.runs, found.bad, strict=True)
+        if bad > _MIN_BAD_PROBABILITY
+    ]
+    texts += [
+        f"{what} is not well described: {one.effective:.0f} of {len(one.h)} draws count; ask for more draws, "
+        "or for the sampler"
+        for one, what in ((found, "the posterior"), (without_priors, "the answer without priors"))
+        if one.effective < _MIN_EFFECTIVE_FRACTION * len(one.h)
+    ]
+    between = _estimates(found, found.hyper, "between runs")
+    if wide := [name for name, one in between.items() if one.value > found.model.size(name)]:
+        texts.append(
+            f"runs scatter in {', '.join(wide)} more than is usual: look for what differs between them, "
+            "or state a larger size"
+        )
+    return texts
+
+
+def _budget(found: SeriesPosterior, name: str, contact: str) -> tuple[CampaignSource, ...]:
+    """Parts of the variance of a contact's level of a coordinate, largest first.
+
+    The part of a shared input or an effect is the variance that would vanish if it were known. The rest
+    belongs to the runs: their own uncertainties and their scatter, which more runs reduce.
+    """
+    draws = found.level_draws(contact)[:, found.model.names.index(name)]
+    centred = draws - found.weight @ draws
+    rest = float(found.weight @ centred**2)
+    others = [one for one in found.levels if one.kind in ("shared", "effect")]
+    parts: dict[str, float] = {}
+    if others:
+        table = np.stack([found.draws(one) for one in others], axis=1)
+        table = table - found.weight @ table
+        weighted = table * found.weight[:, None]
+        slopes = np.linalg.lstsq(weighted.T @ table, weighted.T @ centred, rcond=1e-10)[0]
+        rest = float(found.weight @ (centred - table @ slopes) ** 2)
+        each = np.maximum(slopes * (weighted.T @ centred), 0.0)
+        parts = dict(zip((one.name for one in others), each.tolist(), strict=True))
+    own = [run.u(name) for run in found.runs if run.contact == contact and name in run.names]
+    scatter = LatentNumber("between runs", name)
+    between = found.moments(found.draws(scatter) ** 2).value if scatter in found.hyper else 0.0
+    swings = 1 / float(np.mean(1 / np.array(own) ** 2)) if own else 0.0
+    if swings + between > 0:
+        parts |= {
+            "between runs": rest * between / (between + swings),
+            "swings": rest * swings / (between + swings),
+        }
+    whole = sum(parts.values()) or 1.0
+    found_parts = [
+        CampaignSource(source=source, contribution=sqrt(part), share=part / whole)
+        for source, part in parts.items()
+        if part > 0
+    ]
+    return tuple(sorted(found_parts, key=lambda one: -one.share))

@@ -1,0 +1,258 @@
+"""The input of a campaign: campaign.toml, which states its model, and the runs of folders or an archive."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import log
+from pathlib import Path
+from typing import Annotated, Final, Self
+
+import numpy as np
+from pydantic import BaseModel, Field, model_validator
+
+from acquisition.record.digest import sha256_of
+from processing.contact import DRAG
+from processing.contact.laws import DEFAULT_LAW
+from processing.errors import ConfigurationError, RecordError
+from processing.estimate import Estimate
+from processing.series import EXPONENT_OF, FRICTION, ORDER, POSITIVE, CompressedRun, Effect, Form, SeriesModel
+from rig.analysis import RunResults, read_results, results_path
+from rig.settings import read_toml, validated
+
+SURROUNDING_COVARIATES: Final = ("humidity_percent", "temperature_c", "pressure_pa", "dwell_s", "age_s")
+"""Covariates that are ambient conditions."""
+COVARIATES: Final = (*SURROUNDING_COVARIATES, "first_amplitude_rad", "load_n", ORDER)
+"""All covariates, on which a parameter may depend."""
+
+
+class StatedEffect(BaseModel, frozen=True, extra="forbid"):
+    """A parameter that depends on a covariate, a condition of each run."""
+
+    parameter: str = Field(description="b, p, c, n, period0_s, gamma_pa, drag_s, or friction: b and c alike")
+    form: Form
+    covariate: str = Field(default="", description=", ".join(COVARIATES))
+    reference: float = Field(
+        default=0.0,
+        allow_inf_nan=False,
+        description="value at which the effect is zero, or position of the step",
+    )
+    contact: str = Field(default="", description="the only contact that has it; default: all have it alike")
+    margin: float | None = Field(
+        default=None, gt=0, description="over the campaign's span, below which it does not matter"
+    )
+
+    @model_validator(mode="after")
+    def _has_covariate(self) -> Self:
+        if self.form is not Form.DURING and not self.covariate:
+            raise ValueError("covariate: is missing; state what the parameter depends on")
+        if self.covariate:
+            _refuse_unknown(self.covariate)
+        if self.form is Form.DURING and self.parameter != FRICTION:
+            raise ValueError("form = 'during': is of parameter = 'friction'")
+        return self
+
+    def effect(self) -> Effect:
+        """The effect as a term of the model."""
+        return Effect(**self.model_dump(exclude={"margin"}))
+
+
+class StatedLevel(BaseModel, frozen=True, extra="forbid"):
+    """Prior knowledge of a parameter: a normal distribution."""
+
+    value: float
+    u: float = Field(gt=0)
+
+
+class StatedCampaign(BaseModel, frozen=True, extra="forbid"):
+    """The contents of campaign.toml."""
+
+    parameters: tuple[str, ...] = Field(
+        default=(), description="that are modelled; default: all that runs determine"
+    )
+    reference_arcsec: float = Field(
+        default=60.0, gt=0, description="amplitude at which b and gamma scatter, and change with covariates"
+    )
+    contacts_alike: bool = Field(
+        default=False, description="contacts are of one kind and scatter about a mean"
+    )
+    bad_run_chance: float = Field(default=0.02, ge=0, lt=0.5)
+    draws: int = Field(default=1000, ge=100, le=100_000)
+    seed: int = Field(default=1, ge=0)
+    effect: tuple[StatedEffect, ...] = ()
+    candidate: tuple[StatedEffect, ...] = Field(
+        default=(), description="forms that are tried one by one beside the effects"
+    )
+    change_points: tuple[str, ...] = Field(
+        default=(), description="parameters that may have become other ones at some run"
+    )
+    prior: dict[str, StatedLevel] = Field(default_factory=dict, description="by parameter")
+    size: dict[str, Annotated[float, Field(gt=0, allow_inf_nan=False)]] = Field(
+        default_factory=dict,
+        description="by parameter, how far an effect may move it and how far runs may scatter; of b, "
+        "c, gamma_pa as a fraction of it",
+    )
+    u: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = Field(
+        default_factory=dict, description="standard uncertainty by covariate"
+    )
+
+    @model_validator(mode="after")
+    def _says_each_once(self) -> Self:
+        for covariate in self.u:
+            _refuse_unknown(covariate)
+        for what, stated in (
+            ("parameters", self.parameters),
+            ("effect", self.effect),
+            ("candidate", self.candidate),
+        ):
+            if len(set(stated)) < len(stated):
+                raise ValueError(f"{what}: the same is stated twice")
+        return self
+
+    @property
+    def covariates(self) -> set[str]:
+        """All covariates of effects and candidates."""
+        return {one.covariate for one in (*self.effect, *self.candidate)}
+
+
+def _refuse_unknown(covariate: str) -> None:
+    if covariate not in COVARIATES:
+        raise ValueError(f"there is no covariate {covariate!r}; a campaign has {', '.join(COVARIATES)}")
+
+
+def read_campaign(path: Path) -> StatedCampaign:
+    """Read campaign.toml; raises ConfigurationError with one line for all of its faults."""
+    found, faults = validated(StatedCampaign, read_toml(path, "campaign"))
+    if found is None:
+        raise ConfigurationError(f"{path}: {'; '.join(fault.line for fault in faults)}")
+    return found
+
+
+def stated_model(stated: StatedCampaign, reference_rad: float, runs: Sequence[CompressedRun]) -> SeriesModel:
+    """The model of a stated campaign; raises ConfigurationError for unknown parameters and contacts."""
+    known, contacts = (*DEFAULT_LAW.names(), DRAG.key), list(dict.fromkeys(run.contact for run in runs))
+    if unknown := [name for name in stated.parameters if name not in known]:
+        raise ConfigurationError(f"parameters: there is no {unknown[0]!r}; a campaign has {', '.join(known)}")
+    if unknown := [name for name in stated.size if name not in (*known, FRICTION)]:
+        raise ConfigurationError(
+            f"size.{unknown[0]}: there is no such parameter; a campaign has {', '.join(known)}"
+        )
+    for one in (*stated.effect, *stated.candidate):
+        if one.contact and one.contact not in contacts:
+            raise ConfigurationError(
+                f"contact = {one.contact!r}: no such contact; the runs are of {', '.join(contacts)}"
+            )
+    seen = {name for run in runs for name in (*run.names, *run.bounds)}
+    names = stated.parameters or tuple(name for name in known if name in seen)
+    levels = {}
+    for name, prior in stated.prior.items():
+        if name not in names:
+            raise ConfigurationError(f"prior.{name}: is not one of the parameters {', '.join(names)}")
+        value, u = prior.value, prior.u
+        if name in POSITIVE:
+            if not value > 0:
+                raise ConfigurationError(f"prior.{name}.value = {value:g}: should be above 0")
+            value, u = log(value), u / value
+        if name in EXPONENT_OF:
+            # the coordinate is taken at the median of the runs' exponents
+            exponent, less = EXPONENT_OF[name]
+            middle = np.median([r.values[r.names.index(exponent)] for r in runs if exponent in r.names])
+            value += (float(middle) - less) * log(reference_rad)
+        levels[name] = Estimate(value, u)
+    return SeriesModel(
+        names=names,
+        effects=tuple(one.effect() for one in stated.effect),
+        sizes=stated.size,
+        levels=levels,
+        contacts_alike=stated.contacts_alike,
+        bad_run_chance=stated.bad_run_chance,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundRun:
+    """The results of a run that may enter a campaign, with its label, its contact and the results' hash."""
+
+    label: str
+    contact: str
+    results_sha256: str
+    run: RunResults
+
+
+_SESSION = "session.json"
+
+
+def runs_of_folders(folders: Sequence[Path], *, by_sample: bool = False) -> list[FoundRun]:
+    """All runs of sessions, in the order of the folders; each folder is a contact, or with `by_sample` each
+    sample.
+
+    A folder without results of its own stands for all series in its subfolders, as one contact.
+
+    Raises ConfigurationError for a run or folder that occurs twice, or no stated sample, and RecordError.
+    """
+    names = [folder.resolve().name if folder.is_dir() else folder.resolve().parent.name for folder in folders]
+    found: list[FoundRun] = []
+    for folder, name in zip(folders, names, strict=True):
+        label, sessions = name if names.count(name) == 1 else str(folder), [folder]
+        if folder.is_dir() and not any(folder.glob("results*.json")):
+            sessions = sorted({path.parent for path in folder.glob("*/results*.json")}) or sessions
+        for session in sessions:
+            own = label if session == folder else f"{label}/{session.name}"
+            contact = _sample(session) if by_sample else label
+            found += _runs(results_path(session), own, contact)
+    return _without_duplicates(found)
+
+
+def _sample(folder: Path) -> str:
+    """The sample stated in the configuration of a session or of a table's fit."""
+    runs = read_results(results_path(folder)).runs
+    stated = [run.decay.session for run in runs if run.decay is not None]
+    place = folder if folder.is_dir() else folder.parent
+    path = results_path(folder) if stated else place / _SESSION
+    try:
+        session = stated[0] if stated else json.loads(path.read_bytes())["configuration"]["session"]
+        sample = session.get("sample", "")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigurationError(
+            f"{path}: names no sample ({type(error).__name__}); leave out --by-sample, then each folder is a "
+            "contact"
+        ) from None
+    if not sample:
+        raise ConfigurationError(f"{path}: its session.sample is empty; leave out --by-sample")
+    return str(sample)
+
+
+def runs_of_archive(listed: Sequence[Sequence[str]]) -> list[FoundRun]:
+    """Runs that an archive lists in order (`rig.archive.ordered_runs`); each sample is a contact."""
+    found: list[FoundRun] = []
+    for sha256, run, sample, folder, results in listed:
+        path = Path(folder) / results
+        own = [one for one in _runs(path, "", sample or path.parent.name) if one.run.sha256 == sha256]
+        if not own:
+            raise RecordError(f"{path}: knows no run {sha256[:8]}; rig archive update reads it again")
+        found.append(replace(own[0], label=f"{path.parent.name}/{run}"))
+    return _without_duplicates(found)
+
+
+def _runs(path: Path, folder: str, contact: str) -> list[FoundRun]:
+    results, sha256 = read_results(path), sha256_of(path)
+    return [
+        FoundRun(
+            label="/".join(filter(None, (folder, Path(run.record).stem or f"run-{number}"))),
+            contact=contact, results_sha256=sha256, run=run,
+        )
+        for number, run in enumerate(results.runs, start=1)
+    ]  # fmt: skip
+
+
+def _without_duplicates(runs: list[FoundRun]) -> list[FoundRun]:
+    """The runs unchanged; raises ConfigurationError if a run occurs twice."""
+    seen: dict[str, str] = {}
+    for one in runs:
+        before = seen.get(one.run.sha256)
+        if before == one.label:
+            raise ConfigurationError(f"{one.label}: its folder is named twice, and counts once; name it once")
+        if before is not None:
+            raise ConfigurationError(f"{one.label}: is the run of {before} (same hash), which counts once")
+        if one.run.sha256:
+            seen[one.run.sha256] = one.label
+    return runs

@@ -1,0 +1,423 @@
+"""Tables of a campaign for terminal, page, CSV and LaTeX, and its files: campaign.json, page, figures."""
+
+import json
+from collections.abc import Mapping, Sequence
+from math import isfinite, nan
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from acquisition import atomic_write
+from acquisition.record.digest import sha256_of
+from processing.arrays import Floats
+from processing.estimate import Estimate
+from processing.series import ABSENT, ORDER, POSITIVE, CompressedRun, Effect, Form, LatentNumber
+from processing.units import ARCSEC_RAD
+from rig.analysis import encoded
+from rig.report import html
+from rig.report.campaign import Campaign
+from rig.report.drawing import INK, ReportFigure, canvas, styled, three_columns
+from rig.report.likelihoods import CampaignEffect, CampaignResults
+from rig.terminal import (
+    SOURCES,
+    Cell,
+    Table,
+    TableRow,
+    latex_table,
+    palette,
+    plain,
+    plain_values,
+    quantity,
+    with_uncertainty,
+    written,
+)
+
+_MAX_SHOWN_SOURCES = 4
+_OTHER_COVARIATES: Final = {
+    "order": ("order of the runs", "run", 1.0),
+    "first_amplitude_rad": ("first amplitude", "first amplitude / arcsec", 1 / ARCSEC_RAD),
+    "load_n": ("load", "load / N", 1.0),
+}
+"""Covariates that are not ambient conditions: words, label, factor."""
+
+
+def _scaled(name: str) -> tuple[str, float]:
+    """Label and display factor of a coordinate's changes; those of b, c and gamma are relative."""
+    of = quantity(name)
+    return (f"ln {of.symbol}", 1.0) if name in POSITIVE else (of.label, of.factor)
+
+
+def _text(found: Estimate, factor: float = 1.0) -> str:
+    return with_uncertainty(found.value * factor, found.standard_uncertainty * factor)
+
+
+def _contacts_table(results: CampaignResults) -> Table:
+    """Table with a row for each quantity of a contact, with and without priors."""
+    rows = []
+    for contact, values in results.contacts.items():
+        for place, (name, found) in enumerate(values.items()):
+            of, ends = quantity(name), (found.lower_95, found.upper_95)
+            band = " … ".join(plain(end * of.factor, 4) for end in ends)
+            rows.append(
+                TableRow(
+                    [contact, name, *found.estimate, *ends, *found.without_priors],
+                    [
+                        contact if not place else "", of.label, of.text(*found.estimate), band,
+                        of.text(*found.without_priors),
+                    ],
+                )
+            )  # fmt: skip
+    return Table.of(
+        "contacts", "Contacts",
+        "contact quantity value u lower_95 upper_95 without_priors u_without_priors",
+        ("contact", "", "value", "95 %", "without priors"), rows,
+        f"{len(results.runs)} run{'' if len(results.runs) == 1 else 's'}. Median and half of the 68 % band, "
+        "at the reference of all effects; includes the inputs that runs share, counted once.",
+    )  # fmt: skip
+
+
+def _differences_table(results: CampaignResults) -> Table | None:
+    """Table of pairs of contacts that differ, all pairs in the CSV; None for a single contact."""
+    if not results.differences:
+        return None
+    rows = []
+    for one in results.differences:
+        label, factor = _scaled(one.parameter)
+        rows.append(
+            TableRow(
+                [
+                    one.first, one.second, one.parameter, *one.difference, one.lower_95, one.upper_95,
+                    one.chance, "differ" if one.seen else "no difference seen",
+                ],
+                [f"{one.first} − {one.second}", label, _text(one.difference, factor), plain(one.chance, 2)]
+                if one.seen
+                else (),
+            )
+        )  # fmt: skip
+    seen = sum(one.seen for one in results.differences)
+    return Table.of(
+        "differences", "Differences of contacts",
+        "first second quantity difference u lower_95 upper_95 chance verdict",
+        ("", "", "difference", "chance"), rows,
+        f"{seen} of {len(rows)} differ, the others are in the CSV; the 5 % level is shared by all. What runs "
+        f"share cancels. b and γ at {results.reference_arcsec:g} arcsec.",
+    )  # fmt: skip
+
+
+def effects_table(results: CampaignResults) -> Table | None:
+    """Table with a row for each effect and each tried form; None without any."""
+    both = [*((one, "model") for one in results.effects), *((one, "tried") for one in results.candidates)]
+    if not both:
+        return None
+    rows = [
+        TableRow(
+            [
+                one.label, kind, *one.slope, one.lower_95, one.upper_95, *one.over_span, one.chance,
+                "seen" if one.seen else "not seen", one.log_bayes_factor, one.probability,
+                one.equivalent, *one.slope_without_priors,
+            ],
+            [
+                _effect_words(one), with_uncertainty(*one.over_span, signed=True),
+                f"{'< ' if one.chance_is_limit else ''}{plain(one.chance, 2)}",
+                _verdict_text(one), plain(one.probability, 2), _text(one.slope_without_priors),
+            ],
+        )
+        for one, kind in both
+    ]  # fmt: skip
+    note = (
+        f"Change over the campaign's span; of b, c and γ relative. Chance: the probability of an effect this "
+        f"large if there is none; the 5 % level is shared by the {len(both)} that were tried."
+    )
+    if results.candidates:
+        note += (
+            f" Probability: posterior, of each form tried alone; of no effect: "
+            f"{plain(results.nothing, 2)}, with a prior of one half."
+        )
+    return Table.of(
+        "effects", "Effects",
+        "effect kind slope u_slope lower_95 upper_95 over_span u_over_span chance verdict log_bayes_factor "
+        "probability equivalent slope_without_priors u_slope_without_priors",
+        ("", "over the span", "chance", "judged", "probability", "slope without priors"), rows, note,
+    )  # fmt: skip
+
+
+def _verdict_text(one: CampaignEffect) -> str:
+    if one.seen:
+        return "seen"
+    if isfinite(one.equivalent) and one.equivalent >= ABSENT:
+        return f"none within ± {one.margin:g}"
+    return "not seen"
+
+
+def _effect_words(one: CampaignEffect) -> str:
+    """The parameter, the covariate and the form of an effect, in words."""
+    symbol = "friction" if one.parameter == "friction" else quantity(one.parameter).symbol
+    if one.form == "during":
+        return f"{symbol}, growing during every run"
+    return f"{symbol} over {_covariate_words(one.covariate)[0]} ({one.form})"
+
+
+def _covariate_words(name: str) -> tuple[str, str, float]:
+    """Name of a covariate, label of its axis, and factor from stored to shown values."""
+    if name in _OTHER_COVARIATES:
+        return _OTHER_COVARIATES[name]
+    of = quantity(name)
+    return of.name, of.label, of.factor
+
+
+def _runs_table(results: CampaignResults) -> Table:
+    """Table with a row for each run: residuals and probability of being bad; values in the CSV."""
+    names, none, rows = results.parameters, (nan, nan), []
+    columns = "run contact sha256 results_sha256 bad"
+    for name in names:
+        columns += f" {name} u_{name} together_{name} u_together_{name} residual_{name}"
+    for run in results.runs:
+        cells: list[Cell] = [run.label, run.contact, run.sha256, run.results_sha256, run.bad]
+        off = [run.residuals.get(name, nan) for name in names]
+        for name, one in zip(names, off, strict=True):
+            cells += [*run.alone.get(name, none), *run.together.get(name, none), one]
+        bad = f"{100 * run.bad:.0f} %" if run.bad > 0.05 else ""
+        rows.append(TableRow(cells, [run.label, run.contact, *(plain(one, 2) for one in off), bad]))
+    return Table.of(
+        "runs", "Residuals by run", columns,
+        ("run", "contact", *(quantity(name).symbol for name in names), "bad"), rows,
+        "Deviation from the model over its uncertainty from the run and the scatter between runs.",
+    )  # fmt: skip
+
+
+def _budget_table(results: CampaignResults) -> Table:
+    """Table of the largest parts of the variance of every level."""
+    rows = []
+    for contact, budgets in results.budgets.items():
+        for place, (name, parts) in enumerate(budgets.items()):
+            words = "; ".join(
+                f"{_source_words(one.source)} {100 * one.share:.0f} %"
+                for one in parts[:_MAX_SHOWN_SOURCES]
+                if one.share > 0.005
+            )
+            shown = [contact if not place else "", quantity(name).symbol, words]
+            for rank, one in enumerate(parts):
+                cells: list[Cell] = [contact, name, one.source, one.contribution, one.share]
+                rows.append(TableRow(cells, () if rank else shown))
+    return Table.of(
+        "budget", "What limits the answer now", "contact quantity source contribution share",
+        ("contact", "", "verdict"), rows,
+        "Shares of the variance of each level, in its coordinate. Shared inputs do not shrink with the "
+        "number of runs; scatter and swings do.",
+    )  # fmt: skip
+
+
+def _source_words(source: str) -> str:
+    """A source of a budget, or an effect, in words."""
+    if source.startswith("misfit of "):
+        return f"model discrepancy ({quantity(source.removeprefix('misfit of ')).symbol})"
+    return {"between runs": "scatter between runs", **SOURCES}.get(source, source)
+
+
+def _changes_table(results: CampaignResults) -> Table | None:
+    """Table of the change points that were looked for; None if none were stated."""
+    if not results.changes:
+        return None
+    rows, labels = [], [run.label for run in results.runs]
+    for one in results.changes:
+        place = f"from {labels[one.first_run]} on ({labels[one.at_least]} to {labels[one.at_most]})"
+        seen = place if one.probability > 0.5 else "none seen"
+        rows.append(
+            TableRow(
+                [one.parameter, one.probability, one.first_run, one.at_least, one.at_most],
+                [quantity(one.parameter).symbol, plain(one.probability, 2), seen],
+            )
+        )
+    return Table.of(
+        "changes", "Changes", "quantity probability first_run at_least at_most",
+        ("", "probability", "where"), rows,
+        "Probability of a change at some run, against none, allowing for the choice of the run. Runs count "
+        "from 0.",
+    )  # fmt: skip
+
+
+def _priors_table(campaign: Campaign) -> Table:
+    """Table of prior and posterior."""
+    results, model, rows = campaign.results, campaign.posterior.model, []
+    for name in model.names:
+        size, now = model.size(name), results.between_runs.get(name)
+        label, factor = _scaled(name)
+        after = "" if now is None else _text(now, factor)
+        before = f"half-normal, {plain(size * factor, 2)}"
+        rows.append(TableRow([name, size, *(now or (nan, nan))], [f"scatter of {label}", before, after]))
+    for source, found in results.shared.items():
+        rows.append(TableRow([source, 1.0, *found], [_source_words(source), "0 ± 1 of its u", _text(found)]))
+    for key, one in campaign.stated.prior.items():
+        shown = [quantity(key).label, quantity(key).text(one.value, one.u), "see Contacts"]
+        rows.append(TableRow([key, one.value, one.u, nan], shown))
+    return Table.of(
+        "priors", "Prior and posterior", "what before now u_now", ("", "prior", "posterior"), rows,
+        "The prior of an effect: it changes a quantity by about its size over the campaign, up or down.",
+    )  # fmt: skip
+
+
+def campaign_tables(campaign: Campaign) -> list[Table]:
+    """All tables of a campaign, in order."""
+    makers = (
+        _contacts_table, _differences_table, effects_table, _changes_table, _budget_table, _runs_table,
+    )  # fmt: skip
+    found = [*(make(campaign.results) for make in makers), _priors_table(campaign)]
+    return [one for one in found if one is not None]
+
+
+_POINTS = 60
+_MIN_BAD_PROBABILITY = 0.5
+_BANDS = (0.025, 0.16, 0.5, 0.84, 0.975)
+
+
+def _shown(name: str, values: Floats, middle: float) -> Floats:
+    return values - middle if name in POSITIVE else values * quantity(name).factor
+
+
+def _covariate_figure(campaign: Campaign) -> ReportFigure | None:
+    """Figure of each coordinate with an effect against its covariate: runs, and 68 and 95 % bands."""
+    found, results = campaign.posterior, campaign.results
+    wanted = [
+        (effect, name)
+        for effect in found.model.effects
+        if effect.form is not Form.DURING
+        for name in effect.moves()
+        if name in found.model.names
+    ]
+    if not wanted:
+        return None
+    margins = {"left": 0.1, "wspace": 0.42, "hspace": 0.5}
+    figure, panels = three_columns(len(wanted), lambda rows: 0.6 + 2.3 * rows, **margins)
+    contacts = list(results.contacts)
+    colours = dict(zip(contacts, palette.SEQUENCE * len(contacts), strict=False))
+    for axes, (effect, name) in zip(panels, wanted, strict=True):
+        place = found.model.names.index(name)
+        label, factor = _covariate_words(effect.covariate)[1:]
+        known = [
+            run for run in found.runs if _covariate(run, found.runs, effect) is not None and name in run.names
+        ]
+        at = np.array([_covariate(run, found.runs, effect) for run in known])
+        middle = float(np.median([run.values[run.names.index(name)] for run in known]))
+        grid = np.linspace(float(at.min()), float(at.max()), _POINTS)
+        for contact in contacts:
+            if effect.contact not in ("", contact):
+                continue
+            slope = found.draws(LatentNumber("effect", effect.label))
+            lines = found.level_draws(contact)[:, place, None] + slope[:, None] * effect.value(grid)
+            bands = np.array([found.quantiles(line, _BANDS) for line in lines.T])
+            shown = _shown(name, bands, middle)
+            colour = colours[contact]
+            axes.fill_between(grid * factor, shown[:, 0], shown[:, 4], color=colour, alpha=0.15, lw=0)
+            axes.fill_between(grid * factor, shown[:, 1], shown[:, 3], color=colour, alpha=0.3, lw=0)
+            axes.plot(grid * factor, shown[:, 2], color=colour, label=contact)
+            own = [i for i, run in enumerate(known) if run.contact == contact]
+            values = np.array([known[i].values[known[i].names.index(name)] for i in own])
+            u = _scaled(name)[1] * np.array([known[i].u(name) for i in own])
+            axes.errorbar(
+                at[own] * factor, _shown(name, values, middle), u, fmt="o", ms=3, color=colour,
+                elinewidth=0.7, mec=INK, mew=0.3,
+            )  # fmt: skip
+        if effect.form is Form.LOGARITHM:
+            axes.set_xscale("log")
+        axes.set_xlabel(label)
+        # b, c and gamma are shown as relative changes
+        near = f" at {results.reference_arcsec:g} arcsec" if name in ("b", "gamma_pa") else ""
+        title = _scaled(name)[0]
+        axes.set_title(f"{title}{near}, from its middle" if name in POSITIVE else title, fontsize=7.5)
+    whole_in = figure.get_figheight()
+    figure.subplots_adjust(bottom=0.5 / whole_in, top=1 - 0.6 / whole_in)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="upper center", ncols=4)
+    return ReportFigure(
+        "covariates",
+        "Parameters over what the runs were measured under",
+        "Points: each run alone with its standard uncertainty. Lines and bands: the campaign's median, 68 "
+        "and 95 %, without the scatter between runs.",
+        figure,
+    )
+
+
+def _covariate(run: CompressedRun, runs: Sequence[CompressedRun], effect: Effect) -> float | None:
+    if effect.covariate == ORDER:
+        return float([other is run for other in runs].index(True))
+    found = run.covariates.get(effect.covariate)
+    return None if found is None else found.value
+
+
+def _residual_figure(campaign: Campaign) -> ReportFigure:
+    """Figure of the deviations of the runs from the model; bad runs are shaded."""
+    results = campaign.results
+    names = results.parameters
+    figure = canvas(2.6)
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.08, right=0.86, bottom=0.17, top=0.96)
+    x = np.arange(1, len(results.runs) + 1)
+    for band, alpha in ((2, 0.1), (1, 0.15)):
+        axes.axhspan(-band, band, color=palette.GREY, alpha=alpha, lw=0)
+    for place, name in enumerate(names):
+        z = np.array([run.residuals.get(name, np.nan) for run in results.runs])
+        axes.plot(
+            x + 0.08 * (place - 0.5 * len(names)), z, "o", ms=3.2, label=quantity(name).symbol,
+            color=palette.SEQUENCE[place % len(palette.SEQUENCE)],
+        )  # fmt: skip
+    for at, run in zip(x.tolist(), results.runs, strict=True):
+        if run.bad > _MIN_BAD_PROBABILITY:
+            axes.axvspan(at - 0.4, at + 0.4, color=palette.VERMILLION, alpha=0.25, lw=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set(xlabel="run", ylabel="deviation / u")
+    axes.set_yscale("symlog", linthresh=4)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return ReportFigure(
+        "residuals", "Residuals by run",
+        "Deviation from the model over its uncertainty from run and scatter between runs; red: bad runs.",
+        figure,
+    )  # fmt: skip
+
+
+_NAME = "campaign.json"
+
+
+def save_campaign(campaign: Campaign, folder: Path) -> list[Path]:
+    """Write all files of a campaign into a folder, which is made; returns campaign.json and the page.
+
+    Raises ConfigurationError if a file exists, RecordError if one cannot be written.
+    """
+    files, path, target = folder / "campaign", folder / _NAME, folder / "campaign.html"
+    with written(folder):
+        files.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(plain_values(encoded(campaign.results)), indent=1, allow_nan=False) + "\n"
+        atomic_write.write_new(path, text.encode())
+        tables = campaign_tables(campaign)
+        html.save_tables(tables, files)
+        atomic_write.replace(files / "contacts.tex", latex_table(_contacts_table(campaign.results)).encode())
+        with styled():
+            over, residuals = _covariate_figure(campaign), _residual_figure(campaign)
+            figures = html.save_figures([residuals] if over is None else [over, residuals], files)
+        atomic_write.write_new(target, _page(campaign, tables, figures, sha256_of(path)).encode())
+    return [path, target]
+
+
+def _page(campaign: Campaign, tables: list[Table], figures: Mapping[str, str], sha256: str) -> str:
+    results, sampler = campaign.results, campaign.results.sampler
+    count = len(results.runs)
+    words = f"{count} run{'s' if count != 1 else ''} of {', '.join(results.contacts)}"
+    warnings = list(results.warnings)
+    if results.simulated:
+        warnings.insert(0, "SIMULATED: runs come from the simulated rig; nothing was measured.")
+    method = "Laplace's method over the scatters;"
+    if sampler is not None:
+        method = (
+            f"Sampled by emcee (worst R-hat {sampler.worst_r_hat:.3f}, at least {sampler.fewest_draws:.0f} "
+            "independent draws);"
+        )
+    first, *others = [html.table(content) for content in tables]
+    note = (
+        f"{method} {results.draws_that_count:.0f} of {results.draws} draws count. Runs of the "
+        f"model scatter as much as the real ones with p = {results.predictive_p:.2g}. "
+        f"sha256 of {_NAME}: {sha256}."
+    )
+    body = [f'<div class="warn">{html.escape(line)}</div>' for line in warnings]
+    body += [html.notes(results.left_out), first, *figures.values(), *others, html.paragraph(note, "note")]
+    title = "SIMULATED: Campaign" if results.simulated else "Campaign"
+    return html.page(title, words, body, results_sha256=sha256)

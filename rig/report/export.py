@@ -1,0 +1,405 @@
+"""`rig export`: spots, half-cycles and results as CSV, Parquet, NeXus (HDF5) or LaTeX, with provenance."""
+
+import io
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, cast, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.atomic_write import being_written, write_new
+from acquisition.record.digest import cached_sha256, sha256_of, utc
+from acquisition.record.reader import RecordReader
+from acquisition.record.topics import SPOT, SWING
+from processing.deflections import DeflectionUnit
+from processing.errors import ConfigurationError, MissingPackage, RecordError
+from processing.units import NS_PER_S, conversion, in_ascii, unit_of_name
+from rig.analysis import (
+    RESULTS_NAME,
+    JsonObject,
+    ResultRow,
+    RunResults,
+    Series,
+    SessionResults,
+    TableDecay,
+    encoded,
+    read_results,
+    results_path,
+)
+from rig.instrument import CONFIGURATION_NAME
+from rig.intake import read_positions
+from rig.report.source import read_source
+from rig.report.tables import run_tables, series_tables
+from rig.terminal import Table, harmless_text, latex_table, say, written
+
+
+@dataclass(frozen=True)
+class ExportData:
+    """The data exported of a run or a series."""
+
+    name: str
+    rows: Sequence[ResultRow]
+    """The table of results."""
+    results: JsonObject
+    """Its part of results.json; empty if the run was not fitted."""
+    provenance: Mapping[str, str]
+    """Texts by name: hash, complete configuration and metadata of the record."""
+    notes: tuple[str, ...] = ()
+    """What is missing in the records: truncated or damaged parts."""
+    columns: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
+    """Columns of `spots` and `swings` of a run, by the record's names of fields."""
+    began: str = ""
+    ended: str = ""
+    """UTC of the first and the last frame, as ISO 8601."""
+    own_units: Mapping[str, str] = field(default_factory=dict)
+    """Units of the columns whose names do not end in them."""
+
+    def unit_of(self, column: str) -> str:
+        """Unit of a column of `spots` or `swings`."""
+        return self.own_units.get(column) or unit_of_name(column)
+
+
+def _exported_data(source: Path) -> list[ExportData]:
+    """The runs in a folder, a results file or a record, and after them their series, if they make one.
+
+    Results of a record are those next to it, if any; a record has no series. Raises RecordError if a record,
+    or the positions of a table, cannot be read, or if results were made from another record.
+    """
+    if not source.is_dir() and source.suffix != ".json":
+        beside = read_results(source.parent).runs if (source.parent / RESULTS_NAME).exists() else ()
+        return [_read_run(source, next((run for run in beside if run.record == source.name), None))]
+    folder, results = source if source.is_dir() else source.parent, read_results(source)
+    found = []
+    for number, run in enumerate(results.runs, start=1):
+        if run.decay is None:
+            found.append(_read_run(folder / run.record, run))
+        else:
+            suffix = "" if len(results.runs) == 1 else f"-decay-{number}"
+            found.append(_read_table_decay(folder, run, run.decay, f"{run.source_name}{suffix}"))
+    series = results.series
+    if series is not None:
+        found.append(_exported_series(source, series, list(zip(found, results.runs, strict=True))))
+    return found
+
+
+def _read_run(path: Path, results: RunResults | None) -> ExportData:
+    with RecordReader(path) as reader:
+        provenance = {"record": path.name, "deflection_unit": reader.deflection_unit}
+        for section, texts in reader.metadata.items():
+            provenance |= {f"{section}.{key}": text for key, text in texts.items() if text}
+        configuration = reader.attachments.get(CONFIGURATION_NAME)
+        if configuration is not None:
+            provenance["configuration"] = json.dumps(json.loads(configuration))
+        spots, swings = reader.table(SPOT.topic), reader.table(SWING.topic)
+        began, ended = (utc(time_ns).isoformat() for time_ns in _span_ns(reader, spots))
+        notes = tuple(reader.doubts())
+        if configuration is None and CONFIGURATION_NAME in reader.contents.attachment_places:
+            notes = (*notes, "the configuration is damaged and not part of this export")
+    provenance["sha256"] = cached_sha256(path)
+    if results is not None and results.sha256 != provenance["sha256"]:
+        raise RecordError(
+            f"{path}: differs from the record from which {RESULTS_NAME} was made (other hash); "
+            "run rig fit again"
+        )
+    columns = {"spots": _fields(spots), "swings": _fields(swings)}
+    rows, tree = ((), {}) if results is None else (results.table, encoded(results))
+    return ExportData(path.stem, rows, tree, provenance, notes, columns, began, ended)
+
+
+def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
+    """UTC of the first and the last frame; without frames of the first and the last message."""
+    if not len(spots):
+        return reader.contents.start_ns, reader.contents.end_ns
+    first_ns, last_ns = int(spots["time_ns"][0]), int(spots["time_ns"][-1])
+    return first_ns + reader.epoch_offset_ns, last_ns + reader.epoch_offset_ns
+
+
+def _fields(table: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """The fields of a structured array as contiguous arrays, in order."""
+    return {name: np.ascontiguousarray(table[name]) for name in table.dtype.names or ()}
+
+
+def _exported_series(
+    source: Path, series: Series, runs: Sequence[tuple[ExportData, RunResults]]
+) -> ExportData:
+    """The series of a results file, with the hashes of the file and of the combined records.
+
+    Records are in the order of the series' lists of runs.
+    """
+    runs = series.combined(runs)
+    path = results_path(source)
+    about = {"results": path.name, "sha256": sha256_of(path)}
+    samples = {run.provenance.get("session.sample", "") for run, _ in runs}
+    if len(samples) == 1 and (sample := samples.pop()):
+        about["session.sample"] = sample
+    about |= {f"runs.{place}": f"{one.record}, SHA-256 {one.sha256}" for place, (_, one) in enumerate(runs)}
+    simulated = sum(bool(one.simulated) for _, one in runs)
+    if simulated:
+        about["simulated"] = f"SIMULATED: {simulated} of {len(runs)} runs"
+    notes = tuple(f"{run.name}: {note}" for run, _ in runs for note in run.notes)
+    tree = cast(JsonObject, encoded(SessionResults(runs=(), series=series))["series"])
+    return ExportData("series", series.table, tree, about, notes)
+
+
+def _read_table_decay(folder: Path, decay: RunResults, place: TableDecay, name: str) -> ExportData:
+    """A decay of a table by the results in a folder; angles in rad, other positions in the table's unit."""
+    stored = decay.stored
+    own = decay.amplitude_unit or "unit"
+    is_angle = stored.unit is DeflectionUnit.RAD
+    unit, size = ("rad", conversion(own, "rad")) if is_angle else (own, 1.0)
+    time_s, positions = read_positions(folder)
+    inside = (time_s >= place.began_s) & (time_s <= place.ended_s)
+    suffix = re.sub(r"\W", "_", unit)
+    spots: dict[str, NDArray[Any]] = {"time_s": time_s[inside]}
+    spots |= {f"position_{k}_{suffix}": each[inside] * size for k, each in enumerate(positions, start=1)}
+    provenance = {"table": decay.record, "sha256": decay.sha256, "unit of the table": own}
+    provenance |= {f"session.{name}": text for name, text in place.session.items()}
+    air = {} if decay.surroundings is None else decay.surroundings.known()
+    provenance |= {f"environment.{name}": f"{value:g}" for name, value in air.items()}
+    swings: dict[str, NDArray[Any]] = {
+        "index": stored.index,
+        "time_s": stored.first_ns / NS_PER_S + stored.time_s,
+        "u_time_s": stored.u_time_s,
+        f"amplitude_{suffix}": stored.amplitude,
+        f"u_amplitude_{suffix}": stored.u_amplitude,
+    }
+    units = {key: unit for key in (*spots, *swings) if key.endswith(f"_{suffix}")}
+    columns = {"spots": spots, "swings": swings}
+    return ExportData(name, decay.table, encoded(decay), provenance, columns=columns, own_units=units)
+
+
+Format = Literal["csv", "parquet", "hdf5", "latex"]
+
+
+def export_session(source: Path, kind: Format, output: Path) -> list[Path]:
+    """Export a session's folder, that of a table's results, or one record; returns the files made.
+
+    Missing data of a record are noted on stderr and in every file. CSV and Parquet: `output` is a folder with
+    three files for each run and one for the series. HDF5: `output` is the file, with one NXentry for each run
+    and one for the series. LaTeX: a folder with the tables of the report. No file is overwritten.
+
+    Raises RecordError for a source without records, ConfigurationError for a file that exists, or if pyarrow
+    or h5py is not installed.
+    """
+    if kind == "latex":
+        made: Mapping[Path, bytes] = {output / n: text.encode() for n, text in latex_tables(source).items()}
+        if not made:
+            raise RecordError(
+                f"{source}: its results have no tables; rig fit makes some where a run is fitted"
+            )
+        for path, content in made.items():
+            with written(path):
+                output.mkdir(parents=True, exist_ok=True)
+                write_new(path, content)
+        return list(made)
+    exported = _exported_data(source)
+    if len({_item_name(one.name) if kind == "hdf5" else one.name for one in exported}) < len(exported):
+        raise ConfigurationError(f"{source}: has several records of one name; export them one by one")
+    tables = [output / f"{one.name}-{name}.{kind}" for one in exported for name in (*one.columns, "table")]
+    other = "name" if kind == "hdf5" else "folder"
+    for path in [output] if kind == "hdf5" else tables:
+        if path.exists():
+            raise ConfigurationError(f"{path}: exists already and is not overwritten; choose another {other}")
+    for one in exported:
+        for note in one.notes if one.columns else ():
+            say(f"{one.name}: {note}" if source.is_dir() else note)
+    with written(output, other):
+        if kind == "hdf5":
+            output.parent.mkdir(parents=True, exist_ok=True)
+            _write_nexus(output, exported)
+            return [output]
+        output.mkdir(parents=True, exist_ok=True)
+        return [path for one in exported for path in _write_tables(output, one, kind)]
+
+
+def latex_tables(folder: Path) -> Mapping[str, str]:
+    """LaTeX of every table of the report and of the series, by file name (`run-1-parameters.tex`).
+
+    Raises RecordError for a folder without results, or whose record is missing.
+    """
+    source = read_source(folder)
+    found = dict[str, Table]()
+    for number, run in enumerate(source.runs, start=1):
+        found |= {f"run-{number}-{each.name}.tex": each for each in run_tables(run, None)}
+    if source.series is not None:
+        found |= {f"{each.name}.tex": each for each in series_tables(source.series)}
+    return {name: latex_table(each, Path(name).stem) for name, each in found.items() if each.shown}
+
+
+def _write_tables(folder: Path, run: ExportData, kind: Literal["csv", "parquet"]) -> Iterator[Path]:
+    """Write the tables of a run or a series; yields their files.
+
+    Of CSV, lines that begin with ``#`` contain the provenance after notes on missing data, followed by one
+    header line. Of Parquet, metadata of schema and fields hold provenance, notes (JSON) and units.
+    """
+    try:
+        from pyarrow import csv, parquet
+    except ImportError:
+        raise MissingPackage("rig export", "pyarrow", "data") from None
+    lines = [
+        *(f"NOTE: {note}" for note in run.notes),
+        *(f"{n}: {text}" for n, text in run.provenance.items()),
+    ]
+    head = "".join(f"# {' '.join(line.split())}\n" for line in lines).encode()
+    metadata = {
+        b"provenance": json.dumps(dict(run.provenance)).encode(),
+        b"notes": json.dumps(list(run.notes)).encode(),
+    }
+    for name, table in _tables(run, harmless_text if kind == "csv" else str):
+        path = folder / f"{run.name}-{name}.{kind}"
+        with being_written(path) as beside:
+            if kind == "csv":
+                with beside.open("xb") as file:
+                    file.write(head)
+                    csv.write_csv(table, file)
+            else:
+                parquet.write_table(
+                    table.replace_schema_metadata(metadata),
+                    beside,
+                    compression="zstd",
+                    write_page_checksum=True,
+                )
+        yield path
+
+
+def _tables(run: ExportData, text_of: Callable[[str], str]) -> Iterator[tuple[str, Any]]:
+    """The columns of a run as Arrow tables, and its table of results; `text_of` is applied to its texts."""
+    import pyarrow as pa
+
+    for name, columns in run.columns.items():
+        fields = [
+            pa.field(key, pa.from_numpy_dtype(values.dtype), metadata={"unit": run.unit_of(key)})
+            for key, values in columns.items()
+        ]
+        yield name, pa.table(list(columns.values()), schema=pa.schema(fields))
+    if run.rows:
+        types = {float: pa.float64(), bool: pa.bool_()}
+        schema = [(name, types.get(hint, pa.string())) for name, hint in get_type_hints(ResultRow).items()]
+        rows = [
+            {key: text_of(cell) if isinstance(cell, str) else cell for key, cell in asdict(row).items()}
+            for row in run.rows
+        ]
+        yield "table", pa.Table.from_pylist(rows, schema=pa.schema(schema))
+
+
+_NEXUS_UNITS = {"px": "pixel", "DN": "count", "1": "", "°C": "degC", "%": "percent"}
+
+
+def _write_nexus(path: Path, exported: Sequence[ExportData]) -> None:
+    """Write one file with ``/run_1/{spots,swings,results,provenance}`` and ``/series/{results,provenance}``.
+
+    Field names are the record's. Standard uncertainties ``u_NAME`` are also stored as ``NAME_errors``, which
+    NeXus readers expect. Characters that NeXus does not allow in a name become ``_``. Notes on missing data
+    of the record are in ``/run_1/lacking``.
+
+    Raises ConfigurationError if h5py is not installed.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise MissingPackage("--format hdf5", "h5py", "data") from None
+    # made in memory, where it is small beside the runs' arrays: on a full disk HDF5 reports an error for
+    # every object that it closes, and may end the process
+    image = io.BytesIO()
+    with h5py.File(image, "w") as file:
+        file.attrs["NX_class"] = "NXroot"
+        file.attrs["default"] = _item_name(exported[0].name)
+        for one in exported:
+            _entry(file, one)
+    write_new(path, image.getvalue())
+
+
+def _item_name(text: str) -> str:
+    """A name as NeXus allows it: letters, digits and underscores."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", text) or "_"
+
+
+def _entry(file: Any, run: ExportData) -> None:
+    """Write an NXentry with results and provenance of a run or a series, and the columns of a run."""
+    about = run.provenance
+    entry = _group(file, _item_name(run.name), "NXentry")
+    entry["title"] = about.get("session.sample", run.name)
+    entry["entry_identifier"] = about["sha256"]
+    entry["program_name"] = "optical-pendulum-rig"
+    entry["program_name"].attrs["version"] = about.get("versions.optical-pendulum-rig", "")
+    note = _group(entry, "provenance", "NXnote")
+    note["type"] = "application/json"
+    note["description"] = json.dumps(dict(about))
+    if run.notes:
+        lacking = _group(entry, "lacking", "NXnote")
+        lacking["type"] = "text/plain"
+        lacking["description"] = "\n".join(run.notes)
+    if run.results:
+        results = _group(entry, "results", "NXcollection")
+        results["json"] = json.dumps(run.results)
+        _rows(_group(results, "values", "NXcollection"), run.rows)
+    if run.columns:
+        entry.attrs["default"] = "swings"
+        entry["start_time"], entry["end_time"] = run.began, run.ended
+        _describe_rig(entry, about)
+        _data(entry, "spots", ("y_rad", "y_deflection_px", "position_1"), run)
+        _data(entry, "swings", ("amplitude",), run)
+
+
+def _describe_rig(entry: Any, about: Mapping[str, str]) -> None:
+    """Write instrument, detector, sample and user, as far as the record names them."""
+    instrument = _group(entry, "instrument", "NXinstrument")
+    instrument["name"] = "optical pendulum"
+    detector = _group(instrument, "detector", "NXdetector")
+    named = [about[f"camera.{key}"] for key in ("vendor", "model") if f"camera.{key}" in about]
+    detector["description"] = " ".join(named) or "camera"
+    if "camera.serial" in about:
+        detector["serial_number"] = about["camera.serial"]
+    sample = _group(entry, "sample", "NXsample")
+    sample["name"] = about.get("session.sample", "not stated")
+    if "session.contact_history" in about:
+        sample["description"] = about["session.contact_history"]
+    if "environment.temperature_c" in about:
+        sample["temperature"] = float(about["environment.temperature_c"])
+        sample["temperature"].attrs["units"] = "degC"
+    _group(entry, "user", "NXuser")["name"] = about.get("session.operator", "not stated")
+
+
+def _group(above: Any, name: str, nexus_class: str) -> Any:
+    group = above.create_group(name)
+    group.attrs["NX_class"] = nexus_class
+    return group
+
+
+def _data(entry: Any, name: str, signals: tuple[str, ...], run: ExportData) -> None:
+    """Write columns as NXdata; the signal is the first that begins like one of `signals`, the axis time."""
+    group, columns = _group(entry, name, "NXdata"), run.columns[name]
+    signal = next((key for begin in signals for key in columns if key.startswith(begin)), "")
+    axis = next((key for key in ("time_ns", "turn_time_ns", "time_s") if key in columns), "")
+    if signal and axis:
+        group.attrs["signal"] = signal
+        group.attrs["axes"] = [axis]
+        group.attrs[f"{axis}_indices"] = [0]
+    for key, values in columns.items():
+        field = group.create_dataset(key, data=values, compression="gzip", shuffle=True)
+        _with_unit(field, run.unit_of(key))
+    for key in columns:
+        if key.startswith("u_") and key[2:] in columns:
+            group[f"{key[2:]}_errors"] = group[key]
+
+
+def _rows(group: Any, rows: Sequence[ResultRow]) -> None:
+    """Write the table of results: a group for each fit, with fields for every quantity."""
+    for row in rows:
+        fit = _item_name(row.fit)
+        fit_group = group[fit] if fit in group else _group(group, fit, "NXcollection")
+        name = _item_name(row.quantity)
+        numbers = {"": row.value, "_errors": row.u_total, "_lower_95": row.lower, "_upper_95": row.upper}
+        for suffix, number in numbers.items():
+            fit_group[f"{name}{suffix}"] = number
+            _with_unit(fit_group[f"{name}{suffix}"], row.unit)
+        fit_group[name].attrs["verdict"] = row.verdict.value
+
+
+def _with_unit(field: Any, unit: str) -> None:
+    if unit:
+        field.attrs["units"] = _NEXUS_UNITS.get(unit, in_ascii(unit))

@@ -1,0 +1,389 @@
+"""The likelihood of each run, compressed from its results, and the results of a campaign.
+
+A likelihood is made of results.json alone: parameters with their correlation, inputs shared by the budget,
+asymmetry of profiles, and bounds.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import inf, isfinite, log, nan, sqrt
+from typing import Annotated
+
+import numpy as np
+
+from processing.arrays import Floats
+from processing.contact import DRAG
+from processing.contact.laws import AMPLITUDE, DEFAULT_LAW
+from processing.estimate import NOT_DETERMINED, Determinacy, Estimate
+from processing.fit import BudgetSource, FitMethod
+from processing.quantity import PART
+from processing.series import (
+    EXPONENT_OF,
+    GROWTH,
+    POSITIVE,
+    Bound,
+    ChangePoint,
+    CompressedRun,
+    EndSide,
+    to_coordinates,
+)
+from rig.analysis import Fit, JsonObject, ResultRow, RunResults
+from rig.report.campaign_input import SURROUNDING_COVARIATES, FoundRun
+
+_AIR, _MISFIT = "air", "misfit"
+_OWN = ("period_drift", "drag_drift", "plane_of_swing_rad")
+"""Sources of uncertainty that are independent from run to run."""
+_MAX_SHARED = 0.9999
+"""Largest fraction of a variance that is shared; the rest is the run's own."""
+_MAX_U = 0.5
+"""Relative standard uncertainty above which a positive parameter without a verdict is only bounded."""
+_MIN_ASYMMETRY = 0.1
+"""Asymmetry of a profile below which it is ignored."""
+_MAX_ASYMMETRY = 0.8
+_SOFT = 0.3
+"""Softness of a bound: width of its edge in the coordinate."""
+
+
+def compress(
+    found: FoundRun, reference_rad: float, u_covariates: Mapping[str, float]
+) -> tuple[CompressedRun | None, str]:
+    """The likelihood of a run; or None, and why the run cannot enter, in a line."""
+    run, fit = found.run, found.run.fits.get(FitMethod.EXACT)
+    if fit is None:
+        return None, f"{found.label}: left out: {run.problem or 'it has no exact fit'}"
+    names, bounds = [], {}
+    for name in (*DEFAULT_LAW.names(), DRAG.key):
+        value, u = fit.estimate(name)
+        row = run.rows.get(name)
+        if not isfinite(value):
+            continue
+        bound = _bound(name, value, u, row)
+        if bound is not None:
+            bounds[name] = bound
+        elif 0 < u < inf and _is_determined(row):
+            names.append(name)
+    # b and gamma need their exponents, without which their coordinates are not independent
+    names = [name for name in names if EXPONENT_OF.get(name, (name, 0.0))[0] in names]
+    if not names:
+        return None, f"{found.label}: left out: its data determine no parameter"
+    values, jacobian = to_coordinates(
+        names, np.array([fit.estimate(name).value for name in names]), reference_rad
+    )
+    covariance = _covariance(fit, names)
+    moved, u_of = _sources(run, names, jacobian)
+    # the budget gives corrections of the values; the observed values move the other way
+    shared = {source: -by for source, by in moved.items() if source not in GROWTH + _OWN and np.any(by)}
+    grown = {source: moved[source] for source in GROWTH if u_of.get(source, 0.0) > 0}
+    shared |= grown
+    own, law_shared = _without_model_discrepancy(run, names, jacobian @ covariance @ jacobian.T)
+    u_air = _u_air(run, fit)
+    if u_air > 0 and DRAG.key in names:
+        # the prior knowledge of the drag moves all parameters along the drag's column of the covariance
+        drag = names.index(DRAG.key)
+        part = jacobian @ covariance[:, drag] * (u_air / covariance[drag, drag])
+        share = float(part @ np.linalg.solve(own, part))
+        shared[_AIR] = part = part * min(1.0, (_MAX_SHARED / share) ** 0.5) if share > 0 else part
+        own = own - np.outer(part, part)
+    shared |= law_shared
+    for source in _OWN:
+        if source in moved:
+            own = own + np.outer(moved[source], moved[source])
+    duration_s = _duration_s(run)
+    return (
+        CompressedRun(
+            label=found.label,
+            contact=found.contact,
+            names=tuple(names),
+            values=values,
+            covariance=0.5 * (own + own.T),
+            shared=shared,
+            asymmetry=_asymmetry(fit, names, run.rows),
+            bounds=bounds,
+            covariates=_covariates(run, fit, u_covariates, duration_s),
+            by_growth=sum((by / u_of[key] for key, by in grown.items()), np.zeros(len(names)))
+            if grown
+            else None,
+            duration_s=duration_s,
+        ),
+        "",
+    )
+
+
+def _is_determined(row: ResultRow | None) -> bool:
+    return row is None or row.verdict in (Determinacy.DETERMINED, Determinacy.INTERVAL)
+
+
+def _bound(name: str, value: float, u: float, row: ResultRow | None) -> Bound | None:
+    """The bound of a positive parameter that a run does not determine, in its coordinate; only of c."""
+    if name != "c":
+        return None
+    if row is not None and row.verdict is Determinacy.LOWER_BOUND and row.lower > 0:
+        return Bound(log(row.lower), EndSide.LOWER, _SOFT)
+    upper = row.upper if row is not None and isfinite(row.upper) else value + 2 * u
+    bounded = not _is_determined(row) or value <= 0 or (row is None and u > _MAX_U * value)
+    if not bounded or not 0 < upper < inf:
+        return None
+    # the likelihood falls from one u below the limit on, and is half at the value plus one u
+    return Bound(log(upper) - _SOFT, EndSide.UPPER, _SOFT)
+
+
+def _covariance(fit: Fit, names: Sequence[str]) -> Floats:
+    """Covariance of the parameters, from their uncertainties and correlations."""
+    u = np.array([fit.estimate(name).standard_uncertainty for name in names])
+    known, matrix = fit.correlation.names, np.array(fit.correlation.matrix)
+    correlation = np.eye(len(names))
+    for i, first in enumerate(names):
+        for j, second in enumerate(names):
+            if i != j and first in known and second in known:
+                correlation[i, j] = matrix[known.index(first), known.index(second)]
+    correlation = np.nan_to_num(correlation)
+    # rounding in the file must not make the matrix singular
+    values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
+    correlation = (vectors * np.maximum(values, 1e-9)) @ vectors.T
+    return np.asarray(correlation * np.outer(u, u), dtype=np.float64)
+
+
+def _budget_sources(run: RunResults, name: str) -> Sequence[BudgetSource]:
+    budget = run.budget.get(name)
+    return () if budget is None else budget.sources
+
+
+def _sources(
+    run: RunResults, names: Sequence[str], jacobian: Floats
+) -> tuple[dict[str, Floats], dict[str, float]]:
+    """By source: the shift of the coordinates by one standard uncertainty, and that uncertainty."""
+    moved: dict[str, Floats] = {}
+    u: dict[str, float] = {}
+    for place, name in enumerate(names):
+        for one in _budget_sources(run, name):
+            if isfinite(one.sensitivity):
+                by = moved.setdefault(one.source, np.zeros(len(names)))
+                by += jacobian[:, place] * (one.sensitivity * one.u_source)
+                u[one.source] = one.u_source
+    return moved, u
+
+
+def _u_air(run: RunResults, fit: Fit) -> float:
+    """The part of the drag's standard uncertainty that comes from the properties of the air."""
+    shares = {
+        one.source: one.share
+        for one in _budget_sources(run, DRAG.key)
+        if one.type == "A" or one.source == _AIR
+    }
+    if not shares.get(_AIR, 0.0) > 0:
+        return 0.0
+    return fit.estimate(DRAG.key).standard_uncertainty * sqrt(shares[_AIR] / sum(shares.values()))
+
+
+def _without_model_discrepancy(
+    run: RunResults, names: Sequence[str], own: Floats
+) -> tuple[Floats, dict[str, Floats]]:
+    """The covariance without model discrepancy, and its shifts: all runs share it, by coordinate."""
+    keep, shared = np.ones(len(names)), {}
+    for place, name in enumerate(names):
+        sources = _budget_sources(run, name)
+        part = sum(one.share for one in sources if one.source == _MISFIT)
+        whole = sum(one.share for one in sources if one.type == "A" or one.source == _AIR)
+        if part > 0 and isfinite(whole):
+            share = min(part / whole, _MAX_SHARED)
+            keep[place] = (1 - share) ** 0.5
+            shared[f"{_MISFIT} of {name}"] = (share * own[place, place]) ** 0.5 * np.eye(len(names))[place]
+    return own * np.outer(keep, keep), shared
+
+
+def _asymmetry(fit: Fit, names: Sequence[str], rows: Mapping[str, ResultRow]) -> dict[str, float]:
+    """Asymmetry of profiles by parameter, for parameters that are their own coordinates."""
+    found = {}
+    for name in names:
+        row = rows.get(name)
+        if row is None or not row.by_profile or name in EXPONENT_OF:
+            continue
+        ends = np.array([row.lower, fit.estimate(name).value, row.upper])
+        if not np.all(np.isfinite(ends)) or (name in POSITIVE and ends[0] <= 0):
+            continue
+        low, high = np.diff(np.log(ends) if name in POSITIVE else ends)
+        uneven = float((high - low) / (high + low)) if low > 0 and high > 0 else 0.0
+        if abs(uneven) > _MIN_ASYMMETRY:
+            found[name] = float(np.clip(uneven, -_MAX_ASYMMETRY, _MAX_ASYMMETRY))
+    return found
+
+
+def _covariates(run: RunResults, fit: Fit, u: Mapping[str, float], duration_s: float) -> dict[str, Estimate]:
+    known = {} if run.surroundings is None else asdict(run.surroundings)
+    found = {name: float(known[name]) for name in SURROUNDING_COVARIATES if isfinite(known.get(name, inf))}
+    for name in ("dwell_s", "age_s"):
+        if name in found:
+            # parameters refer to the middle of the run
+            found[name] += 0.5 * duration_s
+    first = fit.estimate(AMPLITUDE.key).value
+    if isfinite(first):
+        found["first_amplitude_rad"] = first
+    if run.pendulum is not None:
+        found["load_n"] = run.pendulum.mass_kg * run.pendulum.gravity_m_per_s2
+    return {name: Estimate(value, u.get(name, 0.0)) for name, value in found.items()}
+
+
+def _duration_s(run: RunResults) -> float:
+    time_s = run.stored.time_s
+    return 0.0 if len(time_s) < 2 else float(time_s[-1] - time_s[0])
+
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignValue:
+    """A quantity of a contact at zero effects; ends are those of the 95 % band.
+
+    `without_priors` is the result of the data alone.
+    """
+
+    value: Annotated[float, PART]
+    standard_uncertainty: Annotated[float, PART]
+    lower_95: Annotated[float, PART] = nan
+    upper_95: Annotated[float, PART] = nan
+    without_priors: Annotated[Estimate, PART] = NOT_DETERMINED
+
+    @property
+    def estimate(self) -> Estimate:
+        return Estimate(self.value, self.standard_uncertainty)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignSource:
+    """The contribution of one source to the uncertainty of a contact's quantity, and its share."""
+
+    source: str
+    contribution: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignEffect:
+    """One effect: slope in its coordinate (of b, c and gamma the logarithm) per unit of its form.
+
+    `over_span` is the change over the campaign's span. `chance` is the probability of an effect as large if
+    there is none (`chance_is_limit`: an upper limit, by the number of draws), `seen` whether it is below the
+    5 % level, which all tried effects share. `log_bayes_factor` compares the form with no effect,
+    `probability` follows from it, allowing for the choice among the tried forms; `margin` is the stated
+    negligible size, `equivalent` the probability that the effect over the span is smaller.
+    """
+
+    label: str
+    parameter: str
+    covariate: str
+    form: str
+    reference: float
+    slope: Estimate = NOT_DETERMINED
+    slope_without_priors: Estimate = NOT_DETERMINED
+    lower_95: float = nan
+    upper_95: float = nan
+    over_span: Estimate = NOT_DETERMINED
+    chance: float = nan
+    chance_is_limit: bool = False
+    seen: bool = False
+    log_bayes_factor: float = nan
+    probability: float = nan
+    margin: float | None = None
+    equivalent: float = nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignDifference:
+    """Difference of two contacts at zero effects: first minus second coordinate, with its 95 % band.
+
+    The coordinate of b, c and gamma is the logarithm, of b and gamma at the reference amplitude. Shared
+    inputs cancel. `chance` is the probability of a difference as large if there is none, `seen` whether it is
+    below the 5 % level, which all differences share.
+    """
+
+    first: str
+    second: str
+    parameter: str
+    difference: Estimate
+    lower_95: float
+    upper_95: float
+    chance: float
+    seen: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignRun:
+    """One run: its parameters alone and together with the campaign, and its probability of being bad.
+
+    `likelihood` is the input of the model, in coordinates, made of the results with hash `results_sha256`.
+    `residuals` are deviations from the model in units of the uncertainty of run and scatter.
+    """
+
+    label: str
+    contact: str
+    record: str
+    sha256: str
+    results_sha256: str
+    likelihood: JsonObject
+    alone: Annotated[Mapping[str, Estimate], PART] = field(default_factory=dict)
+    together: Annotated[Mapping[str, Estimate], PART] = field(default_factory=dict)
+    residuals: Mapping[str, float] = field(default_factory=dict)
+    bad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SamplerFindings:
+    """Convergence of the sampler's chains: the worst R-hat, the fewest independent draws, the verdict."""
+
+    worst_r_hat: float
+    fewest_draws: float
+    settled: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignResults:
+    """The contents of campaign.json.
+
+    `between_runs` and `between_contacts` are standard deviations, of b, c and gamma as fractions. `shared`
+    are posteriors of inputs that runs have in common, in their standard uncertainties. `nothing` is the
+    probability that no candidate holds. `draws_that_count` (effective draws) tells how well Laplace's method
+    describes the posterior, `predictive_p` is the probability that runs of the model scatter as much as the
+    real ones. `stated` is the contents of campaign.toml.
+    """
+
+    schema: int = SCHEMA
+    parameters: tuple[str, ...]
+    reference_arcsec: float
+    runs: tuple[CampaignRun, ...]
+    contacts: Annotated[Mapping[str, Mapping[str, CampaignValue]], PART]
+    differences: tuple[CampaignDifference, ...] = ()
+    between_runs: Mapping[str, Estimate] = field(default_factory=dict)
+    between_contacts: Mapping[str, Estimate] = field(default_factory=dict)
+    effects: tuple[CampaignEffect, ...] = ()
+    candidates: tuple[CampaignEffect, ...] = ()
+    nothing: float = nan
+    changes: tuple[ChangePoint, ...] = ()
+    shared: Mapping[str, Estimate] = field(default_factory=dict)
+    budgets: Mapping[str, Mapping[str, tuple[CampaignSource, ...]]] = field(default_factory=dict)
+    draws: int = 0
+    draws_that_count: float = nan
+    predictive_p: float = nan
+    sampler: SamplerFindings | None = None
+    left_out: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    simulated: bool = False
+    stated: JsonObject = field(default_factory=dict)
+
+
+def likelihood_tree(run: CompressedRun) -> JsonObject:
+    """The likelihood of a run as a tree for the file."""
+    return {
+        "names": list(run.names),
+        "values": run.values.tolist(),
+        "covariance": run.covariance.tolist(),
+        "shared": {key: moved.tolist() for key, moved in run.shared.items()},
+        "asymmetry": dict(run.asymmetry),
+        "bounds": {
+            key: {"limit": b.limit, "side": str(b.side), "softness": b.softness}
+            for key, b in run.bounds.items()
+        },
+        "covariates": {key: list(found) for key, found in run.covariates.items()},
+        "by_growth": None if run.by_growth is None else run.by_growth.tolist(),
+        "duration_s": run.duration_s,
+    }

@@ -1,0 +1,323 @@
+"""Display of the declared quantities, their styles in Rerun, and keys read from a terminal."""
+
+import contextlib
+import os
+import re
+import select
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from types import TracebackType
+from typing import IO, TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
+
+from processing.ambient import AmbientConditions
+from processing.number_text import with_uncertainty
+from processing.quantity import Quantity, quantities_of
+from processing.units import ARCSEC_RAD, unit_of_name
+from rig.terminal import palette
+
+if TYPE_CHECKING:
+    from processing.balance import Balance
+    from processing.contact import Parameter
+
+
+_ANGLE = ("arcsec", "rad")
+
+
+@dataclass(frozen=True, slots=True)
+class QuantityDisplay:
+    """Presentation of a quantity: the shown number, in `unit`, is `factor` times the stored value.
+
+    `unit` is empty for a dimensionless quantity.
+    """
+
+    symbol: str
+    unit: str
+    name: str
+    factor: float = 1.0
+
+    @property
+    def label(self) -> str:
+        """Heading of a row, a column or an axis, such as `γ / MPa`."""
+        if not self.unit:
+            return self.symbol
+        return f"{self.symbol} / ({self.unit})" if "/" in self.unit else f"{self.symbol} / {self.unit}"
+
+    def text(self, value: float, u: float) -> str:
+        """Text of a stored value and its standard uncertainty, in the shown unit."""
+        return with_uncertainty(value * self.factor, u * self.factor)
+
+    def in_px(self) -> "QuantityDisplay":
+        """The same quantity for deflections stored in px, without a calibrated lever."""
+        if not self.unit.startswith("arcsec"):
+            return self
+        return replace(self, unit=self.unit.replace("arcsec", "px"), factor=self.factor * ARCSEC_RAD)
+
+
+def quantity(key: str, unit: str = "arcsec") -> QuantityDisplay:
+    """Presentation of the quantity with this key; of an unknown one by the key itself.
+
+    `unit` is the unit of deflections: arcsec, or px without a calibrated lever.
+    """
+    declared = declaration(key)
+    if declared is None:
+        return QuantityDisplay(key.replace("_", " "), "", key.replace("_", " "))
+    si = "" if declared.unit == "1" else declared.unit
+    found = QuantityDisplay(declared.symbol, declared.shown or si, declared.meaning, declared.factor)
+    return found.in_px() if unit == "px" else found
+
+
+def declaration(key: str) -> Quantity | None:
+    """Declaration of the quantity with this key; None for an unknown key."""
+    known = {**quantities_of(AmbientConditions), **quantities_of(PlottedQuantities)}
+    return known[key] if key in known else _balance_quantities().get(key) or _fit_quantities().get(key)
+
+
+def unit_of(key: str) -> str:
+    """SI unit of the quantity with this key, "1" for a plain number; empty for an unknown key."""
+    declared = declaration(key.removeprefix("u_"))
+    return unit_of_name(key) if declared is None else declared.unit
+
+
+@cache
+def _balance_quantities() -> Mapping[str, Quantity]:
+    """Declared quantities of the balance; imported here, because its compiled functions load slowly."""
+    from processing.balance import Balance
+
+    return quantities_of(Balance)
+
+
+@cache
+def _fit_quantities() -> Mapping[str, Quantity]:
+    """Declared quantities of the fits; imported here, so that the viewer without fits starts fast."""
+    from processing.fit import DerivedQuantity, FitQuality, Work
+    from processing.quantity import DecayQuantities, InstrumentQuantities
+
+    parameters = {key: parameter.quantity for key, parameter in law_parameters().items()}
+    kinds = (InstrumentQuantities, DerivedQuantity, FitQuality, Work, DecayQuantities)
+    return {name: one for kind in kinds for name, one in quantities_of(kind).items()} | parameters
+
+
+@cache
+def law_parameters() -> Mapping[str, "Parameter"]:
+    """All parameters of all laws by their keys, and drag and start values, which every fit has."""
+    from processing.contact import AMPLITUDE, DRAG, LAWS, TIME
+
+    own = [p for law in LAWS.values() for p in (*law.parameters, *law.uncalibrated.values())]
+    # a key of several laws has the description of the first law
+    return {parameter.key: parameter for parameter in reversed((*own, DRAG, AMPLITUDE, TIME))}
+
+
+SOURCES: Final[Mapping[str, str]] = {
+    "swings": "half-cycles",
+    "ground": "motion of the ground",
+    "misfit": "model discrepancy",
+    "friction_step": "a step of the friction",
+    "position_errors": "fixed-pattern error",
+    "drifts": "drifts over the run, as fitted",
+    "steeper_drag": "boundary-layer drag",
+    "air": "drag of the air, as known",
+    "mass_kg": "mass",
+    "ball_radius_m": "ball radius R",
+    "gravity_m_per_s2": "local g",
+    "arm_m": "lever arm",
+    "pitch_m": "pixel pitch",
+    "clock": "clock",
+    "ageing": "ageing of the friction",
+    "adhesion_ageing": "ageing of the adhesion",
+    "drag_drift": "drift of the air's drag",
+    "period_drift": "drift of the period (temperature)",
+    "row_time_s": "row time of the shutter",
+    "common_amplitude_rad": "compression of the film, all amplitudes",
+    "plane_of_swing_rad": "plane of swing, as it turned",
+    "flat_youngs_modulus_pa": "E of the flat",
+    "flat_poisson_ratio": "ν of the flat",
+    "ball_youngs_modulus_pa": "E of the ball",
+    "ball_poisson_ratio": "ν of the ball",
+}
+"""Names of the sources of an uncertainty budget."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlottedQuantities:
+    """Quantities plotted by the desk's page; amplitude and period are declared in `Balance`."""
+
+    elapsed_s: Annotated[float, Quantity("t", "time since the record began", "s")]
+    deflection_x: Annotated[float, Quantity("X", "deflection across the swing", *_ANGLE)]
+    deflection_y: Annotated[float, Quantity("Y", "deflection along the swing", *_ANGLE)]
+    amplitude_residual_in_u: Annotated[
+        float, Quantity("(a − fit) / u", "residual of a fit of the amplitudes in u", unit="1")
+    ]
+    period_residual_in_u: Annotated[
+        float, Quantity("(T − fit) / u", "residual of a fit of the periods in u", unit="1")
+    ]
+    sharpness_per_px: Annotated[float, Quantity("sharpness", "larger is sharper", "1/px", "1/px")]
+    level_dn: Annotated[float, Quantity("level", "grey value of a pixel", "DN", "DN")]
+    pixels: Annotated[float, Quantity("lg(1 + pixels)", "pixels of a grey value, as a logarithm", unit="1")]
+
+
+class RerunStyle(NamedTuple):
+    """Name of a quantity's entity in Rerun, its colour, and its panel (empty: in the table only)."""
+
+    entity: str
+    colour: str = palette.GREY
+    panel: str = ""
+
+
+BALANCE_STYLES: Final[Mapping[str, RerunStyle]] = {
+    "period_s": RerunStyle("period"),
+    "amplitude": RerunStyle("amplitude"),
+    "transverse": RerunStyle("transverse", palette.X_COLOUR, "Transverse amplitude"),
+    "transverse_ratio": RerunStyle("transverse_ratio", palette.VERMILLION, "Transverse, width"),
+    "width_ratio": RerunStyle("width_ratio", palette.YELLOW, "Transverse, width"),
+    "line_angle_rad": RerunStyle("line_angle", palette.BLUISH_GREEN, "Tilt of the line"),
+    "rotation_rad_per_s": RerunStyle("rotation", palette.REDDISH_PURPLE, "Rotation of the line"),
+    "rest_x": RerunStyle("rest_x", palette.X_COLOUR, "Rest position X"),
+    "rest_y": RerunStyle("rest_y", palette.Y_COLOUR, "Rest position Y"),
+    "drift_x_per_s": RerunStyle("drift_x", palette.X_COLOUR, "Drift X, Y"),
+    "drift_y_per_s": RerunStyle("drift_y", palette.Y_COLOUR, "Drift X, Y"),
+    "period_ratio": RerunStyle("period_ratio", palette.BLUISH_GREEN, "T_V / T_U"),
+}
+"""Styles by field of `Balance`."""
+
+
+def balance_style(key: str) -> RerunStyle:
+    """Style of a quantity of the balance in Rerun; by default its own name and no panel."""
+    return BALANCE_STYLES.get(key) or RerunStyle(key)
+
+
+def balance_panels(unit: str) -> dict[str, list[str]]:
+    """The entities in each panel, by the panel's title with its unit.
+
+    All quantities of a panel have the same unit; `unit` is that of deflections.
+    """
+    panels: dict[str, list[str]] = {}
+    for key, drawn in BALANCE_STYLES.items():
+        if drawn.panel:
+            title = replace(quantity(key, unit), symbol=drawn.panel).label
+            panels.setdefault(title, []).append(drawn.entity)
+    return panels
+
+
+def balance_numbers(balance: "Balance") -> dict[str, tuple[float, float]]:
+    """Value and standard uncertainty, as stored, of every field of a balance that has a `u_` field."""
+    fields = asdict(balance)
+    return {name: (value, fields[f"u_{name}"]) for name, value in fields.items() if f"u_{name}" in fields}
+
+
+def balance_table(numbers: Mapping[str, tuple[float, float]], unit: str) -> str:
+    """The balance as a table in Markdown; `unit` is that of deflections as shown: arcsec or px."""
+    lines = ["| | value ± u |", "|---|---:|"]
+    for key, (value, u) in numbers.items():
+        shown = quantity(key, unit)
+        lines.append(f"| {shown.label} | {shown.text(value, u)} |")
+    return "\n".join(lines)
+
+
+_SEQUENCES: Final = {b"[A": "up", b"[B": "down", b"[C": "right", b"[D": "left", b"OC": "right", b"OD": "left"}
+_KEY: Final = re.compile(rb"\x1b[\[O][^@-~]*[@-~]|\x1b(?=[^\[O])|[^\x1b]")
+"""An escape sequence, a single escape character before another character, or a character."""
+
+
+class KeyParser:
+    """Converts bytes from a terminal to names of keys: a character, or ``right`` and so on for arrows.
+
+    The bytes of a key may arrive in pieces. ``enter``, ``backspace``, ``space`` and ``escape`` have
+    names; escape sequences of other keys are ignored.
+    """
+
+    def __init__(self) -> None:
+        self._waiting = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        """The keys that these bytes complete."""
+        self._waiting += data
+        keys: list[str] = []
+        while (found := _KEY.match(self._waiting)) is not None:
+            key, self._waiting = found[0], self._waiting[found.end() :]
+            if not key.startswith(b"\x1b"):
+                keys.append(_name(key.decode("latin-1")))
+            elif name := _SEQUENCES.get(key[1:], "escape" if len(key) == 1 else ""):
+                keys.append(name)
+        return keys
+
+    def flush(self) -> list[str]:
+        """Complete the last key if nothing follows: a single escape character is the key ``escape``."""
+        alone = self._waiting == b"\x1b"
+        self._waiting = b""
+        return ["escape"] if alone else []
+
+
+class Keys:
+    """Context manager that reads keys from the terminal at the standard input, if there is one.
+
+    `available` is True if keys can be read: this process is in the foreground of a terminal. The settings
+    of the terminal are restored at the end.
+    """
+
+    def __init__(self, stream: IO[Any] | None = None) -> None:
+        stream = sys.stdin if stream is None else stream
+        self._descriptor = -1
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            number = stream.fileno()
+            if os.isatty(number) and _in_foreground(number):
+                self._descriptor = number
+        self._parser = KeyParser()
+        self._before: list[Any] | None = None
+
+    @property
+    def available(self) -> bool:
+        return self._descriptor >= 0
+
+    def __enter__(self) -> Self:
+        if self.available:
+            import termios
+            import tty
+
+            self._before = termios.tcgetattr(self._descriptor)
+            tty.setcbreak(self._descriptor)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._before is not None:
+            import termios
+
+            with contextlib.suppress(termios.error):
+                termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
+
+    def pressed(self, wait_s: float) -> list[str]:
+        """Keys pressed since the last call; waits at most `wait_s` for the first one."""
+        if not self.available:
+            time.sleep(max(wait_s, 0.0))
+            return []
+        ready, _, _ = select.select([self._descriptor], [], [], max(wait_s, 0.0))
+        if not ready:
+            return self._parser.flush()
+        try:
+            data = os.read(self._descriptor, 1024)
+        except OSError:
+            data = b""
+        if not data:
+            # the terminal was closed; no more keys
+            self._descriptor = -1
+        return self._parser.feed(data)
+
+
+def _name(character: str) -> str:
+    names = {"\n": "enter", "\r": "enter", "\x7f": "backspace", "\b": "backspace", " ": "space"}
+    return names.get(character, character)
+
+
+def _in_foreground(number: int) -> bool:
+    """Whether this process may change the terminal; a background process would be stopped."""
+    if os.name != "posix":
+        return False
+    try:
+        return os.tcgetpgrp(number) == os.getpgrp()
+    except OSError:
+        # not the controlling terminal of this process, which therefore cannot stop it
+        return True

@@ -1,0 +1,139 @@
+"""`rig calibrate air`: runs with vanes, the file that they make, and a fit that uses it."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calibration import read_calibration
+from processing.errors import ConfigurationError, DataError
+from rig.analysis import AnalysedRun, analyse_record, remarks
+from rig.instrument import complete
+from rig.measure.session import simulate_record
+from rig.prepare import Filing, calibrate_air, vanes_to_cut
+from rig.settings import validate_configuration
+
+DRAG_S = 1.7e-3
+fitted_once = cache(analyse_record)
+
+
+def configuration(area_m2: float, **sections: Any) -> Any:
+    simulation = {
+        "max_duration_s": 130.0,
+        "seed": round(1 + 1000 * area_m2),
+        "contact": {"drag_s": DRAG_S, "vane_area_m2": area_m2},
+        "fast": {"amplitude_arcsec": 0.0},
+        "ground": {"model": "none"},
+        "sensor": {"width_px": 96},
+        "clock": {"frame_rate_hz": 25.0},
+    }
+    record = {"windows": False, "full_frame_interval_s": 1000.0}
+    tree = {"camera": {"driver": "simulated"}, "simulation": simulation, "record": record, **sections}
+    return validate_configuration(tree, "test")
+
+
+@pytest.fixture(scope="module")
+def vanes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run without vanes, one with, and their list."""
+    folder = tmp_path_factory.mktemp("vanes")
+    lines = []
+    for number, area_m2 in enumerate((0.0, 0.1)):
+        record = folder / f"{number}.mcap"
+        assert simulate_record(configuration(area_m2), folder / "none.toml", record) == 0
+        lines += ["[[run]]", f"record = '{record.name}'", f"area_m2 = {area_m2}"]
+    (folder / "vanes.toml").write_text("\n".join(lines))
+    return folder / "vanes.toml"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("verdicts")
+def test_the_drag_is_measured_filed_and_used(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.prepare.lever.analyse_record", fitted_once)
+    path = calibrate_air(vanes, Filing(tmp_path / "c", 30, "A. Person"))
+    found = read_calibration(path, "air")
+    drag_s, u_drag_s = found.values["drag_s"], found.values["u_drag_s"]
+    assert abs(drag_s - DRAG_S) < 4 * u_drag_s < 0.5 * DRAG_S
+    assert found.method == "2 runs, 2 areas of vanes"
+    assert [source.name for source in found.sources] == ["vanes.toml", "0.mcap", "1.mcap"]
+    assert any("at three" in note for note in found.notes)
+    assert found.details["expected_drag_s"] == pytest.approx(DRAG_S, rel=0.2)
+    stated = configuration(0.0, calibration={"air": str(path)})
+    fit = complete(stated).fit
+    assert (fit.drag_s, fit.u_drag_s) == (drag_s, u_drag_s)
+    assert complete(complete(stated)) == complete(stated), "as a record's configuration is"
+    open_fit = complete(configuration(0.0, calibration={"air": str(path)}, fit={"drag": "open"})).fit
+    assert open_fit.drag_s is None, "open by name holds"
+    other = {"drag_s": 1e-3, "u_drag_s": 1e-5}
+    with pytest.raises(ConfigurationError, match="leave one of them out"):
+        complete(configuration(0.0, calibration={"air": str(path)}, fit=other))
+    measured = [f"fit.drag_s={drag_s}", f"fit.u_drag_s={u_drag_s}"]
+    results = analyse_record(vanes.parent / "0.mcap", measured)
+    assert results.drag is not None
+    assert results.drag.known_s is not None
+    assert results.drag.known_s.value == drag_s
+    assert results.drag.drag_s.standard_uncertainty < u_drag_s
+    assert any("drag" in line for line in remarks(results))
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ("[[run]]\nrecord = '0.mcap'\narea_m2 = 0.0", "two different areas or pressures"),
+        ("[[run]]\nrecord = '0.mcap'", "either area_m2 or pressure_pa"),
+        (
+            "[[run]]\nrecord = '0.mcap'\narea_m2 = 0.1\n[[run]]\nrecord = '1.mcap'\npressure_pa = 9e4",
+            "area_m2 of every",
+        ),
+        (
+            "[[run]]\nrecord = '0.mcap'\narea_m2 = 0.1\n[[run]]\nrecord = 'no.mcap'\narea_m2 = 0",
+            "no.mcap: no such record",
+        ),
+    ],
+)
+def test_what_cannot_serve_is_said_in_one_line(vanes: Path, tmp_path: Path, lines: str, said: str) -> None:
+    path = vanes.parent / "wrong.toml"
+    path.write_text(lines)
+    with pytest.raises(ConfigurationError) as caught:
+        calibrate_air(path, Filing(tmp_path / "c"))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.slow
+def test_a_run_too_short_for_the_waveform_is_refused(
+    vanes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As short runs are fitted: without the evidence of the waveform."""
+
+    def short(record: Path, *, air_known: bool) -> AnalysedRun:
+        run = fitted_once(record, air_known=air_known)
+        fit = run.fitted["exact"]
+        without = replace(fit, evidence=replace(fit.evidence, waveform=None))
+        return replace(run, fitted={**run.fitted, "exact": without})
+
+    monkeypatch.setattr("rig.prepare.lever.analyse_record", short)
+    with pytest.raises(DataError, match="too short for the waveform"):
+        calibrate_air(vanes, Filing(tmp_path / "c"))
+    assert not (tmp_path / "c").exists()
+
+
+def test_vanes_are_advised_and_asked_for() -> None:
+    config = complete(configuration(0.0))
+    advised = vanes_to_cut(config, 4.071)
+    assert advised is not None
+    # half of the paper's pendulum, 0.55 m; what they add follows from Stokes's oscillating wall
+    assert advised.distance_m == pytest.approx(0.27, abs=0.02)
+    assert 0.03 < advised.area_m2 < 0.1
+    # air that nobody has stated is that of an ordinary room
+    room = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
+    stated = vanes_to_cut(complete(configuration(0.0, environment=room)), 4.071)
+    thin = vanes_to_cut(complete(configuration(0.0, environment=room | {"pressure_pa": 6e4})), 4.071)
+    assert stated is not None
+    assert thin is not None
+    assert advised.area_m2 == pytest.approx(stated.area_m2, rel=1e-3)
+    assert thin.area_m2 != pytest.approx(stated.area_m2, rel=1e-2)

@@ -1,0 +1,346 @@
+"""`rig compare --model`: from folders, or an archive, to campaign.json, page, tables and figures."""
+
+import datetime
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from processing.errors import ConfigurationError
+from processing.units import ARCSEC_RAD
+from rig.analysis import read_results
+from rig.archive import ordered_runs
+from rig.archive.listing import write_sessions, writing
+from rig.report import StatedCampaign, fit_model, read_campaign, runs_of_folders
+from rig.report.campaign_input import FoundRun
+from rig.report.campaign_page import effects_table
+from rig.report.likelihoods import compress
+from tests.rig.command_line import rig
+from tests.rig.report.made_sessions import (
+    ENERGY_OVER_C,
+    GLASS,
+    NAMES,
+    U_ARM_M,
+    humid_campaign,
+    run,
+    session,
+    twice,
+)
+
+SAMPLES = Path(__file__).parents[1] / "data" / "samples"
+STATED = """
+parameters = ["b", "p", "c"]
+change_points = ["b"]
+
+[[effect]]
+parameter = "c"
+covariate = "humidity_percent"
+form = "linear"
+reference = 45
+
+[[candidate]]
+parameter = "b"
+covariate = "order"
+form = "linear"
+
+[u]
+humidity_percent = 1.0
+"""
+
+
+@pytest.mark.slow
+def test_from_folders_to_the_files_of_a_paper(tmp_path: Path) -> None:
+    humid_campaign(tmp_path, slope=-0.03, bad=True)
+    (tmp_path / "campaign.toml").write_text(STATED)
+    done = rig(
+        "compare", "monday", "tuesday", "--model", "campaign.toml", "-o", "out", cwd=tmp_path, figures=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "tuesday/run-2 is a bad run" in done.stderr + done.stdout
+    tree = json.loads((tmp_path / "out" / "campaign.json").read_text())
+    (effect,) = tree["effects"]
+    value, u = effect["slope"]["value"], effect["slope"]["standard_uncertainty"]
+    assert abs(value + 0.03) < 3 * u < 0.015
+    assert effect["seen"]
+    assert tree["nothing"] > 0.5
+    assert [run["bad"] > 0.9 for run in tree["runs"]].count(True) == 1
+    results = read_results(tmp_path / "monday")
+    assert tree["runs"][0]["sha256"] == results.runs[0].sha256
+    assert set(tree["contacts"]["monday"]) == {"b", "p", "c", "surface_energy_table2_j_per_m2"}
+    files = tmp_path / "out" / "campaign"
+    for name in ("covariates", "residuals"):
+        assert (files / f"{name}.svg").stat().st_size > 5_000
+    assert r"\begin{tabular}" in (files / "contacts.tex").read_text()
+    page = (tmp_path / "out" / "campaign.html").read_text()
+    assert "What limits the answer now" in page
+    assert "without priors" in page
+    again = rig("compare", "monday", "--model", "default", "-o", "out", cwd=tmp_path)
+    assert again.returncode == 2
+    assert "exists already" in again.stderr
+
+
+def test_what_the_arm_does_counts_once(tmp_path: Path) -> None:
+    """c goes as the arm, which is known to 0.1 %: here made so uncertain that it is all that counts."""
+    for count in (4, 16):
+        (folder,) = humid_campaign(tmp_path / str(count), slope=0.0, count=count)[:1]
+        found = fit_model(runs_of_folders([folder]), StatedCampaign(parameters=("c",)))
+        shared = found.results.shared["arm_m"]
+        assert shared.standard_uncertainty == pytest.approx(1.0, abs=0.12)
+        parts = {one.source: one.contribution for one in found.results.budgets["monday"]["c"]}
+        assert parts["arm_m"] == pytest.approx(U_ARM_M, rel=0.25)
+
+
+def test_the_energy_is_that_of_c_with_the_inputs_of_both(tmp_path: Path) -> None:
+    folders = humid_campaign(tmp_path, slope=0.0)
+    found = fit_model(runs_of_folders(folders), StatedCampaign(parameters=("c",)))
+    for values in found.results.contacts.values():
+        c, energy = values["c"], values["surface_energy_table2_j_per_m2"]
+        assert energy.value == pytest.approx(ENERGY_OVER_C * c.value, rel=2e-3)
+        assert abs(c.value - GLASS[2]) < 4 * c.standard_uncertainty
+
+
+def test_what_runs_share_cancels_between_contacts(tmp_path: Path) -> None:
+    """The second contact is rougher by 5 %: the arm that both share is no part of the doubt."""
+    rng, rough = np.random.default_rng(4), GLASS.copy()
+    rough[[0, 2]] *= np.exp([0.05, 0.5])
+    folders = [
+        session(tmp_path / name, [run(number, truth, rng) for number in range(1, 9)])
+        for name, truth in (("smooth", GLASS), ("rough", rough))
+    ]
+    found = fit_model(runs_of_folders(folders), StatedCampaign(parameters=("b", "p", "c"))).results
+    by = {one.parameter: one for one in found.differences}
+    for name, truth in (("b", -0.05), ("p", 0.0), ("c", -0.5)):
+        value, u = by[name].difference
+        assert abs(value - truth) < 3 * u
+        assert by[name].lower_95 < value < by[name].upper_95
+    assert [by[name].seen for name in ("b", "p", "c")] == [True, False, True]
+    # 8 runs of 10 % each and their scatter, without the arm's own u
+    assert by["c"].difference.standard_uncertainty < 0.12
+
+
+def test_a_likelihood_is_that_of_its_results() -> None:
+    one = run(1, GLASS, np.random.default_rng(3))
+    likelihood, problem = compress(
+        FoundRun(label="run-1", contact="glass", results_sha256="", run=one), 60 * ARCSEC_RAD, {}
+    )
+    assert likelihood is not None
+    assert not problem
+    assert likelihood.names == NAMES
+    fit = one.fits["exact"]
+    for name, relative in (("c", 0.1), ("p", 0.001 * 0.944)):
+        assert likelihood.u(name) == pytest.approx(
+            fit.estimate(name).standard_uncertainty / (fit.estimate(name).value if name == "c" else 1),
+            rel=0.01,
+        ), relative
+    # a longer arm than was thought makes the values as they are seen too large
+    assert likelihood.shared["arm_m"][2] == pytest.approx(U_ARM_M, rel=1e-6)
+    assert likelihood.covariates["humidity_percent"].value == 45.0
+
+
+def test_short_sessions_can_enter() -> None:
+    found = fit_model(
+        runs_of_folders([SAMPLES / "series", SAMPLES / "first"]), StatedCampaign(parameters=("p",))
+    )
+    assert len(found.results.runs) + len(found.results.left_out) >= 2
+    assert 0.9 < found.results.contacts["series"]["p"].value < 1.0
+
+
+def test_without_priors_stands_beside(tmp_path: Path) -> None:
+    folders = humid_campaign(tmp_path, slope=0.0)
+    stated = StatedCampaign.model_validate({"parameters": ["p"], "prior": {"p": {"value": 0.96, "u": 1e-4}}})
+    value = fit_model(runs_of_folders(folders), stated).results.contacts["monday"]["p"]
+    assert value.value > 0.955
+    assert value.without_priors.value == pytest.approx(0.944, abs=0.002)
+
+
+EFFECT = '[[effect]]\nparameter = "c"\nform = "linear"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('parameters = ["q"]', "parameters: there is no 'q'"),
+        ('[[effect]]\nparameter = "c"\nform = "linear"', "covariate: is missing"),
+        ('[[effect]]\nparameter = "c"\nform = "cubic"\ncovariate = "order"', "effect 1: form"),
+        (
+            '[[effect]]\nparameter = "c"\nform = "linear"\ncovariate = "phase_of_moon"',
+            "there is no covariate 'phase_of_moon'; a campaign has humidity_percent",
+        ),
+        (EFFECT + 'covariate = "pressure_pa"', "pressure_pa: known of 0"),
+        (EFFECT + 'covariate = "order"\nreference = nan', "effect 1: reference"),
+        (
+            EFFECT + 'covariate = "order"\ncontact = "tuesday"',
+            "'tuesday': no such contact; the runs",
+        ),
+        (2 * (EFFECT + 'covariate = "order"\n'), "effect: the same is stated twice"),
+        ('parameters = ["c", "c"]', "parameters: the same is stated twice"),
+        ("[u]\nhumidity_percent = nan", "u.humidity_percent"),
+        ("[u]\nhumidity_percent = -2.0", "u.humidity_percent"),
+        ("[u]\nhumidty = 2.0", "there is no covariate 'humidty'"),
+        ("[size]\nb = -0.5", "size.b"),
+        ("[size]\nbb = 0.5", "size.bb: there is no such parameter"),
+        ("[prior.p]\nvalue = 1", "prior.p.u: is missing"),
+        ("draw = 3", "draw: unknown key; did you mean draws?"),
+    ],
+)
+def test_what_is_stated_wrongly_is_said_in_a_line(tmp_path: Path, text: str, said: str) -> None:
+    session(
+        tmp_path / "monday",
+        [run(1, GLASS, np.random.default_rng(1)), run(2, GLASS, np.random.default_rng(2))],
+    )
+    (tmp_path / "campaign.toml").write_text(text)
+    done = rig("compare", "monday", "--model", "campaign.toml", cwd=tmp_path)
+    assert done.returncode in (1, 2)
+    assert said in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_growth_within_runs_that_is_not_known_is_said_and_so_is_a_bad_run(tmp_path: Path) -> None:
+    folders = humid_campaign(tmp_path, bad=True)
+    growing = {"parameters": ["b", "p", "c"], "effect": [{"parameter": "friction", "form": "during"}]}
+    found = fit_model(runs_of_folders(folders), StatedCampaign.model_validate(growing))
+    assert "rig fit --set fit.u_ageing=0.01" in " ".join(found.results.warnings)
+    bad = [warning.split(" is a bad run ")[0] for warning in found.results.warnings if "bad run" in warning]
+    assert bad == ["tuesday/run-2"]
+
+
+def test_what_some_runs_were_measured_under_is_not_known_is_said(tmp_path: Path) -> None:
+    """Half of the humidities were guessed without a word."""
+    rng = np.random.default_rng(5)
+    runs = [run(number, GLASS, rng, humidity_percent=30.0 + 5 * number) for number in range(1, 7)]
+    runs[3:] = [replace(one, surroundings=None) for one in runs[3:]]
+    folder = session(tmp_path / "monday", runs)
+    path = tmp_path / "campaign.toml"
+    path.write_text(STATED)
+    found = fit_model(runs_of_folders([folder]), read_campaign(path)).results
+    (said,) = [warning for warning in found.warnings if "humidity" in warning]
+    assert said.startswith("humidity_percent is not known of 3 of 6 runs (monday/run-4, monday/run-5, ")
+    path.write_text('parameters = ["c"]')
+    found = fit_model(runs_of_folders([folder]), read_campaign(path)).results
+    assert not any("humidity" in warning for warning in found.warnings)
+
+
+def test_a_chance_below_that_of_one_draw_is_a_limit(tmp_path: Path) -> None:
+    """An effect of 12 u had "a chance of 0.0045": one over the draws that count, of which none lay beyond."""
+    path = tmp_path / "campaign.toml"
+    path.write_text(STATED)
+    chances = {}
+    for slope in (-0.06, 0.0):
+        folders = humid_campaign(tmp_path / str(slope), slope=slope, count=10)
+        found = fit_model(runs_of_folders(folders), read_campaign(path)).results
+        table = effects_table(found)
+        assert table is not None
+        chances[slope] = str(table.shown[0][2])
+        assert found.effects[0].chance_is_limit == (slope != 0)
+    assert chances[-0.06].startswith("< ")
+    assert not chances[0.0].startswith("<")
+
+
+def test_a_folder_that_is_named_twice_counts_once(tmp_path: Path) -> None:
+    """Both had one label, so that nothing was noticed, and uncertainties were too small by sqrt(2)."""
+    folder = session(tmp_path / "monday", [run(1, GLASS, np.random.default_rng(6))])
+    for again in (folder, folder / "results.json", tmp_path / "monday" / ".." / "monday"):
+        named = r"run-1: (its folder is named twice|is the run of .*run-1 \(same hash\))"
+        with pytest.raises(ConfigurationError, match=named):
+            runs_of_folders([folder, again])
+
+
+def test_a_run_counts_once(tmp_path: Path) -> None:
+    first = run(1, GLASS, np.random.default_rng(1))
+    folder = session(tmp_path / "monday", [first, twice(first)])
+    with pytest.raises(ConfigurationError, match=r"monday/run-9: is the run of monday/run-1 \(same hash\)"):
+        runs_of_folders([folder])
+
+
+def test_a_campaign_of_nothing_is_refused(tmp_path: Path) -> None:
+    for words, said in (
+        ((), "rig compare --model needs runs"),
+        (("no-folder",), "no-folder: no such file or folder"),
+        (("--where", "b > 0"), "needs runs"),
+    ):
+        done = rig("compare", "--model", "default", *words, cwd=tmp_path)
+        assert done.returncode == 2
+        assert said in done.stderr
+
+
+def test_the_stated_file_is_read(tmp_path: Path) -> None:
+    (tmp_path / "campaign.toml").write_text(STATED)
+    stated = read_campaign(tmp_path / "campaign.toml")
+    assert stated.effect[0].covariate == "humidity_percent"
+    assert stated.u == {"humidity_percent": 1.0}
+
+
+@pytest.mark.slow
+def test_runs_of_an_archive(tmp_path: Path) -> None:
+    for name in ("first", "series"):
+        shutil.copytree(SAMPLES / name, tmp_path / name)
+    added = rig("archive", "add", "first", "series", "--archive", "catalogue", cwd=tmp_path)
+    assert added.returncode == 0, added.stderr
+    (tmp_path / "campaign.toml").write_text('parameters = ["p"]')
+    words = ("compare", "--archive", "catalogue", "--model", "campaign.toml")
+    done = rig(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "2 runs" in done.stdout
+    none = rig(*words, "--where", "b > 1e9", cwd=tmp_path)
+    assert none.returncode == 2
+    assert "no run with results meets it" in none.stderr
+
+
+def test_runs_of_an_archive_are_in_the_order_of_their_beginnings(tmp_path: Path) -> None:
+    """A session whose clock was set back between its runs 9 and 10 is not turned round."""
+    evening = datetime.datetime(2024, 2, 28, 23, 0)
+    begun_h = {f"b/run-{n}": n / 3 if n < 10 else n / 3 - 1 for n in range(1, 13)}
+    begun_h |= {"a/run-1": 0.0, "a/run-2": 26.0, "c/run-1": None}
+    rows = []
+    for number, (name, hours) in enumerate(begun_h.items()):
+        folder, run = name.split("/")
+        began = None if hours is None else (evening + datetime.timedelta(hours=hours)).isoformat()
+        rows.append({"sha256": f"{number}", "folder": folder, "run": run, "began_utc": began, "results": "x"})
+    with writing(tmp_path / "archive.duckdb") as connection:
+        write_sessions(connection, {"a": "", "b": "", "c": ""}, rows)
+    found = ordered_runs(tmp_path / "archive.duckdb", "")
+    runs = [f"{row[3]}/{row[1]}" for row in found]
+    assert runs == ["a/run-1", *(f"b/run-{n}" for n in range(1, 13)), "a/run-2", "c/run-1"]
+
+
+def test_sessions_of_one_sample_are_one_contact(tmp_path: Path) -> None:
+    folders = humid_campaign(tmp_path / "runs")
+    for folder in folders:
+        tree = {"configuration": {"session": {"sample": "K8"}}}
+        (folder / "session.json").write_text(json.dumps(tree))
+    assert {one.contact for one in runs_of_folders(folders)} == {"monday", "tuesday"}
+    found = runs_of_folders(folders, by_sample=True)
+    assert {one.contact for one in found} == {"K8"}
+    assert len({one.label for one in found}) == 12
+    done = rig("compare", *folders, "--model", "default", "--by-sample")
+    assert done.returncode == 0, done.stderr
+    assert "\nK8 " in done.stdout
+    (folders[0] / "session.json").unlink()
+    done = rig("compare", *folders, "--model", "default", "--by-sample")
+    assert done.returncode == 2
+    assert "session.json: names no sample" in done.stderr
+
+
+def test_a_night_is_one_contact(tmp_path: Path) -> None:
+    humid_campaign(tmp_path / "night")
+    found = runs_of_folders([tmp_path / "night"])
+    assert {one.contact for one in found} == {"night"}
+    assert [found[0].label, found[-1].label] == ["night/monday/run-1", "night/tuesday/run-6"]
+    assert "night" in rig("compare", tmp_path / "night", "--model", "default").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--where", "b > 0"], "has no effect without --archive"),
+        (["--archive", "a"], "exclude each other"),
+    ],
+)
+def test_names_that_exclude_each_other_are_refused(tmp_path: Path, words: list[str], message: str) -> None:
+    folder = humid_campaign(tmp_path)[0]
+    done = rig("compare", folder, "--model", "default", *words)
+    assert done.returncode == 2
+    assert message in done.stderr
