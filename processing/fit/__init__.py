@@ -5,7 +5,7 @@ from processing.fit.asymptotic import fit_asymptotic
 from processing.fit.changes import DRIFTS, drift_effects, drift_term, with_changes
 from processing.fit.determination import Determination, identifiability
 from processing.fit.drag import Drag, DragFinding, boundary_layer_drag, drag_verdict, with_boundary_layer_drag
-from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, sine_covariance, waveform_of
+from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.exact_result import domain_warnings
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step

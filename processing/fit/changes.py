@@ -8,7 +8,7 @@ friction, a step of the period. Each is judged by the restricted likelihood, wit
 estimated anew, and counts where no smooth error of the law explains the decay as well.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import log, pi
 from typing import NamedTuple
@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import DRAG, PendulumOnBall
+from processing.contact import DRAG
 from processing.decay_summary import mean_period
 from processing.fit.exact_model import ExactModel, LawErrors
 from processing.fit.ground import Noise
 from processing.fit.result import FITTED_DRIFTS, FRICTION_STEP, Change, ChangeKind, FitResult
 from processing.fit.terms import DrivenRows, LinearisedFit, Term
 from processing.least_squares import FactoredJacobian
-from processing.swing import TurningPoints
+from processing.noise_models import robust_scatter
 
 _GROWTH_STEP = 1e-3
 """Relative growth of a friction by which the derivatives of its harmonics are taken."""
@@ -34,71 +34,53 @@ constant friction c, of the drag and of the period from the first turning point 
 They have different causes, and one of them alone moves parameters that all together would leave in place."""
 
 
-class LossShare:
-    """Share of a half-swing's loss, from 0 to 1, as a function of the amplitude in units of the reference."""
+def loss_shares(model: ExactModel, columns: Floats) -> Callable[[Floats], Floats]:
+    """Shares of a half-swing's loss, as a function of amplitudes (n,) in units of the reference.
 
-    def __init__(self, amplitude: Floats, share: Floats) -> None:
-        self._log_amplitude, self._share = np.log(amplitude[::-1]), np.clip(share, 0.0, 1.0)[::-1]
-
-    def __call__(self, amplitude: Floats) -> Floats:
-        return np.interp(np.log(amplitude), self._log_amplitude, self._share)
-
-
-def contact_share(model: ExactModel, columns: Floats) -> LossShare:
-    """The contact's share of the loss; the drag takes ``A w0 drag pi / 2`` in a half-swing."""
-    values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
-    of_air = pi**2 * values.get(DRAG.key, 0.0) / values["period0_s"]
-    amplitude, loss = model.losses(columns)
-    return LossShare(amplitude, 1.0 - of_air * amplitude / loss)
-
-
-def adhesion_share(model: ExactModel, columns: Floats) -> LossShare:
-    """Share of the loss that the constant friction takes, ``2 c`` in a half-swing at any amplitude."""
-    values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
-    amplitude, loss = model.losses(columns)
-    return LossShare(amplitude, 2.0 * values.get("c", 0.0) / model.reference / loss)
-
-
-def drift_effects(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
-) -> dict[str, Floats]:
-    """Derivatives (parameters,) of the contact parameters of an exact fit of these points by `DRIFTS`.
-
-    The parameters refer to the middle of the run. Raises DataError for a fit by another method.
+    The rows (2, n) are the contact's share and that of its constant friction. The drag takes
+    ``A w0 drag pi / 2`` in a half-swing, the constant friction ``2 c`` at any amplitude.
     """
-    at = LinearisedFit.of(points, pendulum, fit)
+    values = model.values(columns)
+    amplitude, loss = model.losses(columns)
+    of_air = pi**2 * values.get(DRAG.key, 0.0) / values["period0_s"] * amplitude / loss
+    of_adhesion = 2.0 * values.get("c", 0.0) / model.reference / loss
+    shares = np.clip([1.0 - of_air, of_adhesion], 0.0, 1.0)[:, ::-1]
+    log_amplitude = np.log(amplitude[::-1])
+    return lambda x: np.array([np.interp(np.log(x), log_amplitude, share) for share in shares])
+
+
+def drift_effects(at: LinearisedFit) -> dict[str, Floats]:
+    """Derivatives (parameters,) of the contact parameters of an exact fit by `DRIFTS`.
+
+    The parameters refer to the middle of the run.
+    """
     return dict(zip(DRIFTS, at.moved_by(-drift_term(at).columns).T, strict=True))
 
 
 def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -> Term:
     """The term of `DRIFTS` about zero; without `u_drifts` they have no prior."""
-    noise = at.model.noise_of(at.fit)
-    columns = drift_jacobians(at.model, at.coordinates, noise, at.scale)[1]
+    rows = rows_with_drifts(at.model, at.coordinates, at.noise)
     prior = np.inf if u_drifts is None else np.array([u_drifts.get(name, 0.0) for name in DRIFTS])
-    return Term(FITTED_DRIFTS, columns, prior)
+    return Term(FITTED_DRIFTS, rows.in_scatter(at.scale).by_errors, prior)
 
 
-def drift_jacobians(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
-    """Derivatives of the residuals by the columns and by `DRIFTS`, of turning points that scatter `scale`
-    times as much as stated."""
-    values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
-    contact, adhesion = contact_share(model, columns), adhesion_share(model, columns)
+def rows_with_drifts(model: ExactModel, columns: Floats, noise: Noise) -> DrivenRows:
+    """The rows of a model for a drive, with their derivatives by `DRIFTS`."""
+    shares = loss_shares(model, columns)
     lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
 
     def of_loss(amplitude: Floats, time_s: Floats) -> Floats:
-        of_contact, of_adhesion = contact(amplitude), adhesion(amplitude)
+        of_contact, of_adhesion = shares(amplitude)
         parts = np.column_stack([of_contact - of_adhesion, of_adhesion, 1.0 - of_contact])
         return np.asarray(parts * _since_middle(time_s, lasting_s)[:, None])
 
     def slower(_: Floats, time_s: Floats) -> Floats:
         return _since_middle(time_s, lasting_s)[:, None]
 
-    found = model.filtered(columns, noise, errors=LawErrors(of_loss, slower))
-    beside = model.evidence_rows(columns)[1]
-    of_waveform = np.zeros((len(beside), len(DRIFTS)))
+    of_waveform = np.zeros((len(model.evidence_rows(columns)[0]), len(DRIFTS)))
     waveform = model.evidence.waveform
     if waveform is not None and model.pendulum is not None:
-        amplitude = waveform.amplitude_rad / model.reference
+        amplitude, values = waveform.amplitude_rad / model.reference, model.values(columns)
         passed_s = np.interp(-amplitude, -model.points.amplitude / model.reference, model.points.time_s)
         since = _since_middle(passed_s - model.points.time_s[0], lasting_s)[:, None]
         here = waveform.predicted_rad(model.law, values, model.pendulum)
@@ -107,9 +89,7 @@ def drift_jacobians(model: ExactModel, columns: Floats, noise: Noise, scale: flo
             moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWTH_STEP
             reduced = waveform.reduced(since * moved)
             of_waveform[: len(reduced), column] = reduced
-    law = len(columns)
-    jacobian = np.concatenate([found.jacobian[:, :law] / scale, beside])
-    return jacobian, np.concatenate([found.jacobian[:, law:] / scale, of_waveform])
+    return DrivenRows.of(model, columns, noise, LawErrors(of_loss, slower), of_waveform)
 
 
 def _since_middle(time_s: Floats, lasting_s: float) -> Floats:
@@ -158,7 +138,7 @@ def with_changes(
 
 
 def _scans(at: LinearisedFit) -> list["_ChangeScan"]:
-    own = at.model.noise_of(at.fit)
+    own = at.noise
     step = own.step if own.step > 0 else 1e-3 * float(np.median(at.model.u_amplitude))
     found = (_ChangeScan.of(at, replace(own, step=share * step)) for share in _DRIVE_FACTORS)
     return [scan for scan in found if scan is not None]
@@ -222,7 +202,7 @@ class _ChangeScan:
     def __init__(self, at: LinearisedFit, noise: Noise, rows: DrivenRows) -> None:
         self._at, self._noise = at, noise
         model = at.model
-        self._contact = contact_share(model, at.coordinates)
+        self._shares = loss_shares(model, at.coordinates)
         self._nodes, self._loss = model.losses(at.coordinates)
         time_s = model.points.time_s - model.points.time_s[0]
         # a change lies between the half-cycle before its place and the one at it
@@ -230,7 +210,7 @@ class _ChangeScan:
         self._rate = 2 * pi / mean_period(model.points)
         self._amplitude = model.points.amplitude[_EDGE:] / model.reference
         # by the median, which a change hardly moves: it must not hide in a scatter that it makes
-        self._scale = max(1.0, float(np.median(np.abs(rows.residuals[: rows.points]))) / 0.6745)
+        self._scale = max(1.0, robust_scatter(rows.residuals[: rows.points], middle=0.0))
         rows = rows.in_scatter(self._scale)
         self._law = FactoredJacobian(rows.jacobian)
         self._taken: list[FactoredJacobian] = []
@@ -242,7 +222,7 @@ class _ChangeScan:
         """None where the filter has no value for this drive, or there is no place to look at."""
         if len(at.points) <= 2 * _EDGE:
             return None
-        rows = at.driven(noise)
+        rows = DrivenRows.of(at.model, at.coordinates, noise)
         return cls(at, noise, rows) if np.all(np.isfinite(rows.residuals)) else None
 
     def hidden_friction(self, u_size: float, explained: float) -> Floats:
@@ -275,7 +255,7 @@ class _ChangeScan:
 
         def of_loss(amplitude: Floats, node_s: Floats) -> Floats:
             knock = _impulses(node_s, here_s) / np.interp(-amplitude, -self._nodes, self._loss)[:, None]
-            after = (node_s[:, None] > here_s) * self._contact(amplitude)[:, None]
+            after = (node_s[:, None] > here_s) * self._shares(amplitude)[0][:, None]
             return np.column_stack([knock, after])
 
         def of_duration(_: Floats, node_s: Floats) -> Floats:
@@ -283,7 +263,8 @@ class _ChangeScan:
             knock = _impulses(node_s, here_s) / lasting[:, None]
             return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
 
-        changes = self._at.driven(self._noise, LawErrors(of_loss, of_duration)).by_errors / self._scale
+        at, errors = self._at, LawErrors(of_loss, of_duration)
+        changes = DrivenRows.of(at.model, at.coordinates, self._noise, errors).by_errors / self._scale
         if not whole:
             changes = self._law.left(changes)
             for taken in self._taken:

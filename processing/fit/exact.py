@@ -306,8 +306,7 @@ def start_near(model: ExactModel, fit: FitResult | None) -> Iterator[Floats]:
     """The parameters of an earlier fit as a start, where the map then reaches the last half-cycle."""
     if fit is None:
         return
-    values = {DRAG.key: 0.0} | {name: fit.estimate(name).value for name in fit.names}
-    columns = _inside(model, model.columns.from_physical(values))
+    columns = _inside(model, model.columns.from_physical({DRAG.key: 0.0} | fit.named_values))
     if np.all(np.isfinite(model(columns)[0])):
         yield columns
 

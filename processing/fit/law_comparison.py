@@ -61,8 +61,7 @@ def prior(fit: FitResult, pendulum: PendulumOnBall, name: str) -> tuple[float, f
         return value, _PRIOR_SHARE * fit.reference_rad
     if name == DRAG.key:
         return 0.0, _PRIOR_SHARE * fit.mean_period_s.value / (2 * pi)
-    values = dict(zip(fit.names, fit.values.tolist(), strict=True))
-    u = fit.estimate(name).standard_uncertainty
+    values, u = fit.named_values, fit.estimate(name).standard_uncertainty
     step = 1e-3 * max(abs(value), u if isfinite(u) else 0.0, 1e-300)
     phi = np.linspace(-1, 1, 40) * fit.reference_rad
     before, after = (
@@ -208,8 +207,7 @@ def predicted_harmonics(
     classes: Sequence[HarmonicClass], fit: FitResult, pendulum: PendulumOnBall
 ) -> list[Complexes]:
     """A fitted law's harmonics (rad) in each class."""
-    values = dict(zip(fit.names, fit.values.tolist(), strict=True))
-    return [one.mean(lambda a: law_harmonics(fit.law, values, pendulum, a)) for one in classes]
+    return [one.mean(lambda a: law_harmonics(fit.law, fit.named_values, pendulum, a)) for one in classes]
 
 
 def waveform_chances(

@@ -197,16 +197,12 @@ def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
     model = at.model
     nodes = _HatFunctions(at.points.amplitude / model.reference)
     of_waveform = _by_harmonics(at, nodes)
-    own = model.noise_of(at.fit)
+    own = at.noise
     errors = LawErrors(nodes, nodes)
 
     def driven(step: float) -> DrivenRows | None:
-        found = at.driven(replace(own, step=step), errors)
-        if not np.all(np.isfinite(found.residuals)):
-            return None
-        padded = np.zeros((len(found.residuals), nodes.count))
-        padded[found.points :] = of_waveform
-        return found._replace(by_errors=np.column_stack([found.by_errors, padded]))
+        found = DrivenRows.of(model, at.coordinates, replace(own, step=step), errors, of_waveform)
+        return found if np.all(np.isfinite(found.residuals)) else None
 
     steps = _drives(own.step, float(np.median(model.u_amplitude)))
     tried = [here for here in map(driven, steps) if here is not None]
@@ -254,13 +250,13 @@ def _drives(own: float, unit: float) -> list[float]:
 
 
 def _by_harmonics(at: LinearisedFit, nodes: _HatFunctions) -> Floats:
-    """Derivatives of the residuals of the evidence by relative errors of the law's harmonics."""
+    """Derivatives of the evidence's residuals by relative errors of losses, durations (0) and harmonics."""
     model, waveform = at.model, at.model.evidence.waveform
-    out = np.zeros((len(model.evidence_residuals(at.coordinates)), nodes.count))
+    out = np.zeros((len(model.evidence_residuals(at.coordinates)), 3 * nodes.count))
     if waveform is None or model.pendulum is None:
         return out
-    predicted = waveform.predicted_rad(model.law, at.values, model.pendulum)
-    for column, shape in enumerate(nodes(waveform.amplitude_rad / model.reference).T):
+    predicted = waveform.predicted_rad(model.law, model.values(at.coordinates), model.pendulum)
+    for column, shape in enumerate(nodes(waveform.amplitude_rad / model.reference).T, 2 * nodes.count):
         moved = waveform.reduced(shape[:, None] * predicted)
         out[: len(moved), column] = moved
     return out

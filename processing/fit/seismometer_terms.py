@@ -217,7 +217,7 @@ def model_of(
 def fitted_state(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
     """Columns and noise of a model at the end of a fit."""
     assert fit.ground is not None
-    columns = model.columns.from_physical({name: fit.estimate(name).value for name in model.names})
+    columns = model.columns.from_physical(fit.named_values)
     return columns, replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
 
 

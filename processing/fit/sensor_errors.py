@@ -18,9 +18,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import PendulumOnBall
 from processing.fit.reported import RigQuantities
-from processing.fit.result import FIXED_PATTERN, FitResult
+from processing.fit.result import FIXED_PATTERN
 from processing.fit.terms import LinearisedFit, Term, TermSolution, solve
 from processing.number_text import with_uncertainty
 from processing.quantity import Quantity
@@ -46,28 +45,21 @@ class PositionErrorFit(NamedTuple):
     of_parameters: Floats
 
 
-def fit_position_errors(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult, errors: Floats
-) -> PositionErrorFit:
+def fit_position_errors(at: LinearisedFit, errors: Floats) -> PositionErrorFit:
     """Errors and parameters that describe the turning points best together, near an exact fit.
 
-    Parameters
-    ----------
-    points
-        The turning points of the fit.
-    errors : (points, m)
-        Errors of the amplitudes for each of m independent coordinates of variance 1.
+    `errors` (points, m) are those of the amplitudes for each of m independent coordinates of variance 1.
     """
-    at = LinearisedFit.of(points, pendulum, fit)
-    felt = np.max(np.abs(errors) / points.u_amplitude[:, None], axis=0) > _FELT
-    by_errors = -at.by_points(amplitude=errors[: fit.half_cycles][:, felt])
+    errors = errors[: len(at.points)]
+    felt = np.max(np.abs(errors) / at.points.u_amplitude[:, None], axis=0) > _FELT
+    by_errors = -at.by_points(amplitude=errors[:, felt])
     noise = 1.0
     for _ in range(2):
         # the scatter that position errors do not explain is noise
         found = solve(
             at.residuals / noise, at.jacobian / noise, [Term(FIXED_PATTERN, by_errors / noise, 1.0)]
         )
-        noise *= found.scatter(fit.dof)
+        noise *= found.scatter(at.fit.dof)
     values, covariance = np.zeros(len(felt)), np.eye(len(felt))
     values[felt], covariance[np.ix_(felt, felt)] = found.values, found.covariance
     return PositionErrorFit(values, covariance, at.to_physical @ found.by @ found.root)
@@ -92,25 +84,14 @@ def sensor_derivatives(at: LinearisedFit, rig: RigQuantities) -> dict[str, Float
     return out
 
 
-def amplitude_error_effects(
-    points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult, errors: Floats
-) -> Floats:
+def amplitude_error_effects(at: LinearisedFit, errors: Floats) -> Floats:
     """Changes (parameters,) of the contact parameters by one standard uncertainty of errors that amplitudes
     share, all coordinates together.
 
-    Parameters
-    ----------
-    points
-        The turning points of the fit.
-    errors : (points, m)
-        Errors of the amplitudes for each of m independent coordinates of variance 1.
-
-    Returns
-    -------
-    Standard uncertainties of the parameters; their signs are those of the coordinate that changes them most.
+    `errors` are those of `fit_position_errors`. The signs are those of the coordinate that changes the
+    parameters most.
     """
-    at = LinearisedFit.of(points, pendulum, exact)
-    moved = at.moved_by(at.by_points(amplitude=errors[: exact.half_cycles]))
+    moved = at.moved_by(at.by_points(amplitude=errors[: len(at.points)]))
     u = np.linalg.norm(moved, axis=1)
     main = np.linalg.svd(moved / np.where(u > 0, u, 1.0)[:, None], full_matrices=False)[0][:, 0]
     return np.asarray(np.copysign(u, main))
@@ -169,12 +150,8 @@ def sides(points: TurningPoints) -> Floats:
     return np.asarray(1.0 - 2.0 * (points.index % 2))
 
 
-def time_alternation(points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult) -> Alternation:
-    """Alternation of the times of these points, estimated together with the parameters of an exact fit.
-
-    Raises DataError for another method.
-    """
-    at = LinearisedFit.of(points, pendulum, fit)
+def time_alternation(at: LinearisedFit) -> Alternation:
+    """Alternation of the turning times, estimated together with the parameters of an exact fit."""
     by_delay = -at.by_points(time_s=(sides(at.points) * at.points.amplitude)[:, None])
     found = at.solved(Term("delay", by_delay))
     # the scatter is that without the alternation, which the fit may have taken for noise

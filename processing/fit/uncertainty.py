@@ -124,10 +124,6 @@ def budget_of(
     )
 
 
-def _nominal(rig: RigQuantities, count: int) -> dict[str, Floats]:
-    return {name: np.full(count, quantity.value) for name, quantity in rig.inputs().items()}
-
-
 def _quantities(found: FittedContact) -> dict[str, str]:
     return {**OUTPUTS, **({DRAG.key: "s"} if DRAG.key in found.names else {})}
 
@@ -139,7 +135,8 @@ def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
     of 1e-6 for quantities that are nearly linear over the uncertainty.
     """
 
-    reported = reported_quantities(found, found.values[:, None], _nominal(rig, 1), rig)
+    inputs = {name: np.full(1, quantity.value) for name, quantity in rig.inputs().items()}
+    reported = reported_quantities(found, found.values[:, None], inputs, rig)
     value = {name: float(out[0]) for name, out in reported.items()}
     by_value, by_input = _slopes(
         found, rig, lambda values, inputs: reported_quantities(found, values, inputs, rig)
@@ -154,16 +151,23 @@ def _slopes(
     found: FittedContact, rig: RigQuantities, outputs: Outputs
 ) -> tuple[dict[str, Floats], dict[str, dict[str, float]]]:
     """Derivatives of each output by the fitted values, and by each input that is uncertain."""
-    spread = np.diag(found.covariance)
-    by_value: dict[str, Floats] = {}
-    for i in range(len(found.names)):
-        step = 1e-3 * (sqrt(spread[i]) if 0 < spread[i] < inf else 1e-3 * abs(found.values[i]) or 1e-12)
-        both = np.repeat(found.values[:, None], 2, axis=1)
-        both[i] += (-step, step)
-        for name, out in outputs(both, _nominal(rig, 2)).items():
-            by_value.setdefault(name, np.zeros(len(found.names)))[i] = float(out[1] - out[0]) / (2 * step)
-    fixed = np.repeat(found.values[:, None], 2, axis=1)
-    return by_value, sensitivities(lambda inputs: outputs(fixed, inputs), rig.inputs())
+    fitted = {
+        name: InputQuantity(value, u if 0 < u < inf else 1e-3 * abs(value) or 1e-9)
+        for name, value, u in zip(
+            found.names, found.values.tolist(), np.sqrt(np.diag(found.covariance)).tolist(), strict=True
+        )
+    }
+
+    def model(known: Mapping[str, Floats]) -> Mapping[str, Floats]:
+        return outputs(np.array([known[name] for name in found.names]), known)
+
+    slopes = sensitivities(model, {**fitted, **rig.inputs()})
+    by_value = {name: np.array([by[one] for one in fitted]) for name, by in slopes.items()}
+    by_input = {
+        name: {source: slope for source, slope in by.items() if source not in fitted}
+        for name, by in slopes.items()
+    }
+    return by_value, by_input
 
 
 def standard_uncertainties(found: FittedContact, rig: RigQuantities, outputs: Outputs) -> dict[str, float]:

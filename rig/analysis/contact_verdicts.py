@@ -143,10 +143,11 @@ def with_contact(
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, Budget] = {}
     if rig is not None:
-        drifts = drift_effects(points, pendulum, exact)
-        by_inputs = {**drifts, **sensor_derivatives(LinearisedFit.of(points, pendulum, exact), rig)}
+        at = LinearisedFit.of(points, pendulum, exact)
+        drifts = drift_effects(at)
+        by_inputs = {**drifts, **sensor_derivatives(at, rig)}
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
-            by_plane = amplitude_error_effects(points, pendulum, exact, plane_errors)
+            by_plane = amplitude_error_effects(at, plane_errors)
             by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
         contact = replace(fitted_contact(exact), by_inputs=by_inputs)
         notes += filter(

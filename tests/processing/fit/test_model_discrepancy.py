@@ -189,7 +189,7 @@ def test_what_drifts_do_to_the_parameters() -> None:
     """
     points = decay(World(), q=0.0)
     lasting_s, still = float(points.time_s[-1]), fitted(points)
-    drifts = drift_effects(points, PENDULUM, still)
+    drifts = drift_effects(LinearisedFit.of(points, PENDULUM, still))
     for world, by, names in (
         (World(ageing=0.005, lasting_s=lasting_s), 0.005 * drifts["ageing"], ("b", "p", "c")),
         (World(drag_drift=0.005, lasting_s=lasting_s), 0.005 * drifts["drag_drift"], ("b", "p", "c")),
@@ -210,7 +210,7 @@ def test_drifts_can_be_fitted_about_zero() -> None:
     p, u = free.estimate("p")
     assert abs(fit.values[at] - PARAMETERS.p) > 3 * fit.standard_uncertainty[at]
     assert abs(p - PARAMETERS.p) < 2 * u
-    by = drift_effects(points, PENDULUM, fit)["ageing"][at]
+    by = drift_effects(LinearisedFit.of(points, PENDULUM, fit))["ageing"][at]
     # the turning points say nothing of it: what is believed remains
     assert u == pytest.approx(np.hypot(fit.standard_uncertainty[at], 0.01 * by), rel=0.2)
     none = near.with_terms(drift_term(near, {}))
