@@ -15,7 +15,7 @@ from processing.arrays import Floats
 from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.changes import rows_with_drifts
+from processing.fit.effects import rows_with_drifts
 from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import FEWEST_HALF_CYCLES

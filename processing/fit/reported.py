@@ -172,7 +172,6 @@ class FittedContact:
     covariance: Floats
     dof: float
     by_log_rho: Floats
-    reference_rad: float
     terms: Mapping[str, Floats] = field(default_factory=dict)
     by_inputs: Mapping[str, Floats] = field(default_factory=dict)
 
@@ -196,7 +195,6 @@ def fitted_contact(result: FitResult) -> FittedContact:
         result.covariance[within],
         float(result.dof),
         result.by_log_rho[at],
-        result.reference_rad,
         {name: by[at] for name, by in result.terms.items()},
     )
 

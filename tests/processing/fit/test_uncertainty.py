@@ -10,7 +10,14 @@ from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
-from processing.fit import MEASUREMENT, InputQuantity, LinearisedFit, RigQuantities, sensor_derivatives
+from processing.fit import (
+    MEASUREMENT,
+    FitResult,
+    InputQuantity,
+    LinearisedFit,
+    RigQuantities,
+    sensor_derivatives,
+)
 from processing.fit.exact import fit_exact
 from processing.fit.reported import (
     FittedContact,
@@ -49,8 +56,13 @@ def points() -> TurningPoints:
 
 
 @pytest.fixture(scope="module")
-def found(points: TurningPoints) -> FittedContact:
-    return fitted_contact(fit_exact(points, rig().pendulum()))
+def exact(points: TurningPoints) -> FitResult:
+    return fit_exact(points, rig().pendulum())
+
+
+@pytest.fixture(scope="module")
+def found(exact: FitResult) -> FittedContact:
+    return fitted_contact(exact)
 
 
 def at(value: float, source: str) -> dict[str, np.ndarray]:
@@ -240,38 +252,31 @@ def test_impossible_quantities_are_refused(change: dict[str, InputQuantity]) -> 
         InputQuantity(1.0, -0.1)
 
 
-def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: TurningPoints) -> None:
-    """The row time is wrong by three times its uncertainty: the whole analysis again."""
-    u_s = 0.5e-6
-    rolling = rig(row_time_s=InputQuantity(15e-6, u_s))
-    exact = fit_exact(points, rolling.pendulum())
-    near = LinearisedFit.of(points, rolling.pendulum(), exact)
-    tables = budgets(replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, rolling)), rolling)
-    rows = np.tan(2 * points.amplitude) / 3.45e-6 * (1 - 2 * (points.index % 2))
-    again = fit_exact(replace(points, time_s=points.time_s + 3 * u_s * rows), rolling.pendulum(), near=exact)
-    for name in ("b", "period0_s", "gamma_pa"):
-        (line,) = [line for line in tables[name].sources if line.source == "row_time_s"]
-        moved = again.values[again.names.index(name)] - exact.values[exact.names.index(name)]
-        assert moved == pytest.approx(line.sensitivity * 3 * u_s, rel=0.3), name
-        assert line.contribution == pytest.approx(abs(line.sensitivity) * u_s)
-    assert sensor_derivatives(near, rig()) == {}
-    assert "row_time_s" not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].sources}
-
-
-def test_an_error_of_all_amplitudes_moves_the_parameters_by_what_the_budget_says(
-    points: TurningPoints,
+@pytest.mark.parametrize(
+    ("source", "value", "u", "names"),
+    [
+        ("row_time_s", 15e-6, 0.5e-6, ("b", "period0_s", "gamma_pa")),
+        ("common_amplitude_rad", 0.0, 0.001 * ARCSEC_RAD, ("b", "c", "n", "gamma_pa")),
+    ],
+)
+def test_an_error_of_the_sensor_moves_the_parameters_by_what_the_budget_says(
+    points: TurningPoints, exact: FitResult, source: str, value: float, u: float, names: tuple[str, ...]
 ) -> None:
-    """All amplitudes are wrong by three times what is allowed for: the whole analysis again."""
-    u_rad = 0.001 * ARCSEC_RAD
-    filmed = rig(common_amplitude_rad=InputQuantity(0.0, u_rad))
-    exact = fit_exact(points, filmed.pendulum())
-    near = LinearisedFit.of(points, filmed.pendulum(), exact)
-    tables = budgets(replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, filmed)), filmed)
-    moved = replace(points, amplitude=points.amplitude + 3 * u_rad)
-    again = fit_exact(moved, filmed.pendulum(), near=exact)
-    for name in ("b", "c", "n", "gamma_pa"):
-        (line,) = [line for line in tables[name].sources if line.source == "common_amplitude_rad"]
-        error = again.values[again.names.index(name)] - exact.values[exact.names.index(name)]
-        assert error == pytest.approx(line.sensitivity * 3 * u_rad, rel=0.3), name
-        assert line.contribution == pytest.approx(abs(line.sensitivity) * u_rad)
+    """The row time, or all amplitudes, are wrong by three times what is allowed for: the analysis again."""
+    uncertain = rig(**{source: InputQuantity(value, u)})
+    near = LinearisedFit.of(points, uncertain.pendulum(), exact)
+    tables = budgets(replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, uncertain)), uncertain)
+    rows = np.tan(2 * points.amplitude) / 3.45e-6 * (1 - 2 * (points.index % 2))
+    wrong = (
+        replace(points, time_s=points.time_s + 3 * u * rows)
+        if source == "row_time_s"
+        else replace(points, amplitude=points.amplitude + 3 * u)
+    )
+    again = fit_exact(wrong, uncertain.pendulum(), near=exact)
+    for name in names:
+        (line,) = [line for line in tables[name].sources if line.source == source]
+        moved = again.estimate(name).value - exact.estimate(name).value
+        assert moved == pytest.approx(line.sensitivity * 3 * u, rel=0.3), name
+        assert line.contribution == pytest.approx(abs(line.sensitivity) * u)
     assert sensor_derivatives(near, rig()) == {}
+    assert source not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].sources}
