@@ -200,16 +200,14 @@ def fitted_contact(result: FitResult) -> FittedContact:
 
 
 def reported_quantities(
-    contact: FittedContact, values: Floats, inputs: Mapping[str, Floats], rig: RigQuantities
+    contact: FittedContact, inputs: Mapping[str, Floats], rig: RigQuantities
 ) -> dict[str, Floats]:
     """The reported quantities for given fitted values and inputs.
 
     Parameters
     ----------
-    values
-        Fitted parameters, shape ``(names, draws)``.
     inputs
-        Arrays of shape ``(draws,)`` by the names of `RigQuantities.inputs`.
+        Arrays of shape ``(draws,)`` by the names of the fitted parameters and of `RigQuantities.inputs`.
 
     Notes
     -----
@@ -239,7 +237,7 @@ def reported_quantities(
 
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m
     bent = np.log(radius / a / nominal_rho * scale)
-    moved = values + contact.by_log_rho[:, None] * bent
+    moved = np.array([inputs[name] for name in contact.names]) + contact.by_log_rho[:, None] * bent
     assumed = rig.inputs()
     for name, slope in contact.by_inputs.items():
         moved = moved + slope[:, None] * (inputs[name] - assumed[name].value)

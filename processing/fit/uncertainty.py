@@ -68,9 +68,7 @@ class Budget:
 
 
 Model = Callable[[Mapping[str, Floats]], Mapping[str, Floats]]
-"""Quantities (n,) of input quantities (n,), by name."""
-Outputs = Callable[[Floats, Mapping[str, Floats]], Mapping[str, Floats]]
-"""Quantities (n,) of fitted values (names, n) and of input quantities (n,), by name."""
+"""Quantities (n,) of input quantities (n,), fitted values among them, by name."""
 
 
 def sensitivities(model: Model, inputs: Mapping[str, InputQuantity]) -> dict[str, dict[str, float]]:
@@ -134,45 +132,36 @@ def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
     Derivatives are central differences over a thousandth of each source's uncertainty, with a relative error
     of 1e-6 for quantities that are nearly linear over the uncertainty.
     """
-
-    inputs = {name: np.full(1, quantity.value) for name, quantity in rig.inputs().items()}
-    reported = reported_quantities(found, found.values[:, None], inputs, rig)
-    value = {name: float(out[0]) for name, out in reported.items()}
-    by_value, by_input = _slopes(
-        found, rig, lambda values, inputs: reported_quantities(found, values, inputs, rig)
-    )
+    known = {name: np.full(1, one.value) for name, one in {**_fitted(found), **rig.inputs()}.items()}
+    value = {name: float(out[0]) for name, out in reported_quantities(found, known, rig).items()}
+    by_value, by_input = _slopes(found, rig, lambda known: reported_quantities(found, known, rig))
     return {
         name: _budget(name, unit, value[name], found, rig, by_value[name], by_input.get(name, {}))
         for name, unit in _quantities(found).items()
     }
 
 
+def _fitted(found: FittedContact) -> dict[str, InputQuantity]:
+    """The fitted values by name; a value that nothing determines has a small `u`, for its derivatives."""
+    u = np.sqrt(np.diag(found.covariance)).tolist()
+    return {
+        name: InputQuantity(value, size if 0 < size < inf else 1e-3 * abs(value) or 1e-9)
+        for name, value, size in zip(found.names, found.values.tolist(), u, strict=True)
+    }
+
+
 def _slopes(
-    found: FittedContact, rig: RigQuantities, outputs: Outputs
+    found: FittedContact, rig: RigQuantities, model: Model
 ) -> tuple[dict[str, Floats], dict[str, dict[str, float]]]:
-    """Derivatives of each output by the fitted values, and by each input that is uncertain."""
-    fitted = {
-        name: InputQuantity(value, u if 0 < u < inf else 1e-3 * abs(value) or 1e-9)
-        for name, value, u in zip(
-            found.names, found.values.tolist(), np.sqrt(np.diag(found.covariance)).tolist(), strict=True
-        )
-    }
-
-    def model(known: Mapping[str, Floats]) -> Mapping[str, Floats]:
-        return outputs(np.array([known[name] for name in found.names]), known)
-
-    slopes = sensitivities(model, {**fitted, **rig.inputs()})
-    by_value = {name: np.array([by[one] for one in fitted]) for name, by in slopes.items()}
-    by_input = {
-        name: {source: slope for source, slope in by.items() if source not in fitted}
-        for name, by in slopes.items()
-    }
-    return by_value, by_input
+    """Derivatives of each quantity by the fitted values, and by each other input that is uncertain."""
+    slopes = sensitivities(model, {**_fitted(found), **rig.inputs()})
+    by_value = {name: np.array([by.pop(one) for one in found.names]) for name, by in slopes.items()}
+    return by_value, slopes
 
 
-def standard_uncertainties(found: FittedContact, rig: RigQuantities, outputs: Outputs) -> dict[str, float]:
-    """The standard uncertainty of each output by the covariance of the fit and the inputs, to first order."""
-    by_value, by_input = _slopes(found, rig, outputs)
+def standard_uncertainties(found: FittedContact, rig: RigQuantities, model: Model) -> dict[str, float]:
+    """Standard uncertainties of the quantities of a model by the fit and the other inputs, to first order."""
+    by_value, by_input = _slopes(found, rig, model)
     inputs = rig.inputs()
     return {
         name: hypot(

@@ -263,8 +263,8 @@ def _work(
     if rig is not None:
         contact = fitted_contact(exact)
 
-        def works(values: Floats, inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
-            reported = reported_quantities(contact, values, inputs, rig)
+        def works(inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
+            reported = reported_quantities(contact, inputs, rig)
             without_drag = {name: found for name, found in reported.items() if name != "drag_s"}
             moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
             return {

@@ -65,10 +65,11 @@ def found(exact: FitResult) -> FittedContact:
     return fitted_contact(exact)
 
 
-def at(value: float, source: str) -> dict[str, np.ndarray]:
-    inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
-    inputs[source] = np.array([value])
-    return inputs
+def at(found: FittedContact, **changed: float) -> dict[str, np.ndarray]:
+    """Fitted values and inputs by name, some of them changed."""
+    known = {name: quantity.value for name, quantity in rig().inputs().items()}
+    known |= dict(zip(found.names, found.values.tolist(), strict=True))
+    return {name: np.array([value]) for name, value in {**known, **changed}.items()}
 
 
 @pytest.mark.parametrize(
@@ -79,7 +80,7 @@ def test_another_input_gives_what_fitting_again_gives(
 ) -> None:
     """Some per mille off in arm, pitch, clock or mass: the shortcut against the whole analysis."""
     nominal = rig().inputs()[source].value
-    reported = reported_quantities(found, found.values[:, None], at(nominal * factor, source), rig())
+    reported = reported_quantities(found, at(found, **{source: nominal * factor}), rig())
     scale = {"arm_m": 1 / factor, "pitch_m": factor}.get(source, 1.0)
     second = factor if source == "clock" else 1.0
     again = TurningPoints(
@@ -186,26 +187,22 @@ def test_few_runs_widen_the_coverage_factor(found: FittedContact) -> None:
 
 def test_the_uncertainty_of_what_follows_is_that_of_its_parts(found: FittedContact) -> None:
     """Of c itself that of its budget; of the work of a cycle less than of b alone, as p makes up."""
-    u = standard_uncertainties(
-        found, rig(), lambda values, inputs: reported_quantities(found, values, inputs, rig())
-    )
+    u = standard_uncertainties(found, rig(), lambda inputs: reported_quantities(found, inputs, rig()))
     table = budgets(found, rig())
     for name, budget in table.items():
         assert u[name] == pytest.approx(budget.standard_uncertainty, rel=1e-9), name
 
-    def work(values: np.ndarray, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        return {
-            "4A": work_per_cycle_j(60 * ARCSEC, reported_quantities(found, values, inputs, rig()), inputs)
-        }
+    def work(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"4A": work_per_cycle_j(60 * ARCSEC, reported_quantities(found, inputs, rig()), inputs)}
 
-    size = float(work(found.values[:, None], at(0.406, "mass_kg"))["4A"][0])
+    size = float(work(at(found))["4A"][0])
     relative_b = table["b"].standard_uncertainty / table["b"].value
     assert 0 < standard_uncertainties(found, rig(), work)["4A"] / size < relative_b
 
 
 def test_work_of_a_cycle_is_that_of_its_parameters(found: FittedContact) -> None:
-    inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
-    reported = reported_quantities(found, found.values[:, None], inputs, rig())
+    inputs = at(found)
+    reported = reported_quantities(found, inputs, rig())
     parameters = fit_parameters(found)
     expected = cycle_work(3.1 * ARCSEC, parameters, rig().pendulum()).dissipated_j
     assert float(work_per_cycle_j(3.1 * ARCSEC, reported, inputs)[0]) == pytest.approx(expected, rel=1e-12)
@@ -223,7 +220,7 @@ def test_what_the_data_do_not_determine_has_no_finite_budget(found: FittedContac
     blind[2, 2] = np.inf
     lost = replace(found, covariance=blind)
     assert np.isinf(budgets(lost, rig())["c"].standard_uncertainty)
-    u = standard_uncertainties(lost, rig(), lambda values, inputs: {"c": values[2], "p": values[1]})
+    u = standard_uncertainties(lost, rig(), lambda inputs: {"c": inputs["c"], "p": inputs["p"]})
     assert np.isinf(u["c"])
     assert u["p"] == pytest.approx(float(np.sqrt(lost.covariance[1, 1])))
     assert np.isfinite(budgets(lost, rig())["n"].standard_uncertainty)
