@@ -69,7 +69,6 @@ class FilterResult(NamedTuple):
 
     residuals: Floats
     jacobian: Floats
-    state: Floats
     log_det: float
     gains: Floats
 
@@ -250,7 +249,7 @@ class ExactModel:
         table = self._swings.through_the_decay(parameters)
         if table is None:
             nothing = np.full((2 * count, matrix.shape[1]), np.nan)
-            return FilterResult(nothing[:, 0], nothing, nothing[:, :2].T, np.nan, gains)
+            return FilterResult(nothing[:, 0], nothing, np.nan, gains)
         period0_s = parameters[-2]
         of_map = np.ascontiguousarray(matrix[:-2])
         loss_by = table.loss_gradient @ of_map
@@ -272,7 +271,7 @@ class ExactModel:
         )  # fmt: skip
         known = self.known_drive.known(columns, loss_by.shape[1]) if self.known_drive else NOTHING_KNOWN
         variance = self._variance * noise.scale**2
-        innovations, jacobian, state, log_det = drive_filter(
+        innovations, jacobian, _, log_det = drive_filter(
             Predictions(nodes, loss_by, duration_by, parameters[[-3, -1]], start_by),
             MeasuredTurningPoints(self._index, self._measured, variance, self._rate, noise.averaged),
             noise.step,
@@ -281,7 +280,7 @@ class ExactModel:
             held,
             noise.limit,
         )
-        return FilterResult(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
+        return FilterResult(innovations.ravel(), jacobian.reshape(2 * count, -1), log_det, gains)
 
     def values(self, columns: Floats) -> dict[str, float]:
         """Values of the law's parameters by their names."""
