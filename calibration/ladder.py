@@ -103,19 +103,22 @@ class LadderSolution:
         return scale, float(np.sqrt(k @ self.covariance[2:4, 2:4] @ k)) / max(scale, 1e-300)
 
 
+def carrier(setting: Floats, kind: str) -> tuple[Floats, Floats]:
+    """Tangents of twice the tilts, or the shifts, to which the spot's position is proportional, and their
+    derivatives by the settings."""
+    if kind == "tilt":
+        return np.tan(2.0 * setting), 2.0 / np.cos(2.0 * setting) ** 2
+    return setting, np.ones_like(setting)
+
+
 def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew: bool) -> LadderSolution:
     """Least squares, with the skew as a parameter if `with_skew` and the hysteresis if `way` is given."""
     count = len(steps.reference)
     fixed = 4 + with_skew + (way is not None)
 
-    def carrier(setting: Floats) -> Floats:
-        return np.tan(2.0 * setting) if kind == "tilt" else setting
-
-    def slope(setting: Floats) -> Floats:
-        return 2.0 / np.cos(2.0 * setting) ** 2 if kind == "tilt" else np.ones_like(setting)
-
-    span = float(np.ptp(carrier(steps.reference)))
-    start = np.polyfit(carrier(steps.reference), np.column_stack([steps.x_px, steps.y_px]), 1)
+    stated, _ = carrier(steps.reference, kind)
+    span = float(np.ptp(stated))
+    start = np.polyfit(stated, np.column_stack([steps.x_px, steps.y_px]), 1)
     unit = np.ones(fixed)
     unit[2:4] = 1.0 / span
     if with_skew:
@@ -124,12 +127,13 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew
         unit[fixed - 1] = float(np.ptp(steps.reference))
 
     def parts(p: Floats) -> tuple[Floats, Floats, Floats]:
+        """t, its derivative by the setting, and the displacement over the scale."""
         setting = steps.reference + steps.u_reference * p[fixed:]
         if way is not None:
             setting = setting + 0.5 * way * p[fixed - 1] * unit[fixed - 1]
-        t = carrier(setting)
+        t, slope = carrier(setting, kind)
         skew = p[4] * unit[4] if with_skew else 0.0
-        return setting, t, t * (1.0 + skew * t)
+        return t, slope, t * (1.0 + skew * t)
 
     def residual(p: Floats) -> Floats:
         _, _, along = parts(p)
@@ -143,9 +147,9 @@ def solve_ladder(steps: LadderSteps, kind: str, way: Floats | None, *, with_skew
         )
 
     def jacobian(p: Floats) -> Floats:
-        setting, t, along = parts(p)
+        t, slope, along = parts(p)
         skew = p[4] * unit[4] if with_skew else 0.0
-        by_setting = slope(setting) * (1.0 + 2.0 * skew * t)
+        by_setting = slope * (1.0 + 2.0 * skew * t)
         out = np.zeros((3 * count, fixed + count))
         for row, k, u, at in (
             (0, p[2] * unit[2], steps.u_x_px, 0),
@@ -281,17 +285,17 @@ def scale_evidence(steps: LadderTrace, kind: Literal["tilt", "shift"], scale: fl
     scale
         An estimate of the scale in px per unit of t, accurate to a percent.
     """
-    first = _posterior(steps, kind, scale, 1.0)
+    found, chi2, spent = _posterior(steps, kind, scale, 1.0)
     # the skew of a stage has no prior, so it uses up a degree of freedom, as the scale does
     count, used = len(steps.t), (2 if kind == "tilt" else 3) + (steps.by_hysteresis is not None)
     # only scatter that no model explains is noise in excess of the stated uncertainties
-    birge = birge_ratio(first.chi2, max(count - used - first.spent, 1))
+    birge = birge_ratio(chi2, max(count - used - spent, 1))
     if birge == 1.0:
-        return first.found
+        return found
     dof = max(count - used, 1)
     plain = _fit(steps, kind, scale, 0.0, np.ones(count))
     birge = math.sqrt(max(plain.chi2 / dof, 1.0))
-    return _posterior(steps, kind, scale, birge).found._replace(birge=birge, dof=float(dof))
+    return _posterior(steps, kind, scale, birge)[0]._replace(birge=birge, dof=float(dof))
 
 
 def ladder_notes(evidence: ScaleEvidence) -> list[str]:
@@ -311,17 +315,11 @@ def ladder_notes(evidence: ScaleEvidence) -> list[str]:
     return notes
 
 
-class _ScaleCandidate(NamedTuple):
-    found: ScaleEvidence
-    chi2: float
-    """Chi-square of the most probable model."""
-    spent: int
-    """Number of degrees of freedom that this model uses in addition to those of the simplest."""
-
-
 def _posterior(
     steps: LadderTrace, kind: Literal["tilt", "shift"], scale: float, birge: float
-) -> _ScaleCandidate:
+) -> tuple[ScaleEvidence, float, int]:
+    """The evidence of all models, chi-square of the most probable one, and the degrees of freedom that this
+    one uses in addition to those of the simplest."""
     count = len(steps.t)
     enlarged = steps._replace(u_px=birge * steps.u_px)
     models, log_weights, steps_wrong, cubic_stds = [], [], [], []
@@ -353,7 +351,7 @@ def _posterior(
     u_cubic = math.sqrt(float(weight_of_cubic @ (u_cubics[has_cubic] + (cubics[has_cubic] - cubic) ** 2)))
     at = np.array(steps_wrong)
     best = int(np.argmax(logs))
-    return _ScaleCandidate(
+    return (
         ScaleEvidence(
             scale=mean,
             u_scale=math.sqrt(variance),

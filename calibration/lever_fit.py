@@ -13,6 +13,7 @@ from calibration.ladder import (
     LadderTrace,
     approach_directions,
     approach_if_both,
+    carrier,
     check_steps,
     ladder_notes,
     leave_one_out,
@@ -191,9 +192,7 @@ _EXPLAINED = "the scale allows for what explains it"
 
 def _along(steps: LadderSteps, kind: str, way: Floats | None, best: LadderSolution) -> LadderTrace:
     """The ladder along its motion; the references' uncertainties are added to those of the positions."""
-    tilt = kind == "tilt"
-    t = np.tan(2.0 * steps.reference) if tilt else steps.reference
-    slope = 2.0 / np.cos(2.0 * steps.reference) ** 2 if tilt else np.ones_like(t)
+    t, slope = carrier(steps.reference, kind)
     scale = best.scale()[0]
     x, y = best.values[2:4] / scale
     place_px = x * (steps.x_px - best.values[0]) + y * (steps.y_px - best.values[1])

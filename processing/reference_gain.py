@@ -9,7 +9,7 @@ from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
 from processing.least_squares import FactoredJacobian
-from processing.reference_spot import common_motion, fitted_gain
+from processing.reference_spot import BLOCKS, common_motion, fitted_gain, u_of_blocks
 from processing.units import seconds
 
 _STRETCHES = 10
@@ -23,7 +23,6 @@ _WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
 _STARTS = 4
 """Number of starts of stretches per length of a stretch: the window uses little more than its middle."""
 _WEIGHT_ITERATIONS = 4
-_BLOCKS = 10
 
 
 def gain_in_swings(
@@ -51,7 +50,7 @@ def gain_in_swings(
     starts = [
         k for k in range(0, len(even_s) - length + 1, length // _STARTS) if _complete(there[k : k + length])
     ]
-    if len(starts) < _BLOCKS:
+    if len(starts) < BLOCKS:
         raise DataError("too few stretches of the run have both spots: state reference.gain")
     window = _window(length)
     spectra = [_spectra(np.stack([one[k : k + length] for k in starts]), window) for one in (spot, reference)]
@@ -64,12 +63,10 @@ def gain_in_swings(
         top, bottom = np.sum(cross * weight, axis=1), np.sum(power * weight, axis=1)
         gain = _ratio(top, bottom)
     # neighbours overlap, so that each part has several
-    parts = np.array_split(np.arange(len(starts)), _BLOCKS)
-    without = np.array([_ratio(np.delete(top, part), np.delete(bottom, part)) for part in parts])
-    if not (np.sum(bottom) > 0 and np.all(np.isfinite(without))):
+    u = u_of_blocks(lambda kept: _ratio(top[kept], bottom[kept]), len(starts))
+    if not (np.sum(bottom) > 0 and np.isfinite(u)):
         raise DataError("the reference shows no motion over its own noise, so that its gain is unknown")
-    spread = without - without.mean()
-    return Estimate(gain, float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2))))
+    return Estimate(gain, u)
 
 
 def _complete(there: Floats) -> bool:
@@ -158,12 +155,10 @@ def reference_at_rest(
         return ReferenceAtRest(float(np.nanstd(spot)), Estimate(1.0, 0.0), Estimate(np.nan, np.inf), 0.0)
     fitted = fitted_gain(spot, u_spot_px, replace(common, value=motion), use)
     left = spot[use] - (fitted.value if gain is None else gain) * motion[use]
-    parts = np.array_split(np.arange(len(left)), _BLOCKS)
+    parts = np.array_split(np.arange(len(left)), BLOCKS)
     powers = np.array([[np.mean(spot[use][part] ** 2), np.mean(left[part] ** 2)] for part in parts])
-    factor = _power_ratio(powers)
-    without = np.array([_power_ratio(np.delete(powers, k, axis=0)) for k in range(_BLOCKS)])
-    u = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((without - without.mean()) ** 2)))
-    return ReferenceAtRest(float(np.std(spot[use])), Estimate(factor, u), fitted, common.share)
+    factor = Estimate(_power_ratio(powers), u_of_blocks(lambda kept: _power_ratio(powers[kept]), BLOCKS))
+    return ReferenceAtRest(float(np.std(spot[use])), factor, fitted, common.share)
 
 
 def _power_ratio(powers: Floats) -> float:

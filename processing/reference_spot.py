@@ -1,7 +1,8 @@
 """Correction of the pendulum's spot by a reference spot from a fixed mirror."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
 from math import inf
 
@@ -21,8 +22,8 @@ _END_FRAMES = 10
 _LONGEST_GAP_S = 0.5
 """Longest gap bridged by interpolation of the motion."""
 _MIN_FRAMES = 200
-_BLOCKS = 10
-"""Blocks of frames whose scatter is the uncertainty of the gain."""
+BLOCKS = 10
+"""Blocks whose scatter is the uncertainty of an estimate."""
 _MIN_FALL = 12.0
 """Smallest fall of -2 ln L of the frames at rest for which a reference is used."""
 
@@ -126,7 +127,6 @@ class CorrectedPositions:
     fallen_back: Flags
     gain: Estimate
     verdict: ReferenceVerdict
-    likelihood_fall: float = 0.0
 
 
 def fitted_gain(position_px: Floats, u_px: Floats, common: CommonMotion, quiet: Flags) -> Estimate:
@@ -143,11 +143,17 @@ def fitted_gain(position_px: Floats, u_px: Floats, common: CommonMotion, quiet: 
             f"{np.count_nonzero(use)} frames at rest have both spots; {_MIN_FRAMES} are needed for the gain "
             "of the reference: state it, or let the pendulum rest for longer before it is released"
         )
-    gain = _gain(position_px[use], common.value[use])
-    parts = np.array_split(np.arange(np.count_nonzero(use)), _BLOCKS)
-    without = [_gain(np.delete(position_px[use], part), np.delete(common.value[use], part)) for part in parts]
-    spread = np.asarray(without) - np.mean(without)
-    return Estimate(gain, float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum(spread**2))))
+    spot, motion = position_px[use], common.value[use]
+    u = u_of_blocks(lambda kept: _gain(spot[kept], motion[kept]), len(spot))
+    return Estimate(_gain(spot, motion), u)
+
+
+def u_of_blocks(estimate: Callable[[Ints], float], count: int) -> float:
+    """Standard uncertainty of an estimate of `count` neighbouring rows, by leaving out each of ten blocks."""
+    rows = np.arange(count)
+    without = np.array([estimate(np.delete(rows, block)) for block in np.array_split(rows, BLOCKS)])
+    spread = without - without.mean()
+    return float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum(spread**2)))
 
 
 def _gain(position: Floats, motion: Floats) -> float:
@@ -180,7 +186,7 @@ def subtract_common_motion(
         return uncorrected(position_px, u_px, gain, ReferenceVerdict.QUIET)
     fall = _likelihood_fall(position_px, common, gain.value, quiet)
     if fall is not None and not fall > _MIN_FALL:
-        return replace(uncorrected(position_px, u_px, gain, ReferenceVerdict.NO_GAIN), likelihood_fall=fall)
+        return uncorrected(position_px, u_px, gain, ReferenceVerdict.NO_GAIN)
     size = float(np.sqrt(np.mean(common.value[common.known] ** 2)))
     of_common = np.where(common.known, common.u, size)
     variance = u_px**2 + (gain.value * of_common) ** 2
@@ -191,7 +197,6 @@ def subtract_common_motion(
         ~common.known,
         gain,
         ReferenceVerdict.USED,
-        0.0 if fall is None else fall,
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from processing.arrays import Floats, Ints
 from processing.balance.balance import Balance
 from processing.deflections import Deflections
+from processing.noise_models import robust_scatter
 from processing.units import seconds
 
 _FEWEST_DIRECTIONS = 6
@@ -29,8 +30,6 @@ _OUTLYING = 4.0
 """Standard uncertainties beyond which a direction counts by its sign alone."""
 _ROUNDS = 3
 _HALVINGS = 40
-_MEDIAN_TO_SIGMA = 1.4826
-"""Ratio of a normal distribution's standard deviation to the median of its absolute values."""
 _LONGEST_GAP_PERIODS = 4.0
 """Longest interval without a direction, in periods, over which the plane counts as known."""
 _LARGEST_UNKNOWN_PART = 0.05
@@ -223,7 +222,7 @@ def _with_motion_across(part: Floats, angle: Floats, u: Floats, size: Floats) ->
     enlarged = u
     for _ in range(_ROUNDS):
         _, _, left = _fit_curve(design, angle, enlarged)
-        usual = max(1.0, _MEDIAN_TO_SIGMA * float(np.median(np.abs(left))))
+        usual = max(1.0, robust_scatter(left, middle=0.0))
         far = np.maximum(np.abs(left) / (_OUTLYING * usual), 1.0)
         left2 = (left * enlarged / far) ** 2
         low, high = 0.0, float(np.sum(left2 * size**2)) / dof

@@ -65,8 +65,8 @@ class MomentSplines:
         self._slope = np.append(self._of_log(log(lowest), 1)[self._free], 1.0)
         self.friction_count, self.elastic_count = len(at_one) + 1, len(self._slope)
         u = np.linspace(log(lowest), log(top), _FINE * steps + 1)
-        self._friction_work = self._works(u, self.friction, self._friction_below)
-        self._elastic_work = self._works(u, self.elastic, self._elastic_below)
+        self._friction_work = work_over_log(u, self.friction, self._friction_below)
+        self._elastic_work = work_over_log(u, self.elastic, self._elastic_below)
 
     def friction(self, x: Floats) -> Floats:
         """f of unit coefficients, shape (..., friction_count)."""
@@ -100,19 +100,20 @@ class MomentSplines:
     def _elastic_below(self, x: Floats) -> Floats:
         return np.asarray(0.5 * x[..., None] * (self.elastic(x) - 0.5 * x[..., None] * self._slope))
 
-    @staticmethod
-    def _works(
-        u: Floats, moment: Callable[[Floats], Floats], below: Callable[[Floats], Floats]
-    ) -> "CubicHermiteSpline":
-        """The work over u = ln x, by Gauss's rule from one point to the next."""
-        from scipy.interpolate import CubicHermiteSpline
 
-        at, weight = np.polynomial.legendre.leggauss(5)
-        half = 0.5 * (u[1] - u[0])
-        x, ends = np.exp(u[:-1, None] + half * (1 + at)), np.exp(u)
-        pieces = half * np.einsum("uk,ukj->uj", weight * x, moment(x))
-        work = np.cumsum(np.concatenate([below(ends[:1]), pieces]), axis=0)
-        return CubicHermiteSpline(u, work, ends[:, None] * moment(ends))
+def work_over_log(
+    u: Floats, moment: Callable[[Floats], Floats], to_first: Callable[[Floats], Floats]
+) -> "CubicHermiteSpline":
+    """The integral of moments (..., m) of x over u = ln x, which rises evenly, by Gauss's rule between its
+    points; `to_first` gives it for the first x."""
+    from scipy.interpolate import CubicHermiteSpline  # here, because it would slow down every command
+
+    at, weight = np.polynomial.legendre.leggauss(5)
+    half = 0.5 * (u[1] - u[0])
+    x, ends = np.exp(u[:-1, None] + half * (1 + at)), np.exp(u)
+    pieces = half * np.einsum("uk,ukj->uj", weight * x, moment(x))
+    work = np.cumsum(np.concatenate([to_first(ends[:1]), pieces]), axis=0)
+    return CubicHermiteSpline(u, work, ends[:, None] * moment(ends))
 
 
 def _moment(

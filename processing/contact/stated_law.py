@@ -17,10 +17,12 @@ from processing.arrays import Floats
 from processing.contact.asymptotic import StartValues
 from processing.contact.coordinates import Scaling, logarithms_of
 from processing.contact.law import DRAG, FREE_PERIOD, PERIOD, Law, Parameter, PendulumOnBall, stiffness_ratio
+from processing.contact.law_of_splines import work_over_log
 from processing.contact.laws import LAWS, PAPER, STIFFNESS, elastic_moment
 from processing.contact.memoryless import Moment, Moments, memoryless_law
 from processing.decay_summary import reference_amplitude
 from processing.errors import DataError
+from processing.least_squares import differenced, solve
 from processing.swing import TurningPoints
 
 _ELASTIC = ("n", "gamma_pa")
@@ -104,15 +106,8 @@ def _by_quadrature(
 
     @cache
     def tabulated() -> Callable[[Floats], Floats]:
-        from scipy.interpolate import CubicHermiteSpline  # here, as it would slow down every command
-
         u = np.linspace(log(first), log(highest), int(_PER_OCTAVE * log(highest / first, 2)) + 2)
-        nodes, weight = np.polynomial.legendre.leggauss(5)
-        half = 0.5 * (u[1] - u[0])
-        x, ends = np.exp(u[:-1, None] + half * (1 + nodes)), np.exp(u)
-        pieces = half * np.einsum("uk,ukj->uj", weight * x, with_derivatives(x))
-        at_ends = ends[:, None] * with_derivatives(ends)
-        return CubicHermiteSpline(u, np.cumsum(np.concatenate([at_ends[:1], pieces]), axis=0), at_ends)
+        return work_over_log(u, with_derivatives, lambda x: x[:, None] * with_derivatives(x))
 
     def work(x: Floats) -> Floats:
         share = np.minimum(x / first, 1.0)[..., None]
@@ -178,8 +173,6 @@ def _starts_near_paper(
     """Start values with which a friction is nearest to the paper's fitted one, searched from its own; none
     where the search fails.
     """
-    from scipy.optimize import least_squares  # here, as it would slow down every command
-
     if not {"b", "p", "c"} <= like.keys():
         return []
     phi_rad = np.geomspace(float(points.amplitude.min()), float(points.amplitude.max()), _COMPARED)
@@ -192,10 +185,10 @@ def _starts_near_paper(
 
     with np.errstate(all="ignore"):
         try:
-            found = least_squares(off, np.array(list(start.values())) / scale, x_scale="jac")
+            found = solve(differenced(off), np.array(list(start.values())) / scale)
         except (ValueError, DataError):  # a friction that is not finite on the way, or that refuses it
             return []
-    return [dict(zip(start, (found.x * scale).tolist(), strict=True))]
+    return [dict(zip(start, (found.values * scale).tolist(), strict=True))]
 
 
 def _law(

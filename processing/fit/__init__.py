@@ -2,10 +2,24 @@
 
 from processing.estimate import FitMethod
 from processing.fit.asymptotic import fit_asymptotic
-from processing.fit.changes import DRIFTS, drift_effects, drift_term, with_changes
 from processing.fit.determination import Determination, identifiability
-from processing.fit.drag import Drag, DragFinding, boundary_layer_drag, drag_verdict, with_boundary_layer_drag
-from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, sine_covariance, waveform_of
+from processing.fit.discrepancy import with_changes, with_discrepancy
+from processing.fit.drag import Drag, DragFinding, drag_verdict
+from processing.fit.effects import (
+    DRIFTS,
+    PositionErrorFit,
+    amplitude_error_effects,
+    boundary_layer_drag,
+    drift_effects,
+    drift_term,
+    fit_position_errors,
+    row_delay,
+    sensor_derivatives,
+    time_alternation,
+    with_boundary_layer_drag,
+    without_alternation,
+)
+from processing.fit.evidence import AIR, NO_EVIDENCE, WAVEFORM, Evidence, waveform_of
 from processing.fit.exact import fit_exact
 from processing.fit.exact_result import domain_warnings
 from processing.fit.ground import GROUND_SEEN, BaseMotion, Ground, density_of_step
@@ -14,10 +28,10 @@ from processing.fit.law_comparison import (
     CONTRADICTED,
     LawComparison,
     compare_laws,
+    fit_model_free,
     predicted_harmonics,
     waveform_chances,
 )
-from processing.fit.model_free import fit_model_free, with_discrepancy
 from processing.fit.planning import Conditions, PlannedRun, PlannedSeries, planned_run, planned_series
 from processing.fit.refinement import (
     DecayFit,
@@ -52,15 +66,6 @@ from processing.fit.result import (
 from processing.fit.seismometer import Response, SeismometerUse, fit_with_seismometer
 from processing.fit.seismometer_spectra import SeismometerSpectra
 from processing.fit.seismometer_terms import Seismogram, plain_signals
-from processing.fit.sensor_errors import (
-    PositionErrorFit,
-    amplitude_error_effects,
-    fit_position_errors,
-    row_delay,
-    sensor_derivatives,
-    time_alternation,
-    without_alternation,
-)
 from processing.fit.terms import LinearisedFit, Term
 from processing.fit.uncertainty import Budget, BudgetSource, budgets, standard_uncertainties
 from processing.fit.vanes import MeasuredAir, VanedRun, air_of_vanes

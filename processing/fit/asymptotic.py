@@ -33,7 +33,7 @@ from processing.estimate import Estimate, FitMethod
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import OUTLIER, check_turning_points, data_warnings
 from processing.fit.result import FitResult
-from processing.least_squares import FactoredJacobian, Loss, Solution, propagate, solve
+from processing.least_squares import FactoredJacobian, Loss, Solution, differenced, propagate, solve
 from processing.swing import TurningPoints
 
 
@@ -102,28 +102,17 @@ def fit_asymptotic(
                 "decay that it describes; fit a longer run, or see which are disturbed"
             )
 
-    b, p, c, *rest = decay.values.tolist()
-    t0, n, kappa = period.values.tolist()
-    log_r = np.log(reference)
     per_kappa = 1.0 if pendulum is None else 1 / stiffness_ratio(1.0, pendulum)
-    b_factor, gamma_factor = reference ** (1 - p), reference**-n * per_kappa
     names = (*PAPER.names(calibrated=pendulum is not None, drag=drag), AMPLITUDE.key)
-    values = [b * b_factor, p, c * reference, n, t0, kappa * gamma_factor]
-    if drag:
-        values.append(rest[0] * drag_factor)
-    values.append(rest[-1] * reference)
+    k = len(decay.values)
 
-    size, k = len(names), len(decay.values)
-    to_physical = np.zeros((size, k + 3))  # columns: decay fit, then period fit
-    to_physical[0, 0], to_physical[0, 1] = b_factor, -log_r * values[0]
-    to_physical[1, 1] = 1.0
-    to_physical[2, 2] = reference
-    to_physical[3, k + 1] = 1.0
-    to_physical[4, k] = 1.0
-    to_physical[5, k + 2], to_physical[5, k + 1] = gamma_factor, -log_r * values[5]
-    if drag:
-        to_physical[6, 3] = drag_factor
-    to_physical[-1, k - 1] = reference
+    def physical(fitted: Floats) -> Floats:
+        b, p, c, *rest = fitted[:k].tolist()
+        t0, n, kappa = fitted[k:].tolist()
+        values = [b * reference ** (1 - p), p, c * reference, n, t0, kappa * reference**-n * per_kappa]
+        return np.array([*values, *([rest[0] * drag_factor] if drag else []), rest[-1] * reference])
+
+    values, to_physical = differenced(physical)(np.concatenate([decay.values, period.values]))
     scatter = np.zeros((k + 3, k + 3))
     if exact is None or exact.ground is None or exact.ground.noise.at_rest:
         scatter[:k, :k] = decay.covariance * max(1.0, decay.chi2 / decay.dof)
@@ -148,7 +137,7 @@ def fit_asymptotic(
         method=FitMethod.ASYMPTOTIC,
         law=PAPER,
         names=names,
-        values=np.array(values),
+        values=values,
         covariance=propagate(to_physical, scatter),
         chi2_per_dof=(decay.chi2 + period.chi2) / (decay.dof + period.dof),
         degrees_of_freedom=decay.dof + period.dof,

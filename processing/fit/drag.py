@@ -1,25 +1,20 @@
-"""Drag of the air in a decay: a linear one, and a boundary layer's, with the 3/2 power of the speed.
-
-The latter takes ``I A^1.5`` from the amplitude in a half-swing, I the integral of ``sin^2.5``, and makes a
-small third harmonic within the swing, which the exact path of the moment gives.
-"""
+"""The linear drag of the air in a decay, by its data alone."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import gamma, inf, isnan, nan, pi, sqrt
+from math import inf, isnan, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from processing.contact import STEEPER_DRAG, ExpectedDrag, PendulumOnBall
+from processing.contact import ExpectedDrag, PendulumOnBall
 from processing.contact.laws import DRAG
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate, FitMethod
 from processing.fit.determination import profile_likelihood
 from processing.fit.exact import fit_exact, fit_exact_with, start_near
 from processing.fit.exact_model import ExactModel
-from processing.fit.result import BOUNDARY_LAYER, BoundaryLayerDrag, FitResult
-from processing.fit.terms import LinearisedFit, Term
+from processing.fit.result import FitResult
 from processing.least_squares import FactoredJacobian, propagate
 from processing.number_text import plain, with_uncertainty
 from processing.swing import TurningPoints
@@ -32,10 +27,6 @@ _PARABOLIC = 0.2
 """Difference of the drag's two tests, by curvature and by likelihood, up to which chi2 is a parabola."""
 _TWO_SIDED = 0.90
 """Coverage of an interval whose upper end is a bound of 95 %."""
-_UNIT = 1e-3
-"""Size of the drag over the weight's moment at the reference amplitude for which derivatives are taken."""
-_BOUNDARY_LAYER_INTEGRAL = sqrt(pi) * gamma(1.75) / gamma(2.25)
-"""The integral of ``sin^2.5`` over half a swing."""
 
 
 class DragFinding(StrEnum):
@@ -222,57 +213,3 @@ def _finding(alone: FitResult, reported: FitResult, test: _Test) -> DragFinding:
     u_b = reported.estimate(reported.contact_names[0]).standard_uncertainty
     # along a curved valley b moves by more than the slope at its bottom predicts
     return DragFinding.UNSEEN if test.parabolic and moved < u_b else DragFinding.OPEN
-
-
-def boundary_layer_drag(at: LinearisedFit) -> BoundaryLayerDrag:
-    """A boundary layer's drag beside the linear drag of an exact fit, by one linear step.
-
-    Raises DataError where the law predicts no waveform.
-    """
-    from scipy.special import fdtrc
-
-    fit = at.fit
-    period0_s, period_s = fit.estimate("period0_s").value, fit.mean_period_s.value
-    rate = 2 * pi / period0_s
-    per_unit = _UNIT / (at.model.reference**0.5 * rate**1.5)
-    # a softer pendulum is slower by the root of its stiffness
-    lost = _UNIT * _BOUNDARY_LAYER_INTEGRAL * sqrt(period_s / period0_s)
-    more = at.by_loss(lambda x: np.asarray(lost * np.maximum(x, 0.0) ** 1.5), {STEEPER_DRAG: per_unit})
-    found = at.solved(Term(BOUNDARY_LAYER, more))
-    # enlarged as the parameters of the fit are: by the scatter, and by the factors of their uncertainties
-    scatter = sqrt(max(1.0, fit.chi2_per_dof)) if fit.loss == "linear" else 1.0
-    widened = 1.0 if fit.widened is None else float(np.max(fit.widened))
-    u = sqrt(found.covariance[0, 0]) * widened * scatter / at.scale
-    if not 0 < u < inf:
-        return BoundaryLayerDrag()
-    moved = at.to_physical @ found.moved
-    value, drag_s = float(found.values[0]), fit.estimate(DRAG.key).value
-    first = float(at.points.amplitude[0]) * rate
-    return BoundaryLayerDrag(
-        steeper=Estimate(value * per_unit, u * per_unit),
-        p_value=float(fdtrc(1, fit.dof, (value / u) ** 2)),
-        share=_share(value * per_unit * first**0.5, drag_s),
-        relative_shift_b=float(moved[0] / fit.values[0]),
-        shift_drag_s=float(moved[fit.names.index(DRAG.key)]),
-        shift=tuple(moved.tolist()),
-    )
-
-
-def with_boundary_layer_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitResult:
-    """The fit with its boundary layer's drag; where that is seen, uncertainties hold its effect.
-
-    The values and their curves stay: the linear step is right only to some tenths of itself.
-    """
-    if not found.seen:
-        return replace(fit, steeper=found)
-    percent = float(f"{100 * found.relative_shift_b:.3g}")
-    said = (
-        f"a drag with the 3/2 power of the speed is in the data (chance without: {plain(found.p_value, 1)}); "
-        f"with it b changes by {percent:+g} %, which its uncertainty covers"
-    )
-    return fit.with_term(BOUNDARY_LAYER, np.array(found.shift)[:, None], said, steeper=found)
-
-
-def _share(steeper_s: float, drag_s: float) -> float:
-    """Ratio of both drags' work in a half-swing, by the integrals of ``sin^2.5`` and ``sin^2``."""
-    return _BOUNDARY_LAYER_INTEGRAL * steeper_s / (0.5 * pi * drag_s) if drag_s else nan

@@ -19,6 +19,7 @@ from processing.contact import DRAG, Law, PendulumOnBall, law_harmonics
 from processing.estimate import Estimate
 from processing.fit.known_drive import KnownDrive
 from processing.least_squares import FactoredJacobian
+from processing.noise_models import MAD_TO_SIGMA
 from processing.swing import ORDERS, SwingHarmonics
 
 WAVEFORM, AIR = "waveform", "air"
@@ -57,6 +58,11 @@ class Waveform:
     sine_rad: Floats
     covariance: Floats
     scatter: float
+
+    @property
+    def median_covariance(self) -> Floats:
+        """Median covariance (4, 4) of the harmonics of a piece."""
+        return np.asarray(np.median(self.covariance, axis=0))
 
     @cached_property
     def _hats(self) -> Floats:
@@ -109,12 +115,6 @@ class Waveform:
         return self.reduced(self.predicted_rad(law, values, pendulum) - self.sine_rad)
 
 
-def sine_covariance(pieces: SwingHarmonics) -> Floats | None:
-    """Median covariance (4, 4) of a piece's harmonics in a `Waveform`; None for too few pieces."""
-    found = waveform_of(pieces)
-    return None if found is None else np.asarray(np.median(found.covariance, axis=0))
-
-
 def waveform_of(pieces: SwingHarmonics) -> Waveform | None:
     """The waveform of a decay's pieces without the disturbed ones; None for too few of them."""
     order = np.argsort(-pieces.amplitude)
@@ -149,7 +149,7 @@ def _whole_scatter(amplitude: Floats, sine: Floats, whitening: Floats) -> Floats
     """
     left = np.einsum("nab,nb->na", whitening, _without_trend(amplitude, sine))
     # clipped, so that pieces far off are judged by the scatter of the others
-    size = 1.4826 * np.median(np.abs(left), axis=0)
+    size = MAD_TO_SIGMA * np.median(np.abs(left), axis=0)
     left = np.clip(left, -_GATE * size, _GATE * size)
     scatter, degrees = left.T @ left, len(amplitude) - 3
     louder = max(1.0, float(np.trace(scatter)) / len(_ODD) / degrees)

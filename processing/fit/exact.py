@@ -56,10 +56,10 @@ def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> 
     columns = start
     noise: Noise | None = None
     near: ExactModel | None = None
-    moved = np.full(len(start), np.inf)
+    moved = np.inf
     for _ in range(_ROUNDS):
         try:
-            if near is None or not np.all(moved[np.isfinite(moved)] < _LINEAR_U):
+            if near is None or not moved < _LINEAR_U:
                 near = model.linearised_at(columns)
             likeliest = NoiseSearch(near, columns, loss, kind).likeliest()
             if not np.isfinite(likeliest.deviance):
@@ -77,10 +77,10 @@ def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> 
         except DataError:
             return None
         stays = np.array_equal(solution.values, columns)
-        moved = np.abs(solution.values - columns) / np.sqrt(np.diag(solution.covariance))
+        moved = _largest_move(columns, solution)
         columns = solution.values
         same = noise is not None and abs(likeliest.noise.step - noise.step) <= 0.01 * noise.step
-        if same and np.all(moved[np.isfinite(moved)] < _CONVERGED_U):
+        if same and moved < _CONVERGED_U:
             break
         noise = likeliest.noise
     # where the last search found no step, a finer tolerance would find none either
@@ -88,6 +88,12 @@ def _minimum_from(model: ExactModel, start: Floats, loss: Loss, kind: Noise) -> 
     if not stays:
         final = solve(here, columns, lower=model.lower, upper=model.upper, loss=loss)
     return _Minimum(here, final, likeliest) if final.converged else None
+
+
+def _largest_move(before: Floats, solution: Solution) -> float:
+    """Largest change of a column, in standard uncertainties, of those that are determined."""
+    moved = np.abs(solution.values - before) / np.sqrt(np.diag(solution.covariance))
+    return float(np.max(moved[np.isfinite(moved)], initial=0.0))
 
 
 def _as_weights(noise: Noise) -> Noise:
@@ -232,19 +238,18 @@ def fit_exact_with(
     linear = noise.at_rest and like.evidence == NO_EVIDENCE
     best: tuple[ExactModel, Solution] | None = None
     for columns in chain(start_near(model, like), starts_of(model)):
-        moved = np.full(len(columns), np.inf)
         try:
             for _ in range(_MOST_LINEARISED):
                 here = model.on_ground(columns, noise, scale).linearised_at(columns)
                 solution = solve(here, columns, lower=model.lower, upper=model.upper, loss=like.loss)
-                moved = np.abs(solution.values - columns) / np.sqrt(np.diag(solution.covariance))
+                moved = _largest_move(columns, solution)
                 columns = solution.values
-                if linear or np.all(moved[np.isfinite(moved)] < _CONVERGED_U):
+                if linear or moved < _CONVERGED_U:
                     break
         except DataError:
             continue
         # a cost whose weights and evidence are those of other columns is not this model's
-        settled = linear or bool(np.all(moved[np.isfinite(moved)] < _LINEAR_U))
+        settled = linear or moved < _LINEAR_U
         if solution.converged and settled and (best is None or solution.cost < best[1].cost):
             best = here, solution
         if best is not None and 2 * best[1].cost / best[1].dof < _GOOD_CHI2:
@@ -306,8 +311,7 @@ def start_near(model: ExactModel, fit: FitResult | None) -> Iterator[Floats]:
     """The parameters of an earlier fit as a start, where the map then reaches the last half-cycle."""
     if fit is None:
         return
-    values = {DRAG.key: 0.0} | {name: fit.estimate(name).value for name in fit.names}
-    columns = _inside(model, model.columns.from_physical(values))
+    columns = _inside(model, model.columns.from_physical({DRAG.key: 0.0} | fit.named_values))
     if np.all(np.isfinite(model(columns)[0])):
         yield columns
 

@@ -26,6 +26,7 @@ from processing.fit.ground import (
 )
 from processing.fit.known_drive import DrivenCoordinates, KnownDrive
 from processing.fit.result import FitResult
+from processing.least_squares import FactoredJacobian
 from processing.swing import TurningPoints
 
 _ABOVE, _BELOW = 1.05, 0.6
@@ -68,7 +69,6 @@ class FilterResult(NamedTuple):
 
     residuals: Floats
     jacobian: Floats
-    state: Floats
     log_det: float
     gains: Floats
 
@@ -112,11 +112,11 @@ class ExactModel:
         self.lower, self.upper = self.columns.lower, self.columns.upper
         self._index = np.ascontiguousarray(points.index - points.index[0])
         self._x = points.amplitude / self.reference
-        self.u_amplitude = self._u = points.u_amplitude / self.reference
+        self.u_amplitude = points.u_amplitude / self.reference
         self.lowest = float(self._x.min())
         self._rate = 2 * np.pi / mean_period(points)
         self._measured = np.array([self._x, points.time_s])
-        self._variance = np.array([self._u, points.u_time_s]) ** 2
+        self._variance = np.array([self.u_amplitude, points.u_time_s]) ** 2
         self._noise = AT_REST
         self._gains: Floats | None = None
         count = len(self.lower)
@@ -162,13 +162,9 @@ class ExactModel:
             found = self.filtered(columns, self._noise, self._gains)
             return found.residuals, found.jacobian
         amplitude, time, amplitude_jacobian, time_jacobian = self.curve(columns)
-        residuals = np.concatenate(
-            [(amplitude - self._x) / self._u, (time - self.points.time_s) / self.points.u_time_s]
-        )
-        jacobian = np.concatenate(
-            [amplitude_jacobian / self._u[:, None], time_jacobian / self.points.u_time_s[:, None]]
-        )
-        return residuals, jacobian
+        u = np.concatenate([self.u_amplitude, self.points.u_time_s])
+        residuals = (np.concatenate([amplitude, time]) - self._measured.ravel()) / u
+        return residuals, np.concatenate([amplitude_jacobian, time_jacobian]) / u[:, None]
 
     def on_ground(self, columns: Floats, noise: Noise, scale: float = 1.0) -> "ExactModel":
         """The same model with residuals that allow for the drive, weighted as the filter does at `columns`.
@@ -228,10 +224,7 @@ class ExactModel:
         """
         if self.evidence == NO_EVIDENCE:
             return np.zeros(0)
-        physical, _ = self.columns.physical(columns)
-        return self.evidence.residuals(
-            self.law, {**dict(zip(self.names, physical.tolist(), strict=True)), **more}, self.pendulum
-        )
+        return self.evidence.residuals(self.law, {**self.values(columns), **more}, self.pendulum)
 
     def filtered(
         self,
@@ -256,7 +249,7 @@ class ExactModel:
         table = self._swings.through_the_decay(parameters)
         if table is None:
             nothing = np.full((2 * count, matrix.shape[1]), np.nan)
-            return FilterResult(nothing[:, 0], nothing, nothing[:, :2].T, np.nan, gains)
+            return FilterResult(nothing[:, 0], nothing, np.nan, gains)
         period0_s = parameters[-2]
         of_map = np.ascontiguousarray(matrix[:-2])
         loss_by = table.loss_gradient @ of_map
@@ -278,7 +271,7 @@ class ExactModel:
         )  # fmt: skip
         known = self.known_drive.known(columns, loss_by.shape[1]) if self.known_drive else NOTHING_KNOWN
         variance = self._variance * noise.scale**2
-        innovations, jacobian, state, log_det = drive_filter(
+        innovations, jacobian, _, log_det = drive_filter(
             Predictions(nodes, loss_by, duration_by, parameters[[-3, -1]], start_by),
             MeasuredTurningPoints(self._index, self._measured, variance, self._rate, noise.averaged),
             noise.step,
@@ -287,7 +280,11 @@ class ExactModel:
             held,
             noise.limit,
         )
-        return FilterResult(innovations.ravel(), jacobian.reshape(2 * count, -1), state, log_det, gains)
+        return FilterResult(innovations.ravel(), jacobian.reshape(2 * count, -1), log_det, gains)
+
+    def values(self, columns: Floats) -> dict[str, float]:
+        """Values of the law's parameters by their names."""
+        return dict(zip(self.names, self.columns.physical(columns)[0].tolist(), strict=True))
 
     def losses(self, columns: Floats) -> tuple[Floats, Floats]:
         """Falling amplitudes through the decay, and the loss of a half-swing from each, in units of the
@@ -300,20 +297,12 @@ class ExactModel:
             raise DataError("the pendulum would not swing for as long as it did")
         return table.amplitude, table.loss
 
-    def filtered_here(
-        self, columns: Floats, *, with_rho: bool = False, errors: LawErrors | None = None
-    ) -> FilterResult:
-        """The filter with the noise and the weights of this model, see `on_ground`."""
-        return self.filtered(columns, self._noise, self._gains, with_rho=with_rho, errors=errors)
-
-    def weighted_evidence(self, columns: Floats) -> tuple[Floats, Floats]:
-        """Residuals of the evidence as this model weighs them, and their derivatives by the columns."""
-        return self._evidence_rows(columns)
-
-    @property
-    def is_free(self) -> bool:
-        """Whether the residuals are distances from one free decay: the ground does not move."""
-        return self._gains is None
+    def by_log_rho(self, columns: Floats) -> Floats:
+        """Derivatives of the columns, which were fitted with the weights of this model, by ln(R/a)."""
+        of_points = self.filtered(columns, self._noise, self._gains, with_rho=True).jacobian
+        by_evidence = self._evidence_rows(columns)[1]
+        both = np.concatenate([of_points, np.pad(by_evidence, ((0, 0), (0, 1)))])
+        return -FactoredJacobian(both[:, :-1]).coefficients(both[:, -1])
 
     def with_larger_measurements(self, amplitude: Floats, time_s: Floats) -> "ExactModel":
         """The same model with larger measured amplitudes (in units of the reference) and times (s)."""
@@ -333,7 +322,7 @@ class ExactModel:
             drag=result.has_drag,
             evidence=result.evidence,
         )
-        columns = model.columns.from_physical({name: result.estimate(name).value for name in model.names})
+        columns = model.columns.from_physical(result.named_values)
         scale = 1.0 if result.ground is None else result.ground.measurement_scale
         return model.on_ground(columns, model.noise_of(result), scale).linearised_at(columns), columns
 

@@ -19,7 +19,7 @@ from processing.estimate import FitMethod
 from processing.fit.evidence import AIR, WAVEFORM
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import AT_REST, Ground, GroundFit
-from processing.fit.result import MEASUREMENT, FitResult, Whiteness, independent_changes
+from processing.fit.result import MEASUREMENT, FitResult, Whiteness
 from processing.least_squares import FactoredJacobian, Loss, Solution, covariance_of, propagate
 from processing.number_text import plain
 from processing.swing import TurningPoints
@@ -151,9 +151,7 @@ def result_of(
         white = replace(white, widened=float(factor.max()))
         widened *= factor
     covariance = covariance * np.outer(widened, widened)
-    terms = {
-        MEASUREMENT: independent_changes(propagate(to_physical, _measurement_covariance(model, solution)))
-    }
+    terms = {MEASUREMENT: _by_measurement(model, solution, to_physical)}
     by_air = _by_air(model, solution)
     if by_air is not None:
         scale = max(1.0, chi2_per_dof) ** 0.5 if loss == "linear" else 1.0
@@ -176,7 +174,7 @@ def result_of(
         arae_decay=_mean_of_finite(deviation),
         arae_period=_mean_of_finite(period_deviation),
         reference_rad=model.reference,
-        by_log_rho=to_physical @ _by_log_rho(model, solution.values),
+        by_log_rho=to_physical @ model.by_log_rho(solution.values),
         mean_period_s=mean_period_estimate(points, chi2_per_dof),
         loss=loss,
         cost=solution.cost,
@@ -239,14 +237,6 @@ def _by_air(model: ExactModel, solution: Solution) -> Floats | None:
     return np.asarray(solution.covariance @ solution.jacobian[rows][0])
 
 
-def _by_log_rho(model: ExactModel, columns: Floats) -> Floats:
-    """Derivative of the fitted columns by ln(R/a)."""
-    both = model.filtered_here(columns, with_rho=True).jacobian
-    beside = model.weighted_evidence(columns)[1]
-    both = np.concatenate([both, np.column_stack([beside, np.zeros(len(beside))])])
-    return -FactoredJacobian(both[:, :-1]).coefficients(both[:, -1])
-
-
 def _gain_factors(model: ExactModel, solution: Solution, to_physical: Floats) -> dict[str, dict[str, float]]:
     """Ratios of uncertainties without a part of the evidence to those with it, by part and parameter."""
     worth = {}
@@ -271,11 +261,13 @@ def _factor(to_physical: Floats, wider: Floats, covariance: Floats) -> Floats:
         return np.asarray(np.sqrt(np.maximum(ratio, 0.0)))
 
 
-def _measurement_covariance(model: ExactModel, solution: Solution) -> Floats:
-    """Covariance of the columns if only the measurement of the turning points were uncertain."""
+def _by_measurement(model: ExactModel, solution: Solution, to_physical: Floats) -> Floats:
+    """Changes (values, m) of the values where only the measurement of the turning points is uncertain."""
     residuals, jacobian = model.on_ground(solution.values, AT_REST, model.scale)(solution.values)
-    reached = np.isfinite(residuals)
-    return np.asarray(covariance_of(jacobian[reached]) * max(1.0, solution.chi2 / solution.dof))
+    law = FactoredJacobian(jacobian[np.isfinite(residuals)])
+    by = to_physical @ law.root * np.sqrt(max(1.0, solution.chi2 / solution.dof))
+    by[np.any(to_physical[:, law.blind] != 0, axis=1)] = np.inf
+    return np.asarray(by)
 
 
 def _mean_of_finite(values: Floats) -> float:

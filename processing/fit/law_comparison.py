@@ -10,23 +10,38 @@ structure on the sensor, a lever that is not straight. These make a third harmon
 even ones enlarge its uncertainty. The fifth is left out: the fast mode swings there. Uncertainties are from
 the scatter of few pieces: distances are judged by Student's distribution, and the chances of the classes are
 combined by Fisher's method.
+
+Where no law is to be assumed, splines describe the contact's moments.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import inf, isfinite, log, log1p, pi, sqrt
 
 import numpy as np
 
-from processing.arrays import Complexes
-from processing.contact import AMPLITUDE, DRAG, TIME, PendulumOnBall, law_harmonics, weight_moment
+from processing.arrays import Complexes, Floats
+from processing.contact import (
+    AMPLITUDE,
+    DRAG,
+    TIME,
+    MomentSplines,
+    PendulumOnBall,
+    law_harmonics,
+    spline_law,
+    weight_moment,
+)
 from processing.contact.laws import Law
 from processing.errors import DataError
-from processing.fit.evidence import NO_EVIDENCE
-from processing.fit.exact import fit_exact
-from processing.fit.model_free import with_discrepancy
+from processing.estimate import Estimate
+from processing.fit.discrepancy import with_discrepancy
+from processing.fit.evidence import NO_EVIDENCE, Evidence
+from processing.fit.exact import fit_exact, start_near, starts_of
+from processing.fit.exact_model import ExactModel
 from processing.fit.result import DISCREPANCY, FitResult
 from processing.fit.terms import LinearisedFit
+from processing.least_squares import solve
 from processing.swing import ORDERS, HarmonicClass, TurningPoints
 
 CONTRADICTED = 1e-4
@@ -61,8 +76,7 @@ def prior(fit: FitResult, pendulum: PendulumOnBall, name: str) -> tuple[float, f
         return value, _PRIOR_SHARE * fit.reference_rad
     if name == DRAG.key:
         return 0.0, _PRIOR_SHARE * fit.mean_period_s.value / (2 * pi)
-    values = dict(zip(fit.names, fit.values.tolist(), strict=True))
-    u = fit.estimate(name).standard_uncertainty
+    values, u = fit.named_values, fit.estimate(name).standard_uncertainty
     step = 1e-3 * max(abs(value), u if isfinite(u) else 0.0, 1e-300)
     phi = np.linspace(-1, 1, 40) * fit.reference_rad
     before, after = (
@@ -208,8 +222,7 @@ def predicted_harmonics(
     classes: Sequence[HarmonicClass], fit: FitResult, pendulum: PendulumOnBall
 ) -> list[Complexes]:
     """A fitted law's harmonics (rad) in each class."""
-    values = dict(zip(fit.names, fit.values.tolist(), strict=True))
-    return [one.mean(lambda a: law_harmonics(fit.law, values, pendulum, a)) for one in classes]
+    return [one.mean(lambda a: law_harmonics(fit.law, fit.named_values, pendulum, a)) for one in classes]
 
 
 def waveform_chances(
@@ -229,3 +242,118 @@ def waveform_chances(
             chi2 += freedom * log1p(distance / freedom)
         chances[name] = float(gammaincc(len(classes), 0.5 * chi2)) if classes else np.nan
     return chances
+
+
+_HELD_U = 1e-4
+"""Relative uncertainty of a drag that is held fixed."""
+_MARGIN = 1.1
+"""Factor by which the angles shown stay inside both ends of the amplitudes."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreeMoments:
+    """Friction against the motion, and elastic moment in the direction of phi, at angles `phi_rad` > 0.
+
+    The elastic moment is the departure from proportionality: it vanishes at `reference_rad`, where the period
+    is that of gravity alone by definition. `u_` are standard uncertainties; bands of 1 u cover 68 %.
+    """
+
+    phi_rad: Floats
+    friction_n_m: Floats
+    u_friction_n_m: Floats
+    elastic_n_m: Floats
+    u_elastic_n_m: Floats
+    reference_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFreeFit:
+    """The fit of splines to one decay, and the moments by it."""
+
+    points: TurningPoints
+    pendulum: PendulumOnBall
+    splines: MomentSplines
+    fit: FitResult
+
+    def moments(self, phi_rad: Floats | None = None) -> FreeMoments:
+        """Moments with bands; by default at 41 angles between the lowest and the highest amplitude."""
+        if phi_rad is None:
+            low, high = self.points.amplitude.min() * _MARGIN, self.points.amplitude.max() / _MARGIN
+            phi_rad = np.geomspace(low, high, 41)
+        return self._of(phi_rad, self.fit.values, self.fit.covariance)
+
+    def _of(self, phi_rad: Floats, values: Floats, covariance: Floats) -> FreeMoments:
+        unit_rad, weight = self.splines.unit_rad, weight_moment(self.pendulum)
+        x = phi_rad / unit_rad
+        friction, elastic = weight * self.splines.friction(x), weight * unit_rad * self.splines.elastic(x)
+        of_friction = slice(0, self.splines.friction_count)
+        of_elastic = slice(of_friction.stop, of_friction.stop + self.splines.elastic_count)
+        return FreeMoments(
+            phi_rad,
+            friction @ values[of_friction],
+            _uncertainty(friction, covariance[of_friction, of_friction]),
+            elastic @ values[of_elastic],
+            _uncertainty(elastic, covariance[of_elastic, of_elastic]),
+            unit_rad,
+        )
+
+    def moments_of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
+        """Moments of a fitted law in the splines' terms: those of splines with the law's turning points.
+
+        The uncertainties are 0.
+        """
+        law, columns = ExactModel.of(self.points, self.pendulum, fit)
+        amplitude, time_s, _, _ = law.curve(columns)
+        swung = replace(law.points, amplitude=amplitude * law.reference, time_s=time_s)
+        reached = int(np.count_nonzero(np.isfinite(time_s)))
+        drag = self.fit.has_drag
+        # the drag is the law's, so that the splines hold its friction alone
+        known_s = fit.estimate(DRAG.key).value if fit.has_drag else 0.0
+        known_s *= _drag_ratio(fit, self.fit.estimate("period0_s").value)
+        held = Evidence(drag_s=_exactly(known_s)) if drag else NO_EVIDENCE
+        model = ExactModel(swung.first(reached), self.pendulum, law=self.fit.law, drag=drag, evidence=held)
+        start = next(chain(start_near(model, self.fit), starts_of(model)))
+        model = model.linearised_at(start)
+        solution = solve(model, start, lower=model.lower, upper=model.upper)
+        values, _ = model.columns.physical(solution.values)
+        return self._of(phi_rad, values, np.zeros_like(self.fit.covariance))
+
+
+def _drag_ratio(fit: FitResult, period_s: float) -> float:
+    """Ratio of a drag in the splines' terms to the same drag in a law's.
+
+    A drag is stated over the stiffness, which the splines take as gravity's alone at the period `period_s`.
+    """
+    return (period_s / fit.estimate("period0_s").value) ** 2
+
+
+def _exactly(drag_s: float) -> Estimate:
+    return Estimate(drag_s, _HELD_U * max(abs(drag_s), 1e-6))
+
+
+def _uncertainty(basis: Floats, covariance: Floats) -> Floats:
+    variance = np.einsum("ij,jk,ik->i", basis, covariance, basis)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def fit_model_free(
+    points: TurningPoints, pendulum: PendulumOnBall, *, like: FitResult | None = None
+) -> ModelFreeFit:
+    """Friction and elastic moment of one decay as splines, with the drive of the ground that they leave.
+
+    `like` is an exact fit of these points: the splines have its evidence, and its drag if it has both.
+    Without evidence splines would take a drag for friction, so that none is fitted then.
+
+    Raises
+    ------
+    DataError
+        As `fit_exact`.
+    """
+    law, splines = spline_law(points)
+    evidence = NO_EVIDENCE if like is None else like.evidence
+    if like is not None and evidence.drag_s is not None:
+        factor = _drag_ratio(like, like.mean_period_s.value)
+        evidence = replace(evidence, drag_s=Estimate(*(factor * number for number in evidence.drag_s)))
+    drag = like is not None and like.has_drag and evidence != NO_EVIDENCE
+    fit = fit_exact(points, pendulum, law=law, drag=drag, evidence=evidence)
+    return ModelFreeFit(points.first(fit.half_cycles), pendulum, splines, fit)

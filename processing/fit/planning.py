@@ -15,7 +15,7 @@ from processing.arrays import Floats
 from processing.contact import AMPLITUDE, DEFAULT_LAW, DRAG, TIME, Law, PendulumOnBall
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.fit.changes import drift_jacobians
+from processing.fit.effects import rows_with_drifts
 from processing.fit.evidence import Evidence, Waveform
 from processing.fit.exact_model import ExactModel
 from processing.fit.exact_result import FEWEST_HALF_CYCLES
@@ -67,7 +67,7 @@ class Conditions:
             scale * float(np.median(points.u_amplitude)),
             scale * float(np.median(points.u_time_s * points.amplitude)),
             0.0 if fit.ground is None else fit.ground.density_rad_per_s2_rthz.value,
-            sine_covariance=None if waveform is None else np.median(waveform.covariance, axis=0),
+            sine_covariance=None if waveform is None else waveform.median_covariance,
             known_drag_s=fit.evidence.drag_s,
         )
 
@@ -159,11 +159,11 @@ def planned_run(
 def by_relative_values(model: ExactModel, columns: Floats, noise: Noise) -> Floats:
     """Derivatives (n, k + 1) of a run's residuals by relative changes of the parameters, and by the growth of
     the friction from its first turning point to its last."""
-    jacobian, drifts = drift_jacobians(model.linearised_at(columns), columns, noise, 1.0)
+    rows = rows_with_drifts(model.linearised_at(columns), columns, noise)
     physical, to_physical = model.columns.physical(columns)
     size = np.where(physical == 0, 1.0, np.abs(physical))
-    by_value = jacobian @ np.linalg.inv(to_physical / size[:, None])
-    return np.column_stack([by_value, drifts[:, :2].sum(axis=1)])
+    by_value = rows.jacobian @ np.linalg.inv(to_physical / size[:, None])
+    return np.column_stack([by_value, rows.by_errors[:, :2].sum(axis=1)])
 
 
 def _drag_prior_row(known_drag_s: Estimate | None, values: Mapping[str, float]) -> list[Floats]:

@@ -110,15 +110,7 @@ def second_measurement(
             if twin is None or abs(twin.turn_time_ns - swing.turn_time_ns) > near_ns:
                 swing = replace(swing, flags=int(HalfCycleFlag.GAP))
             else:
-                before = again[-1] if again and again[-1].index == swing.index - 1 else None
-                swing = replace(
-                    twin,
-                    index=swing.index,
-                    half_period_s=seconds(twin.turn_time_ns - before.turn_time_ns) if before else math.nan,
-                    u_half_period_s=math.hypot(twin.u_turn_time_s, before.u_turn_time_s)
-                    if before
-                    else math.nan,
-                )
+                swing = replace(twin, index=swing.index).since(again[-1] if again else None)
         again.append(swing)
     return with_learned_weights(again)
 

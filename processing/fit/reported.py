@@ -1,7 +1,7 @@
 """Reported quantities, computed from the fitted parameters and the rig's input quantities (GUM type B)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import inf, pi
 from typing import Annotated
 
@@ -94,31 +94,15 @@ class RigQuantities:
 
     def inputs(self) -> dict[str, InputQuantity]:
         """All inputs by name; if both bodies are of the same material, it is listed once."""
-        contact = {
-            "mass_kg": self.mass_kg,
-            "ball_radius_m": self.ball_radius_m,
-            "gravity_m_per_s2": self.gravity_m_per_s2,
-            "arm_m": self.arm_m,
-            "pitch_m": self.pitch_m,
-            "clock": self.clock,
-        }
-        if self.contact_radius_m is not None:
-            contact["contact_radius_m"] = self.contact_radius_m
-        else:
-            contact |= _elastic("flat", self.flat)
-            if self.ball != self.flat:
-                contact |= _elastic("ball", self.ball)
-        contact["slow_angle_rad"] = self.slow_angle_rad
-        contact["non_orthogonality_rad"] = self.non_orthogonality_rad
-        contact["skew"] = self.skew
-        contact["row_time_s"] = self.row_time_s
-        contact["ageing"] = self.ageing
-        contact["period_drift"] = self.period_drift
-        contact["common_amplitude_rad"] = self.common_amplitude_rad
-        contact["plane_of_swing_rad"] = self.plane_of_swing_rad
-        contact["adhesion_ageing"] = self.adhesion_ageing
-        contact["drag_drift"] = self.drag_drift
-        return contact
+        found: dict[str, InputQuantity] = {}
+        by_materials = self.contact_radius_m is None
+        for name in (one.name for one in fields(self)):
+            value = getattr(self, name)
+            if isinstance(value, InputQuantity):
+                found[name] = value
+            elif by_materials and (name == "flat" or (name == "ball" and self.ball != self.flat)):
+                found |= _elastic(name, value)
+        return found
 
     def skewed_scale(self, skew: Floats) -> Floats:
         """Ratio of true tilts about the rest position to the measured ones, for true skews (n,).
@@ -188,7 +172,6 @@ class FittedContact:
     covariance: Floats
     dof: float
     by_log_rho: Floats
-    reference_rad: float
     terms: Mapping[str, Floats] = field(default_factory=dict)
     by_inputs: Mapping[str, Floats] = field(default_factory=dict)
 
@@ -212,22 +195,19 @@ def fitted_contact(result: FitResult) -> FittedContact:
         result.covariance[within],
         float(result.dof),
         result.by_log_rho[at],
-        result.reference_rad,
         {name: by[at] for name, by in result.terms.items()},
     )
 
 
 def reported_quantities(
-    contact: FittedContact, values: Floats, inputs: Mapping[str, Floats], rig: RigQuantities
+    contact: FittedContact, inputs: Mapping[str, Floats], rig: RigQuantities
 ) -> dict[str, Floats]:
     """The reported quantities for given fitted values and inputs.
 
     Parameters
     ----------
-    values
-        Fitted parameters, shape ``(names, draws)``.
     inputs
-        Arrays of shape ``(draws,)`` by the names of `RigQuantities.inputs`.
+        Arrays of shape ``(draws,)`` by the names of the fitted parameters and of `RigQuantities.inputs`.
 
     Notes
     -----
@@ -257,7 +237,7 @@ def reported_quantities(
 
     nominal_rho = nominal.ball_radius_m / nominal.contact_radius_m
     bent = np.log(radius / a / nominal_rho * scale)
-    moved = values + contact.by_log_rho[:, None] * bent
+    moved = np.array([inputs[name] for name in contact.names]) + contact.by_log_rho[:, None] * bent
     assumed = rig.inputs()
     for name, slope in contact.by_inputs.items():
         moved = moved + slope[:, None] * (inputs[name] - assumed[name].value)

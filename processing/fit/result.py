@@ -259,6 +259,11 @@ class FitResult(FitQuality):
         return self.degrees_of_freedom
 
     @property
+    def named_values(self) -> dict[str, float]:
+        """Values by their names."""
+        return dict(zip(self.names, self.values.tolist(), strict=True))
+
+    @property
     def standard_uncertainty(self) -> Floats:
         return np.sqrt(np.diag(self.covariance))
 
@@ -320,10 +325,9 @@ class FitResult(FitQuality):
     @property
     def parameters(self) -> ContactParameters:
         """The values of the paper's law as one object; gamma is NaN without a calibration."""
-        known = dict(zip(self.names, self.values.tolist(), strict=True))
+        known = self.named_values
         return ContactParameters(
-            **{name: known.get(name, float("nan")) for name in PAPER.names()},
-            drag_s=known.get(DRAG.key, 0.0),
+            **{name: known.get(name, nan) for name in PAPER.names()}, drag_s=known.get(DRAG.key, 0.0)
         )
 
     @property
@@ -366,16 +370,4 @@ def part_of(terms: Mapping[str, Floats], count: int, *names: str) -> Floats:
         known = np.where(blind[:, None], 0.0, by)
         out += known @ known.T
         out[blind, blind] = np.inf
-    return out
-
-
-def independent_changes(covariance: Floats) -> Floats:
-    """Independent changes (values, m) whose squares sum to a covariance; infinite where that is."""
-    size: Floats = np.sqrt(np.diag(covariance))
-    known = [i for i, one in enumerate(size.tolist()) if 0 < one < np.inf]
-    out = np.zeros((len(size), max(1, len(known))))
-    correlation = covariance[np.ix_(known, known)] / np.outer(size[known], size[known])
-    variance, directions = np.linalg.eigh(correlation)
-    out[known, : len(variance)] = size[known, None] * directions * np.sqrt(np.maximum(variance, 0.0))
-    out[~np.isfinite(size)] = np.inf
     return out

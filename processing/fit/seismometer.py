@@ -7,6 +7,7 @@ that they were not fitted to: gains of an unrelated record make the predictions 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 from math import atan2, hypot, log, nan
 from typing import Annotated, NamedTuple
 
@@ -20,14 +21,14 @@ from processing.fit.result import FitResult
 from processing.fit.seismometer_spectra import SeismometerSpectra, seismometer_spectra
 from processing.fit.seismometer_terms import (
     PAIR,
+    SIGNALS,
     SLOPES,
     ClockCorrection,
     Seismogram,
     SignalDrives,
-    SignalKind,
-    SignalTerms,
     best_offset,
     clock_correction,
+    columns_of,
     gain_of_prediction,
     with_start_gains,
 )
@@ -131,17 +132,17 @@ def accepted_use(
     alone: FitResult,
     fit: FitResult,
     names: Sequence[str],
-    chosen: Sequence[tuple[int, SignalKind]],
+    chosen: Sequence[int],
 ) -> SeismometerUse:
-    """The use with the results of an accepted fit; `names` are those of the components."""
+    """The use with an accepted fit by the `chosen` signals; `names` are those of the components."""
     assert alone.ground is not None
     assert fit.ground is not None
     drive = fit.evidence.drive
     assert drive is not None
     assert drive.covariance is not None
     responses = []
-    for component in sorted({component for component, _ in chosen}):
-        first = list(chosen).index((component, SignalKind.GAIN))
+    for component in sorted({column // SIGNALS for column in chosen}):
+        first = chosen.index(component * SIGNALS)
         a, b = drive.gains[first], -drive.gains[first + 1]
         gain = hypot(a, b)
         covariance = drive.covariance[first : first + 2, first : first + 2] * np.array([[1, -1], [-1, 1]])
@@ -153,7 +154,7 @@ def accepted_use(
                 u_gain=float(np.sqrt(along @ covariance @ along)),
                 phase_rad=atan2(b, a),
                 u_phase_rad=float(np.sqrt(across @ covariance @ across)) / gain,
-                with_slope=(component, SignalKind.SLOPE) in chosen,
+                with_slope=columns_of(component, SLOPES)[0] in chosen,
             )
         )
     left = fit.ground.density_rad_per_s2_rthz
@@ -213,11 +214,11 @@ def fit_with_seismometer(
     )
 
 
-class _TermSelection(NamedTuple):
-    """A fit with some of the seismometer's terms, and its gain of prediction by them."""
+class _Selection(NamedTuple):
+    """A fit with some of the seismometer's signals, and its gain of prediction by them."""
 
     fit: FitResult
-    chosen: SignalTerms
+    chosen: Sequence[int]
     gain: float
 
 
@@ -254,7 +255,7 @@ class _Search:
                 return SeismometerFit(
                     self.alone, replace(use, verdict=SeismometerVerdict.ABSENT, reason=reason)
                 )
-            found = self._with(drives, _TermSelection(self.alone, [], 0.0), PAIR, pays)
+            found = self._with(drives, _Selection(self.alone, [], 0.0), PAIR, pays)
             if not found.chosen:
                 return SeismometerFit(self.alone, replace(use, gain_of_prediction=found.gain))
             clock = clock_correction(self.points, self.pendulum, found.fit, drives, found.chosen)
@@ -275,37 +276,29 @@ class _Search:
         )
 
     def _with(
-        self, drives: SignalDrives, accepted: _TermSelection, kinds: tuple[SignalKind, ...], pays: float
-    ) -> _TermSelection:
-        """The selection with further components whose terms of these kinds pay, the best one first.
+        self, drives: SignalDrives, accepted: _Selection, kinds: tuple[int, ...], pays: float
+    ) -> _Selection:
+        """The selection with further components whose signals of these kinds pay, the best one first.
 
         Slopes are added only to components in use. Where nothing is selected, the gain is that of the best.
         """
-        used = sorted({component for component, _ in accepted.chosen})
+        used = sorted({column // SIGNALS for column in accepted.chosen})
         left = used if kinds is SLOPES else list(range(len(drives.names)))
         while left:
-            gains = [self._gain(drives, accepted, component, kinds) for component in left]
+            gain = partial(
+                gain_of_prediction, self.points, self.pendulum, accepted.fit, drives, accepted.chosen
+            )
+            gains = [gain(columns_of(component, kinds)) for component in left]
             best = int(np.argmax(gains))
             if not gains[best] > pays:
                 return accepted if accepted.chosen else accepted._replace(gain=gains[best])
-            component = left.pop(best)
-            chosen = [*accepted.chosen, *((component, kind) for kind in kinds)]
+            chosen = [*accepted.chosen, *columns_of(left.pop(best), kinds)]
             fit = self.fitted_with(accepted.fit, drives, chosen)
-            accepted = _TermSelection(fit, chosen, accepted.gain + gains[best])
+            accepted = _Selection(fit, chosen, accepted.gain + gains[best])
         return accepted
 
-    def _gain(
-        self,
-        drives: SignalDrives,
-        accepted: _TermSelection,
-        component: int,
-        kinds: tuple[SignalKind, ...],
-    ) -> float:
-        more = [(component, kind) for kind in kinds]
-        return gain_of_prediction(self.points, self.pendulum, accepted.fit, drives, accepted.chosen, more)
-
-    def fitted_with(self, near: FitResult, drives: SignalDrives, chosen: SignalTerms) -> FitResult:
-        """The exact fit with some terms, started at an earlier fit with the first of them."""
+    def fitted_with(self, near: FitResult, drives: SignalDrives, chosen: Sequence[int]) -> FitResult:
+        """The exact fit with some signals, started at an earlier fit with the first of them."""
         drive = with_start_gains(drives, near, chosen)
         return fit_exact(
             self.points,

@@ -8,7 +8,6 @@ and a drift.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from math import ceil, inf
 from typing import NamedTuple
 
@@ -69,21 +68,19 @@ class Seismogram:
         return replace(self, time_s=self.time_s[low:high], value=self.value[low:high])
 
 
-class SignalKind(StrEnum):
-    """Kind of signal made of a seismometer's component."""
-
-    GAIN = "gain"
-    QUADRATURE = "quadrature"
-    SLOPE = "slope of the gain"
-    SLOPE_QUADRATURE = "slope of the quadrature"
+SIGNALS = 4
+"""Number of signals made of a component: for gain, quadrature, and the slopes of both over the frequency."""
+PAIR, SLOPES = (0, 1), (2, 3)
+"""Gain and quadrature, and their slopes, among the signals of a component."""
 
 
-PAIR = (SignalKind.GAIN, SignalKind.QUADRATURE)
-SLOPES = (SignalKind.SLOPE, SignalKind.SLOPE_QUADRATURE)
+def columns_of(component: int, kinds: Sequence[int]) -> list[int]:
+    """Columns of some of a component's signals among those of all components."""
+    return [component * SIGNALS + kind for kind in kinds]
 
 
 def signals_of(witness: Seismogram, period_s: float) -> Signals:
-    """Every component's four signals, in the order of `SignalKind`.
+    """Every component's signals.
 
     Raises DataError for samples that are too few or too far apart.
     """
@@ -113,7 +110,7 @@ def signals_of(witness: Seismogram, period_s: float) -> Signals:
 
 def plain_signals(witness: Seismogram, period_s: float) -> Signals:
     """Every component unchanged but for its drift, which is removed."""
-    return signals_of(witness, period_s).only([one * len(SignalKind) for one in range(len(witness.names))])
+    return signals_of(witness, period_s).only([one * SIGNALS for one in range(len(witness.names))])
 
 
 def _even(witness: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
@@ -150,9 +147,6 @@ def _near(lost: Flags, guard: int) -> Flags:
     return np.asarray(count[high] > count[low])
 
 
-SignalTerms = Sequence[tuple[int, SignalKind]]
-"""Terms of a fit: of each the component's number and the kind of its signal."""
-
 _BLOCKS = 10
 _MARGIN = 3.0
 """Periods of the seismometer's record before and after the run that its signals need."""
@@ -168,7 +162,7 @@ _COVERED = 0.6
 
 
 class SignalDrives:
-    """The signals of a seismometer and the drive of a run's turning points by each, by component and kind."""
+    """The signals of a seismometer, and the drive of a run's turning points by `every` one of them."""
 
     def __init__(self, points: TurningPoints, witness: Seismogram, *, averaged: bool) -> None:
         self.period_s = mean_period(points)
@@ -178,10 +172,6 @@ class SignalDrives:
         self.signals = signals_of(beside, self.period_s)
         self._points, self._averaged = points, averaged
         self.every = known_drive(points, self.signals, averaged=averaged)
-
-    def of(self, terms: SignalTerms) -> KnownDrive:
-        """The drive by some terms."""
-        return self.every.only([place(*term) for term in terms])
 
     def later(self, by_s: float, stretched: float = 0.0) -> KnownDrive:
         """The drive by all signals, later by `by_s` and by `stretched` a second from the run's middle."""
@@ -195,15 +185,11 @@ class SignalDrives:
         return known_drive(self._points, self.signals, averaged=self._averaged, rest_weight=weight)
 
 
-def place(component: int, term: SignalKind) -> int:
-    """Column of a term among the signals."""
-    return component * len(SignalKind) + list(SignalKind).index(term)
-
-
-def with_start_gains(drives: SignalDrives, near: FitResult, chosen: SignalTerms) -> KnownDrive:
-    """The drive by some terms, the first with the gains of an earlier fit and the others at 0."""
+def with_start_gains(drives: SignalDrives, near: FitResult, chosen: Sequence[int]) -> KnownDrive:
+    """The drive by some signals, the first with the gains of an earlier fit and the others at 0."""
     known = np.zeros(0) if near.evidence.drive is None else near.evidence.drive.gains
-    return drives.of(chosen).with_gains(np.concatenate([known, np.zeros(len(chosen) - len(known))]))
+    gains = np.concatenate([known, np.zeros(len(chosen) - len(known))])
+    return drives.every.only(list(chosen)).with_gains(gains)
 
 
 def model_of(
@@ -217,7 +203,7 @@ def model_of(
 def fitted_state(model: ExactModel, fit: FitResult) -> tuple[Floats, Noise]:
     """Columns and noise of a model at the end of a fit."""
     assert fit.ground is not None
-    columns = model.columns.from_physical({name: fit.estimate(name).value for name in model.names})
+    columns = model.columns.from_physical(fit.named_values)
     return columns, replace(fit.ground.noise, step=fit.ground.noise.step / model.reference)
 
 
@@ -234,25 +220,19 @@ def gain_of_prediction(
     pendulum: PendulumOnBall | None,
     fit: FitResult,
     drives: SignalDrives,
-    chosen: SignalTerms,
-    more: SignalTerms,
+    chosen: Sequence[int],
+    more: Sequence[int],
 ) -> float:
-    """Fall of -2 ln L of blocks of half-cycles by further terms, each time fitted to the other blocks."""
+    """Fall of -2 ln L of blocks of half-cycles by further signals, each time fitted to the other blocks.
+
+    -inf where a residual or its derivative is not finite.
+    """
     drive = with_start_gains(drives, fit, [*chosen, *more])
     residuals, by_gains, by_law = residuals_at_fit(model_of(points, pendulum, fit, drive), fit)
-    fitted = np.column_stack([by_law, by_gains[:, : len(chosen)]])
-    return cross_validated(residuals, by_gains[:, len(chosen) :], fitted)
-
-
-def cross_validated(residuals: Floats, candidates: Floats, fitted: Floats) -> float:
-    """Fall of the sum of squared residuals by candidates whose coefficients are those of the other blocks.
-
-    Residuals (rows,) are those of amplitudes and then of times; `candidates` (rows, m) and `fitted` (rows,
-    columns) are derivatives, the latter of what was fitted before. -inf where one is not finite.
-    """
+    candidates = by_gains[:, len(chosen) :]
     if not np.all(np.isfinite(candidates)) or not np.all(np.isfinite(residuals)):
         return -inf
-    law = FactoredJacobian(fitted)
+    law = FactoredJacobian(np.column_stack([by_law, by_gains[:, : len(chosen)]]))
     left, of = law.left(residuals), law.left(candidates)
     count = len(residuals) // 2
     block = np.tile(np.arange(count) * _BLOCKS // count, 2)
@@ -281,16 +261,15 @@ def clock_correction(
     pendulum: PendulumOnBall | None,
     fit: FitResult,
     drives: SignalDrives,
-    chosen: SignalTerms,
+    chosen: Sequence[int],
 ) -> ClockCorrection:
-    """Correction of the seismometer's clock by a fit with some terms, with free gain and phase.
+    """Correction of the seismometer's clock by a fit with some signals, with free gain and phase.
 
     A delay turns phases in proportion to the frequency. At the pendulum's frequency the quadrature takes that
     up; the delay shows in the change of the phase within the band to which a half-swing responds. So does the
     weight of a half-cycle's own samples in its point of rest, which is known only roughly.
     """
     drive = with_start_gains(drives, fit, chosen)
-    places = [place(*term) for term in chosen]
     by_s = _SHIFT * drives.period_s
     half_s = 0.5 * float(points.time_s[-1] - points.time_s[0])
     moved = []
@@ -300,7 +279,7 @@ def clock_correction(
         (drives.later(0.0, by_s / half_s), drives.later(0.0, -by_s / half_s), by_s / half_s),
         (drives.with_rest_weight(heavier), drives.with_rest_weight(lighter), _WEIGHT_CHANGE),
     ):
-        change = (late.steps - early.steps)[:, :, places] @ drive.gains / (2 * size)
+        change = (late.steps - early.steps)[:, :, list(chosen)] @ drive.gains / (2 * size)
         moved.append(np.where(late.missing | early.missing, 0.0, change))
     both = KnownDrive(
         np.concatenate([drive.steps, np.stack(moved, axis=2)], axis=2),
@@ -356,8 +335,7 @@ def best_offset(
             f"the witness lasts {last_s - first_s:.4g} s, too long to search for its offset: state it to "
             f"{0.5 * _MOST_TRIED * step_s:.3g} s, or shorten the witness"
         )
-    pair = [place(one, kind) for one in range(len(witness.names)) for kind in PAIR]
-    signals = signals.only(pair)
+    signals = signals.only([k for one in range(len(witness.names)) for k in columns_of(one, PAIR)])
     drive = known_drive(points, signals, averaged=averaged)
     model = model_of(points, pendulum, alone, drive)
 

@@ -162,6 +162,8 @@ class RestrictedLikelihood:
 class DrivenRows(NamedTuple):
     """Residuals of a fit for some drive of the ground: those of turning points, then those of evidence.
 
+    They are NaN where the filter has no value.
+
     Attributes
     ----------
     residuals, jacobian, by_errors
@@ -177,6 +179,35 @@ class DrivenRows(NamedTuple):
     by_errors: Floats
     log_det: float
     points: int
+
+    @classmethod
+    def of(
+        cls,
+        model: ExactModel,
+        coordinates: Floats,
+        noise: Noise,
+        errors: LawErrors | None = None,
+        of_waveform: Floats | None = None,
+    ) -> "DrivenRows":
+        """The rows of a model for a drive, with their derivatives by errors of the law.
+
+        `of_waveform` (evidence rows, errors) are those of the evidence; 0 by default.
+        """
+        found = model.filtered(coordinates, noise, errors=errors)
+        beside, by_law = model.evidence_rows(coordinates)
+        law, points = len(coordinates), len(found.residuals)
+        of_points = found.jacobian[:, law:]
+        if of_waveform is None:
+            of_waveform = np.zeros((len(beside), of_points.shape[1]))
+        # errors of the waveform alone move no turning point
+        of_points = np.pad(of_points, ((0, 0), (0, of_waveform.shape[1] - of_points.shape[1])))
+        return cls(
+            np.concatenate([found.residuals, beside]),
+            np.concatenate([found.jacobian[:, :law], by_law]),
+            np.concatenate([of_points, of_waveform]),
+            found.log_det,
+            points,
+        )
 
     def in_scatter(self, scale: float) -> "DrivenRows":
         """The rows in units of their scatter where turning points scatter `scale` times as much as stated."""
@@ -232,28 +263,9 @@ class LinearisedFit:
         return self.model.points
 
     @property
-    def values(self) -> dict[str, float]:
-        """Values of the law's parameters by their names."""
-        physical = self.model.columns.physical(self.coordinates)[0]
-        return dict(zip(self.model.names, physical.tolist(), strict=True))
-
-    def driven(self, noise: Noise, errors: LawErrors | None = None) -> DrivenRows:
-        """The rows for another drive, with their derivatives by errors of the law.
-
-        They are NaN where the filter has no value.
-        """
-        found = self.model.filtered(self.coordinates, noise, errors=errors)
-        beside, by_law = self.model.evidence_rows(self.coordinates)
-        law, points = len(self.coordinates), len(found.residuals)
-        by_errors = np.zeros((points + len(beside), found.jacobian.shape[1] - law))
-        by_errors[:points] = found.jacobian[:, law:]
-        return DrivenRows(
-            np.concatenate([found.residuals, beside]),
-            np.concatenate([found.jacobian[:, :law], by_law]),
-            by_errors,
-            found.log_det,
-            points,
-        )
+    def noise(self) -> Noise:
+        """The noise by which the fit weighted its residuals."""
+        return self.model.noise_of(self.fit)
 
     def by_points(self, amplitude: Floats | None = None, time_s: Floats | None = None) -> Floats:
         """Changes (rows, m) of the residuals where measured values are larger by errors (points, m)."""
@@ -263,10 +275,6 @@ class LinearisedFit:
         time_s = np.zeros_like(amplitude) if time_s is None else time_s
         model, points = self.model, self.points
         relative = amplitude / model.reference
-        if model.is_free:
-            of_amplitudes, of_times = relative / model.u_amplitude[:, None], time_s / points.u_time_s[:, None]
-            beside = np.zeros((len(self.residuals) - 2 * len(points), relative.shape[1]))
-            return -np.concatenate([of_amplitudes, of_times, beside]) / self.scale
         changes = []
         for by_amplitude, by_time in zip(relative.T, time_s.T, strict=True):
             # a small step, since a filter with a limit is linear only near its values
@@ -285,12 +293,12 @@ class LinearisedFit:
 
         `waveform` is added to the law's own values for the waveform that belongs to a size of 1.
         """
-        _, lost = self.model.losses(self.coordinates)
-        further = LawErrors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 1)))
-        found = self.model.filtered_here(self.coordinates, errors=further)
-        of_points = found.jacobian[:, -2] / self.scale
-        before = self.model.evidence_residuals(self.coordinates)
-        return np.concatenate([of_points, self.model.evidence_residuals(self.coordinates, waveform) - before])
+        model, at = self.model, self.coordinates
+        _, lost = model.losses(at)
+        further = LawErrors(lambda a, _: (loss(a) / lost)[:, None], lambda a, _: np.zeros((len(a), 0)))
+        of_waveform = model.evidence_residuals(at, waveform) - model.evidence_residuals(at)
+        rows = DrivenRows.of(model, at, self.noise, further, of_waveform[:, None])
+        return rows.in_scatter(self.scale).by_errors[:, 0]
 
     def moved_by(self, columns: Floats) -> Floats:
         """Changes (parameters, m) of the contact parameters where residuals are larger by (rows, m)."""

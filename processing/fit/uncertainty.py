@@ -68,9 +68,7 @@ class Budget:
 
 
 Model = Callable[[Mapping[str, Floats]], Mapping[str, Floats]]
-"""Quantities (n,) of input quantities (n,), by name."""
-Outputs = Callable[[Floats, Mapping[str, Floats]], Mapping[str, Floats]]
-"""Quantities (n,) of fitted values (names, n) and of input quantities (n,), by name."""
+"""Quantities (n,) of input quantities (n,), fitted values among them, by name."""
 
 
 def sensitivities(model: Model, inputs: Mapping[str, InputQuantity]) -> dict[str, dict[str, float]]:
@@ -124,10 +122,6 @@ def budget_of(
     )
 
 
-def _nominal(rig: RigQuantities, count: int) -> dict[str, Floats]:
-    return {name: np.full(count, quantity.value) for name, quantity in rig.inputs().items()}
-
-
 def _quantities(found: FittedContact) -> dict[str, str]:
     return {**OUTPUTS, **({DRAG.key: "s"} if DRAG.key in found.names else {})}
 
@@ -138,37 +132,36 @@ def budgets(found: FittedContact, rig: RigQuantities) -> dict[str, Budget]:
     Derivatives are central differences over a thousandth of each source's uncertainty, with a relative error
     of 1e-6 for quantities that are nearly linear over the uncertainty.
     """
-
-    reported = reported_quantities(found, found.values[:, None], _nominal(rig, 1), rig)
-    value = {name: float(out[0]) for name, out in reported.items()}
-    by_value, by_input = _slopes(
-        found, rig, lambda values, inputs: reported_quantities(found, values, inputs, rig)
-    )
+    known = {name: np.full(1, one.value) for name, one in {**_fitted(found), **rig.inputs()}.items()}
+    value = {name: float(out[0]) for name, out in reported_quantities(found, known, rig).items()}
+    by_value, by_input = _slopes(found, rig, lambda known: reported_quantities(found, known, rig))
     return {
         name: _budget(name, unit, value[name], found, rig, by_value[name], by_input.get(name, {}))
         for name, unit in _quantities(found).items()
     }
 
 
+def _fitted(found: FittedContact) -> dict[str, InputQuantity]:
+    """The fitted values by name; a value that nothing determines has a small `u`, for its derivatives."""
+    u = np.sqrt(np.diag(found.covariance)).tolist()
+    return {
+        name: InputQuantity(value, size if 0 < size < inf else 1e-3 * abs(value) or 1e-9)
+        for name, value, size in zip(found.names, found.values.tolist(), u, strict=True)
+    }
+
+
 def _slopes(
-    found: FittedContact, rig: RigQuantities, outputs: Outputs
+    found: FittedContact, rig: RigQuantities, model: Model
 ) -> tuple[dict[str, Floats], dict[str, dict[str, float]]]:
-    """Derivatives of each output by the fitted values, and by each input that is uncertain."""
-    spread = np.diag(found.covariance)
-    by_value: dict[str, Floats] = {}
-    for i in range(len(found.names)):
-        step = 1e-3 * (sqrt(spread[i]) if 0 < spread[i] < inf else 1e-3 * abs(found.values[i]) or 1e-12)
-        both = np.repeat(found.values[:, None], 2, axis=1)
-        both[i] += (-step, step)
-        for name, out in outputs(both, _nominal(rig, 2)).items():
-            by_value.setdefault(name, np.zeros(len(found.names)))[i] = float(out[1] - out[0]) / (2 * step)
-    fixed = np.repeat(found.values[:, None], 2, axis=1)
-    return by_value, sensitivities(lambda inputs: outputs(fixed, inputs), rig.inputs())
+    """Derivatives of each quantity by the fitted values, and by each other input that is uncertain."""
+    slopes = sensitivities(model, {**_fitted(found), **rig.inputs()})
+    by_value = {name: np.array([by.pop(one) for one in found.names]) for name, by in slopes.items()}
+    return by_value, slopes
 
 
-def standard_uncertainties(found: FittedContact, rig: RigQuantities, outputs: Outputs) -> dict[str, float]:
-    """The standard uncertainty of each output by the covariance of the fit and the inputs, to first order."""
-    by_value, by_input = _slopes(found, rig, outputs)
+def standard_uncertainties(found: FittedContact, rig: RigQuantities, model: Model) -> dict[str, float]:
+    """Standard uncertainties of the quantities of a model by the fit and the other inputs, to first order."""
+    by_value, by_input = _slopes(found, rig, model)
     inputs = rig.inputs()
     return {
         name: hypot(

@@ -23,7 +23,7 @@ from processing.fit.exact_model import ExactModel
 from processing.fit.result import FitResult
 from processing.fit.terms import Term
 from processing.fit.terms import solve as solve_terms
-from processing.least_squares import FactoredJacobian, covariance_of, solve
+from processing.least_squares import FactoredJacobian, covariance_of, differenced, solve
 from processing.swing import TurningPoints
 
 _OWN = ("period0_s", AMPLITUDE.key, TIME.key)
@@ -99,92 +99,69 @@ class _SharedParameters:
         self.unsure = [run.stated.u_exposure > 0 for run in runs]
         self.ends = np.cumsum([self.count, *(len(_OWN) + unsure for unsure in self.unsure)])
         start = [np.median([self._at_reference(fit)[k] for fit in fits]) for k in range(_AIR)]
-        start += self._line([fit.estimate(DRAG.key).value for fit in fits])
+        lines = np.array([self.line(run.stated.exposure) for run in runs])
+        drags = np.array([fit.estimate(DRAG.key).value for fit in fits])
+        start += FactoredJacobian(lines).coefficients(drags).tolist()
         self.unit = np.abs(np.array(start))
         self.unit[self.unit == 0] = 1.0
-        own = []
-        for run in runs:
-            values = [run.stated.fit.estimate(name).value for name in _OWN]
-            u = [run.stated.fit.estimate(name).standard_uncertainty for name in _OWN]
-            own.append((np.array(values), np.array(u)))
-        self.own = own
+        self.own = [np.array([tuple(fit.estimate(name)) for name in _OWN]).T for fit in fits]
         self.start = np.concatenate([np.array(start) / self.unit, np.zeros(int(self.ends[-1]) - self.count)])
 
     def _at_reference(self, fit: FitResult) -> list[float]:
-        known = {name: fit.estimate(name).value for name in _COMMON}
+        known = fit.named_values
         known["b"] = float(np.log(known["b"]) + (known["p"] - 1) * self.log_r)
         known["gamma_pa"] *= float(np.exp(known["n"] * self.log_r))
         return [known[name] for name in _COMMON]
 
-    def _line(self, drags: Sequence[float]) -> list[float]:
-        exposure = np.array([run.stated.exposure for run in self.runs])
-        design = exposure[:, None] if self.by_ratio else np.column_stack([np.ones_like(exposure), exposure])
-        found: list[float] = FactoredJacobian(design).coefficients(np.array(drags)).tolist()
-        return found
+    def physical(self, shared: Floats) -> Floats:
+        """SI values of the contact, then d0 and k."""
+        values = shared * self.unit
+        known = dict(zip(_COMMON, values[:_AIR].tolist(), strict=True))
+        known["b"] = float(np.exp(known["b"] + (1 - known["p"]) * self.log_r))
+        known["gamma_pa"] *= float(np.exp(-known["n"] * self.log_r))
+        return np.array([*(known[name] for name in _COMMON), *values[_AIR:]])
 
-    def contact(self, shared: Floats) -> tuple[Floats, Floats]:
-        """SI values of the contact, and their derivatives by the shared parameters, in the solver's units."""
-        known = dict(zip(_COMMON, (shared * self.unit)[:_AIR].tolist(), strict=True))
-        place = {name: k for k, name in enumerate(_COMMON)}
-        by = np.zeros((_AIR, self.count))
-        by[:, :_AIR] = np.diag(self.unit[:_AIR])
-        b = float(np.exp(known["b"] + (1 - known["p"]) * self.log_r))
-        scale = float(np.exp(-known["n"] * self.log_r))
-        gamma = known["gamma_pa"] * scale
-        by[place["b"], place["b"]] = b * self.unit[place["b"]]
-        by[place["b"], place["p"]] = -self.log_r * b * self.unit[place["p"]]
-        by[place["gamma_pa"], place["gamma_pa"]] = scale * self.unit[place["gamma_pa"]]
-        by[place["gamma_pa"], place["n"]] = -self.log_r * gamma * self.unit[place["n"]]
-        known |= {"b": b, "gamma_pa": gamma}
-        return np.array([known[name] for name in _COMMON]), by
-
-    def air(self, shared: Floats, run: int, off: float = 0.0) -> tuple[float, Floats, float]:
-        """A run's drag in s, its derivatives by the shared parameters, and that by its exposure."""
-        exposure, air = self.runs[run].stated.exposure + off, (shared * self.unit)[_AIR:]
-        by = np.zeros(self.count)
-        by[_AIR:] = np.array([exposure] if self.by_ratio else [1.0, exposure]) * self.unit[_AIR:]
-        drag = float(air @ (by[_AIR:] / self.unit[_AIR:]))
-        return drag, by, float(air[-1])
+    def line(self, exposure: float) -> Floats:
+        """Derivatives of the drag by d0 and k at an exposure."""
+        return np.array([exposure] if self.by_ratio else [1.0, exposure])
 
     def __call__(self, values: Floats) -> tuple[Floats, Floats]:
         """Residuals of all runs, and their derivatives."""
-        parts, jacobian = [], []
-        for number in range(len(self.runs)):
-            residuals, by = self.run_parameters(values, number)
-            parts.append(residuals)
-            jacobian.append(by)
-        return np.concatenate(parts), np.concatenate(jacobian)
+        residuals, by = zip(*(self.run_parameters(values, k) for k in range(len(self.runs))), strict=True)
+        return np.concatenate(residuals), np.concatenate(by)
 
     def run_parameters(self, values: Floats, number: int, drag_off_s: float = 0.0) -> tuple[Floats, Floats]:
         """Residuals and derivatives of one run, whose drag may lie off the line."""
-        run, shared = self.runs[number], values[: self.count]
+        run, u_exposure = self.runs[number], self.runs[number].stated.u_exposure
         own = values[self.ends[number] : self.ends[number + 1]]
-        u_exposure = run.stated.u_exposure
         off = own[-1] * u_exposure if self.unsure[number] else 0.0
-        contact, by_shared = self.contact(shared)
-        drag_s, by_drag, per_exposure = self.air(shared, number, float(off))
+        shared, by_shared = differenced(self.physical)(values[: self.count])
+        line = self.line(run.stated.exposure + off)
         centre, size = self.own[number]
-        known = dict(zip(_COMMON, contact.tolist(), strict=True)) | {DRAG.key: drag_s + drag_off_s}
+        known = dict(zip(_COMMON, shared[:_AIR].tolist(), strict=True))
+        known[DRAG.key] = float(line @ shared[_AIR:]) + drag_off_s
         known |= dict(zip(_OWN, (centre + size * own[: len(_OWN)]).tolist(), strict=True))
         columns = run.model.columns.from_physical(known)
         residuals, jacobian = run.model.linearised_at(columns)(columns)
-        physical = np.linalg.inv(run.model.columns.physical(columns)[1])
-        by_physical = dict(zip(run.model.names, (jacobian @ physical).T, strict=True))
-        by = np.zeros((len(residuals), len(values)))
-        for name, row in zip(_COMMON, by_shared, strict=True):
-            by[:, : self.count] += np.outer(by_physical[name], row)
-        by[:, : self.count] += np.outer(by_physical[DRAG.key], by_drag)
+        by_physical = jacobian @ np.linalg.inv(run.model.columns.physical(columns)[1])
+        common, private = (by_physical[:, self._places(run, names)] for names in (_COMMON, _OWN))
+        by_drag = by_physical[:, self._places(run, (DRAG.key,))]
         first = int(self.ends[number])
-        for k, name in enumerate(_OWN):
-            by[:, first + k] = by_physical[name] * size[k]
+        by = np.zeros((len(residuals), len(values)))
+        by[:, : self.count] = np.column_stack([common, by_drag * line]) @ by_shared
+        by[:, first : first + len(_OWN)] = private * size
         residuals, by = residuals / run.size, by / run.size
         if self.unsure[number]:
             last = first + len(_OWN)
-            by[:, last] = by_physical[DRAG.key] * per_exposure * u_exposure / run.size
+            by[:, last] = by_drag[:, 0] * shared[-1] * u_exposure / run.size
             prior = np.zeros(len(values))
             prior[last] = 1.0
             residuals, by = np.append(residuals, own[-1]), np.vstack([by, prior])
         return residuals, by
+
+    @staticmethod
+    def _places(run: _RunModel, names: Sequence[str]) -> list[int]:
+        return [run.model.names.index(name) for name in names]
 
 
 def air_of_vanes(
@@ -212,19 +189,14 @@ def air_of_vanes(
     chance = float(chdtrc(dof, chi2))
     enlarged = float(np.sqrt(chi2 / dof)) if chance < _IMPROBABLE else 1.0
     covariance = covariance_of(found.jacobian) * enlarged**2
-    of_shared = covariance[: shared.count, : shared.count]
-    values, by = shared.contact(found.values[: shared.count])
-    u_contact = np.sqrt(np.diag(by @ of_shared @ by.T))
-    air = found.values[_AIR : shared.count] * shared.unit[_AIR:]
-    u_air = np.sqrt(np.diag(of_shared)[_AIR:]) * shared.unit[_AIR:]
+    values, by = differenced(shared.physical)(found.values[: shared.count])
+    u = np.sqrt(np.diag(by @ covariance[: shared.count, : shared.count] @ by.T))
+    estimates = [Estimate(*one) for one in zip(values.tolist(), u.tolist(), strict=True)]
     drags = [_drag_of(shared, found.values, number) for number in range(len(runs))]
     return MeasuredAir(
-        drag_s=Estimate(float(air[0]), float(u_air[0])),
-        per_exposure=Estimate(float(air[-1]), float(u_air[-1])),
-        contact={
-            name: Estimate(float(value), float(u))
-            for name, value, u in zip(_COMMON, values, u_contact, strict=True)
-        },
+        drag_s=estimates[_AIR],
+        per_exposure=estimates[-1],
+        contact=dict(zip(_COMMON, estimates[:_AIR], strict=True)),
         of_runs_s=tuple(drag for drag, _ in drags),
         off_s=tuple(off for _, off in drags),
         chi2=chi2,
@@ -270,16 +242,13 @@ def _finite_or_nan(shared: _SharedParameters, values: Floats) -> tuple[Floats, F
 def _drag_of(shared: _SharedParameters, values: Floats, number: int) -> tuple[Estimate, float]:
     """The drag of one run with the contact of all, and how far it is off the line, by one linear step."""
     residuals, by = shared.run_parameters(values, number)
-    on_line, by_drag, _ = shared.air(values[: shared.count], number)
+    air = shared.physical(values[: shared.count])[_AIR:]
+    on_line = float(shared.line(shared.runs[number].stated.exposure) @ air)
     # the step is taken in the run's own drag, at the size of d0
-    of_drag = _derivative_by_drag(shared, values, number, by_drag)
+    step = 1e-3 * float(shared.unit[_AIR])
+    high, low = (shared.run_parameters(values, number, sign * step)[0] for sign in (1.0, -1.0))
+    of_drag = (high - low) / (2 * step)
     own = by[:, shared.ends[number] : shared.ends[number + 1]]
     found = solve_terms(residuals, own, [Term("drag", of_drag)])
     off = float(found.values[0])
     return Estimate(on_line + off, float(np.sqrt(found.covariance[0, 0]))), off
-
-
-def _derivative_by_drag(shared: _SharedParameters, values: Floats, number: int, by_drag: Floats) -> Floats:
-    step = 1e-3 * float(abs(by_drag[_AIR]) or 1e-3)
-    high, low = (shared.run_parameters(values, number, sign * step)[0] for sign in (1.0, -1.0))
-    return np.asarray((high - low) / (2 * step))

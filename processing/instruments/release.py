@@ -72,11 +72,7 @@ def with_release(
         u_half_period_s=math.nan,
         side=side,
     )
-    lasts_s = float(seconds(first.turn_time_ns - release.turn_time_ns))
-    first = replace(
-        first, half_period_s=lasts_s, u_half_period_s=math.hypot(u_release_s, first.u_turn_time_s)
-    )
-    return [release, first, *(swing for swing in swings if swing.index > first.index)]
+    return [release, first.since(release), *(swing for swing in swings if swing.index > first.index)]
 
 
 def _release_fit(

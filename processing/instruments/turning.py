@@ -53,7 +53,8 @@ def refined_turning_points(
     times, values, u = times_ns[seen], deflection_rad[seen], u_deflection_rad[seen]
     length_ns = (swings[-1].turn_time_ns - swings[0].turn_time_ns) / (swings[-1].index - swings[0].index)
     found = [_refined_one(times, values, u, swing, float(length_ns)) for swing in swings]
-    return _with_half_periods(_about_the_rest_position(found))
+    found = _about_the_rest_position(found)
+    return [*found[:1], *(swing.since(before) for before, swing in pairwise(found))]
 
 
 def _refined_one(
@@ -126,16 +127,4 @@ def _about_the_rest_position(swings: list[HalfCycle]) -> list[HalfCycle]:
             continue
         centre = float(rest + seconds(slope * (swing.turn_time_ns - good[0].turn_time_ns)))
         result.append(replace(swing, centre=centre, amplitude=abs(place[swing.index] - centre)))
-    return result
-
-
-def _with_half_periods(swings: list[HalfCycle]) -> list[HalfCycle]:
-    """Compute the half periods again from the turning times."""
-    result = swings[:1]
-    for before, swing in pairwise(swings):
-        lasts_s = u_s = float("nan")
-        if swing.index - before.index == 1:
-            lasts_s = seconds(swing.turn_time_ns - before.turn_time_ns)
-            u_s = float(np.hypot(swing.u_turn_time_s, before.u_turn_time_s))
-        result.append(replace(swing, half_period_s=lasts_s, u_half_period_s=u_s))
     return result

@@ -166,7 +166,6 @@ def combine_runs(results: Sequence[FitResult]) -> SeriesResult:
         correlation * np.outer(u, u),
         float(len(results) - 1),
         np.mean([run.by_log_rho[at] for run in runs], axis=0),
-        float(np.exp(np.mean([np.log(run.reference_rad) for run in runs]))),
         {AIR: np.array([[parameters[name].by_air] for name in names])},
     )
     return SeriesResult(parameters, tuple(_disagreements(names, results)), together)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from processing.arrays import Flags, Floats, Ints
+from processing.noise_models import robust_scatter
 from processing.spot.fit_values import Image, Spot, SpotFlag
 from processing.spot.model_choice import LONGEST_CHOICE_FRAMES, SpotModel
 
@@ -127,7 +128,6 @@ _REACH_SIGMAS = 5.5
 """Distance from the spot's centre within which light shifts its fit: the window and the light's width."""
 _LIT_SIGMAS = 6.0
 """Standard deviations of the mean picture above which a pixel is lit."""
-_MAD = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +165,7 @@ class FixedLight:
         # a third of the spot's size, over which the light of optics varies little
         smooth = gaussian_filter(self.light_dn, self.sigma_px / 3.0)
         seen = smooth[self.light_dn != 0.0]
-        return np.asarray(smooth > _LIT_SIGMAS * _MAD * float(np.median(np.abs(seen - np.median(seen)))))
+        return np.asarray(smooth > _LIT_SIGMAS * robust_scatter(seen))
 
     @cached_property
     def subtracted_dn(self) -> Floats:

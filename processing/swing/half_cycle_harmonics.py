@@ -16,6 +16,7 @@ import numpy as np
 
 from processing.arrays import Complexes, Floats
 from processing.deflections import Deflections, joined
+from processing.noise_models import robust_scatter
 from processing.swing.cycle_residuals import fast_mode_columns, without_columns
 from processing.swing.swing import HalfCycle
 
@@ -152,7 +153,7 @@ class HarmonicsWatch:
             terms = np.column_stack([terms, fast])
         weight = 1.0 / samples.u_y
         left = np.abs(without_columns(samples.y, terms, weight)) * weight
-        weight = np.where(left > _GATE * max(1.0, 1.4826 * float(np.median(left))), 0.0, weight)
+        weight = np.where(left > _GATE * max(1.0, robust_scatter(left, middle=0.0)), 0.0, weight)
         weighted = terms * weight[:, None]
         norm = np.sqrt(np.sum(weighted**2, axis=0))
         normal = (weighted.T @ weighted) / np.outer(norm, norm) + _RIDGE * np.eye(len(norm))

@@ -1,7 +1,8 @@
 """Half-cycles of the decay: turning points, uncertainties and flags."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 
 import numpy as np
@@ -47,6 +48,14 @@ class HalfCycle:
     side: int
     flags: int
     """Bits of `HalfCycleFlag`."""
+
+    def since(self, before: "HalfCycle | None") -> "HalfCycle":
+        """The same with its half period since the one before; NaN without it, or after a missing one."""
+        lasts_s = u_s = math.nan
+        if before is not None and self.index - before.index == 1:
+            lasts_s = seconds(self.turn_time_ns - before.turn_time_ns)
+            u_s = math.hypot(self.u_turn_time_s, before.u_turn_time_s)
+        return replace(self, half_period_s=lasts_s, u_half_period_s=u_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -195,7 +195,7 @@ def _position_errors(
     good = [swing for swing in swings if not swing.flags]
     amplitude, centre, side = np.array([(one.amplitude, one.centre, one.side) for one in good]).T
     errors = found.amplitude_errors(amplitude, centre, side)
-    return fit_position_errors(fit.points(swings), fit.pendulum, exact, errors)
+    return fit_position_errors(LinearisedFit.of(fit.points(swings), fit.pendulum, exact), errors)
 
 
 def loss_of(settings: FitSettings) -> Loss:
@@ -262,7 +262,7 @@ def _without_rolling_shutter(
     points: TurningPoints, pendulum: PendulumOnBall, exact: FitResult
 ) -> tuple[FitResult, TurningPoints]:
     """The fit and its points without the effect of a rolling shutter that is not stated, if they show one."""
-    found = time_alternation(points, pendulum, exact)
+    found = time_alternation(LinearisedFit.of(points, pendulum, exact))
     if not found.seen:
         return exact, points
     at_once = without_alternation(points, found)

@@ -143,10 +143,11 @@ def with_contact(
         notes.append(f"no identifiability verdict: {error}")
     tables: Mapping[str, Budget] = {}
     if rig is not None:
-        drifts = drift_effects(points, pendulum, exact)
-        by_inputs = {**drifts, **sensor_derivatives(LinearisedFit.of(points, pendulum, exact), rig)}
+        at = LinearisedFit.of(points, pendulum, exact)
+        drifts = drift_effects(at)
+        by_inputs = {**drifts, **sensor_derivatives(at, rig)}
         if plane_errors is not None and rig.plane_of_swing_rad.u > 0:
-            by_plane = amplitude_error_effects(points, pendulum, exact, plane_errors)
+            by_plane = amplitude_error_effects(at, plane_errors)
             by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
         contact = replace(fitted_contact(exact), by_inputs=by_inputs)
         notes += filter(
@@ -262,8 +263,8 @@ def _work(
     if rig is not None:
         contact = fitted_contact(exact)
 
-        def works(values: Floats, inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
-            reported = reported_quantities(contact, values, inputs, rig)
+        def works(inputs: Mapping[str, Floats]) -> Mapping[str, Floats]:
+            reported = reported_quantities(contact, inputs, rig)
             without_drag = {name: found for name, found in reported.items() if name != "drag_s"}
             moment = inputs["mass_kg"] * inputs["gravity_m_per_s2"] * inputs["ball_radius_m"]
             return {

@@ -20,6 +20,7 @@ from processing.fit import (
     FitResult,
     FittedContact,
     InputQuantity,
+    LinearisedFit,
     RigQuantities,
     budgets,
     drift_effects,
@@ -139,7 +140,9 @@ def _by_drifts(
     points: Sequence[TurningPoints], pendulum: PendulumOnBall, fits: Sequence[FitResult]
 ) -> dict[str, Floats]:
     """Derivatives of the mean by drifts that all runs have alike."""
-    found = [drift_effects(one, pendulum, fit) for one, fit in zip(points, fits, strict=True)]
+    found = [
+        drift_effects(LinearisedFit.of(one, pendulum, fit)) for one, fit in zip(points, fits, strict=True)
+    ]
     return {name: np.mean([drifts[name] for drifts in found], axis=0) for name in DRIFTS}
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from processing.contact import DEFAULT_LAW, DRAG, PendulumOnBall
 from processing.deflections import slow_deflections
 from processing.errors import ConfigurationError, DataError
-from processing.fit import LEAST_UNEXPLAINED, Conditions, FitMethod, sine_covariance
+from processing.fit import LEAST_UNEXPLAINED, Conditions, FitMethod, waveform_of
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
 from processing.swing import HarmonicsWatch, swings_of_blocks, turning_points
@@ -214,7 +214,9 @@ def _half_cycle_uncertainties(
         )
     later = slice(len(points) // 2, None)
     u_amplitude, u_time = points.u_amplitude[later], points.u_time_s[later]
-    return float(np.median(u_amplitude)), float(np.median(u_time)), sine_covariance(waveform.found())
+    found = waveform_of(waveform.found())
+    covariance = None if found is None else found.median_covariance
+    return float(np.median(u_amplitude)), float(np.median(u_time)), covariance
 
 
 def _slow_density(config: Configuration, at_hz: NDArray[np.float64]) -> NDArray[np.float64]:

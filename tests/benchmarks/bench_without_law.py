@@ -15,7 +15,7 @@ from processing.contact import PendulumOnBall
 from processing.contact.law import ContactParameters
 from processing.contact.laws import PAPER
 from processing.fit import fit_model_free
-from processing.fit.model_free import FreeMoments
+from processing.fit.law_comparison import FreeMoments
 from tests.benchmarks.bench_ground import Case, basement, simulated_case
 from tests.benchmarks.cases import each_seed, run_cases
 from tests.benchmarks.coverage import Floats

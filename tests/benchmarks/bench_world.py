@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from processing.estimate import WELL_DETERMINED, Estimate
-from processing.fit import DragFinding, FitMethod, drag_verdict, drift_effects
+from processing.fit import DragFinding, FitMethod, LinearisedFit, drag_verdict, drift_effects
 from processing.swing import turning_points
 from rig.analysis.air import FittedDrag, evidence_of
 from rig.analysis.contact_fits import fit_decay
@@ -85,7 +85,7 @@ def outcome(case: Case, seed: int) -> Outcome:
     evidence = evidence_of(drag, settled.harmonics)
     fit = fit_decay(points, PENDULUM, settings, settled.exact, evidence=evidence)[0][FitMethod.EXACT]
     b, u = fit.estimate("b")
-    drifts = drift_effects(points, PENDULUM, fit)
+    drifts = drift_effects(LinearisedFit.of(points, PENDULUM, fit))
     u_drifts = {"ageing": settings.u_ageing, "period_drift": U_PERIOD}
     wide = np.sqrt(u**2 + sum((size * drifts[name][0]) ** 2 for name, size in u_drifts.items()))
     named = [change.kind.value for change in fit.changes]

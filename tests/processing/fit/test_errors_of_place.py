@@ -4,7 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from processing.fit import FIXED_PATTERN, MEASUREMENT, budgets, fit_exact, fit_position_errors, fitted_contact
+from processing.fit import (
+    FIXED_PATTERN,
+    MEASUREMENT,
+    LinearisedFit,
+    budgets,
+    fit_exact,
+    fit_position_errors,
+    fitted_contact,
+)
 from processing.fit.uncertainty import GROUND
 from tests.processing.fit.decays import ARCSEC, decay, paper_pair
 from tests.processing.fit.test_uncertainty import rig
@@ -18,7 +26,7 @@ def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_n
     errors = np.column_stack([wave, scale, 1e-9 * wave])
     shifted = replace(points, amplitude=points.amplitude + 0.7 * wave)
     fit = fit_exact(shifted, pendulum)
-    told = fit_position_errors(shifted, pendulum, fit, errors)
+    told = fit_position_errors(LinearisedFit.of(shifted, pendulum, fit), errors)
     u_wave = np.sqrt(told.covariance[0, 0])
     assert abs(told.values[0] - 0.7) < 4 * u_wave
     assert u_wave < 0.2
@@ -37,7 +45,7 @@ def test_an_error_that_no_decay_has_is_seen_and_one_that_looks_like_a_decay_is_n
 
     # c is proportional to the scale of the angles: one of 1e-3 adds what the law does not see of it
     again = fit_exact(points, pendulum)
-    of_scale = fit_position_errors(points, pendulum, again, scale[:, None])
+    of_scale = fit_position_errors(LinearisedFit.of(points, pendulum, again), scale[:, None])
     wider = again.with_term(FIXED_PATTERN, of_scale.of_parameters)
     at = again.names.index("c")
     added = wider.covariance[at, at] - again.covariance[at, at]
@@ -60,6 +68,6 @@ def test_a_driven_pendulum_answers_to_shifted_amplitudes_as_a_refit_does() -> No
     assert fit.ground is not None
     assert not fit.ground.noise.at_rest
     wave = 0.02 * ARCSEC * np.sin(points.amplitude / (4 * ARCSEC))
-    told = fit_position_errors(points, pendulum, fit, wave[:, None])
+    told = fit_position_errors(LinearisedFit.of(points, pendulum, fit), wave[:, None])
     assert 0.0 < told.covariance[0, 0] <= 1.0
     assert np.all(np.isfinite(told.of_parameters))

@@ -103,37 +103,28 @@ def test_a_true_law_costs_nothing() -> None:
 
 
 @pytest.mark.slow
-def test_what_every_run_lacks_is_not_averaged_away() -> None:
+def test_what_a_law_lacks_is_a_term_of_every_fit_of_it() -> None:
+    """In the mean of runs, in the budget, in no evidence, and in another fit to the same points."""
     points, fit = not_described(OTHER_AIR, 1)
     described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
     both = combine_runs([described, described]).parameters["b"]
     assert both.standard_uncertainty > 0.95 * described.estimate("b").standard_uncertainty
-
-
-@pytest.mark.slow
-def test_the_misfit_has_its_line_in_the_budget_and_no_part_in_the_evidence() -> None:
-    points, fit = not_described(OTHER_AIR, 1)
-    described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
     assert DISCREPANCY in described.terms
     assert fitted_contact(described).part(DISCREPANCY)[0, 0] == described.part(DISCREPANCY)[0, 0]
     plain, wide = (compare_laws(points, PENDULUM, [PAPER], like=one) for one in (fit, described))
     assert wide.trials[0].log_evidence == pytest.approx(plain.trials[0].log_evidence, abs=0.01)
     assert not wide.describes
     assert not plain.describes
-
-
-@pytest.mark.slow
-def test_another_fit_of_the_law_shares_what_the_exact_one_found() -> None:
-    points, fit = not_described(OTHER_AIR, 1)
-    described = with_discrepancy(LinearisedFit.of(points, PENDULUM, fit))
-    assert DISCREPANCY in described.terms
     other = fit_asymptotic(points, PENDULUM, drag=True, exact=described)
     wider = other.with_terms_of(described, DISCREPANCY)
     at = PAPER.names().index("c")
     added = wider.covariance[at, at] - other.covariance[at, at]
     assert added == pytest.approx(described.part(DISCREPANCY)[at, at])
     with pytest.raises(DataError):
-        with_discrepancy(LinearisedFit.of(points, PENDULUM, other))
+        LinearisedFit.of(points, PENDULUM, other)
+    assert described.misfit is not None
+    # a smooth error of the law is no slip
+    assert changes_of(points, fit, described.misfit.against_law) == ()
 
 
 def test_a_slip_is_found_and_dated() -> None:
@@ -176,12 +167,6 @@ def test_a_step_that_is_not_found_is_in_the_uncertainties() -> None:
     assert abs(moved - still) < 1.5 * u
 
 
-@pytest.mark.slow
-def test_a_smooth_error_of_the_law_is_no_slip() -> None:
-    points, fit = not_described(OTHER_AIR, 1)
-    assert changes_of(points, fit, against_law_of(points, fit)) == ()
-
-
 def test_what_drifts_do_to_the_parameters() -> None:
     """Against decays that drift; the difference of two, so that noise and ground are the same.
 
@@ -189,7 +174,7 @@ def test_what_drifts_do_to_the_parameters() -> None:
     """
     points = decay(World(), q=0.0)
     lasting_s, still = float(points.time_s[-1]), fitted(points)
-    drifts = drift_effects(points, PENDULUM, still)
+    drifts = drift_effects(LinearisedFit.of(points, PENDULUM, still))
     for world, by, names in (
         (World(ageing=0.005, lasting_s=lasting_s), 0.005 * drifts["ageing"], ("b", "p", "c")),
         (World(drag_drift=0.005, lasting_s=lasting_s), 0.005 * drifts["drag_drift"], ("b", "p", "c")),
@@ -210,7 +195,7 @@ def test_drifts_can_be_fitted_about_zero() -> None:
     p, u = free.estimate("p")
     assert abs(fit.values[at] - PARAMETERS.p) > 3 * fit.standard_uncertainty[at]
     assert abs(p - PARAMETERS.p) < 2 * u
-    by = drift_effects(points, PENDULUM, fit)["ageing"][at]
+    by = drift_effects(LinearisedFit.of(points, PENDULUM, fit))["ageing"][at]
     # the turning points say nothing of it: what is believed remains
     assert u == pytest.approx(np.hypot(fit.standard_uncertainty[at], 0.01 * by), rel=0.2)
     none = near.with_terms(drift_term(near, {}))

@@ -11,6 +11,9 @@ from tests.processing.fit.decays import ARCSEC, decay, paper_pair, truth
 from tests.processing.fit.driven import driven_decay
 
 NOISE_ARCSEC = 0.005
+PARAMETERS, PENDULUM = paper_pair("glass_k8")
+NAMES = LAWS["paper"].names()
+VALUES = dict(zip(NAMES, truth(PARAMETERS, NAMES), strict=True))
 
 
 def conditions(q: float = 0.0) -> Conditions:
@@ -26,72 +29,58 @@ def test_a_step_and_its_density_are_inverse() -> None:
 @pytest.mark.parametrize("q", [0.0, 3e-8])
 def test_a_plan_says_what_runs_scatter(q: float) -> None:
     """Eight runs of an equation of motion of the tests' own; their scatter is known to 27 %."""
-    parameters, pendulum = paper_pair("glass_k8")
-    names = LAWS["paper"].names()
-    values = dict(zip(names, truth(parameters, names), strict=True))
-    planned = planned_run(values, pendulum, conditions(q), 124 * ARCSEC, 30 * ARCSEC)
+    planned = planned_run(VALUES, PENDULUM, conditions(q), 124 * ARCSEC, 30 * ARCSEC)
     found = []
     for seed in range(8):
         if q:
-            points = driven_decay(parameters, pendulum, q=q, noise_arcsec=NOISE_ARCSEC, seed=700 + seed)
+            points = driven_decay(PARAMETERS, PENDULUM, q=q, noise_arcsec=NOISE_ARCSEC, seed=700 + seed)
             points = points.first(planned.half_cycles)
         else:
-            points = decay(parameters, pendulum, noise_arcsec=NOISE_ARCSEC, seed=700 + seed, last_arcsec=30)
+            points = decay(PARAMETERS, PENDULUM, noise_arcsec=NOISE_ARCSEC, seed=700 + seed, last_arcsec=30)
         assert abs(len(points) - planned.half_cycles) <= 2
         assert points.time_s[-1] - points.time_s[0] == pytest.approx(planned.duration_s, rel=0.02)
-        found.append(fit_exact(points, pendulum, averaged=bool(not q)).values[: len(names)])
-    for name, scatter in zip(names, np.std(found, axis=0, ddof=1), strict=True):
+        found.append(fit_exact(points, PENDULUM, averaged=bool(not q)).values[: len(NAMES)])
+    for name, scatter in zip(NAMES, np.std(found, axis=0, ddof=1), strict=True):
         assert 0.35 < scatter / planned.u[name] < 1.9, name
 
 
 def test_a_higher_start_and_a_lower_end_tell_more() -> None:
-    parameters, pendulum = paper_pair("glass_k8")
-    names = LAWS["paper"].names()
-    values = dict(zip(names, truth(parameters, names), strict=True))
     runs = [
-        planned_run(values, pendulum, conditions(), first * ARCSEC, last * ARCSEC)
+        planned_run(VALUES, PENDULUM, conditions(), first * ARCSEC, last * ARCSEC)
         for first, last in ((124, 15), (124, 4), (300, 4))
     ]
-    for name in names:
+    for name in NAMES:
         u = [run.u[name] for run in runs]
         assert u == sorted(u, reverse=True), name
     # "How long to measure": 1.6 and 0.37 % of c after 11.1 and 17.1 minutes without a drive
     for run, percent, minutes in zip(runs[:2], (1.6, 0.37), (11.1, 17.1), strict=True):
-        assert 100 * run.u["c"] / values["c"] == pytest.approx(percent, rel=0.06)
+        assert 100 * run.u["c"] / VALUES["c"] == pytest.approx(percent, rel=0.06)
         assert run.duration_s / 60 == pytest.approx(minutes, rel=0.02)
 
 
 def test_the_ground_ends_a_run() -> None:
-    parameters, pendulum = paper_pair("glass_k8")
-    names = LAWS["paper"].names()
-    values = dict(zip(names, truth(parameters, names), strict=True))
-    assert planned_run(values, pendulum, conditions(1e-8), 124 * ARCSEC, 2 * ARCSEC).complete
-    planned = planned_run(values, pendulum, conditions(1e-5), 124 * ARCSEC, 2 * ARCSEC)
+    assert planned_run(VALUES, PENDULUM, conditions(1e-8), 124 * ARCSEC, 2 * ARCSEC).complete
+    planned = planned_run(VALUES, PENDULUM, conditions(1e-5), 124 * ARCSEC, 2 * ARCSEC)
     assert not planned.complete
     assert planned.duration_s < 900
     with pytest.raises(DataError, match="half-cycles; a fit needs"):
-        planned_run(values, pendulum, conditions(), 124 * ARCSEC, 123.9 * ARCSEC)
+        planned_run(VALUES, PENDULUM, conditions(), 124 * ARCSEC, 123.9 * ARCSEC)
 
 
 def test_other_laws_are_planned_too() -> None:
     values = {"k": 0.066, "q": 0.94, "c": 1e-8, "period0_s": 4.2}
-    planned = planned_run(
-        values, paper_pair("glass_k8")[1], conditions(), 124 * ARCSEC, 30 * ARCSEC, law=LAWS["masing"]
-    )
+    planned = planned_run(values, PENDULUM, conditions(), 124 * ARCSEC, 30 * ARCSEC, law=LAWS["masing"])
     assert set(planned.u) == set(values)
     assert all(0 < planned.u[name] < 0.1 * value for name, value in values.items())
 
 
 @pytest.mark.parametrize(("noise", "left"), [(1.0, np.sqrt(0.5)), (0.1, 0.0995)])
 def test_a_witness_leaves_of_the_ground_what_its_own_noise_hides(noise: float, left: float) -> None:
-    parameters, pendulum = paper_pair("glass_k8")
-    names = LAWS["paper"].names()
-    values = dict(zip(names, truth(parameters, names), strict=True))
     ground = conditions(1e-7)
     amplitudes = (124 * ARCSEC, 30 * ARCSEC)
-    with_seismometer = planned_run(values, pendulum, ground.with_seismometer(noise), *amplitudes)
+    with_seismometer = planned_run(VALUES, PENDULUM, ground.with_seismometer(noise), *amplitudes)
     assert with_seismometer.u == pytest.approx(
-        planned_run(values, pendulum, ground.on_ground(left * 1e-7), *amplitudes).u, rel=0.01
+        planned_run(VALUES, PENDULUM, ground.on_ground(left * 1e-7), *amplitudes).u, rel=0.01
     )
     # the ground drowns a run no later for it
-    assert with_seismometer.half_cycles == planned_run(values, pendulum, ground, *amplitudes).half_cycles
+    assert with_seismometer.half_cycles == planned_run(VALUES, PENDULUM, ground, *amplitudes).half_cycles

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from processing.contact.laws import PAPER
 from processing.deflections import slow_deflections
-from processing.fit import fit_exact, row_delay, time_alternation, without_alternation
+from processing.fit import LinearisedFit, fit_exact, row_delay, time_alternation, without_alternation
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth
 from tests.processing.fit.driven import driven_decay, driven_path
 from tests.processing.fit.frames import points_and_harmonics
@@ -23,11 +23,11 @@ DELAY_S_PER_RAD = 12.5
 def test_alternating_times_are_those_of_a_shutter(q: float) -> None:
     points = driven_decay(PARAMETERS, PENDULUM, q=q, noise_arcsec=0.005, seed=5)
     at_once = fit_exact(points, PENDULUM, averaged=False)
-    assert not time_alternation(points, PENDULUM, at_once).seen
+    assert not time_alternation(LinearisedFit.of(points, PENDULUM, at_once)).seen
     late = DELAY_S_PER_RAD * points.amplitude * (1 - 2 * (points.index % 2))
     seen = replace(points, time_s=points.time_s + late)
     fit = fit_exact(seen, PENDULUM, averaged=False)
-    found = time_alternation(seen, PENDULUM, fit)
+    found = time_alternation(LinearisedFit.of(seen, PENDULUM, fit))
     assert found.seen
     assert found.delay_s_per_rad == pytest.approx(DELAY_S_PER_RAD, rel=0.01)
     assert "rolling shutter" in found.taken_off_text

@@ -15,7 +15,7 @@ from processing.arrays import Floats
 from processing.estimate import Estimate
 from processing.fit import FitResult, Seismogram, fit_exact, fit_with_seismometer
 from processing.fit.exact_model import ExactModel, LawErrors
-from processing.fit.seismometer import SeismometerVerdict
+from processing.fit.seismometer import SeismometerFit, SeismometerVerdict
 from processing.swing import TurningPoints, swings_of, turning_points
 from processing.units import ARCSEC_RAD
 from tests.processing.fit.decays import paper_pair, truth, with_noise
@@ -69,9 +69,14 @@ def witness(value: Floats, time_s: Floats = CLOCK) -> Seismogram:
     return Seismogram(time_s, UNIT * value.reshape(len(time_s), -1), ("E", "N")[: value.ndim])
 
 
-def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
+@cache
+def with_all_of_the_drive() -> SeismometerFit:
     points, alone = on_white()
-    found = fit_with_seismometer(points, PENDULUM, witness(white(3)), alone, averaged=False)
+    return fit_with_seismometer(points, PENDULUM, witness(white(3)), alone, averaged=False)
+
+
+def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
+    (_, alone), found = on_white(), with_all_of_the_drive()
     assert found.use.used
     assert min(found.use.saved.values()) > 20
     assert np.max(np.abs(pulls(found.fit))) < 4
@@ -88,11 +93,8 @@ def test_what_it_explains_is_taken_off_and_its_response_found() -> None:
 
 def test_derivatives_by_errors_of_the_law_know_nothing_of_the_witness() -> None:
     """The filter has columns of the drive for all that it derives by, zero but for the witness itself."""
-    points, alone = on_white()
-    found = fit_with_seismometer(points, PENDULUM, witness(white(3)), alone, averaged=False)
-    fit = found.fit
-    assert found.use.used
-    model, columns = ExactModel.of(points, PENDULUM, fit)
+    fit = with_all_of_the_drive().fit
+    model, columns = ExactModel.of(on_white()[0], PENDULUM, fit)
     assert model.known_drive is not None
 
     def errors(amplitude: Floats, _: Floats) -> Floats:
@@ -168,7 +170,7 @@ def test_a_gap_costs_what_is_not_known() -> None:
     value = white(3)
     value[(CLOCK > 100) & (CLOCK < 160)] = np.nan
     found = fit_with_seismometer(points, PENDULUM, witness(value), alone, averaged=False)
-    whole = fit_with_seismometer(points, PENDULUM, witness(white(3)), alone, averaged=False)
+    whole = with_all_of_the_drive()
     assert 29 <= found.use.missing_half_cycles <= 36
     assert found.use.used
     assert 5 < found.use.saved["b"] < 0.95 * whole.use.saved["b"]

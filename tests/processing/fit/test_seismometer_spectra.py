@@ -1,7 +1,5 @@
 """Spectra of the drive and of a witness, against those of the samples that made them."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -15,20 +13,12 @@ from tests.processing.fit.test_seismometer import (
     decay,
     on_white,
     white,
+    with_all_of_the_drive,
     witness,
 )
 
 LINE_HZ, LINE = 0.27, 3e-8
 """A line in the ground beside the pendulum's frequency of 0.24 Hz, rad/s^2."""
-
-
-@cache
-def spectra(noise: float = 0.0) -> SeismometerSpectra:
-    points, alone = on_white()
-    seen = white(3) + noise * white(4)
-    found = fit_with_seismometer(points, PENDULUM, witness(seen), alone, averaged=False).use.spectra
-    assert found is not None
-    return found
 
 
 def near(found: SeismometerSpectra, tenths: float = 1.0) -> np.ndarray:
@@ -51,7 +41,8 @@ def density_of_samples(value: Floats, low_hz: float, high_hz: float) -> float:
 
 def test_the_pendulum_shows_the_drive_that_moved_it_and_the_witness_all_of_it() -> None:
     points, _ = on_white()
-    found = spectra()
+    found = with_all_of_the_drive().use.spectra
+    assert found is not None
     during = white(3)[points.time_s[-1] > CLOCK]
     frequency = np.array(found.frequency_hz)
     for where in (near(found), (frequency > 0.26) & (frequency < 0.31), (frequency > 0.17) & near(found, 3)):
@@ -68,7 +59,10 @@ def test_the_pendulum_shows_the_drive_that_moved_it_and_the_witness_all_of_it() 
 
 
 def test_noise_of_the_witness_takes_coherence() -> None:
-    found = spectra(1.0)
+    points, alone = on_white()
+    noisy = witness(white(3) + white(4))
+    found = fit_with_seismometer(points, PENDULUM, noisy, alone, averaged=False).use.spectra
+    assert found is not None
     # its power is half noise, and so the coherence is a half, within what nine stretches scatter
     assert found.coherence_near == pytest.approx(0.5, abs=0.15)
     assert np.mean(found.coherence) == pytest.approx(0.5, abs=0.1)

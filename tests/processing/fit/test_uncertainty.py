@@ -10,7 +10,14 @@ from calibration.light_lever import Lever
 from processing.contact.hertz import MATERIALS
 from processing.contact.moments import cycle_work, surface_energy
 from processing.errors import ConfigurationError, DataError
-from processing.fit import MEASUREMENT, InputQuantity, LinearisedFit, RigQuantities, sensor_derivatives
+from processing.fit import (
+    MEASUREMENT,
+    FitResult,
+    InputQuantity,
+    LinearisedFit,
+    RigQuantities,
+    sensor_derivatives,
+)
 from processing.fit.exact import fit_exact
 from processing.fit.reported import (
     FittedContact,
@@ -49,14 +56,20 @@ def points() -> TurningPoints:
 
 
 @pytest.fixture(scope="module")
-def found(points: TurningPoints) -> FittedContact:
-    return fitted_contact(fit_exact(points, rig().pendulum()))
+def exact(points: TurningPoints) -> FitResult:
+    return fit_exact(points, rig().pendulum())
 
 
-def at(value: float, source: str) -> dict[str, np.ndarray]:
-    inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
-    inputs[source] = np.array([value])
-    return inputs
+@pytest.fixture(scope="module")
+def found(exact: FitResult) -> FittedContact:
+    return fitted_contact(exact)
+
+
+def at(found: FittedContact, **changed: float) -> dict[str, np.ndarray]:
+    """Fitted values and inputs by name, some of them changed."""
+    known = {name: quantity.value for name, quantity in rig().inputs().items()}
+    known |= dict(zip(found.names, found.values.tolist(), strict=True))
+    return {name: np.array([value]) for name, value in {**known, **changed}.items()}
 
 
 @pytest.mark.parametrize(
@@ -67,7 +80,7 @@ def test_another_input_gives_what_fitting_again_gives(
 ) -> None:
     """Some per mille off in arm, pitch, clock or mass: the shortcut against the whole analysis."""
     nominal = rig().inputs()[source].value
-    reported = reported_quantities(found, found.values[:, None], at(nominal * factor, source), rig())
+    reported = reported_quantities(found, at(found, **{source: nominal * factor}), rig())
     scale = {"arm_m": 1 / factor, "pitch_m": factor}.get(source, 1.0)
     second = factor if source == "clock" else 1.0
     again = TurningPoints(
@@ -174,26 +187,22 @@ def test_few_runs_widen_the_coverage_factor(found: FittedContact) -> None:
 
 def test_the_uncertainty_of_what_follows_is_that_of_its_parts(found: FittedContact) -> None:
     """Of c itself that of its budget; of the work of a cycle less than of b alone, as p makes up."""
-    u = standard_uncertainties(
-        found, rig(), lambda values, inputs: reported_quantities(found, values, inputs, rig())
-    )
+    u = standard_uncertainties(found, rig(), lambda inputs: reported_quantities(found, inputs, rig()))
     table = budgets(found, rig())
     for name, budget in table.items():
         assert u[name] == pytest.approx(budget.standard_uncertainty, rel=1e-9), name
 
-    def work(values: np.ndarray, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        return {
-            "4A": work_per_cycle_j(60 * ARCSEC, reported_quantities(found, values, inputs, rig()), inputs)
-        }
+    def work(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"4A": work_per_cycle_j(60 * ARCSEC, reported_quantities(found, inputs, rig()), inputs)}
 
-    size = float(work(found.values[:, None], at(0.406, "mass_kg"))["4A"][0])
+    size = float(work(at(found))["4A"][0])
     relative_b = table["b"].standard_uncertainty / table["b"].value
     assert 0 < standard_uncertainties(found, rig(), work)["4A"] / size < relative_b
 
 
 def test_work_of_a_cycle_is_that_of_its_parameters(found: FittedContact) -> None:
-    inputs = {name: np.array([quantity.value]) for name, quantity in rig().inputs().items()}
-    reported = reported_quantities(found, found.values[:, None], inputs, rig())
+    inputs = at(found)
+    reported = reported_quantities(found, inputs, rig())
     parameters = fit_parameters(found)
     expected = cycle_work(3.1 * ARCSEC, parameters, rig().pendulum()).dissipated_j
     assert float(work_per_cycle_j(3.1 * ARCSEC, reported, inputs)[0]) == pytest.approx(expected, rel=1e-12)
@@ -211,7 +220,7 @@ def test_what_the_data_do_not_determine_has_no_finite_budget(found: FittedContac
     blind[2, 2] = np.inf
     lost = replace(found, covariance=blind)
     assert np.isinf(budgets(lost, rig())["c"].standard_uncertainty)
-    u = standard_uncertainties(lost, rig(), lambda values, inputs: {"c": values[2], "p": values[1]})
+    u = standard_uncertainties(lost, rig(), lambda inputs: {"c": inputs["c"], "p": inputs["p"]})
     assert np.isinf(u["c"])
     assert u["p"] == pytest.approx(float(np.sqrt(lost.covariance[1, 1])))
     assert np.isfinite(budgets(lost, rig())["n"].standard_uncertainty)
@@ -240,38 +249,31 @@ def test_impossible_quantities_are_refused(change: dict[str, InputQuantity]) -> 
         InputQuantity(1.0, -0.1)
 
 
-def test_a_wrong_row_time_moves_the_parameters_by_what_the_budget_says(points: TurningPoints) -> None:
-    """The row time is wrong by three times its uncertainty: the whole analysis again."""
-    u_s = 0.5e-6
-    rolling = rig(row_time_s=InputQuantity(15e-6, u_s))
-    exact = fit_exact(points, rolling.pendulum())
-    near = LinearisedFit.of(points, rolling.pendulum(), exact)
-    tables = budgets(replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, rolling)), rolling)
-    rows = np.tan(2 * points.amplitude) / 3.45e-6 * (1 - 2 * (points.index % 2))
-    again = fit_exact(replace(points, time_s=points.time_s + 3 * u_s * rows), rolling.pendulum(), near=exact)
-    for name in ("b", "period0_s", "gamma_pa"):
-        (line,) = [line for line in tables[name].sources if line.source == "row_time_s"]
-        moved = again.values[again.names.index(name)] - exact.values[exact.names.index(name)]
-        assert moved == pytest.approx(line.sensitivity * 3 * u_s, rel=0.3), name
-        assert line.contribution == pytest.approx(abs(line.sensitivity) * u_s)
-    assert sensor_derivatives(near, rig()) == {}
-    assert "row_time_s" not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].sources}
-
-
-def test_an_error_of_all_amplitudes_moves_the_parameters_by_what_the_budget_says(
-    points: TurningPoints,
+@pytest.mark.parametrize(
+    ("source", "value", "u", "names"),
+    [
+        ("row_time_s", 15e-6, 0.5e-6, ("b", "period0_s", "gamma_pa")),
+        ("common_amplitude_rad", 0.0, 0.001 * ARCSEC_RAD, ("b", "c", "n", "gamma_pa")),
+    ],
+)
+def test_an_error_of_the_sensor_moves_the_parameters_by_what_the_budget_says(
+    points: TurningPoints, exact: FitResult, source: str, value: float, u: float, names: tuple[str, ...]
 ) -> None:
-    """All amplitudes are wrong by three times what is allowed for: the whole analysis again."""
-    u_rad = 0.001 * ARCSEC_RAD
-    filmed = rig(common_amplitude_rad=InputQuantity(0.0, u_rad))
-    exact = fit_exact(points, filmed.pendulum())
-    near = LinearisedFit.of(points, filmed.pendulum(), exact)
-    tables = budgets(replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, filmed)), filmed)
-    moved = replace(points, amplitude=points.amplitude + 3 * u_rad)
-    again = fit_exact(moved, filmed.pendulum(), near=exact)
-    for name in ("b", "c", "n", "gamma_pa"):
-        (line,) = [line for line in tables[name].sources if line.source == "common_amplitude_rad"]
-        error = again.values[again.names.index(name)] - exact.values[exact.names.index(name)]
-        assert error == pytest.approx(line.sensitivity * 3 * u_rad, rel=0.3), name
-        assert line.contribution == pytest.approx(abs(line.sensitivity) * u_rad)
+    """The row time, or all amplitudes, are wrong by three times what is allowed for: the analysis again."""
+    uncertain = rig(**{source: InputQuantity(value, u)})
+    near = LinearisedFit.of(points, uncertain.pendulum(), exact)
+    tables = budgets(replace(fitted_contact(exact), by_inputs=sensor_derivatives(near, uncertain)), uncertain)
+    rows = np.tan(2 * points.amplitude) / 3.45e-6 * (1 - 2 * (points.index % 2))
+    wrong = (
+        replace(points, time_s=points.time_s + 3 * u * rows)
+        if source == "row_time_s"
+        else replace(points, amplitude=points.amplitude + 3 * u)
+    )
+    again = fit_exact(wrong, uncertain.pendulum(), near=exact)
+    for name in names:
+        (line,) = [line for line in tables[name].sources if line.source == source]
+        moved = again.estimate(name).value - exact.estimate(name).value
+        assert moved == pytest.approx(line.sensitivity * 3 * u, rel=0.3), name
+        assert line.contribution == pytest.approx(abs(line.sensitivity) * u)
     assert sensor_derivatives(near, rig()) == {}
+    assert source not in {line.source for line in budgets(fitted_contact(exact), rig())["b"].sources}

@@ -16,10 +16,10 @@ from rig.analysis.contact_verdicts import rig_quantities
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.instrument import complete
 from rig.settings import load_configuration
-from tests.processing.fit.test_uncertainty import found, points, rig
+from tests.processing.fit.test_uncertainty import exact, found, points, rig
 from tests.rig.view.replay_record import CONFIG
 
-__all__ = ["found", "points"]
+__all__ = ["exact", "found", "points"]
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

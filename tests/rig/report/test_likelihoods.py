@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.fit import AIR, drift_effects
+from processing.fit import AIR, LinearisedFit, drift_effects
 from processing.series import to_coordinates
 from processing.units import ARCSEC_RAD
 from rig.analysis import analyse_record
@@ -33,7 +33,7 @@ def test_it_is_that_of_the_fit(measured_series: Path) -> None:
     there, to = to_coordinates(names, fit.values[at], REFERENCE_RAD)
     np.testing.assert_allclose(found.values, there)
     # ageing: the budget's signed slope is the fit's own
-    drifts = drift_effects(run.points, pendulum, fit)
+    drifts = drift_effects(LinearisedFit.of(run.points, pendulum, fit))
     by = to @ (drifts["ageing"] + drifts["adhesion_ageing"])[at]
     assert found.by_growth is not None
     np.testing.assert_allclose(found.by_growth, by, rtol=0.02, atol=1e-6)

@@ -1,120 +1,201 @@
-"""Changes while a pendulum swings: drifts over the whole run, and events that are found and dated.
-
-A friction that ages evenly is not seen in one decay: amplitude and time fall together, and an exponent takes
-up the effect of the age. The effect of such drifts on the parameters follows from the map, for a budget.
+"""How a decay departs from its law: by smooth errors of the law, and by events that are found and dated.
 
 An event is sought at every half-cycle: a knock (a step of both quadratures of the oscillation), a step of the
 friction, a step of the period. Each is judged by the restricted likelihood, with the drive of the ground
 estimated anew, and counts where no smooth error of the law explains the decay as well.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from math import log, pi
+from math import inf, log, nan, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from processing.arrays import Floats
-from processing.contact import DRAG, PendulumOnBall
 from processing.decay_summary import mean_period
-from processing.fit.exact_model import ExactModel, LawErrors
+from processing.fit.effects import loss_shares
+from processing.fit.exact_model import LawErrors
 from processing.fit.ground import Noise
-from processing.fit.result import FITTED_DRIFTS, FRICTION_STEP, Change, ChangeKind, FitResult
-from processing.fit.terms import DrivenRows, LinearisedFit, Term
+from processing.fit.result import (
+    DISCREPANCY,
+    DISCREPANCY_SEEN,
+    FRICTION_STEP,
+    Change,
+    ChangeKind,
+    DiscrepancySize,
+    FitResult,
+)
+from processing.fit.terms import DrivenRows, LinearisedFit, RestrictedLikelihood
 from processing.least_squares import FactoredJacobian
-from processing.swing import TurningPoints
+from processing.noise_models import robust_scatter
 
-_GROWTH_STEP = 1e-3
-"""Relative growth of a friction by which the derivatives of its harmonics are taken."""
-DRIFTS = ("ageing", "adhesion_ageing", "drag_drift", "period_drift")
-"""What may drift evenly over a run, by the names of `RigQuantities`: the growth of the friction b, of the
-constant friction c, of the drag and of the period from the first turning point to the last, relative.
-
-They have different causes, and one of them alone moves parameters that all together would leave in place."""
-
-
-class LossShare:
-    """Share of a half-swing's loss, from 0 to 1, as a function of the amplitude in units of the reference."""
-
-    def __init__(self, amplitude: Floats, share: Floats) -> None:
-        self._log_amplitude, self._share = np.log(amplitude[::-1]), np.clip(share, 0.0, 1.0)[::-1]
-
-    def __call__(self, amplitude: Floats) -> Floats:
-        return np.interp(np.log(amplitude), self._log_amplitude, self._share)
+_SPACING = 0.4
+"""Largest distance of an error's nodes, in ln A."""
+_REACH = 2.0
+"""Distance in ln A over which errors are correlated: a wrong exponent or a missing term bends slowly."""
+_SIZES_TRIED = 10.0 ** np.arange(-5.0, 0.51, 0.25)
+"""Relative errors that are tried, of losses and harmonics; those of durations are times `_DURATION_SHARE`."""
+_DURATION_SHARE = 1e-3
+_DRIVES = (*10.0 ** np.arange(0.0, -3.01, -0.25), 0.0)
+"""Drives of the ground that are tried, over the likeliest one of the law without errors."""
+_DIAGONAL = 1e-9
+"""Added to the diagonal of a correlation matrix, so that rounding leaves it a root."""
 
 
-def contact_share(model: ExactModel, columns: Floats) -> LossShare:
-    """The contact's share of the loss; the drag takes ``A w0 drag pi / 2`` in a half-swing."""
-    values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
-    of_air = pi**2 * values.get(DRAG.key, 0.0) / values["period0_s"]
-    amplitude, loss = model.losses(columns)
-    return LossShare(amplitude, 1.0 - of_air * amplitude / loss)
+class _Sizes(NamedTuple):
+    """Sizes (3,) of the errors of losses, durations and harmonics; `deviance` is -2 ln L of the likeliest.
 
-
-def adhesion_share(model: ExactModel, columns: Floats) -> LossShare:
-    """Share of the loss that the constant friction takes, ``2 c`` in a half-swing at any amplitude."""
-    values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
-    amplitude, loss = model.losses(columns)
-    return LossShare(amplitude, 2.0 * values.get("c", 0.0) / model.reference / loss)
-
-
-def drift_effects(
-    points: TurningPoints, pendulum: PendulumOnBall | None, fit: FitResult
-) -> dict[str, Floats]:
-    """Derivatives (parameters,) of the contact parameters of an exact fit of these points by `DRIFTS`.
-
-    The parameters refer to the middle of the run. Raises DataError for a fit by another method.
+    `averaged` is the rms over the sizes that the data allow.
     """
-    at = LinearisedFit.of(points, pendulum, fit)
-    return dict(zip(DRIFTS, at.moved_by(-drift_term(at).columns).T, strict=True))
+
+    likeliest: Floats
+    averaged: Floats
+    deviance: float
 
 
-def drift_term(at: LinearisedFit, u_drifts: Mapping[str, float] | None = None) -> Term:
-    """The term of `DRIFTS` about zero; without `u_drifts` they have no prior."""
-    noise = at.model.noise_of(at.fit)
-    columns = drift_jacobians(at.model, at.coordinates, noise, at.scale)[1]
-    prior = np.inf if u_drifts is None else np.array([u_drifts.get(name, 0.0) for name in DRIFTS])
-    return Term(FITTED_DRIFTS, columns, prior)
+def with_discrepancy(at: LinearisedFit, fit: FitResult | None = None) -> FitResult:
+    """The fit with uncertainties that contain its law's discrepancy from the data.
+
+    `fit` is the fit that receives the term, where it has terms that `at.fit` has not.
+    """
+    fit = at.fit if fit is None else fit
+    misfit, by = _discrepancy(at)
+    if by is None:
+        return replace(fit, misfit=misfit)
+    wider = fit.with_term(DISCREPANCY, by)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.nan_to_num(wider.standard_uncertainty / fit.standard_uncertainty, nan=1.0)
+    misfit = replace(misfit, widened=dict(zip(fit.names, factor.tolist(), strict=True)))
+    return replace(wider, misfit=misfit, warnings=(*fit.warnings, *_warnings(misfit, factor)))
 
 
-def drift_jacobians(model: ExactModel, columns: Floats, noise: Noise, scale: float) -> tuple[Floats, Floats]:
-    """Derivatives of the residuals by the columns and by `DRIFTS`, of turning points that scatter `scale`
-    times as much as stated."""
-    values = dict(zip(model.names, model.columns.physical(columns)[0].tolist(), strict=True))
-    contact, adhesion = contact_share(model, columns), adhesion_share(model, columns)
-    lasting_s = float(model.points.time_s[-1] - model.points.time_s[0])
-
-    def of_loss(amplitude: Floats, time_s: Floats) -> Floats:
-        of_contact, of_adhesion = contact(amplitude), adhesion(amplitude)
-        parts = np.column_stack([of_contact - of_adhesion, of_adhesion, 1.0 - of_contact])
-        return np.asarray(parts * _since_middle(time_s, lasting_s)[:, None])
-
-    def slower(_: Floats, time_s: Floats) -> Floats:
-        return _since_middle(time_s, lasting_s)[:, None]
-
-    found = model.filtered(columns, noise, errors=LawErrors(of_loss, slower))
-    beside = model.evidence_rows(columns)[1]
-    of_waveform = np.zeros((len(beside), len(DRIFTS)))
-    waveform = model.evidence.waveform
-    if waveform is not None and model.pendulum is not None:
-        amplitude = waveform.amplitude_rad / model.reference
-        passed_s = np.interp(-amplitude, -model.points.amplitude / model.reference, model.points.time_s)
-        since = _since_middle(passed_s - model.points.time_s[0], lasting_s)[:, None]
-        here = waveform.predicted_rad(model.law, values, model.pendulum)
-        for column, name in enumerate(("b", "c")):
-            grown = values | {name: (1 + _GROWTH_STEP) * values.get(name, 0.0)}
-            moved = (waveform.predicted_rad(model.law, grown, model.pendulum) - here) / _GROWTH_STEP
-            reduced = waveform.reduced(since * moved)
-            of_waveform[: len(reduced), column] = reduced
-    law = len(columns)
-    jacobian = np.concatenate([found.jacobian[:, :law] / scale, beside])
-    return jacobian, np.concatenate([found.jacobian[:, law:] / scale, of_waveform])
+def _warnings(misfit: DiscrepancySize, factor: Floats) -> tuple[str, ...]:
+    parts = [
+        f"its {name} by {float(f'{100 * size:.2g}'):g} %"
+        for name, size in (
+            ("losses", misfit.loss), ("durations", misfit.duration), ("harmonics", misfit.waveform),
+        )
+        if size
+    ]  # fmt: skip
+    text = (
+        f"the law does not describe this decay (chi2 {misfit.against_law:.0f} against it): it misses "
+        f"{', '.join(parts)}; uncertainties are widened for it by up to {factor.max():.2g}"
+    )
+    return (text,)
 
 
-def _since_middle(time_s: Floats, lasting_s: float) -> Floats:
-    """Time from the middle of the run over its duration, -1/2 to 1/2."""
-    return time_s / lasting_s - 0.5
+def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
+    """The discrepancy, and changes of the values by errors of its size; None where it is not seen."""
+    if at.fit.loss != "linear":
+        return DiscrepancySize(against_law=nan), None
+    model = at.model
+    nodes = _HatFunctions(at.points.amplitude / model.reference)
+    of_waveform = _by_harmonics(at, nodes)
+    errors = LawErrors(nodes, nodes)
+
+    def driven(noise: Noise) -> DrivenRows | None:
+        found = DrivenRows.of(model, at.coordinates, noise, errors, of_waveform)
+        return found if np.all(np.isfinite(found.residuals)) else None
+
+    tried = [here for here in map(driven, _with_drives(at, _DRIVES)) if here is not None]
+    if not tried:
+        return DiscrepancySize(against_law=nan), None
+    best = min((_scaled(here, _likeliest_sizes, 0.01) for here in tried), key=lambda one: one.deviance)
+    # without errors the scatter may be larger instead
+    against = min(_scaled(here, _without_errors, 0.001).deviance for here in tried) - best.deviance
+    if not against > DISCREPANCY_SEEN:
+        return DiscrepancySize(against_law=max(against, 0.0)), None
+    loss, duration, waveform = best.averaged.tolist()
+    misfit = DiscrepancySize(loss=loss, duration=duration, waveform=waveform, against_law=float(against))
+    # the effect of errors of these sizes on the values, which were fitted with the law's own weights
+    here = driven(at.noise)
+    assert here is not None
+    here = here.in_scatter(at.scale)
+    by = FactoredJacobian(here.jacobian).coefficients(here.by_errors * np.repeat(best.averaged, nodes.count))
+    return misfit, at.to_physical @ by
+
+
+class _HatFunctions:
+    """Smooth functions of ln A: linear interpolation between even nodes, with correlated values at them."""
+
+    def __init__(self, amplitude: Floats) -> None:
+        x = np.log(amplitude)
+        count = max(3, int(np.ceil(np.ptp(x) / _SPACING)) + 1)
+        self._at = np.linspace(x.min(), x.max(), count)
+        apart = np.abs(self._at[:, None] - self._at) / _REACH
+        correlation = np.exp(-0.5 * apart**2) + _DIAGONAL * np.eye(count)
+        self._root = np.linalg.cholesky(correlation)
+        self.count = count
+
+    def __call__(self, amplitude: Floats, _: Floats | None = None) -> Floats:
+        """Values (n, m) of m independent unit errors."""
+        x = np.clip(np.log(amplitude), self._at[0], self._at[-1])
+        width = self._at[1] - self._at[0]
+        hats = np.maximum(0.0, 1.0 - np.abs(x[:, None] - self._at) / width)
+        return np.asarray(hats @ self._root)
+
+
+def _with_drives(at: LinearisedFit, factors: Iterable[float]) -> list[Noise]:
+    """The fit's noise with drives of the ground over the likeliest one; where that is 0, over a small one."""
+    own = at.noise
+    largest = own.step if own.step > 0 else 1e-3 * float(np.median(at.model.u_amplitude))
+    return [replace(own, step=largest * factor) for factor in factors]
+
+
+def _by_harmonics(at: LinearisedFit, nodes: _HatFunctions) -> Floats:
+    """Derivatives of the evidence's residuals by relative errors of losses, durations (0) and harmonics."""
+    model, waveform = at.model, at.model.evidence.waveform
+    out = np.zeros((len(model.evidence_residuals(at.coordinates)), 3 * nodes.count))
+    if waveform is None or model.pendulum is None:
+        return out
+    predicted = waveform.predicted_rad(model.law, model.values(at.coordinates), model.pendulum)
+    for column, shape in enumerate(nodes(waveform.amplitude_rad / model.reference).T, 2 * nodes.count):
+        moved = waveform.reduced(shape[:, None] * predicted)
+        out[: len(moved), column] = moved
+    return out
+
+
+def _scaled(here: DrivenRows, judge: Callable[[RestrictedLikelihood], _Sizes], tolerance: float) -> _Sizes:
+    """Sizes by `judge`, for turning points that scatter as much as their residuals with these sizes do."""
+    scale2 = 1.0
+    for _ in range(3):
+        rows = here.in_scatter(sqrt(scale2))
+        restricted = RestrictedLikelihood(rows.residuals, rows.jacobian, np.split(rows.by_errors, 3, axis=1))
+        found = judge(restricted)
+        rest = restricted.unexplained(found.likeliest)[: rows.points]
+        before = scale2
+        scale2 = max(1.0, float(rest @ rest) * before / (rows.points - restricted.law.directions.shape[1]))
+        if abs(scale2 - before) < tolerance * scale2:
+            break
+    return found._replace(deviance=found.deviance + rows.log_det)
+
+
+def _without_errors(here: RestrictedLikelihood) -> _Sizes:
+    none = np.zeros(3)
+    return _Sizes(none, none, here.deviance(none))
+
+
+def _likeliest_sizes(here: RestrictedLikelihood) -> _Sizes:
+    """The likeliest sizes, each sought in turn, and their means."""
+    grids = [_SIZES_TRIED, _DURATION_SHARE * _SIZES_TRIED, _SIZES_TRIED]
+    sizes, deviance = np.zeros(3), inf
+    tried: list[Floats] = []
+    for _ in range(2):
+        tried = []
+        for kind, grid in enumerate(grids):
+            found = here.deviances(sizes, kind, np.append(0.0, grid))
+            least = int(np.argmin(found))
+            sizes[kind] = 0.0 if least == 0 else grid[least - 1]
+            deviance = float(found[least])
+            tried.append(found[1:])
+    # the mean square over the sizes that the data allow: with few nodes the likeliest is often too small
+    averaged = sizes.copy()
+    for kind, grid in enumerate(grids):
+        if sizes[kind] > 0:
+            weights = np.exp(-0.5 * (tried[kind] - tried[kind].min()))
+            averaged[kind] = np.sqrt(np.sum(weights * grid**2) / np.sum(weights))
+    return _Sizes(sizes, averaged, deviance)
 
 
 _CHUNK = 64
@@ -158,9 +239,7 @@ def with_changes(
 
 
 def _scans(at: LinearisedFit) -> list["_ChangeScan"]:
-    own = at.model.noise_of(at.fit)
-    step = own.step if own.step > 0 else 1e-3 * float(np.median(at.model.u_amplitude))
-    found = (_ChangeScan.of(at, replace(own, step=share * step)) for share in _DRIVE_FACTORS)
+    found = (_ChangeScan.of(at, noise) for noise in _with_drives(at, _DRIVE_FACTORS))
     return [scan for scan in found if scan is not None]
 
 
@@ -222,7 +301,7 @@ class _ChangeScan:
     def __init__(self, at: LinearisedFit, noise: Noise, rows: DrivenRows) -> None:
         self._at, self._noise = at, noise
         model = at.model
-        self._contact = contact_share(model, at.coordinates)
+        self._shares = loss_shares(model, at.coordinates)
         self._nodes, self._loss = model.losses(at.coordinates)
         time_s = model.points.time_s - model.points.time_s[0]
         # a change lies between the half-cycle before its place and the one at it
@@ -230,7 +309,7 @@ class _ChangeScan:
         self._rate = 2 * pi / mean_period(model.points)
         self._amplitude = model.points.amplitude[_EDGE:] / model.reference
         # by the median, which a change hardly moves: it must not hide in a scatter that it makes
-        self._scale = max(1.0, float(np.median(np.abs(rows.residuals[: rows.points]))) / 0.6745)
+        self._scale = max(1.0, robust_scatter(rows.residuals[: rows.points], middle=0.0))
         rows = rows.in_scatter(self._scale)
         self._law = FactoredJacobian(rows.jacobian)
         self._taken: list[FactoredJacobian] = []
@@ -242,7 +321,7 @@ class _ChangeScan:
         """None where the filter has no value for this drive, or there is no place to look at."""
         if len(at.points) <= 2 * _EDGE:
             return None
-        rows = at.driven(noise)
+        rows = DrivenRows.of(at.model, at.coordinates, noise)
         return cls(at, noise, rows) if np.all(np.isfinite(rows.residuals)) else None
 
     def hidden_friction(self, u_size: float, explained: float) -> Floats:
@@ -275,7 +354,7 @@ class _ChangeScan:
 
         def of_loss(amplitude: Floats, node_s: Floats) -> Floats:
             knock = _impulses(node_s, here_s) / np.interp(-amplitude, -self._nodes, self._loss)[:, None]
-            after = (node_s[:, None] > here_s) * self._contact(amplitude)[:, None]
+            after = (node_s[:, None] > here_s) * self._shares(amplitude)[0][:, None]
             return np.column_stack([knock, after])
 
         def of_duration(_: Floats, node_s: Floats) -> Floats:
@@ -283,7 +362,8 @@ class _ChangeScan:
             knock = _impulses(node_s, here_s) / lasting[:, None]
             return np.column_stack([knock, 1.0 * (node_s[:, None] > here_s)])
 
-        changes = self._at.driven(self._noise, LawErrors(of_loss, of_duration)).by_errors / self._scale
+        at, errors = self._at, LawErrors(of_loss, of_duration)
+        changes = DrivenRows.of(at.model, at.coordinates, self._noise, errors).by_errors / self._scale
         if not whole:
             changes = self._law.left(changes)
             for taken in self._taken:
