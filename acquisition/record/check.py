@@ -2,8 +2,8 @@
 
 import hashlib
 import json
+from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record import pixels_beside
-from acquisition.record.chunk import ChunkDamage, message_heads
 from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
@@ -34,43 +33,6 @@ class Finding(NamedTuple):
     text: str
 
 
-@dataclass
-class _FrameTally:
-    """Numbers and times of the frames of one topic, accumulated chunk by chunk.
-
-    `not_rising` is how often a number was not larger than the one before, `backwards` how often a time was
-    smaller, `gaps` how often a number was larger by more than one, `missing` how many frames are missing.
-    `first_gaps` are the first and last missing number of each of the first ten gaps.
-    """
-
-    count: int = 0
-    not_rising: int = 0
-    backwards: int = 0
-    first_backwards_ns: int = 0
-    gaps: int = 0
-    missing: int = 0
-    first_gaps: list[tuple[int, int]] = field(default_factory=list)
-    _last: tuple[int, int] | None = None
-
-    def add(self, heads: NDArray[np.void]) -> None:
-        """Add the frames (at least one) of a chunk."""
-        numbers, times_ns = heads["sequence"].astype(np.int64), heads["log_time_ns"]
-        last, last_ns = self._last or (int(numbers[0]) - 1, int(times_ns[0]))
-        earlier = np.concatenate(([last], numbers[:-1]))
-        back = np.flatnonzero(times_ns < np.concatenate((np.array([last_ns], np.uint64), times_ns[:-1])))
-        if len(back) and not self.backwards:
-            self.first_backwards_ns = int(times_ns[back[0]])
-        gaps = np.flatnonzero(numbers - earlier > 1)
-        for at in gaps[: _MAX_SHOWN_GAPS - len(self.first_gaps)]:
-            self.first_gaps.append((int(earlier[at]) + 1, int(numbers[at]) - 1))
-        self.count += len(numbers)
-        self.backwards += len(back)
-        self.not_rising += int(np.count_nonzero(numbers <= earlier))
-        self.gaps += len(gaps)
-        self.missing += int((numbers - earlier - 1)[gaps].sum())
-        self._last = int(numbers[-1]), int(times_ns[-1])
-
-
 def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     """Verify a whole record; an intact one gives an empty list or notes only.
 
@@ -84,34 +46,42 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         The file is not a record of this program, or `results` cannot be read.
     """
     with RecordReader(path) as reader:
-        frames = {SPOT.topic: _FrameTally(), WINDOW.topic: _FrameTally()}
+        frames = {SPOT.topic: array("Q"), WINDOW.topic: array("Q")}
         findings = [finding for file in reader.files for finding in _check_file(file, frames)]
         findings += [
             _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
         ]
-        findings += _check_frames(frames)
+        findings += _check_frames(
+            *(np.array(values, np.int64).reshape(-1, 2).T for values in frames.values())
+        )
         if results is not None:
             findings += _check_hashes(reader, results)
     return findings
 
 
-def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
-    """Findings on structure, chunks and attachments of one file; its frames are added to `frames`."""
-    contents, name = file.contents, file.path.name
-    findings = _errors(*(f"{name}: index: {text}" for text in contents.damage))
-    if not contents.whole:
-        lost = contents.size - contents.readable_bytes
-        where = f": {lost} bytes after the last complete entry at {utc_text(contents.end_ns)}"
-        if not contents.end_ns:
-            where = f" before anything was measured, after {contents.readable_bytes} bytes"
+def _check_file(file: ReadFile, frames: Mapping[str, "array[int]"]) -> list[Finding]:
+    """Findings on structure, chunks and attachments of one file.
+
+    Number and time (UTC) of its frames are appended to `frames`, by topic.
+    """
+    name = file.path.name
+    findings = _errors(*(f"{name}: index: {text}" for text in file.damage))
+    if not file.whole:
+        lost = file.size - file.readable_bytes
+        where = f": {lost} bytes after the last complete entry at {utc_text(file.end_ns)}"
+        if not file.end_ns:
+            where = f" before anything was measured, after {file.readable_bytes} bytes"
         findings += _errors(f"{name} was cut short{where}; rig record recover makes a complete file of it")
-    findings += _check_chunks(file, frames)
-    for attached, places in contents.attachment_places.items():
-        for place in places:
-            try:
-                file.attachment_at(place)
-            except ValueError as error:
-                findings += _errors(f"{name}: attachment {attached}: {error}")
+    for place in file.chunks:
+        for message in file.messages(place):
+            if message.topic in frames:
+                frames[message.topic].extend((message.sequence, message.log_time_ns))
+    for attached in file.attachments:
+        list(file.copies(attached))
+    for offset, damage in file.damages.items():
+        span = f"{utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}"
+        chunk = f"chunk at byte {offset} ({' '.join(damage.topics) or 'topics unknown'}, {span}): "
+        findings += _errors(f"{name}: {chunk if damage.start_ns else ''}{damage.description}")
     if not findings and not file.data_crc_matches():
         findings += _errors(f"{name}: bytes have changed outside chunks: in metadata or an index")
     return findings
@@ -119,26 +89,6 @@ def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Findi
 
 def _errors(*texts: str) -> list[Finding]:
     return [Finding("error", text) for text in texts]
-
-
-def _check_chunks(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
-    channels = file.contents.channels
-    findings: list[Finding] = []
-    for place in file.contents.chunks:
-        try:
-            heads = message_heads(file.open_chunk(place))
-        except ChunkDamage as damage:
-            span = f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
-            topics = " ".join(sorted(channels[n] for n in place.channels)) or "topics unknown"
-            findings += _errors(
-                f"{file.path.name}: chunk at byte {place.offset} ({topics}, {span}): {damage}"
-            )
-            continue
-        for number, topic in channels.items():
-            channel_heads = heads[heads["channel"] == number]
-            if topic in frames and len(channel_heads):
-                frames[topic].add(channel_heads)
-    return findings
 
 
 _LOSS_KEYS = ("lost_chunks", "lost_bytes_at_the_end", "lost_parts")
@@ -155,25 +105,27 @@ def _check_recovery(recovery: Mapping[str, str]) -> Finding:
     return Finding("warning" if missing else "note", text)
 
 
-def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
-    findings = _errors(
-        *(
-            f"{topic}: the time decreases {tally.backwards} times, first at "
-            f"{utc_text(tally.first_backwards_ns)}"
-            for topic, tally in frames.items()
-            if tally.backwards
-        )
-    )
-    spots, windows = frames[SPOT.topic], frames[WINDOW.topic]
-    if spots.not_rising:
-        findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {spots.not_rising} places")
-    if spots.gaps:
-        shown = ", ".join(f"{first}-{last}" for first, last in spots.first_gaps)
-        more = f" and {spots.gaps - len(spots.first_gaps)} more gaps" if spots.gaps > _MAX_SHOWN_GAPS else ""
-        text = f"{SPOT.topic}: {spots.missing} frames are missing: {shown}{more}"
+def _check_frames(spots: NDArray[np.int64], windows: NDArray[np.int64]) -> list[Finding]:
+    """Findings on numbers and times (2, n) of the frames with a spot message, and of those with a window."""
+    findings = []
+    for topic, (_, times_ns) in ((SPOT.topic, spots), (WINDOW.topic, windows)):
+        earlier_ns = times_ns[1:][np.diff(times_ns) < 0].tolist()
+        if earlier_ns:
+            first = utc_text(earlier_ns[0])
+            findings += _errors(f"{topic}: the time decreases {len(earlier_ns)} times, first at {first}")
+    numbers = spots[0]
+    steps = np.diff(numbers)
+    gaps = np.flatnonzero(steps > 1)
+    if len(not_rising := np.flatnonzero(steps <= 0)):
+        findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {len(not_rising)} places")
+    if len(gaps):
+        shown = ", ".join(f"{numbers[at] + 1}-{numbers[at + 1] - 1}" for at in gaps[:_MAX_SHOWN_GAPS])
+        more = f" and {len(gaps) - _MAX_SHOWN_GAPS} more gaps" if len(gaps) > _MAX_SHOWN_GAPS else ""
+        text = f"{SPOT.topic}: {(steps[gaps] - 1).sum()} frames are missing: {shown}{more}"
         findings.append(Finding("warning", text))
-    if 0 < windows.count < spots.count:
-        text = f"{WINDOW.topic}: {spots.count - windows.count} frames have a spot message and no window"
+    without = len(numbers) - windows.shape[1]
+    if windows.size and without > 0:
+        text = f"{WINDOW.topic}: {without} frames have a spot message and no window"
         findings.append(Finding("note", text))
     return findings
 

@@ -31,7 +31,7 @@ from acquisition.record.topics import (
 from acquisition.record.window_residual import IntegerGaussian, from_planes, spot_model, to_planes
 from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
-from processing.spot import SPOT_DTYPE, Spot
+from processing.spot import Spot
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 
@@ -88,37 +88,24 @@ def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
     return RecordedWindow(field["sequence"], field["time_ns"], image, (field["x0_px"], field["y0_px"]))
 
 
-def spot_rows(
+def encode_spots(
     kind: MessageType,
     sequences: Sequence[int],
     device_times_ns: Sequence[int],
     host_times_ns: Sequence[int],
     spots: Sequence[Spot],
     deflections: Deflections,
-) -> NDArray[Any]:
-    """Encoded messages of type `SPOT` or `SPOT_UNCALIBRATED`, one row per frame.
-
-    Parameters
-    ----------
-    kind
-        Message type for the unit of the deflections.
-    sequences, device_times_ns, host_times_ns, spots, deflections
-        Frame numbers, times, spots and deflections of n frames.
-    """
-    rows = kind.wire_rows(len(spots))
-    rows["sequence"] = sequences
-    rows["time_ns"] = deflections.times_ns
-    rows["device_time_ns"] = device_times_ns
-    rows["host_time_ns"] = host_times_ns
-    table = np.array(spots, dtype=SPOT_DTYPE)
-    for name in Spot._fields:
-        rows[name] = table[name]
-    columns = (deflections.x, deflections.y, deflections.u_x, deflections.u_y)
-    for name, values in zip(DEFLECTION_FIELDS[deflections.unit], columns, strict=True):
-        rows[name] = values
+) -> list[bytes]:
+    """Messages of type `SPOT` or `SPOT_UNCALIBRATED` (the unit of the deflections), one for each frame."""
+    columns = [deflections.x, deflections.y, deflections.u_x, deflections.u_y]
     if deflections.unit is DeflectionUnit.RAD:
-        rows["x_arcsec"], rows["y_arcsec"] = deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD
-    return rows
+        columns += [deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD]
+    times = sequences, deflections.times_ns.tolist(), device_times_ns, host_times_ns
+    angles = zip(*(column.tolist() for column in columns), strict=True)
+    return [
+        kind.encode(*numbers, *spot, *angle)
+        for *numbers, spot, angle in zip(*times, spots, angles, strict=True)
+    ]
 
 
 def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import json
 import os
 import random
 import secrets
@@ -9,7 +10,7 @@ import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
@@ -17,8 +18,9 @@ from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from acquisition.atomic_write import sync_folder
+from acquisition.record.codec import foxglove_schema
 from acquisition.record.digest import lock_for_writing
-from acquisition.record.topics import LIBRARY
+from acquisition.record.topics import LIBRARY, METADATA_COPY, Topics
 from processing.errors import RecordError
 
 _CHUNK_BYTES = 1024 * 1024
@@ -69,11 +71,13 @@ class _Disk:
     """The stream under the library's writer; data that could not be written completely are cut off again.
 
     If the disk is full, the reserve is released, the bytes are written, and `full` holds the error: the owner
-    must then finish the file. `size` is the length of the file so far, `chunks` the number of its chunks.
+    must then finish the file. After any other error it is `broken`, and the library's writer cannot go on.
+    `size` is the length of the file so far, `chunks` the number of its chunks.
     """
 
     def __init__(self, path: Path, reserve_bytes: int) -> None:
         self.full: OSError | None = None
+        self.broken = False
         self.size = 0
         self.chunks = 0
         self._path = path
@@ -100,25 +104,20 @@ class _Disk:
 
     def write(self, data: bytes) -> int:
         """Append all of the data, or nothing. Raises OSError."""
-        try:
-            self._write_whole(data)
-        except OSError as error:
-            if not self._give_reserve_back(error):
-                raise
-            self._write_whole(data)
+        rest = memoryview(data)
+        while rest:
+            try:
+                rest = rest[self._file.write(rest) or 0 :]
+            except OSError as error:
+                with contextlib.suppress(OSError):
+                    self._file.truncate(self.size)
+                    self._file.seek(self.size)
+                if not self._give_reserve_back(error):
+                    self.broken = True
+                    raise
+                rest = memoryview(data)
         self.size += len(data)
         return len(data)
-
-    def _write_whole(self, data: bytes) -> None:
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[self._file.write(rest) or 0 :]
-        except OSError:
-            with contextlib.suppress(OSError):
-                self._file.truncate(self.size)
-                self._file.seek(self.size)
-            raise
 
     def force(self) -> None:
         """Flush the file to the disk, and adapt the reserve to the size of the file's ending."""
@@ -205,8 +204,7 @@ class _Disk:
 class McapFile:
     """Creates one MCAP file and appends to it; it can be read up to its last whole chunk at any time.
 
-    `topics` gives the name and the descriptor of each topic's schema; the channels are 1, 2, ... in its
-    order. Every chunk has a checksum, and the data section too.
+    The channels are 1, 2, ... in the order of `topics`. Every chunk has a checksum, and the data section too.
 
     `waiting` is the number of messages in the open chunk, which are lost where the file is `broken`.
 
@@ -217,7 +215,7 @@ class McapFile:
         OSError where it cannot be written (disk full after the release of the reserve, drive removed).
     """
 
-    def __init__(self, path: Path, topics: Mapping[str, tuple[str, bytes]], reserve_bytes: int) -> None:
+    def __init__(self, path: Path, topics: Topics, reserve_bytes: int) -> None:
         try:
             self._disk = _Disk(path, reserve_bytes)
         except FileExistsError:
@@ -229,14 +227,14 @@ class McapFile:
         self.path = path
         self._attachments: list[tuple[int, str, str, bytes]] = []
         self.waiting = 0
-        self.broken = False
         self._writer = Writer(
             self._disk,  # type: ignore[arg-type]
             chunk_size=_CHUNK_BYTES,
             enable_data_crcs=True,
         )
         self.channels: dict[str, int] = {}
-        for topic, (schema, descriptor) in topics.items():
+        for topic, kind in topics.items():
+            schema, descriptor = foxglove_schema(topic) if kind is None else (kind.full_name, kind.descriptor)
             number = self._writer.register_schema(schema, "protobuf", descriptor)
             self.channels[topic] = self._writer.register_channel(topic, "protobuf", number)
         try:
@@ -257,35 +255,30 @@ class McapFile:
         """The error of a full disk, after which the file must be finished."""
         return self._disk.full
 
-    @contextlib.contextmanager
-    def _writing(self) -> Iterator[Writer]:
-        """The library's writer, which cannot go on after an error of the disk."""
-        try:
-            yield self._writer
-        except OSError:
-            self.broken = True
-            raise
+    @property
+    def broken(self) -> bool:
+        """Whether nothing more than an ending can be written."""
+        return self._disk.broken
 
     def add(self, topic: str, sequence: int, log_time_ns: int, data: bytes) -> None:
         """Append one encoded message to the open chunk, which is written when it is large enough."""
         channel, size = self.channels[topic], self._disk.size
-        try:
-            self._writer.add_message(channel, log_time_ns, data, log_time_ns, sequence & 0xFFFFFFFF)
-        except OSError:
-            self.broken = True
-            raise
+        self._writer.add_message(channel, log_time_ns, data, log_time_ns, sequence & 0xFFFFFFFF)
         self.waiting = self.waiting + 1 if self._disk.size == size else 0
 
-    def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Append metadata, texts by key; MCAP gives them no checksum."""
-        with self._writing() as writer:
-            writer.add_metadata(name, dict(texts))
+    def add_metadata(self, metadata: Mapping[str, Mapping[str, str]], time_ns: int) -> None:
+        """Append metadata (texts by key, by section), and two copies as attachments, which have checksums."""
+        for name, texts in metadata.items():
+            self._writer.add_metadata(name, dict(texts))
+        copy = json.dumps({name: dict(texts) for name, texts in metadata.items()}, ensure_ascii=False)
+        for _ in range(2):
+            # two, so that one changed bit of a truncated file does not make it unreadable
+            self.add_attachment(METADATA_COPY, "application/json", copy.encode(), time_ns)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Append an attached file, with a checksum; `finish` writes a second copy at the end."""
         self._attachments.append((time_ns, name, media_type, data))
-        with self._writing() as writer:
-            writer.add_attachment(time_ns, time_ns, name, media_type, data)
+        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
 
     def flush(self, wait: bool = True) -> None:
         """End the open chunk and force the file to the disk.
@@ -296,8 +289,7 @@ class McapFile:
         self._disk.raise_failure()
         if self.waiting:
             self._disk.chunks += 1
-        with self._writing() as writer:
-            writer.flush()  # type: ignore[no-untyped-call]
+        self._writer.flush()  # type: ignore[no-untyped-call]
         self.waiting = 0
         if wait:
             self._disk.wait_for_force()
@@ -315,10 +307,9 @@ class McapFile:
                 failure = error
             try:
                 if not self.broken:
-                    with self._writing() as writer:
-                        for time_ns, name, media_type, data in self._attachments:
-                            writer.add_attachment(time_ns, time_ns, name, media_type, data)
-                        writer.finish()  # type: ignore[no-untyped-call]
+                    for time_ns, name, media_type, data in self._attachments:
+                        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
+                    self._writer.finish()  # type: ignore[no-untyped-call]
             except OSError as error:
                 if error.errno not in _FULL_DISK:
                     raise

@@ -8,13 +8,11 @@ from pathlib import Path
 
 from acquisition.atomic_write import being_written
 from acquisition.record import pixels_beside
-from acquisition.record.chunk import ChunkDamage, Damage, messages_in
 from acquisition.record.digest import sha256_of
 from acquisition.record.mcap_file import McapFile
-from acquisition.record.read_file import ReadFile
+from acquisition.record.read_file import Damage, ReadFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import PIXEL_TOPICS, number_topics
-from acquisition.record.writer import schemas, write_metadata
 from processing.errors import RecordError
 
 RECOVERY = "recovery"
@@ -61,7 +59,7 @@ def recover(source: Path, path: Path) -> Recovery:
             copies: list[McapFile] = []
             topics = (number_topics(reader.deflection_unit), PIXEL_TOPICS)
             for file, name, file_topics in zip(reader.files, names, topics, strict=False):
-                copy = McapFile(name, schemas(file_topics), _RESERVE_BYTES)
+                copy = McapFile(name, file_topics, _RESERVE_BYTES)
                 # Windows removes only closed files
                 stack.callback(copy.abandon)
                 counts += _copy_messages(file, copy)
@@ -85,16 +83,10 @@ def recover(source: Path, path: Path) -> Recovery:
 def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
     """Copy all intact messages; returns how many, by topic."""
     counts: Counter[str] = Counter()
-    topics = file.contents.channels
-    for place in file.contents.chunks:
-        try:
-            messages = messages_in(file.open_chunk(place))
-        except ChunkDamage as damage:
-            file.note_damage(place, str(damage))
-            continue
-        for message in messages:
-            copy.add(topics[message.channel], message.sequence, message.log_time_ns, message.data)
-            counts[topics[message.channel]] += 1
+    for place in file.chunks:
+        for message in file.messages(place):
+            copy.add(*message)
+            counts[message.topic] += 1
         if copy.full is not None:
             raise copy.full
     return counts
@@ -104,13 +96,11 @@ def _copy_metadata(
     reader: RecordReader, copies: Sequence[McapFile], path: Path, counts: Mapping[str, int]
 ) -> Recovery:
     """Copy attachments and metadata; returns the Recovery."""
-    contents = reader.contents
+    start_ns = reader.numbers.start_ns
     for name, data in reader.attachments.items():
-        copies[0].add_attachment(name, "application/octet-stream", data, contents.start_ns)
-    lost_bytes = sum(
-        file.contents.size - file.contents.readable_bytes for file in reader.files if not file.contents.whole
-    )
-    damage = tuple(text for file in reader.files for text in file.contents.damage)
+        copies[0].add_attachment(name, "application/octet-stream", data, start_ns)
+    lost_bytes = sum(file.size - file.readable_bytes for file in reader.files if not file.whole)
+    damage = tuple(text for file in reader.files for text in file.damage)
     lost_parts = [lost.description for lost in reader.damages if not lost.start_ns]
     recovery = {
         "source": reader.path.name,
@@ -125,13 +115,13 @@ def _copy_metadata(
     for copy, metadata in zip(
         copies, ({**reader.metadata, name: recovery}, {"record": reader.metadata["record"]}), strict=False
     ):
-        write_metadata(copy, metadata, contents.start_ns)
+        copy.add_metadata(metadata, start_ns)
     return Recovery(
         source=reader.path,
         path=path,
         messages=dict(counts),
-        start_ns=contents.start_ns,
-        end_ns=max(file.contents.end_ns for file in reader.files),
+        start_ns=start_ns,
+        end_ns=max(file.end_ns for file in reader.files),
         lost=tuple(reader.damages),
         damage=damage,
         lost_bytes=lost_bytes,
@@ -141,15 +131,11 @@ def _copy_metadata(
 def _verify(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:
     """Read the copies again. Raises RecordError where they do not hold what was written."""
     found: Counter[str] = Counter()
+    sound = True
     for name in names:
-        copy = ReadFile(name)
-        try:
-            sound = copy.is_sound()
-            found.update({topic: copy.contents.counts[n] for n, topic in copy.contents.channels.items()})
-        finally:
-            copy.close()
-        if not sound:
-            break
+        with contextlib.closing(ReadFile(name)) as copy:
+            sound = sound and copy.is_sound()
+            found.update({topic: copy.counts[number] for number, topic in copy.channels.items()})
     if not sound or +found != Counter(counts):
         raise RecordError(f"{path}: does not hold what was written; {source} is unchanged")
 

@@ -165,8 +165,7 @@ class MessageType:
     def wire_dtype(self) -> np.dtype[Any]:
         """Type of the encoded numbers: each field preceded by its tag."""
         fields: list[Any] = []
-        for number, (name, kind) in enumerate(self.numbers, start=1):
-            tag = _varint(number << 3 | _WIRE_FIXED64)
+        for tag, (name, kind) in zip(self._tags, self.numbers, strict=True):
             fields += [(f"tag {name}", f"V{len(tag)}"), (name, _NUMPY[kind])]
         return np.dtype(fields)
 
@@ -205,13 +204,6 @@ class MessageType:
             parts += [tag, _varint(len(data)), data]
         return b"".join(parts)
 
-    def wire_rows(self, count: int) -> NDArray[Any]:
-        """Array (count,) of `wire_dtype` for encoded messages without tail; tags are set, numbers are 0."""
-        row = np.zeros(1, dtype=self.wire_dtype)
-        for tag, (name, _) in zip(self._tags, self.numbers, strict=True):
-            row[f"tag {name}"] = np.void(tag)
-        return np.repeat(row, count)
-
     def decode(self, data: bytes) -> tuple[Any, ...]:
         """Values of the fields in order. Raises ValueError if the bytes are not such a message."""
         layout, _ = self._layout
@@ -231,9 +223,9 @@ class MessageType:
             raise ValueError(f"{self.full_name}: is not such a message")
         return tuple(values)
 
-    def decode_table(self, messages: NDArray[np.void], names: Collection[str] | None = None) -> NDArray[Any]:
-        """Messages of numbers as a structured array (n,), of all fields or of those in `names`."""
-        wire = messages.view(self.wire_dtype)
+    def decode_table(self, messages: bytes, names: Collection[str] | None = None) -> NDArray[Any]:
+        """Joined messages of numbers as a structured array (n,), of all fields or of those in `names`."""
+        wire = np.frombuffer(messages, self.wire_dtype)
         wanted = [(name, kind) for name, kind in self.numbers if names is None or name in names]
         table = np.empty(len(wire), dtype=[(name, _NUMPY[kind]) for name, kind in wanted])
         for name, _ in wanted:

@@ -3,7 +3,6 @@
 In a crash or a power failure at most the last second is lost.
 """
 
-import json
 import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,10 +18,9 @@ from acquisition.record.codec import (
     encode_balance,
     encode_log,
     encode_preview,
+    encode_spots,
     encode_swing,
     encode_window,
-    foxglove_schema,
-    spot_rows,
 )
 from acquisition.record.events import Event, EventKind, Severity
 from acquisition.record.mcap_file import McapFile
@@ -33,7 +31,6 @@ from acquisition.record.topics import (
     IMAGE,
     KIND_OF,
     LOG_TOPIC,
-    METADATA_COPY,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SCHEMA_VERSION,
@@ -44,7 +41,6 @@ from acquisition.record.topics import (
     RecordedNote,
     RecordedReference,
     TimedMessage,
-    Topics,
     number_topics,
 )
 from processing.balance import Balance
@@ -132,10 +128,10 @@ class RecordWriter:
             raise RecordError(
                 f"{pixels_beside(path)}: exists already and is never overwritten; choose another name"
             )
-        self._numbers = McapFile(path, schemas(number_topics(self._unit)), reserve_bytes)
+        self._numbers = McapFile(path, number_topics(self._unit), reserve_bytes)
         self._pixels: McapFile | None = None
         with self._closing_after_errors():
-            write_metadata(self._numbers, {**(metadata or {}), "record": self._identity}, time.time_ns())
+            self._numbers.add_metadata({**(metadata or {}), "record": self._identity}, time.time_ns())
         for name, data in (attachments or {}).items():
             self.attach(name, data)
         self.flush()
@@ -166,18 +162,13 @@ class RecordWriter:
         of the deflections is not the record's `deflection_unit`.
         """
         self._check_unit(deflections.unit)
-        rows = spot_rows(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
-        data, size = rows.tobytes(), rows.dtype.itemsize
+        messages = encode_spots(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
+        times_ns = deflections.times_ns.tolist()
         self._require_open()
         with self._closing_after_errors():
-            for place, (sequence, time_ns) in enumerate(
-                zip(sequences, deflections.times_ns.tolist(), strict=True)
-            ):
-                message = data[place * size : (place + 1) * size]
+            for sequence, time_ns, message in zip(sequences, times_ns, messages, strict=True):
                 self._numbers.add(self._spot.topic, sequence, self._log_time_ns(time_ns), message)
-        for sequence, time_ns, spot in zip(
-            sequences, deflections.times_ns.tolist(), references, strict=bool(references)
-        ):
+        for sequence, time_ns, spot in zip(sequences, times_ns, references, strict=bool(references)):
             self.write(RecordedReference.from_spot(sequence, time_ns, spot))
         self.flush_if_due()
 
@@ -206,11 +197,11 @@ class RecordWriter:
         """The file of pixels, which is created when the first pixels are written."""
         if self._pixels is None:
             try:
-                self._pixels = McapFile(pixels_beside(self.path), schemas(PIXEL_TOPICS), self._reserve_bytes)
+                self._pixels = McapFile(pixels_beside(self.path), PIXEL_TOPICS, self._reserve_bytes)
             except RecordError as error:
                 raise self._close_after_error(str(error)) from error
             with self._closing_after_errors():
-                write_metadata(self._pixels, {"record": self._identity}, time.time_ns())
+                self._pixels.add_metadata({"record": self._identity}, time.time_ns())
         return self._pixels
 
     def write_swing(self, swing: HalfCycle) -> None:
@@ -368,24 +359,6 @@ class RecordWriter:
             f"{self.path}: could not be closed properly: {error.strerror or error}; "
             "rig record recover makes a complete file of it"
         )
-
-
-def schemas(topics: Topics) -> dict[str, tuple[str, bytes]]:
-    """Schema and descriptor of each topic of a file."""
-    return {
-        topic: foxglove_schema(topic) if kind is None else (kind.full_name, kind.descriptor)
-        for topic, kind in topics.items()
-    }
-
-
-def write_metadata(file: McapFile, metadata: Mapping[str, Mapping[str, str]], time_ns: int) -> None:
-    """Write the metadata (texts by key, by section), and two copies as attachments, which have checksums."""
-    for name, texts in metadata.items():
-        file.add_metadata(name, texts)
-    copy = json.dumps({name: dict(texts) for name, texts in metadata.items()}, ensure_ascii=False)
-    for _ in range(2):
-        # two, so that one changed bit of a truncated file does not make it unreadable
-        file.add_attachment(METADATA_COPY, "application/json", copy.encode(), time_ns)
 
 
 def _finish_error(file: McapFile) -> OSError | None:

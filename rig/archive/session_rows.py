@@ -157,23 +157,25 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
     row: Row = {"sha256": sha256_of(path), "record_bytes": path.stat().st_size, "state": "whole"}
     try:
         with RecordReader(path) as reader:
-            contents = reader.contents
             if reader.truncated:
                 row["state"] = "cut"
                 row["flaw"] = (
                     "no footer: it is being measured, or was cut short (rig record recover completes it)"
                 )
             elif not reader.sound:
-                row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
+                row |= {
+                    "state": "damaged",
+                    "flaw": "; ".join(reader.numbers.damage) or "its bytes have changed",
+                }
             elif (end := end_of(reader.events())) is None or end.kind in EARLY_ENDS:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"
                 row |= {"state": "cut short", "flaw": flaw}
             if not reader.truncated:
                 # a truncated record lacks the counts
                 row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
-            if contents.start_ns:
-                row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
-                row["duration_s"] = seconds(contents.end_ns - contents.start_ns)
+            if reader.numbers.start_ns:
+                row["began_utc"] = utc(reader.numbers.start_ns).replace(tzinfo=None)
+                row["duration_s"] = seconds(reader.numbers.end_ns - reader.numbers.start_ns)
             session, camera, versions = (
                 reader.metadata.get(name, {}) for name in ("session", "camera", "versions")
             )

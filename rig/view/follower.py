@@ -192,7 +192,7 @@ class RecordDrawer:
 
     def _draw_pictures(self, *, at_end: bool = False) -> None:
         """Draw the pictures whose spots are known, or all that are left."""
-        until_ns = self._reader.contents.end_ns if at_end else self._last_ns
+        until_ns = self._reader.numbers.end_ns if at_end else self._last_ns
         self._pictures.extend(self._reader.unread_pictures(self._picture_interval_ns, until_ns))
         while self._pictures and (at_end or self._pictures[0][0] < self._next_sequence):
             sequence, time_ns, jpeg = self._pictures.popleft()

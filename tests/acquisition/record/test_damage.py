@@ -12,9 +12,8 @@ from mcap.reader import make_reader
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import Finding, check_record
-from acquisition.record.chunk import Contents
 from acquisition.record.digest import sha256_of
-from acquisition.record.read_file import ReadFile
+from acquisition.record.read_file import ChunkPlace, ReadFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.writer import RecordWriter
@@ -58,10 +57,10 @@ def whole(both: Files) -> bytes:
     return both.numbers
 
 
-def contents_of(path: Path) -> Contents:
+def chunks_of(path: Path) -> list[ChunkPlace]:
     file = ReadFile(path)
     file.close()
-    return file.contents
+    return file.chunks
 
 
 def errors(findings: list[Finding]) -> list[str]:
@@ -107,7 +106,7 @@ def test_pixels_of_another_record_are_not_taken(tmp_path: Path, both: Files) -> 
 def test_a_flipped_byte_in_a_chunk_is_named_and_the_rest_is_read(tmp_path: Path, both: Files) -> None:
     path = tmp_path / "run.mcap"
     both.lay(path)
-    place = list(contents_of(path).chunks)[1]
+    place = chunks_of(path)[1]
     both._replace(numbers=flipped(both.numbers, place.offset + place.length // 2)).lay(path)
     with RecordReader(path) as reader:
         assert len(reader.spots()) == FRAMES - 16
@@ -261,7 +260,7 @@ def test_a_file_that_was_cut_before_its_first_message_has_no_time(tmp_path: Path
 def test_a_damaged_record_is_recovered_without_the_damaged_chunk(tmp_path: Path, whole: bytes) -> None:
     path, copy = tmp_path / "run.mcap", tmp_path / "whole.mcap"
     path.write_bytes(whole)
-    place = list(contents_of(path).chunks)[2]
+    place = chunks_of(path)[2]
     path.write_bytes(flipped(whole, place.offset + place.length - 20))
     found = recover(path, copy)
     assert len(found.lost) == 1
@@ -281,22 +280,22 @@ def test_a_record_whose_summary_is_damaged_is_read_by_walking_through_it(
     with RecordReader(path) as reader:
         assert not reader.truncated
         assert len(reader.spots()) == FRAMES
-        assert any("summary" in text for text in reader.contents.damage)
+        assert any("summary" in text for text in reader.numbers.damage)
 
 
 def overview(path: Path) -> dict[str, Any]:
     """What `rig record info` prints of a record."""
     names = ("whole", "library", "start_ns", "end_ns", "attachments", "damage")
     with RecordReader(path) as reader:
-        read = {"counts": reader.counts, "losses": reader.losses(), "chunks": len(reader.contents.chunks)}
-        return {name: getattr(reader.contents, name) for name in names} | read
+        read = {"counts": reader.counts, "losses": reader.losses(), "chunks": len(reader.numbers.chunks)}
+        return {name: getattr(reader.numbers, name) for name in names} | read
 
 
 def test_info_reads_no_chunk(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(whole)
     expected = overview(path)
-    chunks = contents_of(path).chunks
+    chunks = chunks_of(path)
     scrambled = bytearray(whole)
     for chunk in chunks:
         scrambled[chunk.offset : chunk.offset + chunk.length] = bytes(chunk.length)
@@ -341,7 +340,7 @@ def test_the_hash_is_compared_with_the_results(tmp_path: Path, whole: bytes) -> 
 def test_a_length_that_claims_the_world_takes_no_memory(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(whole)
-    place = next(iter(contents_of(path).chunks))
+    place = chunks_of(path)[0]
     changed = bytearray(whole)
     size_at = place.offset + 9 + 16
     changed[size_at : size_at + 8] = struct.pack("<Q", 2**40)

@@ -181,7 +181,7 @@ def test_a_piece_written_in_parts_is_whole(tmp_path: Path) -> None:
             return raw.write(data[:7]) or 0
 
     file._disk._file = Slow()  # type: ignore[assignment]
-    file.add_metadata("session", {"a": "b" * 100})
+    file.add_metadata({"session": {"a": "b" * 100}}, 0)
     file.finish()
     assert len(taken) > 20
     with path.open("rb") as whole:

@@ -17,7 +17,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from rerun.chunk import RrdReader
 
 from acquisition.record import pixels_beside
-from acquisition.record.chunk import messages_in
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import METADATA_COPY, PIXEL_TOPICS, PREVIEW_TOPIC, SPOT
 from processing.swing import HalfCycleFlag
@@ -100,11 +99,7 @@ def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode:
 def previewed(record: Path) -> list[np.ndarray[Any, Any]]:
     """The images of which a record has small pictures."""
     with RecordReader(record) as reader:
-        (number,) = (n for n, topic in enumerate(PIXEL_TOPICS, 1) if topic == PREVIEW_TOPIC)
-        (pixels,) = reader.files[1:]
-        kept = [
-            m.sequence for data in pixels.chunks_with(number) for m in messages_in(data, frozenset({number}))
-        ]
+        kept = [message.sequence for message in reader.messages(PREVIEW_TOPIC)]
         shown = {frame.sequence: frame.image for frame in reader.images()}
         return [shown[sequence] for sequence in kept]
 
