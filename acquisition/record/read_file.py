@@ -15,6 +15,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -145,8 +146,11 @@ class ReadFile:
             self._walk()
         return self.readable_bytes > before
 
-    def messages(self, place: ChunkPlace, topic: str | None = None) -> list[Message]:
-        """Messages of a chunk, those of one topic or all; none of a damaged chunk, which is listed."""
+    def messages(self, place: ChunkPlace, topic: str | None = None, from_ns: int = 0) -> list[Message]:
+        """Messages of a chunk from a time (UTC) on, those of one topic or all.
+
+        There are none of a damaged chunk, which is listed.
+        """
         try:
             data = self._decompressed(place)
         except ValueError as error:
@@ -154,22 +158,25 @@ class ReadFile:
             self._remember(place.offset, Damage(place.start_ns, place.end_ns, tuple(topics), str(error)))
             return []
         wanted = {number: name for number, name in self.channels.items() if topic in (None, name)}
-        found, at, unpack, head_bytes = [], 0, _MESSAGE.unpack_from, _MESSAGE.size
-        while at < len(data):
-            # the first chunk also begins with schemas and channels, which are shorter than what follows
+        found, at, last, unpack, message_opcode = [], 0, len(data), _MESSAGE.unpack_from, int(Opcode.MESSAGE)
+        head_bytes, content_at = _HEAD.size, _MESSAGE.size
+        while at < last:
+            # the first chunk begins with schemas and channels, which are no messages
             opcode, length, channel, sequence, log_time_ns, _ = unpack(data, at)
-            end = at + _HEAD.size + length
-            if opcode == Opcode.MESSAGE and channel in wanted:
-                found.append(Message(wanted[channel], sequence, log_time_ns, data[at + head_bytes : end]))
+            end = at + head_bytes + length
+            if opcode == message_opcode and channel in wanted and log_time_ns >= from_ns:
+                found.append(Message(wanted[channel], sequence, log_time_ns, data[at + content_at : end]))
             at = end
         return found
 
     def messages_of(self, topic: str, from_ns: int = 0) -> Iterator[Message]:
         """Messages of a topic in the order of the file; chunks that end before `from_ns` are not read."""
         numbers = {number for number, name in self.channels.items() if name == topic}
-        for place in self.chunks if numbers else ():
-            if place.end_ns >= from_ns and not (place.channels and numbers.isdisjoint(place.channels)):
-                yield from (one for one in self.messages(place, topic) if one.log_time_ns >= from_ns)
+        return chain.from_iterable(
+            self.messages(place, topic, from_ns)
+            for place in (self.chunks if numbers else ())
+            if place.end_ns >= from_ns and not (place.channels and numbers.isdisjoint(place.channels))
+        )
 
     def _decompressed(self, place: ChunkPlace) -> bytes:
         """The messages of a chunk as bytes. Raises ValueError, with what has changed, for a damaged one."""

@@ -3,7 +3,7 @@
 import datetime
 import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Self, TypeAlias, TypeVar
 
@@ -263,8 +263,7 @@ class RecordReader:
         Those before `start_ns` (on the frames' clock) are left out, and chunks before it are not read.
         """
         from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
-        for file in self.files:
-            yield from file.messages_of(topic, from_ns)
+        return chain.from_iterable(file.messages_of(topic, from_ns) for file in self.files)
 
     def table(self, topic: str) -> NDArray[Any]:
         """All messages of a topic of numbers as a structured array (n,).
@@ -360,6 +359,7 @@ class RecordReader:
         self, kind: MessageType, messages: Sequence[Message], fields: Collection[str] | None = None
     ) -> NDArray[Any]:
         """Messages of numbers as a structured array (n,)."""
-        if any(len(message.data) != kind.wire_dtype.itemsize for message in messages):
+        parts = [message.data for message in messages]
+        if not {kind.wire_dtype.itemsize}.issuperset(map(len, parts)):
             raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
-        return kind.decode_table(b"".join([message.data for message in messages]), fields)
+        return kind.decode_table(b"".join(parts), fields)

@@ -67,8 +67,8 @@ def recover(source: Path, path: Path) -> Recovery:
             found = _copy_metadata(reader, copies, path, counts)
             for copy in copies:
                 copy.finish()
-                if copy.full is not None:
-                    raise copy.full
+                if copy.disk.full is not None:
+                    raise copy.disk.full
             _verify(names, counts, path, source)
     except FileExistsError as error:
         raise RecordError(
@@ -87,8 +87,8 @@ def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
         for message in file.messages(place):
             copy.add(*message)
             counts[message.topic] += 1
-        if copy.full is not None:
-            raise copy.full
+        if copy.disk.full is not None:
+            raise copy.disk.full
     return counts
 
 

@@ -130,7 +130,7 @@ class RecordWriter:
             )
         self._numbers = McapFile(path, number_topics(self._unit), reserve_bytes)
         self._pixels: McapFile | None = None
-        with self._closing_after_errors():
+        with self._writing():
             self._numbers.add_metadata({**(metadata or {}), "record": self._identity}, time.time_ns())
         for name, data in (attachments or {}).items():
             self.attach(name, data)
@@ -145,7 +145,7 @@ class RecordWriter:
     @property
     def bytes_written(self) -> int:
         """Present size of both files."""
-        return sum(file.size for file in self._files)
+        return sum(file.disk.size for file in self._files)
 
     def write_spots(
         self,
@@ -164,8 +164,7 @@ class RecordWriter:
         self._check_unit(deflections.unit)
         messages = encode_spots(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
         times_ns = deflections.times_ns.tolist()
-        self._require_open()
-        with self._closing_after_errors():
+        with self._writing():
             for sequence, time_ns, message in zip(sequences, times_ns, messages, strict=True):
                 self._numbers.add(self._spot.topic, sequence, self._log_time_ns(time_ns), message)
         for sequence, time_ns, spot in zip(sequences, times_ns, references, strict=bool(references)):
@@ -200,8 +199,7 @@ class RecordWriter:
                 self._pixels = McapFile(pixels_beside(self.path), PIXEL_TOPICS, self._reserve_bytes)
             except RecordError as error:
                 raise self._close_after_error(str(error)) from error
-            with self._closing_after_errors():
-                self._pixels.add_metadata({"record": self._identity}, time.time_ns())
+            self._pixels.add_metadata({"record": self._identity}, time.time_ns())
         return self._pixels
 
     def write_swing(self, swing: HalfCycle) -> None:
@@ -262,15 +260,14 @@ class RecordWriter:
 
     def attach(self, name: str, data: bytes) -> None:
         """Attach a further file to the record."""
-        self._require_open()
         media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-        with self._closing_after_errors():
+        with self._writing():
             self._numbers.add_attachment(name, media_type, data, time.time_ns())
 
     def flush(self, wait: bool = True) -> None:
         """End the open chunks and force everything to the disk; `wait` until that is done."""
         if not self._closed:
-            with self._closing_after_errors():
+            with self._writing():
                 for file in self._files:
                     file.flush(wait)
                 self._flushed_s = self._clock()
@@ -302,17 +299,12 @@ class RecordWriter:
                 "must be written into another record"
             )
 
-    def _require_open(self) -> None:
-        if self._closed:
-            raise RecordError(f"{self.path}: is closed; nothing more can be written")
-
     def _add(self, topic: str, time_ns: int, data: bytes, sequence: int | None = None) -> None:
-        self._require_open()
         if sequence is None:
             sequence = self._sequence
             self._sequence += 1
-        file = self._pixels_file() if topic in PIXEL_TOPICS else self._numbers
-        with self._closing_after_errors():
+        with self._writing():
+            file = self._pixels_file() if topic in PIXEL_TOPICS else self._numbers
             file.add(topic, sequence, self._log_time_ns(time_ns), data)
         self.flush_if_due()
 
@@ -323,11 +315,16 @@ class RecordWriter:
         return logged_ns
 
     @contextmanager
-    def _closing_after_errors(self) -> Iterator[None]:
-        """If the block fails or a disk is full, close the files as far as possible and raise RecordError."""
+    def _writing(self) -> Iterator[None]:
+        """Refuse a closed record; after an error or a full disk close the files as far as possible.
+
+        Both are raised as RecordError.
+        """
+        if self._closed:
+            raise RecordError(f"{self.path}: is closed; nothing more can be written")
         try:
             yield
-            failure = next((file.full for file in self._files if file.full is not None), None)
+            failure = next((file.disk.full for file in self._files if file.disk.full is not None), None)
         except OSError as error:
             failure = error
         if failure is not None:
@@ -337,7 +334,7 @@ class RecordWriter:
         """Close the files with the data that can still be written; return the error to be raised."""
         self._closed = True
         what = f"{self.path}: cannot be written: {why}"
-        lost = sum(file.waiting for file in self._files if file.broken)
+        lost = sum(file.waiting for file in self._files if file.disk.broken)
         failures: list[OSError] = []
         try:
             # without an end event, readers could not tell why the run ended

@@ -170,7 +170,7 @@ def test_a_piece_written_in_parts_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     file = McapFile(path, {}, 4096)
     taken: list[int] = []
-    raw = file._disk._file
+    raw = file.disk._file
 
     class Slow:
         def __getattr__(self, name: str) -> object:
@@ -180,7 +180,7 @@ def test_a_piece_written_in_parts_is_whole(tmp_path: Path) -> None:
             taken.append(len(data))
             return raw.write(data[:7]) or 0
 
-    file._disk._file = Slow()  # type: ignore[assignment]
+    file.disk._file = Slow()  # type: ignore[assignment]
     file.add_metadata({"session": {"a": "b" * 100}}, 0)
     file.finish()
     assert len(taken) > 20
