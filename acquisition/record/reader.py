@@ -2,7 +2,7 @@
 
 import datetime
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Self, TypeAlias, TypeVar
@@ -234,10 +234,6 @@ class RecordReader:
         step = preview_step((ny, nx))
         return (-(-ny // step), -(-nx // step)), step
 
-    def rows(self, topic: str, messages: Sequence[Message]) -> NDArray[Any]:
-        """Given messages of a topic of numbers, as a structured array (n,) like that of `table`."""
-        return self._decoded(self._kinds[topic], messages)
-
     @property
     def full_scale_dn(self) -> int:
         """Largest grey value of the camera; 255 if the record does not state it."""
@@ -265,21 +261,25 @@ class RecordReader:
         from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
         return chain.from_iterable(file.messages_of(topic, from_ns) for file in self.files)
 
-    def table(self, topic: str) -> NDArray[Any]:
-        """All messages of a topic of numbers as a structured array (n,).
+    def _of(self, topic: str, piece: Piece | None) -> Iterable[Message]:
+        """Messages of a topic: all, or those in a piece."""
+        return self.messages(topic) if piece is None else piece.get(topic, ())
+
+    def table(self, topic: str, piece: Piece | None = None) -> NDArray[Any]:
+        """Messages of a topic of numbers, all or those in a piece, as a structured array (n,).
 
         The names of the fields are those in the file, with units.
         """
         kind = self._kinds[topic]
-        parts = list(self._tables(kind))
+        parts = list(self._tables(kind, self._of(topic, piece)))
         return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
 
-    def values(self, value_class: type[_Value], messages: Iterable[Message] | None = None) -> list[_Value]:
-        """All values of a class that were written, or those in some messages of their topic."""
+    def values(self, value_class: type[_Value], piece: Piece | None = None) -> list[_Value]:
+        """All values of a class that were written, or those in a piece."""
         kind = KIND_OF[value_class]
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in (self.messages(kind.topic) if messages is None else messages)
+            for message in self._of(kind.topic, piece)
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -303,21 +303,19 @@ class RecordReader:
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
         wanted = None if fields is None else {"time_ns", *fields}
-        return self._tables(self._kinds[SPOT.topic], start_ns, wanted)
+        return self._tables(self._kinds[SPOT.topic], self.messages(SPOT.topic, start_ns), wanted)
 
-    def swings(self, messages: Sequence[Message] | None = None) -> list[HalfCycle]:
-        """All half-cycles, or those in some messages of their topic, with amplitudes in `deflection_unit`."""
-        return swings_of(self.table(SWING.topic) if messages is None else self.rows(SWING.topic, messages))
+    def swings(self, piece: Piece | None = None) -> list[HalfCycle]:
+        """All half-cycles, or those in a piece, with amplitudes in `deflection_unit`."""
+        return swings_of(self.table(SWING.topic, piece))
 
-    def balances(self, messages: Sequence[Message] | None = None) -> list[Balance]:
-        """All balances, or those in some messages of their topic, in `deflection_unit`."""
-        table = self.table(BALANCE.topic) if messages is None else self.rows(BALANCE.topic, messages)
-        return balances_of(table, self.deflection_unit)
+    def balances(self, piece: Piece | None = None) -> list[Balance]:
+        """All balances, or those in a piece, in `deflection_unit`."""
+        return balances_of(self.table(BALANCE.topic, piece), self.deflection_unit)
 
-    def events(self, messages: Iterable[Message] | None = None) -> list[Event]:
-        """All events, or those in some messages of their topic."""
-        of_topic = self.messages(EVENT.topic) if messages is None else messages
-        return [Event(*EVENT.decode(one.data)[:3]) for one in of_topic]
+    def events(self, piece: Piece | None = None) -> list[Event]:
+        """All events, or those in a piece."""
+        return [Event(*EVENT.decode(one.data)[:3]) for one in self._of(EVENT.topic, piece)]
 
     def notes(self) -> list[RecordedNote]:
         """Notes of operators during the run."""
@@ -348,18 +346,11 @@ class RecordReader:
         return [decode_log(line.log_time_ns - self.epoch_offset_ns, line.data) for line in lines]
 
     def _tables(
-        self, kind: MessageType, start_ns: int | None = None, fields: Collection[str] | None = None
+        self, kind: MessageType, messages: Iterable[Message], fields: Collection[str] | None = None
     ) -> Iterator[NDArray[Any]]:
-        """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
-        messages = self.messages(kind.topic, start_ns)
-        while block := list(islice(messages, _ROWS_AT_ONCE)):
-            yield self._decoded(kind, block, fields)
-
-    def _decoded(
-        self, kind: MessageType, messages: Sequence[Message], fields: Collection[str] | None = None
-    ) -> NDArray[Any]:
-        """Messages of numbers as a structured array (n,)."""
-        parts = [message.data for message in messages]
-        if not {kind.wire_dtype.itemsize}.issuperset(map(len, parts)):
-            raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
-        return kind.decode_table(b"".join(parts), fields)
+        """Messages of numbers, some thousand rows at a time: a chunk may hold only a few dozen."""
+        data = (message.data for message in messages)
+        while block := list(islice(data, _ROWS_AT_ONCE)):
+            if not {kind.wire_dtype.itemsize}.issuperset(map(len, block)):
+                raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
+            yield kind.decode_table(b"".join(block), fields)

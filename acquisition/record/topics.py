@@ -347,7 +347,7 @@ class TimedMessage(Protocol):
         """Time of the value in ns on the frames' clock."""
 
 
-_MEASURED_VALUES: Final[dict[str, type[TimedMessage]]] = {
+_VALUE_CLASSES: Final[dict[str, type[TimedMessage] | None]] = {
     "/environment": Environment,
     "/reference": RecordedReference,
     "/witness": RecordedWitness,
@@ -356,18 +356,19 @@ _MEASURED_VALUES: Final[dict[str, type[TimedMessage]]] = {
     "/clock": ClockAnchor,
     "/camera_clock_step": RecordedClockStep,
     "/camera_temperature": CameraTemperature,
-}
-_SESSION_VALUES: Final[dict[str, type[TimedMessage]]] = {
+    LOG_TOPIC: None,
+    CAMERA_TOPIC: None,
     "/phase": RecordedPhase,
     "/light": RecordedLight,
     "/health": RecordedHealth,
     "/estimate": RecordedEstimate,
     "/fitted": RecordedFittedPoint,
 }
-"""Values by which a session states its progress while it measures."""
+"""Classes of the values that have a topic of their own, in the order of the channels; None as in `Topics`."""
 KIND_OF: Final[dict[type[TimedMessage], MessageType]] = {
     value_class: message_type_of(value_class, f"{PACKAGE}.{value_class.__name__}", topic)
-    for topic, value_class in (_MEASURED_VALUES | _SESSION_VALUES).items()
+    for topic, value_class in _VALUE_CLASSES.items()
+    if value_class is not None
 }
 """Types of the messages that hold one value each, by the class of the value."""
 ENVIRONMENT, REFERENCE, WITNESS, CLOCK = (
@@ -385,11 +386,8 @@ Topics: TypeAlias = dict[str, MessageType | None]
 def number_topics(unit: DeflectionUnit) -> Topics:
     """Topics in the file of numbers."""
     topics: Topics = {kind.topic: kind for kind in (*TYPES_BY_UNIT[unit], EVENT)}
-    measured, session = (
-        {topic: KIND_OF[value_class] for topic, value_class in classes.items()}
-        for classes in (_MEASURED_VALUES, _SESSION_VALUES)
-    )
-    return topics | measured | {LOG_TOPIC: None, CAMERA_TOPIC: None} | session
+    kinds = {topic: None if value is None else KIND_OF[value] for topic, value in _VALUE_CLASSES.items()}
+    return topics | kinds
 
 
 PIXEL_TOPICS: Final[Topics] = {WINDOW.topic: WINDOW, IMAGE.topic: IMAGE, PREVIEW_TOPIC: None}
