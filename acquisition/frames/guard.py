@@ -273,27 +273,22 @@ class ClockCheck:
 
     def restart(self) -> None:
         """Begin a new stretch, after the camera was reopened."""
-        self._soonest: list[tuple[int, int]] = []
-        self._since_ns, self._count = -1, 0
+        self._stretch: list[tuple[int, int]] = []
+        self._soonest: tuple[int, int] | None = None
 
     def see(self, frame: Frame) -> None:
         """Take the next frame into account; raises DeviceError if the clock cannot be right."""
         if self._done or not 0 <= frame.device_time_ns < NO_TIME_NS:
             return
-        host_ns, late_ns = frame.host_time_ns, frame.host_time_ns - frame.device_time_ns
-        if not self._count:
-            self._since_ns = host_ns
-            self._soonest = [*self._soonest[-1:], (late_ns, host_ns)]
-        self._soonest[-1] = min(self._soonest[-1], (late_ns, host_ns))
-        self._count += 1
-        if host_ns - self._since_ns < _STRETCH_NS or self._count < _MIN_FRAMES:
+        stretch, host_ns = self._stretch, frame.host_time_ns
+        stretch.append((host_ns - frame.device_time_ns, host_ns))
+        if host_ns - stretch[0][1] < _STRETCH_NS or len(stretch) < _MIN_FRAMES:
             return
-        self._count = 0
-        if len(self._soonest) > 1:
-            self._compare()
+        before, self._soonest, self._stretch = self._soonest, min(stretch), []
+        if before is not None:
+            self._compare(*before, *self._soonest)
 
-    def _compare(self) -> None:
-        (late_before_ns, before_ns), (late_ns, host_ns) = self._soonest
+    def _compare(self, late_before_ns: int, before_ns: int, late_ns: int, host_ns: int) -> None:
         drift_ppm = 1e6 * (late_before_ns - late_ns) / max(host_ns - before_ns, 1)
         if abs(drift_ppm) <= MAX_DRIFT_PPM:
             self._done = True
