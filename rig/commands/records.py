@@ -43,7 +43,7 @@ def _print_info(path: Path) -> None:
         numbers, metadata = reader.numbers, reader.metadata
         losses, counts, files = reader.losses(), reader.counts, reader.files
         swings, unit = reader.swings(), reader.deflection_unit
-        attachments = {name: len(data) for name, data in reader.attachments.items()}
+        attachments = {name: len(next(numbers.copies(name), b"")) for name in numbers.attachments}
     clean = [swing.amplitude / unit.shown_size for swing in swings if not swing.flags]
     amplitude = f"{clean[0]:.2f} to {clean[-1]:.2f} {unit.shown}" if clean else "none"
     half_cycles = f"{len(swings)}, {len(swings) - len(clean)} of them flagged"

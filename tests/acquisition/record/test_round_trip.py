@@ -10,9 +10,7 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as npst
 
-from acquisition.record.codec import decode_window, encode_window
 from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
 from acquisition.record.schemas import MessageType, message_type_of
@@ -92,22 +90,6 @@ def test_any_bytes_decode_or_raise_value_error(data: bytes) -> None:
             kind.decode(data)
         except ValueError:
             continue
-
-
-@given(
-    image=npst.arrays(
-        st.sampled_from([np.uint8, np.uint16]), st.tuples(st.integers(1, 9), st.integers(1, 9))
-    ),
-    origin=st.tuples(st.integers(0, 5000), st.integers(0, 5000)),
-    transposed=st.booleans(),
-)
-@settings(max_examples=100, deadline=None)
-def test_pixels_come_back(image: np.ndarray, origin: tuple[int, int], transposed: bool) -> None:
-    image = image.T if transposed else image
-    window = decode_window(WINDOW, encode_window(7, 8, image, *origin))
-    assert (window.sequence, window.time_ns, window.origin_px) == (7, 8, origin)
-    assert window.image.dtype == image.dtype
-    np.testing.assert_array_equal(window.image, image)
 
 
 @pytest.mark.parametrize("dtype", ["u1", "u2"])
