@@ -27,8 +27,6 @@ _INT_END: Final = 1 << 63
 _END_PATIENCE_S: Final = 10.0
 READ_GRACE_S: Final = 10.0
 """A `read` that exceeds its timeout by this much hangs, and is abandoned."""
-_NOT_READING: Final = -1
-"""State of a thread that is not in `read`."""
 _MAX_FUTURE_NS: Final = 1_000_000_000
 """A host time further in the future than this comes from another clock, such as UTC."""
 NO_TIME_NS: Final = 1 << 62
@@ -232,24 +230,24 @@ class ReadMonitor:
 
     def __init__(self, asked_s: float, hangs_s: float = READ_GRACE_S) -> None:
         self._asked_s, self._limit_s = asked_s, asked_s + hangs_s
-        self._reads = 0
-        self._current_read = self._last_read = _NOT_READING
+        self._read: object | None = None
+        self._read_at_last_check: object | None = None
         self._waited_s = 0.0
 
     def enter(self) -> None:
         """Note that a `read` begins."""
-        self._reads += 1
-        self._current_read = self._reads
+        self._read = object()
 
     def leave(self) -> None:
         """Note that the thread is in another call, which has its own limit."""
-        self._current_read = _NOT_READING
+        self._read = None
 
     def check(self, waited_s: float) -> str:
         """Add a wait (0: a frame came); returns a message if the `read` hangs, else ""."""
-        same = self._current_read == self._last_read and self._current_read != _NOT_READING
+        read, before = self._read, self._read_at_last_check
+        same = read is not None and read is before
         self._waited_s = self._waited_s + waited_s if same and waited_s else 0.0
-        self._last_read = self._current_read
+        self._read_at_last_check = read
         if self._waited_s < self._limit_s:
             return ""
         return (

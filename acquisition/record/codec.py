@@ -25,7 +25,6 @@ from acquisition.record.topics import (
     SENSOR_FRAME,
     SWING,
     WINDOW,
-    RecordedLog,
     RecordedWindow,
 )
 from acquisition.record.window_residual import IntegerGaussian, from_planes, spot_model, to_planes
@@ -184,9 +183,3 @@ def encode_log(utc_ns: int, level: int, source: str, text: str) -> bytes:
     message = Log(level=level, message=text, name=source)  # type: ignore[arg-type]
     message.timestamp.FromNanoseconds(utc_ns)
     return message.SerializeToString()
-
-
-def decode_log(time_ns: int, data: bytes) -> RecordedLog:
-    """Line of the log from a foxglove.Log; `time_ns` is its time on the frames' clock."""
-    line = Log.FromString(data)
-    return RecordedLog(time_ns, line.level, line.name, line.message)

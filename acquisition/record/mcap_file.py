@@ -225,7 +225,6 @@ class McapFile:
             ) from None
         except OSError as error:
             raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
-        self.path = path
         self._attachments: list[tuple[int, str, str, bytes]] = []
         self.waiting = 0
         self._writer = Writer(

@@ -15,7 +15,6 @@ from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
 from acquisition.record.codec import (
     balances_of,
-    decode_log,
     decode_preview,
     decode_window,
     deflections_of,
@@ -31,14 +30,12 @@ from acquisition.record.topics import (
     EVENT,
     IMAGE,
     KIND_OF,
-    LOG_TOPIC,
     METADATA_COPY,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SPOT,
     SWING,
     WINDOW,
-    RecordedLog,
     RecordedLosses,
     RecordedNote,
     RecordedWindow,
@@ -339,11 +336,6 @@ class RecordReader:
         for message in islice(self.messages(IMAGE.topic, start_ns), 0, None, every):
             sequence, time_ns, image, _ = decode_window(IMAGE, message.data)
             yield Frame(image, sequence, time_ns, time_ns)
-
-    def log(self) -> list[RecordedLog]:
-        """Lines of the log."""
-        lines = self.messages(LOG_TOPIC)
-        return [decode_log(line.log_time_ns - self.epoch_offset_ns, line.data) for line in lines]
 
     def _tables(
         self, kind: MessageType, messages: Iterable[Message], fields: Collection[str] | None = None

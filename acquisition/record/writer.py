@@ -215,12 +215,7 @@ class RecordWriter:
         """Write an event, also as a line of the log, which viewers display."""
         event = Event(time_ns, kind, text)
         self._add(EVENT.topic, time_ns, EVENT.encode(*event, event.level))
-        self.write_log(time_ns, _LOG_LEVELS[event.level], "event", event.line)
-
-    def write_log(self, time_ns: int, level: int, source: str, text: str) -> None:
-        """Write a line of the log; `level` as in foxglove.Log (1 debug ... 5 fatal)."""
-        data = encode_log(self._offset_ns + time_ns, level, source, text)
-        self._add(LOG_TOPIC, time_ns, data)
+        self._write_log(event, "event", event.line)
 
     def write_camera_calibration(
         self,
@@ -256,7 +251,12 @@ class RecordWriter:
         data = kind.encode(*[getattr(value, name) for name in kind.names])
         self._add(kind.topic, value.time_ns, data)
         if isinstance(value, RecordedNote):
-            self.write_log(value.time_ns, _LOG_LEVELS[value.event.level], "note", value.event.text)
+            self._write_log(value.event, "note", value.event.text)
+
+    def _write_log(self, event: Event, source: str, text: str) -> None:
+        """Write a line of the log, which viewers display."""
+        data = encode_log(self._offset_ns + event.time_ns, _LOG_LEVELS[event.level], source, text)
+        self._add(LOG_TOPIC, event.time_ns, data)
 
     def attach(self, name: str, data: bytes) -> None:
         """Attach a further file to the record."""
@@ -283,10 +283,20 @@ class RecordWriter:
             return
         self.flush()
         self._closed = True
+        failure = self._finish()
+        if failure is not None:
+            raise self._close_error(failure) from failure
+
+    def _finish(self) -> OSError | None:
+        """Finish both files; returns the first error."""
+        failure = None
         # the pixels first, because a closed file of numbers means that the whole record is closed
-        failures = [failure for file in reversed(self._files) if (failure := _finish_error(file))]
-        if failures:
-            raise self._close_error(failures[0]) from failures[0]
+        for file in reversed(self._files):
+            try:
+                file.finish()
+            except OSError as error:
+                failure = failure or error
+        return failure
 
     @property
     def _files(self) -> list[McapFile]:
@@ -335,7 +345,7 @@ class RecordWriter:
         self._closed = True
         what = f"{self.path}: cannot be written: {why}"
         lost = sum(file.waiting for file in self._files if file.disk.broken)
-        failures: list[OSError] = []
+        failure = None
         try:
             # without an end event, readers could not tell why the run ended
             for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
@@ -344,10 +354,11 @@ class RecordWriter:
                 self._numbers.add(EVENT.topic, self._sequence, self._end_ns, reason)
                 self._sequence += 1
         except OSError as error:
-            failures.append(error)
-        failures += [failure for file in reversed(self._files) if (failure := _finish_error(file))]
-        if failures:
-            return self._close_error(failures[0])
+            failure = error
+        unfinished = self._finish()
+        failure = failure or unfinished
+        if failure is not None:
+            return self._close_error(failure)
         rest = f"; the last {lost} messages could not be written" if lost else ""
         return RecordError(f"{what}; the record is closed and readable{rest}")
 
@@ -356,15 +367,6 @@ class RecordWriter:
             f"{self.path}: could not be closed properly: {error.strerror or error}; "
             "rig record recover makes a complete file of it"
         )
-
-
-def _finish_error(file: McapFile) -> OSError | None:
-    """Finish a file; returns the error if that fails."""
-    try:
-        file.finish()
-    except OSError as error:
-        return error
-    return None
 
 
 def compile_window(image: Image, spot: Spot) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from acquisition.record import records_of, recovered_beside
-from acquisition.record.digest import cached_sha256_of_path, sha256_of, utc
+from acquisition.record.digest import cached_sha256, sha256_of, utc
 from acquisition.record.events import EARLY_ENDS, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW
@@ -144,7 +144,7 @@ def _table_row(folder: Path, decay: RunResults, number: int) -> Row:
     row |= decay.surroundings.known() if decay.surroundings is not None else {}
     if not path.exists():
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
-    elif cached_sha256_of_path(path) != decay.sha256:
+    elif cached_sha256(path) != decay.sha256:
         row |= {"state": "damaged", "flaw": "the table has changed since the results were made"}
     return row | results_row(decay)
 

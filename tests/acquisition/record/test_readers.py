@@ -79,7 +79,7 @@ def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode:
             else:
                 assert theirs == [value.tobytes().hex() for value in ours]
         assert found["times"]["/spot"] == [str(EPOCH_OFFSET_NS + i * FRAME_NS) for i in range(FRAMES)]
-        assert found["logs"] == [line.text for line in reader.log()]
+        assert found["logs"] == [event.line for event in reader.events()]
         assert found["metadata"] == reader.metadata
         assert found["attachments"].pop(METADATA_COPY) > 100
         assert found["attachments"] == {name: len(data) for name, data in reader.attachments.items()}
