@@ -2,13 +2,10 @@
 
 import hashlib
 import json
-from array import array
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.record import pixels_beside
 from acquisition.record.digest import sha256_of, utc_text
@@ -33,6 +30,40 @@ class Finding(NamedTuple):
     text: str
 
 
+@dataclass
+class _FrameTally:
+    """Numbers and times of the frames of one topic, in constant memory.
+
+    `not_rising` is how often a number was not larger than the one before, `backwards` how often a time was
+    smaller, `gaps` how often a number was larger by more than one, `missing` how many frames are missing.
+    `first_gaps` are the first and last missing number of each of the first ten gaps.
+    """
+
+    count: int = 0
+    not_rising: int = 0
+    backwards: int = 0
+    first_backwards_ns: int = 0
+    gaps: int = 0
+    missing: int = 0
+    first_gaps: list[str] = field(default_factory=list)
+    _last: tuple[int, int] | None = None
+
+    def add(self, number: int, time_ns: int) -> None:
+        """Add the next frame."""
+        last, last_ns = self._last or (number - 1, time_ns)
+        self._last = number, time_ns
+        self.count += 1
+        self.not_rising += number <= last
+        if time_ns < last_ns:
+            self.backwards += 1
+            self.first_backwards_ns = self.first_backwards_ns or time_ns
+        if number > last + 1:
+            self.gaps += 1
+            self.missing += number - last - 1
+            if len(self.first_gaps) < _MAX_SHOWN_GAPS:
+                self.first_gaps.append(f"{last + 1}-{number - 1}")
+
+
 def check_record(path: Path, results: Path | None = None) -> list[Finding]:
     """Verify a whole record; an intact one gives an empty list or notes only.
 
@@ -46,26 +77,21 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
         The file is not a record of this program, or `results` cannot be read.
     """
     with RecordReader(path) as reader:
-        frames = {SPOT.topic: array("Q"), WINDOW.topic: array("Q")}
+        frames = {SPOT.topic: _FrameTally(), WINDOW.topic: _FrameTally()}
         findings = [finding for file in reader.files for finding in _check_file(file, frames)]
         findings += [
             _check_recovery(texts) for name, texts in reader.metadata.items() if name.startswith(RECOVERY)
         ]
-        findings += _check_frames(
-            *(np.array(values, np.int64).reshape(-1, 2).T for values in frames.values())
-        )
+        findings += _check_frames(frames)
         if results is not None:
             findings += _check_hashes(reader, results)
     return findings
 
 
-def _check_file(file: ReadFile, frames: Mapping[str, "array[int]"]) -> list[Finding]:
-    """Findings on structure, chunks and attachments of one file.
-
-    Number and time (UTC) of its frames are appended to `frames`, by topic.
-    """
+def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
+    """Findings on structure, chunks and attachments of one file; its frames are added to `frames`."""
     name = file.path.name
-    findings = _errors(*(f"{name}: index: {text}" for text in file.damage))
+    findings: list[Finding] = []
     if not file.whole:
         lost = file.size - file.readable_bytes
         where = f": {lost} bytes after the last complete entry at {utc_text(file.end_ns)}"
@@ -75,13 +101,14 @@ def _check_file(file: ReadFile, frames: Mapping[str, "array[int]"]) -> list[Find
     for place in file.chunks:
         for message in file.messages(place):
             if message.topic in frames:
-                frames[message.topic].extend((message.sequence, message.log_time_ns))
+                frames[message.topic].add(message.sequence, message.log_time_ns)
     for attached in file.attachments:
         list(file.copies(attached))
     for offset, damage in file.damages.items():
         span = f"{utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}"
         chunk = f"chunk at byte {offset} ({' '.join(damage.topics) or 'topics unknown'}, {span}): "
-        findings += _errors(f"{name}: {chunk if damage.start_ns else ''}{damage.description}")
+        where = chunk if damage.start_ns else f"byte {offset}: "
+        findings += _errors(f"{name}: {where}{damage.description}")
     if not findings and not file.data_crc_matches():
         findings += _errors(f"{name}: bytes have changed outside chunks: in metadata or an index")
     return findings
@@ -105,27 +132,24 @@ def _check_recovery(recovery: Mapping[str, str]) -> Finding:
     return Finding("warning" if missing else "note", text)
 
 
-def _check_frames(spots: NDArray[np.int64], windows: NDArray[np.int64]) -> list[Finding]:
-    """Findings on numbers and times (2, n) of the frames with a spot message, and of those with a window."""
-    findings = []
-    for topic, (_, times_ns) in ((SPOT.topic, spots), (WINDOW.topic, windows)):
-        earlier_ns = times_ns[1:][np.diff(times_ns) < 0].tolist()
-        if earlier_ns:
-            first = utc_text(earlier_ns[0])
-            findings += _errors(f"{topic}: the time decreases {len(earlier_ns)} times, first at {first}")
-    numbers = spots[0]
-    steps = np.diff(numbers)
-    gaps = np.flatnonzero(steps > 1)
-    if len(not_rising := np.flatnonzero(steps <= 0)):
-        findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {len(not_rising)} places")
-    if len(gaps):
-        shown = ", ".join(f"{numbers[at] + 1}-{numbers[at + 1] - 1}" for at in gaps[:_MAX_SHOWN_GAPS])
-        more = f" and {len(gaps) - _MAX_SHOWN_GAPS} more gaps" if len(gaps) > _MAX_SHOWN_GAPS else ""
-        text = f"{SPOT.topic}: {(steps[gaps] - 1).sum()} frames are missing: {shown}{more}"
-        findings.append(Finding("warning", text))
-    without = len(numbers) - windows.shape[1]
-    if windows.size and without > 0:
-        text = f"{WINDOW.topic}: {without} frames have a spot message and no window"
+def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
+    findings = _errors(
+        *(
+            f"{topic}: the time decreases {tally.backwards} times, first at "
+            f"{utc_text(tally.first_backwards_ns)}"
+            for topic, tally in frames.items()
+            if tally.backwards
+        )
+    )
+    spots, windows = frames[SPOT.topic], frames[WINDOW.topic]
+    if spots.not_rising:
+        findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {spots.not_rising} places")
+    if spots.gaps:
+        more = f" and {spots.gaps - len(spots.first_gaps)} more gaps" if spots.gaps > _MAX_SHOWN_GAPS else ""
+        shown = f"{', '.join(spots.first_gaps)}{more}"
+        findings.append(Finding("warning", f"{SPOT.topic}: {spots.missing} frames are missing: {shown}"))
+    if 0 < windows.count < spots.count:
+        text = f"{WINDOW.topic}: {spots.count - windows.count} frames have a spot message and no window"
         findings.append(Finding("note", text))
     return findings
 

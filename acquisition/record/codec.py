@@ -3,7 +3,7 @@
 Windows around the spot and whole frames are both compressed without loss.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -94,17 +94,17 @@ def encode_spots(
     host_times_ns: Sequence[int],
     spots: Sequence[Spot],
     deflections: Deflections,
-) -> list[bytes]:
+) -> Iterator[bytes]:
     """Messages of type `SPOT` or `SPOT_UNCALIBRATED` (the unit of the deflections), one for each frame."""
     columns = [deflections.x, deflections.y, deflections.u_x, deflections.u_y]
     if deflections.unit is DeflectionUnit.RAD:
         columns += [deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD]
     times = sequences, deflections.times_ns.tolist(), device_times_ns, host_times_ns
-    angles = zip(*(column.tolist() for column in columns), strict=True)
-    return [
+    angles = zip(*columns, strict=True)
+    return (
         kind.encode(*numbers, *spot, *angle)
         for *numbers, spot, angle in zip(*times, spots, angles, strict=True)
-    ]
+    )
 
 
 def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:

@@ -127,13 +127,18 @@ class Disk:
         """
         if wait:
             self.wait_for_thread()
-        if self._failure is None and (self._thread is None or not self._thread.is_alive()):
+        self._raise_failure()
+        if self._thread is None or not self._thread.is_alive():
             self._thread = threading.Thread(target=self._force, name="record sync", daemon=True)
             self._thread.start()
         if wait:
             self.wait_for_thread()
-        if self._failure is not None:
-            failure, self._failure = self._failure, None
+            self._raise_failure()
+
+    def _raise_failure(self) -> None:
+        """Raise, once, the error of the thread."""
+        failure, self._failure = self._failure, None
+        if failure is not None:
             raise failure
 
     def wait_for_thread(self) -> None:
@@ -164,8 +169,7 @@ class Disk:
         _sync_file(self._file.fileno())
         if not self._has_its_name():
             self._copy_to_its_name()
-        if self._failure is not None:
-            raise self._failure
+        self._raise_failure()
 
     def close(self) -> None:
         """Close file and reserve; never raises."""

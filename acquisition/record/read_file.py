@@ -17,10 +17,9 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 import numpy as np
-import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, McapRecord, Statistics
@@ -28,19 +27,21 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from acquisition.record import records_of
+from acquisition.record.chunk import (
+    CHUNK_HEAD,
+    HEAD,
+    ChunkPlace,
+    ChunkPlaces,
+    Damage,
+    Message,
+    bits,
+    chunk_at,
+    messages_in,
+)
 from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
 
 _log = logging.getLogger(__name__)
-_HEAD = struct.Struct("<BQ")
-"""Opcode and length of every record."""
-_CHUNK = struct.Struct("<BQQQQII4sQ")
-"""Opcode and length of a chunk, its first and last log time, size and CRC-32 of its messages, length and name
-of their compression, and the size of the compressed messages, which follow.
-"""
-_COMPRESSION = b"zstd"
-_MESSAGE = struct.Struct("<BQHIQQ")
-"""Opcode and length of a message, its channel, sequence, log time, publish time; its content follows."""
 _INDEX = struct.Struct("<BQHI")
 """Opcode and length of a chunk's message index, channel, bytes of its entries, which follow."""
 _INDEX_ENTRY_BYTES = 16
@@ -50,34 +51,6 @@ _CRC_BYTES = 4
 _SMALL_RECORD_BYTES = 256 * 1024 * 1024
 _BLOCK_BYTES = 256 * 1024
 _FAULTS = {errno.EIO, getattr(errno, "EUCLEAN", errno.EIO), getattr(errno, "EBADMSG", errno.EIO)}
-
-
-class Message(NamedTuple):
-    """An encoded message; `log_time_ns` is UTC."""
-
-    topic: str
-    sequence: int
-    log_time_ns: int
-    data: bytes
-
-
-class Damage(NamedTuple):
-    """A damaged part of a record: topics and times (UTC) of the chunk, and a description."""
-
-    start_ns: int
-    end_ns: int
-    topics: tuple[str, ...]
-    description: str
-
-
-class ChunkPlace(NamedTuple):
-    """Offset and length of a chunk in bytes, its log times (UTC), and its channels (none: not known)."""
-
-    offset: int
-    length: int
-    start_ns: int
-    end_ns: int
-    channels: frozenset[int] = frozenset()
 
 
 class ReadFile:
@@ -100,10 +73,8 @@ class ReadFile:
         Chunks in the order of the file, and the times (UTC) of their first and last message.
     attachments
         Offsets of the copies of each attached file.
-    damage
-        Descriptions of unreadable parts of the structure.
     damages
-        Chunks and attachments that were found damaged as they were read, by their offset.
+        What was found damaged so far, by its offset: chunks, attachments, and parts of the structure.
 
     Raises
     ------
@@ -118,10 +89,9 @@ class ReadFile:
         self.library = ""
         self.channels: dict[int, str] = {}
         self.counts: Counter[int] = Counter()
-        self.chunks: list[ChunkPlace] = []
+        self.chunks = ChunkPlaces()
         self.start_ns = self.end_ns = 0
         self.attachments: dict[str, list[int]] = {}
-        self.damage: list[str] = []
         self.damages: dict[int, Damage] = {}
         self._data_end = self._data_crc = 0
         self.file = _open_mcap(path)
@@ -151,51 +121,22 @@ class ReadFile:
 
         There are none of a damaged chunk, which is listed.
         """
-        try:
-            data = self._decompressed(place)
-        except ValueError as error:
-            topics = sorted(self.channels[n] for n in place.channels if n in self.channels)
-            self._remember(place.offset, Damage(place.start_ns, place.end_ns, tuple(topics), str(error)))
-            return []
         wanted = {number: name for number, name in self.channels.items() if topic in (None, name)}
-        found, at, last, unpack, message_opcode = [], 0, len(data), _MESSAGE.unpack_from, int(Opcode.MESSAGE)
-        head_bytes, content_at = _HEAD.size, _MESSAGE.size
-        while at < last:
-            # the first chunk begins with schemas and channels, which are no messages
-            opcode, length, channel, sequence, log_time_ns, _ = unpack(data, at)
-            end = at + head_bytes + length
-            if opcode == message_opcode and channel in wanted and log_time_ns >= from_ns:
-                found.append(Message(wanted[channel], sequence, log_time_ns, data[at + content_at : end]))
-            at = end
-        return found
+        try:
+            return messages_in(self._read(place.offset, place.length), place, wanted, from_ns)
+        except ValueError as error:
+            topics = sorted(name for number, name in self.channels.items() if place.channels >> number & 1)
+            self.note_damage(place.offset, str(error), place.start_ns, place.end_ns, tuple(topics))
+            return []
 
     def messages_of(self, topic: str, from_ns: int = 0) -> Iterator[Message]:
         """Messages of a topic in the order of the file; chunks that end before `from_ns` are not read."""
-        numbers = {number for number, name in self.channels.items() if name == topic}
+        wanted = bits(number for number, name in self.channels.items() if name == topic)
         return chain.from_iterable(
             self.messages(place, topic, from_ns)
-            for place in (self.chunks if numbers else ())
-            if place.end_ns >= from_ns and not (place.channels and numbers.isdisjoint(place.channels))
+            for place in (self.chunks if wanted else ())
+            if place.end_ns >= from_ns and (place.channels & wanted or not place.channels)
         )
-
-    def _decompressed(self, place: ChunkPlace) -> bytes:
-        """The messages of a chunk as bytes. Raises ValueError, with what has changed, for a damaged one."""
-        record = self._read(place.offset, place.length)
-        if len(record) < place.length:
-            raise ValueError("ends early, or its disk cannot give all of it")
-        if _chunk_at(place.offset, record) is None:
-            raise ValueError("its head has changed")
-        _, _, _, _, size, crc, *_ = _CHUNK.unpack_from(record)
-        try:
-            # one changed bit in either size could make the decompression ask for gigabytes of memory
-            if zstandard.get_frame_parameters(record[_CHUNK.size :]).content_size != size:
-                raise ValueError("its head has changed: it and its data state different sizes")
-            data = zstandard.decompress(record[_CHUNK.size :])
-        except zstandard.ZstdError as error:
-            raise ValueError(f"cannot be decompressed ({error})") from None
-        if len(data) != size or crc != zlib.crc32(data):
-            raise ValueError("its checksum does not match: bytes have changed")
-        return data
 
     def copies(self, name: str) -> Iterator[bytes]:
         """The intact copies of an attached file; damaged ones are listed."""
@@ -203,7 +144,7 @@ class ReadFile:
             try:
                 record = self._small_record(place)
             except ValueError as error:
-                self._remember(place, Damage(0, 0, (), f"attachment {name}: {error}"))
+                self.note_damage(place, f"attachment {name}: {error}")
                 continue
             assert isinstance(record, Attachment)
             yield record.data
@@ -216,7 +157,7 @@ class ReadFile:
         """
         copy = next(self.copies(METADATA_COPY), None)
         if copy is None:
-            if METADATA_COPY in self.attachments or (self.damage and self.library == LIBRARY):
+            if METADATA_COPY in self.attachments or (self.damages and self.library == LIBRARY):
                 raise RecordError(f"{self.path}: its own description is damaged")
             if not self.whole and not self.chunks:
                 raise RecordError(f"{self.path}: was cut short before anything was recorded")
@@ -246,26 +187,29 @@ class ReadFile:
 
     def is_sound(self) -> bool:
         """Whether every byte is as it was written, by the checksums of summary and data section."""
-        return self.whole and self.indexed and not self.damage and self.data_crc_matches()
+        return self.whole and self.indexed and not self.damages and self.data_crc_matches()
 
-    def _remember(self, offset: int, damage: Damage) -> None:
+    def note_damage(
+        self, offset: int, what: str, start_ns: int = 0, end_ns: int = 0, topics: tuple[str, ...] = ()
+    ) -> None:
+        """Add to `damages`, and to the log, what was not yet found damaged."""
         if offset not in self.damages:
-            self.damages[offset] = damage
-            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, damage.description)
+            self.damages[offset] = Damage(start_ns, end_ns, topics, what)
+            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, what)
 
     def _read(self, place: int, count: int) -> bytes:
         return read_at(self.file, place, count)
 
     def _small_record(self, place: int) -> McapRecord:
         """The header, or an attachment, verified by its checksum. Raises ValueError for any other bytes."""
-        opcode, length = _HEAD.unpack(self._read(place, _HEAD.size).ljust(_HEAD.size, b"\0"))
+        opcode, length = HEAD.unpack(self._read(place, HEAD.size).ljust(HEAD.size, b"\0"))
         if length > _SMALL_RECORD_BYTES:
             raise ValueError(f"it claims {length} bytes")
-        data = self._read(place, _HEAD.size + length)
-        if len(data) < _HEAD.size + length:
+        data = self._read(place, HEAD.size + length)
+        if len(data) < HEAD.size + length:
             raise ValueError("it ends early")
         crc = int.from_bytes(data[-_CRC_BYTES:], "little")
-        if opcode == Opcode.ATTACHMENT and crc != zlib.crc32(data[_HEAD.size : -_CRC_BYTES]):
+        if opcode == Opcode.ATTACHMENT and crc != zlib.crc32(data[HEAD.size : -_CRC_BYTES]):
             raise ValueError("its checksum does not match: bytes have changed")
         try:
             record = next(StreamReader(io.BytesIO(data), skip_magic=True).records)
@@ -282,17 +226,16 @@ class ReadFile:
         if end < len(MAGIC) or data[_FOOTER.size :] != MAGIC:
             return
         opcode, length, start, _, crc = _FOOTER.unpack_from(data)
-        self.whole = (opcode, length) == (Opcode.FOOTER, _FOOTER.size - _HEAD.size)
+        self.whole = (opcode, length) == (Opcode.FOOTER, _FOOTER.size - HEAD.size)
         if not self.whole or not start or self.readable_bytes > len(MAGIC):
             return
         if not len(MAGIC) <= start - _DATA_END.size <= end:
-            self.damage.append("the footer points outside the file")
+            self.note_damage(end, "the footer points outside the file")
             return
         summary = self._read(start, end - start)
         if crc != zlib.crc32(data[: _FOOTER.size - _CRC_BYTES], zlib.crc32(summary)):
-            self.damage.append("the summary's checksum does not match: bytes have changed")
+            self.note_damage(start, "the summary's checksum does not match: bytes have changed")
             return
-        alike: dict[frozenset[int], frozenset[int]] = {}
         # the checksum has shown that every record of the summary can be read
         for record in StreamReader(io.BytesIO(summary + data), skip_magic=True).records:
             match record:
@@ -305,9 +248,7 @@ class ReadFile:
                 case ChunkIndex():
                     place = (record.chunk_start_offset, record.chunk_length)
                     times = (record.message_start_time, record.message_end_time)
-                    # one set for all chunks with the same topics: a record of a day has 170,000
-                    channels = frozenset(record.message_index_offsets)
-                    self._add_chunk(ChunkPlace(*place, *times, alike.setdefault(channels, channels)))
+                    self._add_chunk(ChunkPlace(*place, *times, bits(record.message_index_offsets)))
         self._data_end = start - _DATA_END.size
         *_, self._data_crc = _DATA_END.unpack(self._read(self._data_end, _DATA_END.size))
         self._list_small_record(len(MAGIC))
@@ -319,7 +260,7 @@ class ReadFile:
         After bytes that are no record, the walk continues at the next intact chunk or attachment.
         """
         place = before = self.readable_bytes
-        while place + _HEAD.size <= self.size and not self._data_end:
+        while place + HEAD.size <= self.size and not self._data_end:
             end = self._list_record(place)
             if end is not None:
                 before, place = place, end
@@ -328,19 +269,19 @@ class ReadFile:
             found = self._next_intact_record(before + 1)
             if found is None:
                 break
-            self.damage.append(f"between bytes {before} and {found}: there is no record")
+            self.note_damage(place, f"between bytes {before} and {found}: there is no record")
             place = before = found
         self.readable_bytes = place
 
     def _list_record(self, place: int) -> int | None:
         """List the record at `place` in the data section; returns its end, None where it is no record."""
-        data = self._read(place, _CHUNK.size)
-        opcode, length = _HEAD.unpack_from(data) if len(data) >= _HEAD.size else (0, self.size)
-        end: int = place + _HEAD.size + length
+        data = self._read(place, CHUNK_HEAD.size)
+        opcode, length = HEAD.unpack_from(data) if len(data) >= HEAD.size else (0, self.size)
+        end: int = place + HEAD.size + length
         if end > self.size:
             return None
         if opcode == Opcode.CHUNK:
-            chunk = _chunk_at(place, data)
+            chunk = chunk_at(place, data)
             if chunk is None:
                 return None
             self._add_chunk(chunk)
@@ -371,7 +312,7 @@ class ReadFile:
         try:
             record = self._small_record(place)
         except ValueError as error:
-            self.damage.append(f"the record at byte {place} cannot be read ({error})")
+            self.note_damage(place, f"the record cannot be read ({error})")
             return
         if isinstance(record, Header):
             self.library = record.library
@@ -380,14 +321,14 @@ class ReadFile:
 
     def _next_intact_record(self, place: int) -> int | None:
         """Position of the next chunk whose lengths agree, or attachment whose checksum matches."""
-        while len(block := self._read(place, _BLOCK_BYTES)) > _CHUNK.size:
-            values = np.frombuffer(block, dtype=np.uint8, count=len(block) - _CHUNK.size)
+        while len(block := self._read(place, _BLOCK_BYTES)) > CHUNK_HEAD.size:
+            values = np.frombuffer(block, dtype=np.uint8, count=len(block) - CHUNK_HEAD.size)
             for at in np.flatnonzero((values == Opcode.CHUNK) | (values == Opcode.ATTACHMENT)).tolist():
-                opcode, length = _HEAD.unpack_from(block, at)
-                if place + at + _HEAD.size + length > self.size:
+                opcode, length = HEAD.unpack_from(block, at)
+                if place + at + HEAD.size + length > self.size:
                     continue
                 if opcode == Opcode.CHUNK:
-                    if _chunk_at(place + at, block[at : at + _CHUNK.size]) is not None:
+                    if chunk_at(place + at, block[at : at + CHUNK_HEAD.size]) is not None:
                         return place + at
                 elif length < _BLOCK_BYTES:
                     try:
@@ -397,17 +338,6 @@ class ReadFile:
                     return place + at
             place += len(values)
         return None
-
-
-def _chunk_at(place: int, data: bytes) -> ChunkPlace | None:
-    """The chunk at a position in the file, where `data` begin; None if they are not the head of one."""
-    if len(data) < _CHUNK.size:
-        return None
-    opcode, length, start_ns, end_ns, _, _, name_bytes, name, size = _CHUNK.unpack_from(data)
-    if (opcode, name_bytes, name) != (Opcode.CHUNK, len(_COMPRESSION), _COMPRESSION) or start_ns > end_ns:
-        return None
-    agree = length == _CHUNK.size - _HEAD.size + size
-    return ChunkPlace(place, _HEAD.size + length, start_ns, end_ns) if agree else None
 
 
 def _open_mcap(path: Path) -> IO[bytes]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
+from acquisition.record.chunk import Damage, Message
 from acquisition.record.codec import (
     balances_of,
     decode_preview,
@@ -23,7 +24,7 @@ from acquisition.record.codec import (
 )
 from acquisition.record.digest import is_being_written, utc
 from acquisition.record.events import Event
-from acquisition.record.read_file import Damage, Message, ReadFile
+from acquisition.record.read_file import ReadFile
 from acquisition.record.schemas import MessageType
 from acquisition.record.topics import (
     BALANCE,
@@ -110,7 +111,7 @@ class RecordReader:
         except RecordError as error:
             # while a record is written, or where it was cut, its file of pixels may only have begun
             if self.numbers.whole:
-                self.numbers.damage.append(str(error))
+                self.numbers.note_damage(0, str(error))
             return
         pixels.channels = dict(enumerate(PIXEL_TOPICS, start=1))
         self._pixels = pixels
@@ -160,9 +161,7 @@ class RecordReader:
     def doubts(self) -> list[str]:
         """Warnings, one line each, that belong to all data read so far: cut short, damaged or changed."""
         lines = [self.cut_notice] if self.truncated else []
-        lines += [f"damaged, not used: {damage.description}" for damage in self.damages]
-        damage = [text for file in self.files for text in file.damage]
-        return lines + [f"the record's structure: {text}" for text in damage]
+        return lines + [f"damaged, not used: {damage.description}" for damage in self.damages]
 
     @property
     def attachments(self) -> dict[str, bytes]:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from acquisition.atomic_write import being_written
 from acquisition.record import pixels_beside
+from acquisition.record.chunk import Damage
 from acquisition.record.digest import sha256_of
 from acquisition.record.mcap_file import McapFile
-from acquisition.record.read_file import Damage, ReadFile
+from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import PIXEL_TOPICS, number_topics
 from processing.errors import RecordError
@@ -25,8 +26,8 @@ class Recovery:
     """Result of `recover`.
 
     `messages` are the numbers of recovered messages by topic, `start_ns` and `end_ns` (UTC) the times of the
-    first and the last. `lost` are damaged chunks and attachments, `damage` describes other parts that were
-    not as written, `lost_bytes` is the number of bytes after the last complete entry.
+    first and the last. `lost` are the damaged parts, `lost_bytes` is the number of bytes after the last
+    complete entry.
     """
 
     source: Path
@@ -35,7 +36,6 @@ class Recovery:
     start_ns: int
     end_ns: int
     lost: tuple[Damage, ...]
-    damage: tuple[str, ...]
     lost_bytes: int
 
 
@@ -100,14 +100,13 @@ def _copy_metadata(
     for name, data in reader.attachments.items():
         copies[0].add_attachment(name, "application/octet-stream", data, start_ns)
     lost_bytes = sum(file.size - file.readable_bytes for file in reader.files if not file.whole)
-    damage = tuple(text for file in reader.files for text in file.damage)
     lost_parts = [lost.description for lost in reader.damages if not lost.start_ns]
     recovery = {
         "source": reader.path.name,
         "source_sha256": _sha256_if_readable(reader.path),
         "source_was_cut": str(reader.truncated).lower(),
         "lost_chunks": str(len(reader.damages) - len(lost_parts)),
-        "lost_parts": "; ".join([*lost_parts, *damage]),
+        "lost_parts": "; ".join(lost_parts),
         "lost_bytes_at_the_end": str(lost_bytes),
     }
     earlier = sum(name.startswith(RECOVERY) for name in reader.metadata)
@@ -123,7 +122,6 @@ def _copy_metadata(
         start_ns=start_ns,
         end_ns=max(file.end_ns for file in reader.files),
         lost=tuple(reader.damages),
-        damage=damage,
         lost_bytes=lost_bytes,
     )
 

@@ -44,6 +44,7 @@ def _print_info(path: Path) -> None:
         losses, counts, files = reader.losses(), reader.counts, reader.files
         swings, unit = reader.swings(), reader.deflection_unit
         attachments = {name: len(next(numbers.copies(name), b"")) for name in numbers.attachments}
+        damage = [one.description for one in reader.damages]
     clean = [swing.amplitude / unit.shown_size for swing in swings if not swing.flags]
     amplitude = f"{clean[0]:.2f} to {clean[-1]:.2f} {unit.shown}" if clean else "none"
     half_cycles = f"{len(swings)}, {len(swings) - len(clean)} of them flagged"
@@ -74,7 +75,6 @@ def _print_info(path: Path) -> None:
                 print_line(f"  {key:<20} {text}")
     for name, size in attachments.items():
         print_line(f"attachment {name} ({_size(size)})")
-    damage = [text for file in files for text in file.damage]
     for problem in damage:
         print_line(f"problem: {problem}")
     answer(
@@ -189,8 +189,6 @@ def recover(
         topics = ", ".join(damage.topics)
         span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
         print_line(f"lost: {span}{damage.description}")
-    for text in recovery.damage:
-        print_line(f"damaged: {text}")
 
 
 def _size(count: int) -> str:

@@ -98,7 +98,7 @@ def read_run(path: Path, results: RunResults | None) -> ExportData:
         began, ended = (utc(time_ns).isoformat() for time_ns in _span_ns(reader, spots))
         notes = tuple(reader.doubts())
         held = reader.numbers
-        if configuration is None and (CONFIGURATION_NAME in held.attachments or held.damage):
+        if configuration is None and (CONFIGURATION_NAME in held.attachments or held.damages):
             notes = (*notes, "the configuration is damaged and not part of this export")
     provenance["sha256"] = cached_sha256(path)
     if results is not None and results.sha256 != provenance["sha256"]:

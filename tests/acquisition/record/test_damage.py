@@ -12,8 +12,9 @@ from mcap.reader import make_reader
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import Finding, check_record
+from acquisition.record.chunk import ChunkPlace
 from acquisition.record.digest import sha256_of
-from acquisition.record.read_file import ChunkPlace, ReadFile
+from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from acquisition.record.writer import RecordWriter
@@ -60,7 +61,7 @@ def whole(both: Files) -> bytes:
 def chunks_of(path: Path) -> list[ChunkPlace]:
     file = ReadFile(path)
     file.close()
-    return file.chunks
+    return list(file.chunks)
 
 
 def errors(findings: list[Finding]) -> list[str]:
@@ -266,12 +267,12 @@ def test_a_record_whose_summary_is_damaged_is_read_by_walking_through_it(
     with RecordReader(path) as reader:
         assert not reader.truncated
         assert len(reader.spots()) == FRAMES
-        assert any("summary" in text for text in reader.numbers.damage)
+        assert any("summary" in damage.description for damage in reader.damages)
 
 
 def overview(path: Path) -> dict[str, Any]:
     """What `rig record info` prints of a record."""
-    names = ("whole", "library", "start_ns", "end_ns", "attachments", "damage")
+    names = ("whole", "library", "start_ns", "end_ns", "attachments", "damages")
     with RecordReader(path) as reader:
         read = {"counts": reader.counts, "losses": reader.losses(), "chunks": len(reader.numbers.chunks)}
         return {name: getattr(reader.numbers, name) for name in names} | read

@@ -120,7 +120,7 @@ def test_a_whole_record_comes_back(tmp_path: Path, dtype: str) -> None:
             Event(128 * FRAME_NS, "stop", "amplitude below 2 arcsec"),
         ]
         begun, _ = (Log.FromString(message.data) for message in reader.messages("/log"))
-        assert (begun.level, first.name, first.message) == (2, "event", "start: first frame")
+        assert (begun.level, begun.name, begun.message) == (2, "event", "start: first frame")
         blocks = list(reader.spot_blocks())
         assert np.concatenate(blocks).tobytes() == table.tobytes()
         fields = ["sequence", "time_ns", "u_y_rad"]

@@ -1,0 +1,120 @@
+"""One chunk of an MCAP file: its place, its messages, verified by its checksum."""
+
+import struct
+import zlib
+from array import array
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final, NamedTuple
+
+import zstandard
+from mcap.opcode import Opcode
+
+HEAD: Final = struct.Struct("<BQ")
+"""Opcode and length of every record."""
+CHUNK_HEAD: Final = struct.Struct("<BQQQQII4sQ")
+"""Opcode and length of a chunk, its first and last log time, size and CRC-32 of its messages, length and name
+of their compression, and the size of the compressed messages, which follow.
+"""
+_COMPRESSION = b"zstd"
+_MESSAGE = struct.Struct("<BQHIQQ")
+"""Opcode and length of a message, its channel, sequence, log time, publish time; its content follows."""
+
+
+class Message(NamedTuple):
+    """An encoded message; `log_time_ns` is UTC."""
+
+    topic: str
+    sequence: int
+    log_time_ns: int
+    data: bytes
+
+
+class Damage(NamedTuple):
+    """A damaged part of a record, with a description; topics and times (UTC) if it is a chunk."""
+
+    start_ns: int
+    end_ns: int
+    topics: tuple[str, ...]
+    description: str
+
+
+class ChunkPlace(NamedTuple):
+    """Offset and length of a chunk in bytes, its log times (UTC), and bits of its channels (0: not known)."""
+
+    offset: int
+    length: int
+    start_ns: int
+    end_ns: int
+    channels: int = 0
+
+
+class ChunkPlaces:
+    """The chunks in the order of the file, 40 bytes each: a record of one day has 170,000."""
+
+    def __init__(self) -> None:
+        self._numbers = array("Q")
+
+    def append(self, place: ChunkPlace) -> None:
+        """Add the next chunk."""
+        self._numbers.extend(place)
+
+    def __len__(self) -> int:
+        return len(self._numbers) // len(ChunkPlace._fields)
+
+    def __getitem__(self, number: int) -> ChunkPlace:
+        size = len(ChunkPlace._fields)
+        return ChunkPlace(*self._numbers[size * number : size * (number + 1)])
+
+    def __iter__(self) -> Iterator[ChunkPlace]:
+        return map(self.__getitem__, range(len(self)))
+
+
+_MOST_CHANNELS = 64
+"""Channels that a place has bits for; records have fewer."""
+
+
+def bits(channels: Iterable[int]) -> int:
+    """One bit for each channel."""
+    return sum(1 << number for number in channels if number < _MOST_CHANNELS)
+
+
+def chunk_at(place: int, data: bytes) -> ChunkPlace | None:
+    """The chunk at a position in the file, where `data` begin; None if they are not the head of one."""
+    if len(data) < CHUNK_HEAD.size:
+        return None
+    opcode, length, start_ns, end_ns, _, _, name_bytes, name, size = CHUNK_HEAD.unpack_from(data)
+    if (opcode, name_bytes, name) != (Opcode.CHUNK, len(_COMPRESSION), _COMPRESSION) or start_ns > end_ns:
+        return None
+    agree = length == CHUNK_HEAD.size - HEAD.size + size
+    return ChunkPlace(place, HEAD.size + length, start_ns, end_ns) if agree else None
+
+
+def messages_in(record: bytes, place: ChunkPlace, topics: Mapping[int, str], from_ns: int) -> list[Message]:
+    """Messages in a chunk from a time (UTC) on, of the channels in `topics`.
+
+    Raises ValueError, with what has changed, for a damaged chunk.
+    """
+    if len(record) < place.length:
+        raise ValueError("ends early, or its disk cannot give all of it")
+    if chunk_at(place.offset, record) is None:
+        raise ValueError("its head has changed")
+    _, _, _, _, size, crc, *_ = CHUNK_HEAD.unpack_from(record)
+    try:
+        # one changed bit in either size could make the decompression ask for gigabytes of memory
+        if zstandard.get_frame_parameters(record[CHUNK_HEAD.size :]).content_size != size:
+            raise ValueError("its head has changed: it and its data state different sizes")
+        data = zstandard.decompress(record[CHUNK_HEAD.size :])
+    except zstandard.ZstdError as error:
+        raise ValueError(f"cannot be decompressed ({error})") from None
+    if len(data) != size or crc != zlib.crc32(data):
+        raise ValueError("its checksum does not match: bytes have changed")
+    found, at, last, unpack, message_opcode = [], 0, len(data), _MESSAGE.unpack_from, int(Opcode.MESSAGE)
+    head_bytes, content_at = HEAD.size, _MESSAGE.size
+    while at < last:
+        # the first chunk begins with schemas and channels, which are no messages
+        opcode, length, channel, sequence, log_time_ns, _ = unpack(data, at)
+        end = at + head_bytes + length
+        if opcode == message_opcode and channel in topics and log_time_ns >= from_ns:
+            found.append(Message(topics[channel], sequence, log_time_ns, data[at + content_at : end]))
+        at = end
+    return found
