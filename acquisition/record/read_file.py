@@ -200,7 +200,7 @@ class ReadFile:
     def _read(self, place: int, count: int) -> bytes:
         return read_at(self.file, place, count)
 
-    def _small_record(self, place: int) -> McapRecord:
+    def _small_record(self, place: int, *, verified: bool = True) -> McapRecord:
         """The header, or an attachment, verified by its checksum. Raises ValueError for any other bytes."""
         opcode, length = HEAD.unpack(self._read(place, HEAD.size).ljust(HEAD.size, b"\0"))
         if length > _SMALL_RECORD_BYTES:
@@ -209,7 +209,7 @@ class ReadFile:
         if len(data) < HEAD.size + length:
             raise ValueError("it ends early")
         crc = int.from_bytes(data[-_CRC_BYTES:], "little")
-        if opcode == Opcode.ATTACHMENT and crc != zlib.crc32(data[HEAD.size : -_CRC_BYTES]):
+        if verified and opcode == Opcode.ATTACHMENT and crc != zlib.crc32(data[HEAD.size : -_CRC_BYTES]):
             raise ValueError("its checksum does not match: bytes have changed")
         try:
             record = next(StreamReader(io.BytesIO(data), skip_magic=True).records)
@@ -308,9 +308,9 @@ class ReadFile:
         self.chunks.append(place)
 
     def _list_small_record(self, place: int) -> None:
-        """List the header or an attachment; damage is noted, and the rest stays readable."""
+        """List the header or an attachment, which is verified when it is read; the rest stays readable."""
         try:
-            record = self._small_record(place)
+            record = self._small_record(place, verified=False)
         except ValueError as error:
             self.note_damage(place, f"the record cannot be read ({error})")
             return
