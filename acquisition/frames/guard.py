@@ -27,8 +27,6 @@ _INT_END: Final = 1 << 63
 _END_PATIENCE_S: Final = 10.0
 READ_GRACE_S: Final = 10.0
 """A `read` that exceeds its timeout by this much hangs, and is abandoned."""
-_NOT_READING: Final = -1
-"""State of a thread that is not in `read`."""
 _MAX_FUTURE_NS: Final = 1_000_000_000
 """A host time further in the future than this comes from another clock, such as UTC."""
 NO_TIME_NS: Final = 1 << 62
@@ -232,24 +230,24 @@ class ReadMonitor:
 
     def __init__(self, asked_s: float, hangs_s: float = READ_GRACE_S) -> None:
         self._asked_s, self._limit_s = asked_s, asked_s + hangs_s
-        self._reads = 0
-        self._current_read = self._last_read = _NOT_READING
+        self._read: object | None = None
+        self._read_at_last_check: object | None = None
         self._waited_s = 0.0
 
     def enter(self) -> None:
         """Note that a `read` begins."""
-        self._reads += 1
-        self._current_read = self._reads
+        self._read = object()
 
     def leave(self) -> None:
         """Note that the thread is in another call, which has its own limit."""
-        self._current_read = _NOT_READING
+        self._read = None
 
     def check(self, waited_s: float) -> str:
         """Add a wait (0: a frame came); returns a message if the `read` hangs, else ""."""
-        same = self._current_read == self._last_read and self._current_read != _NOT_READING
+        read, before = self._read, self._read_at_last_check
+        same = read is not None and read is before
         self._waited_s = self._waited_s + waited_s if same and waited_s else 0.0
-        self._last_read = self._current_read
+        self._read_at_last_check = read
         if self._waited_s < self._limit_s:
             return ""
         return (
@@ -273,27 +271,22 @@ class ClockCheck:
 
     def restart(self) -> None:
         """Begin a new stretch, after the camera was reopened."""
-        self._soonest: list[tuple[int, int]] = []
-        self._since_ns, self._count = -1, 0
+        self._stretch: list[tuple[int, int]] = []
+        self._soonest: tuple[int, int] | None = None
 
     def see(self, frame: Frame) -> None:
         """Take the next frame into account; raises DeviceError if the clock cannot be right."""
         if self._done or not 0 <= frame.device_time_ns < NO_TIME_NS:
             return
-        host_ns, late_ns = frame.host_time_ns, frame.host_time_ns - frame.device_time_ns
-        if not self._count:
-            self._since_ns = host_ns
-            self._soonest = [*self._soonest[-1:], (late_ns, host_ns)]
-        self._soonest[-1] = min(self._soonest[-1], (late_ns, host_ns))
-        self._count += 1
-        if host_ns - self._since_ns < _STRETCH_NS or self._count < _MIN_FRAMES:
+        stretch, host_ns = self._stretch, frame.host_time_ns
+        stretch.append((host_ns - frame.device_time_ns, host_ns))
+        if host_ns - stretch[0][1] < _STRETCH_NS or len(stretch) < _MIN_FRAMES:
             return
-        self._count = 0
-        if len(self._soonest) > 1:
-            self._compare()
+        before, self._soonest, self._stretch = self._soonest, min(stretch), []
+        if before is not None:
+            self._compare(*before, *self._soonest)
 
-    def _compare(self) -> None:
-        (late_before_ns, before_ns), (late_ns, host_ns) = self._soonest
+    def _compare(self, late_before_ns: int, before_ns: int, late_ns: int, host_ns: int) -> None:
         drift_ppm = 1e6 * (late_before_ns - late_ns) / max(host_ns - before_ns, 1)
         if abs(drift_ppm) <= MAX_DRIFT_PPM:
             self._done = True

@@ -2,9 +2,9 @@
 
 import logging
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from operator import attrgetter, sub
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import sub
 from typing import Final, Literal, NamedTuple, Self
 
 import numpy as np
@@ -146,7 +146,7 @@ class FrameLosses:
     @property
     def counts(self) -> tuple[int, ...]:
         """All numbers, in the order of the fields."""
-        return _counts(self)
+        return tuple(getattr(self, name) for name in self.__slots__)
 
     @property
     def total(self) -> int:
@@ -176,10 +176,6 @@ class FrameLosses:
         )
         named = [f"{count} {word}" for count, word in zip(self.counts, words, strict=True) if count]
         return ", ".join(named) or "none"
-
-
-_counts: Callable[[FrameLosses], tuple[int, ...]] = attrgetter(*(field.name for field in fields(FrameLosses)))
-"""All counts; they are taken with every block of frames, for which `astuple` copies too deeply."""
 
 
 _FRAMES_TO_LEARN = 8

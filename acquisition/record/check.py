@@ -7,11 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from acquisition.record import pixels_beside
-from acquisition.record.chunk import ChunkDamage, message_heads
 from acquisition.record.digest import sha256_of, utc_text
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
@@ -36,7 +32,7 @@ class Finding(NamedTuple):
 
 @dataclass
 class _FrameTally:
-    """Numbers and times of the frames of one topic, accumulated chunk by chunk.
+    """Numbers and times of the frames of one topic, in constant memory.
 
     `not_rising` is how often a number was not larger than the one before, `backwards` how often a time was
     smaller, `gaps` how often a number was larger by more than one, `missing` how many frames are missing.
@@ -49,26 +45,23 @@ class _FrameTally:
     first_backwards_ns: int = 0
     gaps: int = 0
     missing: int = 0
-    first_gaps: list[tuple[int, int]] = field(default_factory=list)
+    first_gaps: list[str] = field(default_factory=list)
     _last: tuple[int, int] | None = None
 
-    def add(self, heads: NDArray[np.void]) -> None:
-        """Add the frames (at least one) of a chunk."""
-        numbers, times_ns = heads["sequence"].astype(np.int64), heads["log_time_ns"]
-        last, last_ns = self._last or (int(numbers[0]) - 1, int(times_ns[0]))
-        earlier = np.concatenate(([last], numbers[:-1]))
-        back = np.flatnonzero(times_ns < np.concatenate((np.array([last_ns], np.uint64), times_ns[:-1])))
-        if len(back) and not self.backwards:
-            self.first_backwards_ns = int(times_ns[back[0]])
-        gaps = np.flatnonzero(numbers - earlier > 1)
-        for at in gaps[: _MAX_SHOWN_GAPS - len(self.first_gaps)]:
-            self.first_gaps.append((int(earlier[at]) + 1, int(numbers[at]) - 1))
-        self.count += len(numbers)
-        self.backwards += len(back)
-        self.not_rising += int(np.count_nonzero(numbers <= earlier))
-        self.gaps += len(gaps)
-        self.missing += int((numbers - earlier - 1)[gaps].sum())
-        self._last = int(numbers[-1]), int(times_ns[-1])
+    def add(self, number: int, time_ns: int) -> None:
+        """Add the next frame."""
+        last, last_ns = self._last or (number - 1, time_ns)
+        self._last = number, time_ns
+        self.count += 1
+        self.not_rising += number <= last
+        if time_ns < last_ns:
+            self.backwards += 1
+            self.first_backwards_ns = self.first_backwards_ns or time_ns
+        if number > last + 1:
+            self.gaps += 1
+            self.missing += number - last - 1
+            if len(self.first_gaps) < _MAX_SHOWN_GAPS:
+                self.first_gaps.append(f"{last + 1}-{number - 1}")
 
 
 def check_record(path: Path, results: Path | None = None) -> list[Finding]:
@@ -97,21 +90,25 @@ def check_record(path: Path, results: Path | None = None) -> list[Finding]:
 
 def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
     """Findings on structure, chunks and attachments of one file; its frames are added to `frames`."""
-    contents, name = file.contents, file.path.name
-    findings = _errors(*(f"{name}: index: {text}" for text in contents.damage))
-    if not contents.whole:
-        lost = contents.size - contents.readable_bytes
-        where = f": {lost} bytes after the last complete entry at {utc_text(contents.end_ns)}"
-        if not contents.end_ns:
-            where = f" before anything was measured, after {contents.readable_bytes} bytes"
+    name = file.path.name
+    findings: list[Finding] = []
+    if not file.whole:
+        lost = file.size - file.readable_bytes
+        where = f": {lost} bytes after the last complete entry at {utc_text(file.end_ns)}"
+        if not file.end_ns:
+            where = f" before anything was measured, after {file.readable_bytes} bytes"
         findings += _errors(f"{name} was cut short{where}; rig record recover makes a complete file of it")
-    findings += _check_chunks(file, frames)
-    for attached, places in contents.attachment_places.items():
-        for place in places:
-            try:
-                file.attachment_at(place)
-            except ValueError as error:
-                findings += _errors(f"{name}: attachment {attached}: {error}")
+    for place in file.chunks:
+        for message in file.messages(place):
+            if message.topic in frames:
+                frames[message.topic].add(message.sequence, message.log_time_ns)
+    for attached in file.attachments:
+        list(file.copies(attached))
+    for offset, damage in file.damages.items():
+        span = f"{utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}"
+        chunk = f"chunk at byte {offset} ({' '.join(damage.topics) or 'topics unknown'}, {span}): "
+        where = chunk if damage.start_ns else f"byte {offset}: "
+        findings += _errors(f"{name}: {where}{damage.description}")
     if not findings and not file.data_crc_matches():
         findings += _errors(f"{name}: bytes have changed outside chunks: in metadata or an index")
     return findings
@@ -119,26 +116,6 @@ def _check_file(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Findi
 
 def _errors(*texts: str) -> list[Finding]:
     return [Finding("error", text) for text in texts]
-
-
-def _check_chunks(file: ReadFile, frames: Mapping[str, _FrameTally]) -> list[Finding]:
-    channels = file.contents.channels
-    findings: list[Finding] = []
-    for place in file.contents.chunks:
-        try:
-            heads = message_heads(file.open_chunk(place))
-        except ChunkDamage as damage:
-            span = f"{utc_text(place.start_ns)} to {utc_text(place.end_ns)}"
-            topics = " ".join(sorted(channels[n] for n in place.channels)) or "topics unknown"
-            findings += _errors(
-                f"{file.path.name}: chunk at byte {place.offset} ({topics}, {span}): {damage}"
-            )
-            continue
-        for number, topic in channels.items():
-            channel_heads = heads[heads["channel"] == number]
-            if topic in frames and len(channel_heads):
-                frames[topic].add(channel_heads)
-    return findings
 
 
 _LOSS_KEYS = ("lost_chunks", "lost_bytes_at_the_end", "lost_parts")
@@ -168,10 +145,9 @@ def _check_frames(frames: Mapping[str, _FrameTally]) -> list[Finding]:
     if spots.not_rising:
         findings += _errors(f"{SPOT.topic}: frame numbers do not rise in {spots.not_rising} places")
     if spots.gaps:
-        shown = ", ".join(f"{first}-{last}" for first, last in spots.first_gaps)
         more = f" and {spots.gaps - len(spots.first_gaps)} more gaps" if spots.gaps > _MAX_SHOWN_GAPS else ""
-        text = f"{SPOT.topic}: {spots.missing} frames are missing: {shown}{more}"
-        findings.append(Finding("warning", text))
+        shown = f"{', '.join(spots.first_gaps)}{more}"
+        findings.append(Finding("warning", f"{SPOT.topic}: {spots.missing} frames are missing: {shown}"))
     if 0 < windows.count < spots.count:
         text = f"{WINDOW.topic}: {spots.count - windows.count} frames have a spot message and no window"
         findings.append(Finding("note", text))

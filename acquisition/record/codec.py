@@ -3,7 +3,7 @@
 Windows around the spot and whole frames are both compressed without loss.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import cv2
@@ -25,13 +25,12 @@ from acquisition.record.topics import (
     SENSOR_FRAME,
     SWING,
     WINDOW,
-    RecordedLog,
     RecordedWindow,
 )
 from acquisition.record.window_residual import IntegerGaussian, from_planes, spot_model, to_planes
 from processing.balance import Balance, names_with_units
 from processing.deflections import Deflections, DeflectionUnit
-from processing.spot import SPOT_DTYPE, Spot
+from processing.spot import Spot
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 
@@ -88,37 +87,24 @@ def decode_window(kind: MessageType, data: bytes) -> RecordedWindow:
     return RecordedWindow(field["sequence"], field["time_ns"], image, (field["x0_px"], field["y0_px"]))
 
 
-def spot_rows(
+def encode_spots(
     kind: MessageType,
     sequences: Sequence[int],
     device_times_ns: Sequence[int],
     host_times_ns: Sequence[int],
     spots: Sequence[Spot],
     deflections: Deflections,
-) -> NDArray[Any]:
-    """Encoded messages of type `SPOT` or `SPOT_UNCALIBRATED`, one row per frame.
-
-    Parameters
-    ----------
-    kind
-        Message type for the unit of the deflections.
-    sequences, device_times_ns, host_times_ns, spots, deflections
-        Frame numbers, times, spots and deflections of n frames.
-    """
-    rows = kind.wire_rows(len(spots))
-    rows["sequence"] = sequences
-    rows["time_ns"] = deflections.times_ns
-    rows["device_time_ns"] = device_times_ns
-    rows["host_time_ns"] = host_times_ns
-    table = np.array(spots, dtype=SPOT_DTYPE)
-    for name in Spot._fields:
-        rows[name] = table[name]
-    columns = (deflections.x, deflections.y, deflections.u_x, deflections.u_y)
-    for name, values in zip(DEFLECTION_FIELDS[deflections.unit], columns, strict=True):
-        rows[name] = values
+) -> Iterator[bytes]:
+    """Messages of type `SPOT` or `SPOT_UNCALIBRATED` (the unit of the deflections), one for each frame."""
+    columns = [deflections.x, deflections.y, deflections.u_x, deflections.u_y]
     if deflections.unit is DeflectionUnit.RAD:
-        rows["x_arcsec"], rows["y_arcsec"] = deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD
-    return rows
+        columns += [deflections.x / ARCSEC_RAD, deflections.y / ARCSEC_RAD]
+    times = sequences, deflections.times_ns.tolist(), device_times_ns, host_times_ns
+    angles = zip(*columns, strict=True)
+    return (
+        kind.encode(*numbers, *spot, *angle)
+        for *numbers, spot, angle in zip(*times, spots, angles, strict=True)
+    )
 
 
 def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:
@@ -197,9 +183,3 @@ def encode_log(utc_ns: int, level: int, source: str, text: str) -> bytes:
     message = Log(level=level, message=text, name=source)  # type: ignore[arg-type]
     message.timestamp.FromNanoseconds(utc_ns)
     return message.SerializeToString()
-
-
-def decode_log(time_ns: int, data: bytes) -> RecordedLog:
-    """Line of the log from a foxglove.Log; `time_ns` is its time on the frames' clock."""
-    line = Log.FromString(data)
-    return RecordedLog(time_ns, line.level, line.name, line.message)

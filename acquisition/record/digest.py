@@ -24,20 +24,18 @@ def _cached_by_identity(path: Path, identity: tuple[int, ...]) -> str:
 
 
 def cached_sha256(path: Path) -> str:
-    """`sha256_of`, remembered as long as device, inode, size and time of the file stay the same."""
+    """SHA-256 of a file, or of a folder's sorted file names and hashes. Raises RecordError.
+
+    It is remembered as long as device, inode, size and time of the file stay the same.
+    """
     try:
+        if path.is_dir():
+            lines = [f"{cached_sha256(one)}  {one.name}\n" for one in sorted(path.iterdir()) if one.is_file()]
+            return hashlib.sha256("".join(lines).encode()).hexdigest()
         found = path.stat()
     except (OSError, ValueError):
         return sha256_of(path)
     return _cached_by_identity(path.resolve(), (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))
-
-
-def cached_sha256_of_path(path: Path) -> str:
-    """SHA-256 of a file, or of a folder's sorted file names and hashes. Raises RecordError."""
-    if not path.is_dir():
-        return cached_sha256(path)
-    lines = [f"{cached_sha256(each)}  {each.name}\n" for each in sorted(path.iterdir()) if each.is_file()]
-    return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 def sha256_of(path: Path) -> str:

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import json
 import os
 import random
 import secrets
@@ -9,7 +10,7 @@ import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from mcap.data_stream import RecordBuilder
@@ -17,8 +18,9 @@ from mcap.records import Footer
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from acquisition.atomic_write import sync_folder
+from acquisition.record.codec import foxglove_schema
 from acquisition.record.digest import lock_for_writing
-from acquisition.record.topics import LIBRARY
+from acquisition.record.topics import LIBRARY, METADATA_COPY, Topics
 from processing.errors import RecordError
 
 _CHUNK_BYTES = 1024 * 1024
@@ -65,21 +67,23 @@ class Reserve:
         return True
 
 
-class _Disk:
+class Disk:
     """The stream under the library's writer; data that could not be written completely are cut off again.
 
     If the disk is full, the reserve is released, the bytes are written, and `full` holds the error: the owner
-    must then finish the file. `size` is the length of the file so far, `chunks` the number of its chunks.
+    must then finish the file. After any other error it is `broken`, and the library's writer cannot go on.
+    `size` is the length of the file so far, `chunks` the number of its chunks.
     """
 
     def __init__(self, path: Path, reserve_bytes: int) -> None:
         self.full: OSError | None = None
+        self.broken = False
         self.size = 0
         self.chunks = 0
         self._path = path
         self._reserve_bytes = reserve_bytes
         self._reserve_lock = threading.Lock()
-        self._force_thread: threading.Thread | None = None
+        self._thread: threading.Thread | None = None
         self._failure: OSError | None = None
         # also readable, so that a record whose name was removed can be copied
         self._file = path.open("x+b", buffering=0)
@@ -100,72 +104,72 @@ class _Disk:
 
     def write(self, data: bytes) -> int:
         """Append all of the data, or nothing. Raises OSError."""
-        try:
-            self._write_whole(data)
-        except OSError as error:
-            if not self._give_reserve_back(error):
-                raise
-            self._write_whole(data)
+        rest = memoryview(data)
+        while rest:
+            try:
+                rest = rest[self._file.write(rest) or 0 :]
+            except OSError as error:
+                with contextlib.suppress(OSError):
+                    self._file.truncate(self.size)
+                    self._file.seek(self.size)
+                if not self._give_reserve_back(error):
+                    self.broken = True
+                    raise
+                rest = memoryview(data)
         self.size += len(data)
         return len(data)
 
-    def _write_whole(self, data: bytes) -> None:
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[self._file.write(rest) or 0 :]
-        except OSError:
-            with contextlib.suppress(OSError):
-                self._file.truncate(self.size)
-                self._file.seek(self.size)
-            raise
+    def force(self, wait: bool) -> None:
+        """Flush the file to the disk, and adapt the reserve to the size of the file's ending.
 
-    def force(self) -> None:
-        """Flush the file to the disk, and adapt the reserve to the size of the file's ending."""
-        if not self._has_its_name():
-            raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
-        try:
-            with self._reserve_lock:
-                needed = self._reserve_bytes + _INDEX_BYTES * self.chunks + _SPARE_BYTES
-                if self.full is None and self._reserve.size < needed:
-                    # in steps, because each increase is a write to the disk
-                    self._reserve.hold(needed + _SPARE_BYTES)
-            _sync_file(self._file.fileno())
-        except OSError as error:
-            if not self._give_reserve_back(error):
-                raise
-            _sync_file(self._file.fileno())
+        Without `wait` a thread does it, unless that of an earlier call still runs. Raises the OSError of that
+        thread, once.
+        """
+        if wait:
+            self.wait_for_thread()
+        self._raise_failure()
+        if self._thread is None or not self._thread.is_alive():
+            self._thread = threading.Thread(target=self._force, name="record sync", daemon=True)
+            self._thread.start()
+        if wait:
+            self.wait_for_thread()
+            self._raise_failure()
 
-    def begin_force(self) -> None:
-        """Call `force` in a thread, so that no caller waits; does nothing while such a thread still runs."""
-        if self._force_thread is None or not self._force_thread.is_alive():
-            self._force_thread = threading.Thread(target=self._run_force, name="record sync", daemon=True)
-            self._force_thread.start()
-
-    def wait_for_force(self) -> None:
-        """Wait for the thread of `begin_force`. Raises its error, once."""
-        if self._force_thread is not None:
-            self._force_thread.join()
-        self.raise_failure()
-
-    def raise_failure(self) -> None:
-        """Raise, once, the error of the thread of `begin_force`."""
-        failure = self._failure
+    def _raise_failure(self) -> None:
+        """Raise, once, the error of the thread."""
+        failure, self._failure = self._failure, None
         if failure is not None:
-            self._failure = None
             raise failure
 
-    def _run_force(self) -> None:
+    def wait_for_thread(self) -> None:
+        """Wait until nothing is flushed any more."""
+        if self._thread is not None:
+            self._thread.join()
+
+    def _force(self) -> None:
         try:
-            self.force()
+            if not self._has_its_name():
+                raise OSError(errno.ENOENT, "the file was removed or renamed while it was written")
+            try:
+                with self._reserve_lock:
+                    needed = self._reserve_bytes + _INDEX_BYTES * self.chunks + _SPARE_BYTES
+                    if self.full is None and self._reserve.size < needed:
+                        # in steps, because each increase is a write to the disk
+                        self._reserve.hold(needed + _SPARE_BYTES)
+                _sync_file(self._file.fileno())
+            except OSError as error:
+                if not self._give_reserve_back(error):
+                    raise
+                _sync_file(self._file.fileno())
         except OSError as error:
             self._failure = self._failure or error
 
     def last_force(self) -> None:
-        """Flush the finished file; if its name was removed, copy it to its name."""
+        """Flush the finished file; if its name was removed, copy it to its name. Raises what `force` left."""
         _sync_file(self._file.fileno())
         if not self._has_its_name():
             self._copy_to_its_name()
+        self._raise_failure()
 
     def close(self) -> None:
         """Close file and reserve; never raises."""
@@ -205,10 +209,9 @@ class _Disk:
 class McapFile:
     """Creates one MCAP file and appends to it; it can be read up to its last whole chunk at any time.
 
-    `topics` gives the name and the descriptor of each topic's schema; the channels are 1, 2, ... in its
-    order. Every chunk has a checksum, and the data section too.
+    The channels are 1, 2, ... in the order of `topics`. Every chunk has a checksum, and the data section too.
 
-    `waiting` is the number of messages in the open chunk, which are lost where the file is `broken`.
+    `waiting` is the number of messages in the open chunk, which are lost where its `disk` is broken.
 
     Raises
     ------
@@ -217,26 +220,25 @@ class McapFile:
         OSError where it cannot be written (disk full after the release of the reserve, drive removed).
     """
 
-    def __init__(self, path: Path, topics: Mapping[str, tuple[str, bytes]], reserve_bytes: int) -> None:
+    def __init__(self, path: Path, topics: Topics, reserve_bytes: int) -> None:
         try:
-            self._disk = _Disk(path, reserve_bytes)
+            self.disk = Disk(path, reserve_bytes)
         except FileExistsError:
             raise RecordError(
                 f"{path}: exists already and is never overwritten; choose another name"
             ) from None
         except OSError as error:
             raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
-        self.path = path
         self._attachments: list[tuple[int, str, str, bytes]] = []
         self.waiting = 0
-        self.broken = False
         self._writer = Writer(
-            self._disk,  # type: ignore[arg-type]
+            self.disk,  # type: ignore[arg-type]
             chunk_size=_CHUNK_BYTES,
             enable_data_crcs=True,
         )
         self.channels: dict[str, int] = {}
-        for topic, (schema, descriptor) in topics.items():
+        for topic, kind in topics.items():
+            schema, descriptor = foxglove_schema(topic) if kind is None else (kind.full_name, kind.descriptor)
             number = self._writer.register_schema(schema, "protobuf", descriptor)
             self.channels[topic] = self._writer.register_channel(topic, "protobuf", number)
         try:
@@ -247,96 +249,61 @@ class McapFile:
             path.unlink()
             raise RecordError(f"{path}: cannot be created: {error.strerror or error}") from None
 
-    @property
-    def size(self) -> int:
-        """Present length of the file in bytes."""
-        return self._disk.size
-
-    @property
-    def full(self) -> OSError | None:
-        """The error of a full disk, after which the file must be finished."""
-        return self._disk.full
-
-    @contextlib.contextmanager
-    def _writing(self) -> Iterator[Writer]:
-        """The library's writer, which cannot go on after an error of the disk."""
-        try:
-            yield self._writer
-        except OSError:
-            self.broken = True
-            raise
-
     def add(self, topic: str, sequence: int, log_time_ns: int, data: bytes) -> None:
         """Append one encoded message to the open chunk, which is written when it is large enough."""
-        channel, size = self.channels[topic], self._disk.size
-        try:
-            self._writer.add_message(channel, log_time_ns, data, log_time_ns, sequence & 0xFFFFFFFF)
-        except OSError:
-            self.broken = True
-            raise
-        self.waiting = self.waiting + 1 if self._disk.size == size else 0
+        channel, size = self.channels[topic], self.disk.size
+        self._writer.add_message(channel, log_time_ns, data, log_time_ns, sequence & 0xFFFFFFFF)
+        self.waiting = self.waiting + 1 if self.disk.size == size else 0
 
-    def add_metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Append metadata, texts by key; MCAP gives them no checksum."""
-        with self._writing() as writer:
-            writer.add_metadata(name, dict(texts))
+    def add_metadata(self, metadata: Mapping[str, Mapping[str, str]], time_ns: int) -> None:
+        """Append metadata (texts by key, by section), and two copies as attachments, which have checksums."""
+        for name, texts in metadata.items():
+            self._writer.add_metadata(name, dict(texts))
+        copy = json.dumps({name: dict(texts) for name, texts in metadata.items()}, ensure_ascii=False)
+        for _ in range(2):
+            # two, so that one changed bit of a truncated file does not make it unreadable
+            self.add_attachment(METADATA_COPY, "application/json", copy.encode(), time_ns)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Append an attached file, with a checksum; `finish` writes a second copy at the end."""
         self._attachments.append((time_ns, name, media_type, data))
-        with self._writing() as writer:
-            writer.add_attachment(time_ns, time_ns, name, media_type, data)
+        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
 
     def flush(self, wait: bool = True) -> None:
         """End the open chunk and force the file to the disk.
 
         Without `wait` this is done in a background thread, so that a slow disk does not delay what is
-        appended meanwhile. Errors of that thread are raised by the next call.
+        appended meanwhile. Errors of that thread are raised by a later call.
         """
-        self._disk.raise_failure()
-        if self.waiting:
-            self._disk.chunks += 1
-        with self._writing() as writer:
-            writer.flush()  # type: ignore[no-untyped-call]
+        self.disk.chunks += bool(self.waiting)
+        self._writer.flush()  # type: ignore[no-untyped-call]
         self.waiting = 0
-        if wait:
-            self._disk.wait_for_force()
-            self._disk.force()
-        else:
-            self._disk.begin_force()
+        self.disk.force(wait)
 
     def finish(self) -> None:
         """Write summary and ending, or only the shortest ending if there is no space for them, and close."""
-        failure: OSError | None = None
         try:
+            self.disk.wait_for_thread()
             try:
-                self._disk.wait_for_force()
-            except OSError as error:
-                failure = error
-            try:
-                if not self.broken:
-                    with self._writing() as writer:
-                        for time_ns, name, media_type, data in self._attachments:
-                            writer.add_attachment(time_ns, time_ns, name, media_type, data)
-                        writer.finish()  # type: ignore[no-untyped-call]
+                if not self.disk.broken:
+                    for time_ns, name, media_type, data in self._attachments:
+                        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
+                    self._writer.finish()  # type: ignore[no-untyped-call]
             except OSError as error:
                 if error.errno not in _FULL_DISK:
                     raise
-            if self.broken:
+            if self.disk.broken:
                 builder = RecordBuilder()
                 Footer(0, 0, 0).write(builder)
-                self._disk.write(builder.end() + MCAP0_MAGIC)  # type: ignore[no-untyped-call]
-            self._disk.last_force()
-            if failure is not None:
-                raise failure
+                self.disk.write(builder.end() + MCAP0_MAGIC)  # type: ignore[no-untyped-call]
+            self.disk.last_force()
         finally:
             self.abandon()
 
     def abandon(self) -> None:
         """Close the file without an ending; never raises."""
-        with contextlib.suppress(OSError):
-            self._disk.wait_for_force()
-        self._disk.close()
+        self.disk.wait_for_thread()
+        self.disk.close()
 
 
 def _sync_file(descriptor: int) -> None:

@@ -1,4 +1,4 @@
-"""An MCAP file that is being read: its table of contents, and its chunks, verified by their checksums.
+"""An MCAP file that is being read: what it holds, and its messages, verified by checksums.
 
 A complete file has a summary, whose checksum is verified. Without a valid summary, as after a power failure
 or while the file is still written, the data section is walked through from record to record; only the heads
@@ -13,7 +13,9 @@ import os
 import stat
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import IO
 
@@ -28,25 +30,26 @@ from acquisition.record import records_of
 from acquisition.record.chunk import (
     CHUNK_HEAD,
     HEAD,
-    ChunkDamage,
     ChunkPlace,
-    Contents,
+    ChunkPlaces,
     Damage,
-    chunk_content,
-    decompress_chunk,
+    Message,
+    bits,
+    chunk_at,
+    messages_in,
 )
 from acquisition.record.topics import LIBRARY, METADATA_COPY, SCHEMA_VERSION
 from processing.errors import RecordError, require_schema
 
 _log = logging.getLogger(__name__)
-_INDEX_HEAD = struct.Struct("<BQHI")
-"""Opcode and length of a chunk's message index, channel, bytes of entries, which follow."""
+_INDEX = struct.Struct("<BQHI")
+"""Opcode and length of a chunk's message index, channel, bytes of its entries, which follow."""
 _INDEX_ENTRY_BYTES = 16
-_FOOTER = struct.Struct("<BQQQI")
 _DATA_END = struct.Struct("<BQI")
+_FOOTER = struct.Struct("<BQQQI")
+_CRC_BYTES = 4
 _SMALL_RECORD_BYTES = 256 * 1024 * 1024
 _BLOCK_BYTES = 256 * 1024
-_CRC_BYTES = 4
 _FAULTS = {errno.EIO, getattr(errno, "EUCLEAN", errno.EIO), getattr(errno, "EBADMSG", errno.EIO)}
 
 
@@ -56,6 +59,23 @@ class ReadFile:
     A chunk whose checksum is wrong is left out, listed in `damages` and logged; everything else is read. A
     file without an ending is read up to its last complete record; `update` reads what has been written since.
 
+    Attributes
+    ----------
+    size, readable_bytes
+        Length of the file, and end of its last complete record.
+    whole, indexed
+        Whether the file has an ending, and whether its contents come from a summary with a correct checksum.
+    library
+        Program that wrote the file.
+    channels, counts
+        Topics and numbers of messages by channel.
+    chunks, start_ns, end_ns
+        Chunks in the order of the file, and the times (UTC) of their first and last message.
+    attachments
+        Offsets of the copies of each attached file.
+    damages
+        What was found damaged so far, by its offset: chunks, attachments, and parts of the structure.
+
     Raises
     ------
     RecordError
@@ -64,10 +84,17 @@ class ReadFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.damages: list[Damage] = []
-        self._damaged: set[int] = set()
-        self.file = open_mcap(path)
-        self.contents = Contents()
+        self.size, self.readable_bytes = 0, len(MAGIC)
+        self.whole = self.indexed = False
+        self.library = ""
+        self.channels: dict[int, str] = {}
+        self.counts: Counter[int] = Counter()
+        self.chunks = ChunkPlaces()
+        self.start_ns = self.end_ns = 0
+        self.attachments: dict[str, list[int]] = {}
+        self.damages: dict[int, Damage] = {}
+        self._data_end = self._data_crc = 0
+        self.file = _open_mcap(path)
         try:
             self.update()
         except OSError as error:
@@ -81,54 +108,46 @@ class ReadFile:
     def update(self) -> bool:
         """List what has been written since the last call; True if anything has."""
         size = self.file.seek(0, os.SEEK_END)
-        if self.contents.whole or size == self.contents.size:
+        if self.whole or size == self.size:
             return False
-        summarised, contents = Contents(size), self.contents
-        if _read_summary(self.file, summarised):
-            summarised.channels = contents.channels or summarised.channels
-            self.contents = summarised
-            return True
-        contents.size, contents.whole = size, summarised.whole
-        contents.damage += summarised.damage
-        end_before = contents.readable_bytes
-        _walk(self.file, contents)
-        return contents.readable_bytes > end_before
+        before, self.size = self.readable_bytes, size
+        self._read_ending()
+        if not self.indexed:
+            self._walk()
+        return self.readable_bytes > before
 
-    def chunks_with(self, channel: int, from_ns: int = 0) -> Iterator[bytes]:
-        """The decompressed messages of each intact chunk that may have some of this channel.
+    def messages(self, place: ChunkPlace, topic: str | None = None, from_ns: int = 0) -> list[Message]:
+        """Messages of a chunk from a time (UTC) on, those of one topic or all.
 
-        Chunks that end before `from_ns` (UTC) are not read.
+        There are none of a damaged chunk, which is listed.
         """
-        for place in self.contents.chunks:
-            listed = self.contents.indexed and place.channels
-            if place.end_ns < from_ns or (listed and channel not in place.channels):
-                continue
-            try:
-                yield self.open_chunk(place)
-            except ChunkDamage as damage:
-                self.note_damage(place, str(damage))
+        wanted = {number: name for number, name in self.channels.items() if topic in (None, name)}
+        try:
+            return messages_in(self._read(place.offset, place.length), place, wanted, from_ns)
+        except ValueError as error:
+            topics = sorted(name for number, name in self.channels.items() if place.channels >> number & 1)
+            self.note_damage(place.offset, str(error), place.start_ns, place.end_ns, tuple(topics))
+            return []
 
-    def open_chunk(self, place: ChunkPlace) -> bytes:
-        """The decompressed messages of a chunk. Raises ChunkDamage."""
-        return decompress_chunk(_read_at(self.file, place.offset, place.length), place.length)
+    def messages_of(self, topic: str, from_ns: int = 0) -> Iterator[Message]:
+        """Messages of a topic in the order of the file; chunks that end before `from_ns` are not read."""
+        wanted = bits(number for number, name in self.channels.items() if name == topic)
+        return chain.from_iterable(
+            self.messages(place, topic, from_ns)
+            for place in (self.chunks if wanted else ())
+            if place.end_ns >= from_ns and (place.channels & wanted or not place.channels)
+        )
 
-    def attached(self, name: str) -> bytes | None:
-        """The first intact copy of an attached file; None without any."""
-        for place in self.contents.attachment_places.get(name, ()):
+    def copies(self, name: str) -> Iterator[bytes]:
+        """The intact copies of an attached file; damaged ones are listed."""
+        for place in self.attachments.get(name, ()):
             try:
-                return self.attachment_at(place)
+                record = self._small_record(place)
             except ValueError as error:
-                self._remember(place, Damage(0, 0, (), f"attachment {name}: {error}"))
-        return None
-
-    def attachment_at(self, place: int) -> bytes:
-        """An attached file. Raises ValueError where its checksum does not match."""
-        _, data = _content_at(self.file, place)
-        if not _is_intact_attachment(data):
-            raise ValueError("its checksum does not match: bytes have changed")
-        record = _parsed(Opcode.ATTACHMENT, data)
-        assert isinstance(record, Attachment)
-        return record.data
+                self.note_damage(place, f"attachment {name}: {error}")
+                continue
+            assert isinstance(record, Attachment)
+            yield record.data
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
@@ -136,18 +155,15 @@ class ReadFile:
 
         Raises RecordError where the file is not a record of this program.
         """
-        path, contents = self.path, self.contents
-        copy = self.attached(METADATA_COPY)
+        copy = next(self.copies(METADATA_COPY), None)
         if copy is None:
-            if METADATA_COPY in contents.attachment_places or (
-                contents.damage and contents.library == LIBRARY
-            ):
-                raise RecordError(f"{path}: its own description is damaged")
-            if not contents.whole and not len(contents.chunks):
-                raise RecordError(f"{path}: was cut short before anything was recorded")
-            topics = ", ".join(sorted(contents.channels.values()))
+            if METADATA_COPY in self.attachments or (self.damages and self.library == LIBRARY):
+                raise RecordError(f"{self.path}: its own description is damaged")
+            if not self.whole and not self.chunks:
+                raise RecordError(f"{self.path}: was cut short before anything was recorded")
+            topics = ", ".join(sorted(self.channels.values()))
             raise RecordError(
-                f"{path}: is an MCAP file of another program (topics: {topics or 'none'}); "
+                f"{self.path}: is an MCAP file of another program (topics: {topics or 'none'}); "
                 "only records of rig run can be read"
             )
         metadata: dict[str, dict[str, str]] = json.loads(copy)
@@ -155,74 +171,202 @@ class ReadFile:
         try:
             version = int(identity["schema_version"])
         except (KeyError, ValueError):
-            raise RecordError(f"{path}: its own description is damaged: {identity}") from None
-        require_schema(str(path), version, SCHEMA_VERSION, RecordError)
+            raise RecordError(f"{self.path}: its own description is damaged: {identity}") from None
+        require_schema(str(self.path), version, SCHEMA_VERSION, RecordError)
         return metadata
-
-    def note_damage(self, place: ChunkPlace, what: str) -> None:
-        """Add a damaged chunk to `damages`, once."""
-        channels = self.contents.channels
-        topics = tuple(sorted(channels[number] for number in place.channels if number in channels))
-        self._remember(place.offset, Damage(place.start_ns, place.end_ns, topics, what))
-
-    def _remember(self, offset: int, damage: Damage) -> None:
-        if offset not in self._damaged:
-            self._damaged.add(offset)
-            self.damages.append(damage)
-            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, damage.description)
 
     def data_crc_matches(self) -> bool:
         """Whether the data section is as it was written; True for a file that was cut before its checksum."""
-        contents = self.contents
-        if not contents.data_end:
+        if not self._data_end:
             return True
-        crc, rest = 0, contents.data_end
-        while rest > 0 and (block := _read_at(self.file, contents.data_end - rest, min(_BLOCK_BYTES, rest))):
+        crc, rest = 0, self._data_end
+        while rest > 0 and (block := self._read(self._data_end - rest, min(_BLOCK_BYTES, rest))):
             crc = zlib.crc32(block, crc)
             rest -= len(block)
-        return not rest and crc == contents.data_crc
+        return not rest and crc == self._data_crc
 
     def is_sound(self) -> bool:
         """Whether every byte is as it was written, by the checksums of summary and data section."""
-        contents = self.contents
-        return contents.whole and contents.indexed and not contents.damage and self.data_crc_matches()
+        return self.whole and self.indexed and not self.damages and self.data_crc_matches()
+
+    def note_damage(
+        self, offset: int, what: str, start_ns: int = 0, end_ns: int = 0, topics: tuple[str, ...] = ()
+    ) -> None:
+        """Add to `damages`, and to the log, what was not yet found damaged."""
+        if offset not in self.damages:
+            self.damages[offset] = Damage(start_ns, end_ns, topics, what)
+            _log.warning("%s: damaged at byte %d, not used: %s", self.path, offset, what)
+
+    def _read(self, place: int, count: int) -> bytes:
+        return read_at(self.file, place, count)
+
+    def _small_record(self, place: int, *, verified: bool = True) -> McapRecord:
+        """The header, or an attachment, verified by its checksum. Raises ValueError for any other bytes."""
+        opcode, length = HEAD.unpack(self._read(place, HEAD.size).ljust(HEAD.size, b"\0"))
+        if length > _SMALL_RECORD_BYTES:
+            raise ValueError(f"it claims {length} bytes")
+        data = self._read(place, HEAD.size + length)
+        if len(data) < HEAD.size + length:
+            raise ValueError("it ends early")
+        crc = int.from_bytes(data[-_CRC_BYTES:], "little")
+        if verified and opcode == Opcode.ATTACHMENT and crc != zlib.crc32(data[HEAD.size : -_CRC_BYTES]):
+            raise ValueError("its checksum does not match: bytes have changed")
+        try:
+            record = next(StreamReader(io.BytesIO(data), skip_magic=True).records)
+        except (struct.error, UnicodeDecodeError, OverflowError, McapError) as error:
+            raise ValueError(str(error) or type(error).__name__) from None
+        if not isinstance(record, Header | Attachment):
+            raise ValueError("it is another one")
+        return record
+
+    def _read_ending(self) -> None:
+        """Note whether the file has an ending; list what a sound summary says, if nothing is listed yet."""
+        end = self.size - _FOOTER.size - len(MAGIC)
+        data = self._read(max(end, 0), _FOOTER.size + len(MAGIC))
+        if end < len(MAGIC) or data[_FOOTER.size :] != MAGIC:
+            return
+        opcode, length, start, _, crc = _FOOTER.unpack_from(data)
+        self.whole = (opcode, length) == (Opcode.FOOTER, _FOOTER.size - HEAD.size)
+        if not self.whole or not start or self.readable_bytes > len(MAGIC):
+            return
+        if not len(MAGIC) <= start - _DATA_END.size <= end:
+            self.note_damage(end, "the footer points outside the file")
+            return
+        summary = self._read(start, end - start)
+        if crc != zlib.crc32(data[: _FOOTER.size - _CRC_BYTES], zlib.crc32(summary)):
+            self.note_damage(start, "the summary's checksum does not match: bytes have changed")
+            return
+        # the checksum has shown that every record of the summary can be read
+        for record in StreamReader(io.BytesIO(summary + data), skip_magic=True).records:
+            match record:
+                case Channel():
+                    self.channels[record.id] = record.topic
+                case Statistics():
+                    self.counts.update(record.channel_message_counts)
+                case AttachmentIndex():
+                    self.attachments.setdefault(record.name, []).append(record.offset)
+                case ChunkIndex():
+                    place = (record.chunk_start_offset, record.chunk_length)
+                    times = (record.message_start_time, record.message_end_time)
+                    self._add_chunk(ChunkPlace(*place, *times, bits(record.message_index_offsets)))
+        self._data_end = start - _DATA_END.size
+        *_, self._data_crc = _DATA_END.unpack(self._read(self._data_end, _DATA_END.size))
+        self._list_small_record(len(MAGIC))
+        self.readable_bytes, self.indexed = self.size, True
+
+    def _walk(self) -> None:
+        """List the data section record by record, without decompression, up to its last complete record.
+
+        After bytes that are no record, the walk continues at the next intact chunk or attachment.
+        """
+        place = before = self.readable_bytes
+        while place + HEAD.size <= self.size and not self._data_end:
+            end = self._list_record(place)
+            if end is not None:
+                before, place = place, end
+                continue
+            # the changed bytes may be the length of the record before, so the search begins inside it
+            found = self._next_intact_record(before + 1)
+            if found is None:
+                break
+            self.note_damage(place, f"between bytes {before} and {found}: there is no record")
+            place = before = found
+        self.readable_bytes = place
+
+    def _list_record(self, place: int) -> int | None:
+        """List the record at `place` in the data section; returns its end, None where it is no record."""
+        data = self._read(place, CHUNK_HEAD.size)
+        opcode, length = HEAD.unpack_from(data) if len(data) >= HEAD.size else (0, self.size)
+        end: int = place + HEAD.size + length
+        if end > self.size:
+            return None
+        if opcode == Opcode.CHUNK:
+            chunk = chunk_at(place, data)
+            if chunk is None:
+                return None
+            self._add_chunk(chunk)
+        elif opcode == Opcode.MESSAGE_INDEX:
+            if len(data) < _INDEX.size:
+                return None
+            _, _, channel, entries_bytes = _INDEX.unpack_from(data)
+            if entries_bytes % _INDEX_ENTRY_BYTES or end != place + _INDEX.size + entries_bytes:
+                return None
+            self.counts[channel] += entries_bytes // _INDEX_ENTRY_BYTES
+        elif opcode == Opcode.DATA_END and end == place + _DATA_END.size:
+            self._data_end = place
+            *_, self._data_crc = _DATA_END.unpack_from(data)
+        elif opcode in (Opcode.HEADER, Opcode.ATTACHMENT):
+            self._list_small_record(place)
+        elif opcode not in (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.FOOTER):
+            # metadata have no checksum, so they are read from their attached copy instead
+            return None
+        return end
+
+    def _add_chunk(self, place: ChunkPlace) -> None:
+        self.start_ns = min(self.start_ns, place.start_ns) if self.chunks else place.start_ns
+        self.end_ns = max(self.end_ns, place.end_ns)
+        self.chunks.append(place)
+
+    def _list_small_record(self, place: int) -> None:
+        """List the header or an attachment, which is verified when it is read; the rest stays readable."""
+        try:
+            record = self._small_record(place, verified=False)
+        except ValueError as error:
+            self.note_damage(place, f"the record cannot be read ({error})")
+            return
+        if isinstance(record, Header):
+            self.library = record.library
+        elif isinstance(record, Attachment):
+            self.attachments.setdefault(record.name, []).append(place)
+
+    def _next_intact_record(self, place: int) -> int | None:
+        """Position of the next chunk whose lengths agree, or attachment whose checksum matches."""
+        while len(block := self._read(place, _BLOCK_BYTES)) > CHUNK_HEAD.size:
+            values = np.frombuffer(block, dtype=np.uint8, count=len(block) - CHUNK_HEAD.size)
+            for at in np.flatnonzero((values == Opcode.CHUNK) | (values == Opcode.ATTACHMENT)).tolist():
+                opcode, length = HEAD.unpack_from(block, at)
+                if place + at + HEAD.size + length > self.size:
+                    continue
+                if opcode == Opcode.CHUNK:
+                    if chunk_at(place + at, block[at : at + CHUNK_HEAD.size]) is not None:
+                        return place + at
+                elif length < _BLOCK_BYTES:
+                    try:
+                        self._small_record(place + at)
+                    except ValueError:
+                        continue
+                    return place + at
+            place += len(values)
+        return None
 
 
-def open_mcap(path: Path) -> IO[bytes]:
+def _open_mcap(path: Path) -> IO[bytes]:
     """Open an MCAP file. Raises RecordError if it is missing, cannot be read, or is another kind of file."""
     try:
         if path.exists() and not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):
             raise RecordError(f"{path}: is not a file but a pipe or device; copy the record into a file")
         file = path.open("rb")
-        head = _read_at(file, 0, len(MAGIC) + 1)
+        head = read_at(file, 0, len(MAGIC) + 1)
     except FileNotFoundError:
-        raise RecordError(f"{path}: no such record{_records_beside(path)}") from None
+        there = [other.name for other in records_of(path.parent)][:5]
+        beside = ", ".join(there) or "no record; give the path of one"
+        raise RecordError(f"{path}: no such record; {path.parent} has {beside}") from None
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ValueError as error:
         raise RecordError(f"{str(path)!r}: is not the name of a file ({error})") from None
-    if not _is_magic(head):
+    # a file begins as MCAP files do, up to one changed byte, with the first record behind it
+    alike = sum(byte == expected for byte, expected in zip(head, MAGIC, strict=False))
+    if head[: len(MAGIC)] != MAGIC and (
+        alike < len(MAGIC) - 1 or head[len(MAGIC) :] != bytes([Opcode.HEADER])
+    ):
         file.close()
         what = "is empty, or cannot be read from its disk" if not head else "is not an MCAP file"
         raise RecordError(f"{path}: {what}; a record is made by rig run")
     return file
 
 
-def _records_beside(path: Path) -> str:
-    """The records beside a missing one, as the end of a message."""
-    there = [other.name for other in records_of(path.parent)][:5]
-    return f"; {path.parent} has {', '.join(there) or 'no record; give the path of one'}"
-
-
-def _is_magic(head: bytes) -> bool:
-    """Whether a file begins as MCAP files do, up to one changed byte, with the first record behind it."""
-    alike = sum(byte == expected for byte, expected in zip(head, MAGIC, strict=False))
-    return head[: len(MAGIC)] == MAGIC or (
-        alike >= len(MAGIC) - 1 and head[len(MAGIC) :] == bytes([Opcode.HEADER])
-    )
-
-
-def _read_at(file: IO[bytes], place: int, count: int) -> bytes:
+def read_at(file: IO[bytes], place: int, count: int) -> bytes:
     """Bytes from a position on; none where the disk cannot read all of them, as exFAT after a power cut."""
     file.seek(place)
     try:
@@ -232,152 +376,3 @@ def _read_at(file: IO[bytes], place: int, count: int) -> bytes:
         if error.errno not in _FAULTS:
             raise
         return b""
-
-
-def _content_at(file: IO[bytes], place: int) -> tuple[int, bytes]:
-    """Opcode and content of the record at a position in the file. Raises ValueError if there is none."""
-    head = _read_at(file, place, HEAD.size)
-    if len(head) < HEAD.size:
-        raise ValueError(f"no record at byte {place}")
-    opcode, length = HEAD.unpack(head)
-    if length > _SMALL_RECORD_BYTES:
-        raise ValueError(f"record at byte {place} claims {length} bytes")
-    data = _read_at(file, place + HEAD.size, length)
-    if len(data) < length:
-        raise ValueError(f"record at byte {place} ends early")
-    return opcode, data
-
-
-def _parsed(opcode: int, data: bytes) -> McapRecord:
-    """A record of the mcap library from its bytes. Raises ValueError if they are not such a record."""
-    stream = StreamReader(io.BytesIO(HEAD.pack(opcode, len(data)) + data), skip_magic=True)
-    try:
-        return next(stream.records)
-    except (struct.error, UnicodeDecodeError, OverflowError, McapError) as error:
-        raise ValueError(str(error) or type(error).__name__) from None
-
-
-def _is_intact_attachment(data: bytes) -> bool:
-    return zlib.crc32(data[:-_CRC_BYTES]) == int.from_bytes(data[-_CRC_BYTES:], "little")
-
-
-def _read_summary(file: IO[bytes], contents: Contents) -> bool:
-    """Fill `contents` from the summary; False without a sound one, with the reason in `contents.damage`."""
-    end = contents.size - _FOOTER.size - len(MAGIC)
-    data = _read_at(file, max(end, 0), _FOOTER.size + len(MAGIC))
-    if end < len(MAGIC) or len(data) < _FOOTER.size + len(MAGIC) or data[_FOOTER.size :] != MAGIC:
-        return False
-    opcode, length, start, _, crc = _FOOTER.unpack_from(data)
-    contents.whole = (opcode, length) == (Opcode.FOOTER, _FOOTER.size - HEAD.size)
-    if not contents.whole or not start:
-        return False
-    if not len(MAGIC) <= start - _DATA_END.size <= end:
-        contents.damage.append("the footer points outside the file")
-        return False
-    summary = _read_at(file, start, end - start)
-    if crc != zlib.crc32(data[: _FOOTER.size - _CRC_BYTES], zlib.crc32(summary)):
-        contents.damage.append("the summary's checksum does not match: bytes have changed")
-        return False
-    # the checksum has shown that every record of the summary can be read
-    for record in StreamReader(io.BytesIO(summary + data), skip_magic=True).records:
-        match record:
-            case Channel():
-                contents.channels[record.id] = record.topic
-            case Statistics():
-                contents.counts.update(record.channel_message_counts)
-            case AttachmentIndex():
-                contents.add_attachment(record.name, record.data_size, record.offset)
-            case ChunkIndex():
-                place = (record.chunk_start_offset, record.chunk_length)
-                times = (record.message_start_time, record.message_end_time)
-                contents.add_chunk(ChunkPlace(*place, *times, frozenset(record.message_index_offsets)))
-    contents.data_end = start - _DATA_END.size
-    *_, contents.data_crc = _DATA_END.unpack(_read_at(file, contents.data_end, _DATA_END.size))
-    _list_or_note_damage(file, contents, len(MAGIC))
-    contents.readable_bytes = contents.size
-    contents.indexed = True
-    return True
-
-
-def _walk(file: IO[bytes], contents: Contents) -> None:
-    """List the data section record by record, without decompression, up to its last complete record.
-
-    After bytes that are no record, the walk continues at the next intact chunk or attachment.
-    """
-    place = before = contents.readable_bytes
-    while place + HEAD.size <= contents.size:
-        data = _read_at(file, place, CHUNK_HEAD.size + 16)
-        opcode, length = HEAD.unpack_from(data) if len(data) >= HEAD.size else (0, contents.size)
-        end = place + HEAD.size + length
-        if end > contents.size or not _list_record(file, contents, place, data):
-            # the changed bytes may be the length of the record before, so the search begins inside it
-            found = _next_intact_record(file, before + 1, contents.size)
-            if found is None:
-                break
-            contents.damage.append(f"between bytes {before} and {found}: there is no record")
-            place = before = found
-            continue
-        before, place = place, end
-        if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-            break
-    contents.readable_bytes = place
-
-
-def _list_record(file: IO[bytes], contents: Contents, place: int, data: bytes) -> bool:
-    """List the record that begins with `data` at `place` in the data section; False where it is no record."""
-    opcode, length = HEAD.unpack_from(data)
-    if opcode == Opcode.CHUNK:
-        if chunk_content(data, HEAD.size + length) is None:
-            return False
-        _, _, start_ns, end_ns, *_ = CHUNK_HEAD.unpack_from(data)
-        contents.add_chunk(ChunkPlace(place, HEAD.size + length, start_ns, end_ns, frozenset()))
-    elif opcode == Opcode.MESSAGE_INDEX:
-        if len(data) < _INDEX_HEAD.size:
-            return False
-        _, _, channel, entries_bytes = _INDEX_HEAD.unpack_from(data)
-        if entries_bytes % _INDEX_ENTRY_BYTES or HEAD.size + length != _INDEX_HEAD.size + entries_bytes:
-            return False
-        contents.counts[channel] += entries_bytes // _INDEX_ENTRY_BYTES
-    elif opcode == Opcode.DATA_END and HEAD.size + length == _DATA_END.size:
-        contents.data_end = place
-        *_, contents.data_crc = _DATA_END.unpack_from(data)
-    elif opcode in (Opcode.HEADER, Opcode.ATTACHMENT):
-        _list_or_note_damage(file, contents, place)
-    else:
-        # metadata have no checksum, so they are read from their attached copy instead
-        return opcode in (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.FOOTER)
-    return True
-
-
-def _list_or_note_damage(file: IO[bytes], contents: Contents, place: int) -> None:
-    """List a header or an attachment; damage is noted in `contents.damage`, and the rest stays readable."""
-    try:
-        record = _parsed(*_content_at(file, place))
-    except ValueError as error:
-        contents.damage.append(f"the record at byte {place} cannot be read ({error})")
-        return
-    if isinstance(record, Header):
-        contents.library = record.library
-    elif isinstance(record, Attachment):
-        contents.add_attachment(record.name, len(record.data), place)
-    else:
-        contents.damage.append(f"the record at byte {place} cannot be read (it is another one)")
-
-
-def _next_intact_record(file: IO[bytes], place: int, size: int) -> int | None:
-    """Position of the next chunk whose lengths agree, or of the next attachment whose checksum matches."""
-    while len(block := _read_at(file, place, _BLOCK_BYTES)) > CHUNK_HEAD.size + 16:
-        values = np.frombuffer(block, dtype=np.uint8, count=len(block) - CHUNK_HEAD.size - 16)
-        for at in np.flatnonzero((values == Opcode.CHUNK) | (values == Opcode.ATTACHMENT)).tolist():
-            opcode, length = HEAD.unpack_from(block, at)
-            if place + at + HEAD.size + length > size:
-                continue
-            if opcode == Opcode.CHUNK:
-                if chunk_content(block[at : at + CHUNK_HEAD.size + 16], HEAD.size + length) is not None:
-                    return place + at
-            elif length < _BLOCK_BYTES:
-                content = _read_at(file, place + at + HEAD.size, length)
-                if len(content) > _CRC_BYTES and _is_intact_attachment(content):
-                    return place + at
-        place += len(values)
-    return None

@@ -2,8 +2,8 @@
 
 import datetime
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from itertools import islice
+from collections.abc import Collection, Iterable, Iterator
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Self, TypeAlias, TypeVar
 
@@ -13,18 +13,9 @@ from numpy.typing import NDArray
 from acquisition.camera import Frame
 from acquisition.frames.losses import FrameLosses
 from acquisition.record import PIXELS_SUFFIX, is_pixels, pixels_beside
-from acquisition.record.chunk import (
-    ChunkDamage,
-    ChunkPlace,
-    Contents,
-    Damage,
-    Message,
-    messages_in,
-    packed_messages,
-)
+from acquisition.record.chunk import Damage, Message
 from acquisition.record.codec import (
     balances_of,
-    decode_log,
     decode_preview,
     decode_window,
     deflections_of,
@@ -40,14 +31,12 @@ from acquisition.record.topics import (
     EVENT,
     IMAGE,
     KIND_OF,
-    LOG_TOPIC,
     METADATA_COPY,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SPOT,
     SWING,
     WINDOW,
-    RecordedLog,
     RecordedLosses,
     RecordedNote,
     RecordedWindow,
@@ -73,7 +62,8 @@ class RecordReader:
     `path` is the file of numbers; the file of pixels beside it is opened, too, if it exists. A chunk whose
     checksum is wrong is left out, listed in `damages` and logged; everything else is read. A file without an
     ending, as after a crash or a power failure, is `truncated`; its complete chunks are read. While a record
-    is still being written, `update` and `follow` list what has been flushed since.
+    is still being written, `update` and `follow` list what has been flushed since. `numbers` is the file of
+    numbers, with its table of contents.
 
     Raises
     ------
@@ -86,17 +76,17 @@ class RecordReader:
             record = path.name.removesuffix(PIXELS_SUFFIX)
             raise RecordError(f"{path}: has the pixels of a record; name the record beside it, {record}.mcap")
         self.path = path
-        self._numbers = ReadFile(path)
+        self.numbers = ReadFile(path)
         self._pixels: ReadFile | None = None
         self._chunks_read, self._picture_chunks_read, self._picture_due_ns = 0, 0, 0
         try:
-            self.metadata = self._numbers.metadata
+            self.metadata = self.numbers.metadata
             self._identity = self.metadata["record"]
             self.deflection_unit = DeflectionUnit(self._identity["deflection_unit"])
             self.epoch_offset_ns = int(self._identity["epoch_offset_ns"])
             topics = number_topics(self.deflection_unit)
             self._kinds = {kind.topic: kind for kind in (topics | PIXEL_TOPICS).values() if kind is not None}
-            self._numbers.contents.channels = dict(enumerate(topics, start=1))
+            self.numbers.channels = dict(enumerate(topics, start=1))
             self._open_pixels()
         except OSError as error:
             self.close()
@@ -120,10 +110,10 @@ class RecordReader:
                 raise
         except RecordError as error:
             # while a record is written, or where it was cut, its file of pixels may only have begun
-            if self.contents.whole:
-                self.contents.damage.append(str(error))
+            if self.numbers.whole:
+                self.numbers.note_damage(0, str(error))
             return
-        pixels.contents.channels = dict(enumerate(PIXEL_TOPICS, start=1))
+        pixels.channels = dict(enumerate(PIXEL_TOPICS, start=1))
         self._pixels = pixels
 
     def __enter__(self) -> Self:
@@ -140,22 +130,17 @@ class RecordReader:
     @property
     def files(self) -> tuple[ReadFile, ...]:
         """The file of numbers, and that of pixels where there is one."""
-        return (self._numbers,) if self._pixels is None else (self._numbers, self._pixels)
-
-    @property
-    def contents(self) -> Contents:
-        """Table of contents of the file of numbers."""
-        return self._numbers.contents
+        return (self.numbers,) if self._pixels is None else (self.numbers, self._pixels)
 
     @property
     def damages(self) -> list[Damage]:
         """Damaged parts that were found so far."""
-        return [damage for file in self.files for damage in file.damages]
+        return [damage for file in self.files for damage in file.damages.values()]
 
     @property
     def truncated(self) -> bool:
         """Whether a file was cut short, so that it has no ending."""
-        return not all(file.contents.whole for file in self.files)
+        return not all(file.whole for file in self.files)
 
     @property
     def sound(self) -> bool:
@@ -165,7 +150,7 @@ class RecordReader:
     @property
     def cut_notice(self) -> str:
         """One line for the user about a truncated record, with the remedy; empty if it is complete."""
-        cut = [file.path for file in self.files if not file.contents.whole]
+        cut = [file.path for file in self.files if not file.whole]
         if not cut:
             return ""
         return (
@@ -176,15 +161,12 @@ class RecordReader:
     def doubts(self) -> list[str]:
         """Warnings, one line each, that belong to all data read so far: cut short, damaged or changed."""
         lines = [self.cut_notice] if self.truncated else []
-        lines += [f"damaged, not used: {damage.description}" for damage in self.damages]
-        damage = [text for file in self.files for text in file.contents.damage]
-        return lines + [f"the record's structure: {text}" for text in damage]
+        return lines + [f"damaged, not used: {damage.description}" for damage in self.damages]
 
     @property
     def attachments(self) -> dict[str, bytes]:
         """Attached files by name, without those that have no intact copy; `damages` lists damaged copies."""
-        file = self._numbers
-        found = {name: file.attached(name) for name in file.contents.attachment_places}
+        found = {name: next(self.numbers.copies(name), None) for name in self.numbers.attachments}
         return {name: data for name, data in found.items() if name != METADATA_COPY and data is not None}
 
     def update(self) -> bool:
@@ -199,7 +181,7 @@ class RecordReader:
         The iteration ends when the record is closed or its writer is gone; it looks every `every_s`.
         """
         yield None
-        while not self._numbers.contents.whole:
+        while not self.numbers.whole:
             # checked before `update`, so that the last flush of a writer that ends meanwhile is read
             alone = not is_being_written(self.path)
             if self.update():
@@ -215,37 +197,30 @@ class RecordReader:
         A chunk holds what was written between two flushes, so a growing record and a complete one yield
         the same pieces. A damaged chunk yields an empty piece, and is listed in `damages`.
         """
-        for place in self._numbers.contents.chunks.since(self._chunks_read):
+        while self._chunks_read < len(self.numbers.chunks):
             self._chunks_read += 1
-            yield self._by_topic(self._numbers, place)
+            piece: Piece = {}
+            for message in self.numbers.messages(self.numbers.chunks[self._chunks_read - 1]):
+                piece.setdefault(message.topic, []).append(message)
+            yield piece
 
     def unread_pictures(self, interval_ns: int, until_ns: int) -> Iterator[tuple[int, int, bytes]]:
         """Frame number, time and JPEG of previews that this method has not yielded before, in order of time.
 
         They are at least `interval_ns` apart; chunks that begin after `until_ns` are left for a later call.
         """
-        if self._pixels is None:
-            return
-        for place in self._pixels.contents.chunks.since(self._picture_chunks_read):
+        while self._pixels is not None and self._picture_chunks_read < len(self._pixels.chunks):
+            place = self._pixels.chunks[self._picture_chunks_read]
             if place.start_ns - self.epoch_offset_ns > until_ns:
                 return
             self._picture_chunks_read += 1
             if place.end_ns - self.epoch_offset_ns < self._picture_due_ns:
                 continue
-            for message in self._by_topic(self._pixels, place).get(PREVIEW_TOPIC, ()):
+            for message in self._pixels.messages(place, PREVIEW_TOPIC):
                 time_ns = message.log_time_ns - self.epoch_offset_ns
                 if time_ns >= self._picture_due_ns:
                     self._picture_due_ns = time_ns + interval_ns
                     yield message.sequence, time_ns, decode_preview(message.data)
-
-    def _by_topic(self, file: ReadFile, place: ChunkPlace) -> Piece:
-        found: Piece = {}
-        try:
-            for message in messages_in(file.open_chunk(place)):
-                found.setdefault(file.contents.channels[message.channel], []).append(message)
-        except ChunkDamage as damage:
-            file.note_damage(place, str(damage))
-        return found
 
     @property
     def picture_shape(self) -> tuple[tuple[int, int], int]:
@@ -254,12 +229,6 @@ class RecordReader:
         ny, nx = (int(frame.get(name, "1")) for name in ("height_px", "width_px"))
         step = preview_step((ny, nx))
         return (-(-ny // step), -(-nx // step)), step
-
-    def rows(self, topic: str, messages: Sequence[Message]) -> NDArray[Any]:
-        """Given messages of a topic of numbers, as a structured array (n,) like that of `table`."""
-        kind = self._kinds[topic]
-        data = b"".join(message.data for message in messages)
-        return kind.decode_table(np.frombuffer(data, f"V{kind.wire_dtype.itemsize}"))
 
     @property
     def full_scale_dn(self) -> int:
@@ -276,8 +245,8 @@ class RecordReader:
         return {
             topic: count
             for file in self.files
-            for number, topic in file.contents.channels.items()
-            if (count := file.contents.counts[number])
+            for number, topic in file.channels.items()
+            if (count := file.counts[number])
         }
 
     def messages(self, topic: str, start_ns: int | None = None) -> Iterator[Message]:
@@ -285,36 +254,28 @@ class RecordReader:
 
         Those before `start_ns` (on the frames' clock) are left out, and chunks before it are not read.
         """
-        from_ns = self.epoch_offset_ns + (start_ns or 0)
-        for data, channel in self._chunks(topic, start_ns):
-            yield from (
-                one for one in messages_in(data, channel) if start_ns is None or one.log_time_ns >= from_ns
-            )
-
-    def _chunks(self, topic: str, start_ns: int | None = None) -> Iterator[tuple[bytes, frozenset[int]]]:
-        """Chunks that may have messages of a topic, and its channel in them."""
         from_ns = 0 if start_ns is None else start_ns + self.epoch_offset_ns
-        for file in self.files:
-            for number, known in file.contents.channels.items():
-                if known == topic:
-                    for data in file.chunks_with(number, from_ns):
-                        yield data, frozenset({number})
+        return chain.from_iterable(file.messages_of(topic, from_ns) for file in self.files)
 
-    def table(self, topic: str) -> NDArray[Any]:
-        """All messages of a topic of numbers as a structured array (n,).
+    def _of(self, topic: str, piece: Piece | None) -> Iterable[Message]:
+        """Messages of a topic: all, or those in a piece."""
+        return self.messages(topic) if piece is None else piece.get(topic, ())
+
+    def table(self, topic: str, piece: Piece | None = None) -> NDArray[Any]:
+        """Messages of a topic of numbers, all or those in a piece, as a structured array (n,).
 
         The names of the fields are those in the file, with units.
         """
         kind = self._kinds[topic]
-        parts = list(self._tables(kind))
+        parts = list(self._tables(kind, self._of(topic, piece)))
         return np.concatenate(parts) if parts else np.empty(0, dtype=kind.table_dtype)
 
-    def values(self, value_class: type[_Value], messages: Iterable[Message] | None = None) -> list[_Value]:
-        """All values of a class that were written, or those in some messages of their topic."""
+    def values(self, value_class: type[_Value], piece: Piece | None = None) -> list[_Value]:
+        """All values of a class that were written, or those in a piece."""
         kind = KIND_OF[value_class]
         return [
             value_class(**dict(zip(kind.names, kind.decode(message.data), strict=True)))
-            for message in (self.messages(kind.topic) if messages is None else messages)
+            for message in self._of(kind.topic, piece)
         ]
 
     def spots(self) -> NDArray[Any]:
@@ -338,25 +299,19 @@ class RecordReader:
         not read. With `fields`, only these fields (and `time_ns`) are decoded, which is faster.
         """
         wanted = None if fields is None else {"time_ns", *fields}
-        for table in self._tables(self._kinds[SPOT.topic], start_ns, wanted):
-            if start_ns is not None:
-                table = table[table["time_ns"] >= start_ns]
-            if len(table):
-                yield table
+        return self._tables(self._kinds[SPOT.topic], self.messages(SPOT.topic, start_ns), wanted)
 
-    def swings(self, messages: Sequence[Message] | None = None) -> list[HalfCycle]:
-        """All half-cycles, or those in some messages of their topic, with amplitudes in `deflection_unit`."""
-        return swings_of(self.table(SWING.topic) if messages is None else self.rows(SWING.topic, messages))
+    def swings(self, piece: Piece | None = None) -> list[HalfCycle]:
+        """All half-cycles, or those in a piece, with amplitudes in `deflection_unit`."""
+        return swings_of(self.table(SWING.topic, piece))
 
-    def balances(self, messages: Sequence[Message] | None = None) -> list[Balance]:
-        """All balances, or those in some messages of their topic, in `deflection_unit`."""
-        table = self.table(BALANCE.topic) if messages is None else self.rows(BALANCE.topic, messages)
-        return balances_of(table, self.deflection_unit)
+    def balances(self, piece: Piece | None = None) -> list[Balance]:
+        """All balances, or those in a piece, in `deflection_unit`."""
+        return balances_of(self.table(BALANCE.topic, piece), self.deflection_unit)
 
-    def events(self, messages: Iterable[Message] | None = None) -> list[Event]:
-        """All events, or those in some messages of their topic."""
-        of_topic = self.messages(EVENT.topic) if messages is None else messages
-        return [Event(*EVENT.decode(one.data)[:3]) for one in of_topic]
+    def events(self, piece: Piece | None = None) -> list[Event]:
+        """All events, or those in a piece."""
+        return [Event(*EVENT.decode(one.data)[:3]) for one in self._of(EVENT.topic, piece)]
 
     def notes(self) -> list[RecordedNote]:
         """Notes of operators during the run."""
@@ -381,27 +336,12 @@ class RecordReader:
             sequence, time_ns, image, _ = decode_window(IMAGE, message.data)
             yield Frame(image, sequence, time_ns, time_ns)
 
-    def log(self) -> list[RecordedLog]:
-        """Lines of the log."""
-        lines = self.messages(LOG_TOPIC)
-        return [decode_log(line.log_time_ns - self.epoch_offset_ns, line.data) for line in lines]
-
     def _tables(
-        self, kind: MessageType, start_ns: int | None = None, fields: Collection[str] | None = None
+        self, kind: MessageType, messages: Iterable[Message], fields: Collection[str] | None = None
     ) -> Iterator[NDArray[Any]]:
-        """The numbers of a topic, some thousand rows at a time: a chunk may hold only a few dozen."""
-        parts: list[NDArray[np.void]] = []
-        count = 0
-        for data, channel in self._chunks(kind.topic, start_ns):
-            part = packed_messages(data, channel)
-            if not len(part):
-                continue
-            if part.dtype.itemsize != kind.wire_dtype.itemsize:
+        """Messages of numbers, some thousand rows at a time: a chunk may hold only a few dozen."""
+        data = (message.data for message in messages)
+        while block := list(islice(data, _ROWS_AT_ONCE)):
+            if not {kind.wire_dtype.itemsize}.issuperset(map(len, block)):
                 raise RecordError(f"{self.path}: {kind.topic} has other fields than this version writes")
-            parts.append(part)
-            count += len(part)
-            if count >= _ROWS_AT_ONCE:
-                yield kind.decode_table(np.concatenate(parts), fields)
-                parts, count = [], 0
-        if parts:
-            yield kind.decode_table(np.concatenate(parts), fields)
+            yield kind.decode_table(b"".join(block), fields)

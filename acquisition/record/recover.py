@@ -8,13 +8,12 @@ from pathlib import Path
 
 from acquisition.atomic_write import being_written
 from acquisition.record import pixels_beside
-from acquisition.record.chunk import ChunkDamage, Damage, messages_in
+from acquisition.record.chunk import Damage
 from acquisition.record.digest import sha256_of
 from acquisition.record.mcap_file import McapFile
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import PIXEL_TOPICS, number_topics
-from acquisition.record.writer import schemas, write_metadata
 from processing.errors import RecordError
 
 RECOVERY = "recovery"
@@ -27,8 +26,8 @@ class Recovery:
     """Result of `recover`.
 
     `messages` are the numbers of recovered messages by topic, `start_ns` and `end_ns` (UTC) the times of the
-    first and the last. `lost` are damaged chunks and attachments, `damage` describes other parts that were
-    not as written, `lost_bytes` is the number of bytes after the last complete entry.
+    first and the last. `lost` are the damaged parts, `lost_bytes` is the number of bytes after the last
+    complete entry.
     """
 
     source: Path
@@ -37,7 +36,6 @@ class Recovery:
     start_ns: int
     end_ns: int
     lost: tuple[Damage, ...]
-    damage: tuple[str, ...]
     lost_bytes: int
 
 
@@ -61,7 +59,7 @@ def recover(source: Path, path: Path) -> Recovery:
             copies: list[McapFile] = []
             topics = (number_topics(reader.deflection_unit), PIXEL_TOPICS)
             for file, name, file_topics in zip(reader.files, names, topics, strict=False):
-                copy = McapFile(name, schemas(file_topics), _RESERVE_BYTES)
+                copy = McapFile(name, file_topics, _RESERVE_BYTES)
                 # Windows removes only closed files
                 stack.callback(copy.abandon)
                 counts += _copy_messages(file, copy)
@@ -69,8 +67,8 @@ def recover(source: Path, path: Path) -> Recovery:
             found = _copy_metadata(reader, copies, path, counts)
             for copy in copies:
                 copy.finish()
-                if copy.full is not None:
-                    raise copy.full
+                if copy.disk.full is not None:
+                    raise copy.disk.full
             _verify(names, counts, path, source)
     except FileExistsError as error:
         raise RecordError(
@@ -85,18 +83,12 @@ def recover(source: Path, path: Path) -> Recovery:
 def _copy_messages(file: ReadFile, copy: McapFile) -> Counter[str]:
     """Copy all intact messages; returns how many, by topic."""
     counts: Counter[str] = Counter()
-    topics = file.contents.channels
-    for place in file.contents.chunks:
-        try:
-            messages = messages_in(file.open_chunk(place))
-        except ChunkDamage as damage:
-            file.note_damage(place, str(damage))
-            continue
-        for message in messages:
-            copy.add(topics[message.channel], message.sequence, message.log_time_ns, message.data)
-            counts[topics[message.channel]] += 1
-        if copy.full is not None:
-            raise copy.full
+    for place in file.chunks:
+        for message in file.messages(place):
+            copy.add(*message)
+            counts[message.topic] += 1
+        if copy.disk.full is not None:
+            raise copy.disk.full
     return counts
 
 
@@ -104,20 +96,17 @@ def _copy_metadata(
     reader: RecordReader, copies: Sequence[McapFile], path: Path, counts: Mapping[str, int]
 ) -> Recovery:
     """Copy attachments and metadata; returns the Recovery."""
-    contents = reader.contents
+    start_ns = reader.numbers.start_ns
     for name, data in reader.attachments.items():
-        copies[0].add_attachment(name, "application/octet-stream", data, contents.start_ns)
-    lost_bytes = sum(
-        file.contents.size - file.contents.readable_bytes for file in reader.files if not file.contents.whole
-    )
-    damage = tuple(text for file in reader.files for text in file.contents.damage)
+        copies[0].add_attachment(name, "application/octet-stream", data, start_ns)
+    lost_bytes = sum(file.size - file.readable_bytes for file in reader.files if not file.whole)
     lost_parts = [lost.description for lost in reader.damages if not lost.start_ns]
     recovery = {
         "source": reader.path.name,
         "source_sha256": _sha256_if_readable(reader.path),
         "source_was_cut": str(reader.truncated).lower(),
         "lost_chunks": str(len(reader.damages) - len(lost_parts)),
-        "lost_parts": "; ".join([*lost_parts, *damage]),
+        "lost_parts": "; ".join(lost_parts),
         "lost_bytes_at_the_end": str(lost_bytes),
     }
     earlier = sum(name.startswith(RECOVERY) for name in reader.metadata)
@@ -125,15 +114,14 @@ def _copy_metadata(
     for copy, metadata in zip(
         copies, ({**reader.metadata, name: recovery}, {"record": reader.metadata["record"]}), strict=False
     ):
-        write_metadata(copy, metadata, contents.start_ns)
+        copy.add_metadata(metadata, start_ns)
     return Recovery(
         source=reader.path,
         path=path,
         messages=dict(counts),
-        start_ns=contents.start_ns,
-        end_ns=max(file.contents.end_ns for file in reader.files),
+        start_ns=start_ns,
+        end_ns=max(file.end_ns for file in reader.files),
         lost=tuple(reader.damages),
-        damage=damage,
         lost_bytes=lost_bytes,
     )
 
@@ -141,15 +129,11 @@ def _copy_metadata(
 def _verify(names: Sequence[Path], counts: Mapping[str, int], path: Path, source: Path) -> None:
     """Read the copies again. Raises RecordError where they do not hold what was written."""
     found: Counter[str] = Counter()
+    sound = True
     for name in names:
-        copy = ReadFile(name)
-        try:
-            sound = copy.is_sound()
-            found.update({topic: copy.contents.counts[n] for n, topic in copy.contents.channels.items()})
-        finally:
-            copy.close()
-        if not sound:
-            break
+        with contextlib.closing(ReadFile(name)) as copy:
+            sound = sound and copy.is_sound()
+            found.update({topic: copy.counts[number] for number, topic in copy.channels.items()})
     if not sound or +found != Counter(counts):
         raise RecordError(f"{path}: does not hold what was written; {source} is unchanged")
 

@@ -7,7 +7,7 @@ The descriptor is stored in the file, so that viewers can plot the fields.
 
 import dataclasses
 import struct
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from functools import cached_property
@@ -22,6 +22,7 @@ from processing.units import unit_of_name
 Kind = Literal["double", "int", "text", "bytes"]
 Meanings: TypeAlias = type[IntFlag] | type[IntEnum]
 
+_PACKAGE = "optical_pendulum"
 _FIELD = descriptor_pb2.FieldDescriptorProto
 PROTO_TYPE: Mapping[Kind, "descriptor_pb2.FieldDescriptorProto.Type.ValueType"] = {
     "double": _FIELD.TYPE_DOUBLE,
@@ -77,38 +78,6 @@ _MEANINGS = {
 """Meanings of the messages' fields; every file states them beside the fields' names."""
 
 
-def descriptor_of(
-    full_name: str, fields: Iterable[tuple[str, Kind]], description: str, meanings: Iterable[Meanings]
-) -> bytes:
-    """Serialised FileDescriptorSet, as it is stored in MCAP files.
-
-    `description` is the comment on the message. `meanings` become enumerations inside the message, to be read
-    by people: a field keeps its 64 bits, since several flags may be set at once.
-    """
-    package, _, name = full_name.rpartition(".")
-    files = descriptor_pb2.FileDescriptorSet()
-    file = files.file.add(name=f"{package}/{name}.proto", package=package, syntax="proto3")
-    message = file.message_type.add(name=name)
-    _comment(file, description)
-    for place, (field, kind) in enumerate(fields):
-        message.field.add(
-            name=field,
-            number=place + 1,
-            type=PROTO_TYPE[kind],
-            label=_FIELD.LABEL_OPTIONAL,
-            json_name=field,
-        )
-        _comment(file, comment_of(field), _FIELD_PATH, place)
-    for place, meaning in enumerate(meanings):
-        enum = message.enum_type.add(name="Flag" if issubclass(meaning, IntFlag) else "Side")
-        prefix = enum.name.upper()
-        enum.value.add(name=f"{prefix}_NONE", number=0)
-        for member in meaning:
-            enum.value.add(name=f"{prefix}_{member.name}", number=member.value)
-        _comment(file, meaning.__doc__ or "", _ENUM_PATH, place)
-    return files.SerializeToString()
-
-
 def _comment(file: descriptor_pb2.FileDescriptorProto, text: str, *inside: int) -> None:
     """Add a comment on the message, or on the part of it whose path of protobuf's numbers is `inside`."""
     if text:
@@ -139,7 +108,7 @@ class MessageType:
     `description` and `meanings` go into the description that is stored in a file.
     """
 
-    full_name: str
+    name: str
     topic: str
     numbers: tuple[tuple[str, Kind], ...]
     tail: tuple[tuple[str, Kind], ...] = ()
@@ -151,10 +120,36 @@ class MessageType:
         """Names of the fields in order."""
         return tuple(name for name, _ in (*self.numbers, *self.tail))
 
+    @property
+    def full_name(self) -> str:
+        """Name with its protobuf package, by which viewers call the type."""
+        return f"{_PACKAGE}.{self.name}"
+
     @cached_property
     def descriptor(self) -> bytes:
-        """Serialised FileDescriptorSet, as it is stored in MCAP files."""
-        return descriptor_of(self.full_name, (*self.numbers, *self.tail), self.description, self.meanings)
+        """Serialised FileDescriptorSet, as it is stored in MCAP files.
+
+        The meanings become enumerations inside the message, to be read by people: a field keeps its 64 bits,
+        since several flags may be set at once.
+        """
+        files = descriptor_pb2.FileDescriptorSet()
+        file = files.file.add(name=f"{_PACKAGE}/{self.name}.proto", package=_PACKAGE, syntax="proto3")
+        message = file.message_type.add(name=self.name)
+        _comment(file, self.description)
+        for place, (field, kind) in enumerate((*self.numbers, *self.tail)):
+            optional = _FIELD.LABEL_OPTIONAL
+            message.field.add(
+                name=field, number=place + 1, type=PROTO_TYPE[kind], label=optional, json_name=field
+            )
+            _comment(file, comment_of(field), _FIELD_PATH, place)
+        for place, meaning in enumerate(self.meanings):
+            enum = message.enum_type.add(name="Flag" if issubclass(meaning, IntFlag) else "Side")
+            prefix = enum.name.upper()
+            enum.value.add(name=f"{prefix}_NONE", number=0)
+            for member in meaning:
+                enum.value.add(name=f"{prefix}_{member.name}", number=member.value)
+            _comment(file, meaning.__doc__ or "", _ENUM_PATH, place)
+        return files.SerializeToString()
 
     @cached_property
     def table_dtype(self) -> np.dtype[Any]:
@@ -165,8 +160,7 @@ class MessageType:
     def wire_dtype(self) -> np.dtype[Any]:
         """Type of the encoded numbers: each field preceded by its tag."""
         fields: list[Any] = []
-        for number, (name, kind) in enumerate(self.numbers, start=1):
-            tag = _varint(number << 3 | _WIRE_FIXED64)
+        for tag, (name, kind) in zip(self._tags, self.numbers, strict=True):
             fields += [(f"tag {name}", f"V{len(tag)}"), (name, _NUMPY[kind])]
         return np.dtype(fields)
 
@@ -205,13 +199,6 @@ class MessageType:
             parts += [tag, _varint(len(data)), data]
         return b"".join(parts)
 
-    def wire_rows(self, count: int) -> NDArray[Any]:
-        """Array (count,) of `wire_dtype` for encoded messages without tail; tags are set, numbers are 0."""
-        row = np.zeros(1, dtype=self.wire_dtype)
-        for tag, (name, _) in zip(self._tags, self.numbers, strict=True):
-            row[f"tag {name}"] = np.void(tag)
-        return np.repeat(row, count)
-
     def decode(self, data: bytes) -> tuple[Any, ...]:
         """Values of the fields in order. Raises ValueError if the bytes are not such a message."""
         layout, _ = self._layout
@@ -231,9 +218,9 @@ class MessageType:
             raise ValueError(f"{self.full_name}: is not such a message")
         return tuple(values)
 
-    def decode_table(self, messages: NDArray[np.void], names: Collection[str] | None = None) -> NDArray[Any]:
-        """Messages of numbers as a structured array (n,), of all fields or of those in `names`."""
-        wire = messages.view(self.wire_dtype)
+    def decode_table(self, messages: bytes, names: Collection[str] | None = None) -> NDArray[Any]:
+        """Joined messages of numbers as a structured array (n,), of all fields or of those in `names`."""
+        wire = np.frombuffer(messages, self.wire_dtype)
         wanted = [(name, kind) for name, kind in self.numbers if names is None or name in names]
         table = np.empty(len(wire), dtype=[(name, _NUMPY[kind]) for name, kind in wanted])
         for name, _ in wanted:
@@ -241,8 +228,8 @@ class MessageType:
         return table
 
 
-def message_type_of(value_class: type, full_name: str, topic: str) -> MessageType:
-    """Message type of a NamedTuple whose fields are int, bool, float or str.
+def message_type_of(value_class: type, topic: str) -> MessageType:
+    """Message type, of the class's name, of a NamedTuple whose fields are int, bool, float or str.
 
     Texts are placed after the numbers, otherwise the order is kept. Raises TypeError for other fields.
     """
@@ -258,9 +245,8 @@ def message_type_of(value_class: type, full_name: str, topic: str) -> MessageTyp
             tail.append((name, "text"))
         else:
             raise TypeError(f"{value_class.__name__}.{name}: {kind} cannot be recorded")
-    return MessageType(
-        full_name, topic, tuple(numbers), tuple(tail), " ".join((value_class.__doc__ or "").split())
-    )
+    description = " ".join((value_class.__doc__ or "").split())
+    return MessageType(value_class.__name__, topic, tuple(numbers), tuple(tail), description)
 
 
 def _varint(value: int) -> bytes:

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple, Protocol, Self, TypeAlias
 
 from acquisition.camera import Image
 from acquisition.record.events import Event, EventKind
-from acquisition.record.schemas import Kind, Meanings, MessageType, message_type_of
+from acquisition.record.schemas import Kind, MessageType, message_type_of
 from acquisition.record.window_residual import IntegerGaussian
 from processing.balance import names_with_units
 from processing.deflections import DeflectionUnit
@@ -14,7 +14,6 @@ from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycleFlag
 
 SCHEMA_VERSION = 1
-PACKAGE = "optical_pendulum"
 LIBRARY = "optical-pendulum-rig"
 
 LOG_TOPIC = "/log"
@@ -229,32 +228,12 @@ class RecordedWindow(NamedTuple):
     origin_px: tuple[int, int]
 
 
-class RecordedLog(NamedTuple):
-    """A line of the log; `level` as in foxglove.Log (1 debug, 2 info, 3 warning, 4 error, 5 fatal)."""
-
-    time_ns: int
-    level: int
-    source: str
-    text: str
-
-
 def _doubles(*names: str) -> tuple[tuple[str, Kind], ...]:
     return tuple((name, "double") for name in names)
 
 
 def _ints(*names: str) -> tuple[tuple[str, Kind], ...]:
     return tuple((name, "int") for name in names)
-
-
-def _message(
-    name: str,
-    topic: str,
-    *numbers: tuple[str, Kind],
-    tail: tuple[tuple[str, Kind], ...] = (),
-    description: str = "",
-    meanings: tuple[Meanings, ...] = (),
-) -> MessageType:
-    return MessageType(f"{PACKAGE}.{name}", topic, numbers, tail, description, meanings)
 
 
 _FRAME = _ints("sequence", "time_ns", "device_time_ns", "host_time_ns")
@@ -294,12 +273,14 @@ DEFLECTION_FIELDS = {
 _UNITS: Final = ((DeflectionUnit.RAD, ""), (DeflectionUnit.PX, "Uncalibrated"))
 """Units of deflections: with a calibrated lever, and without one."""
 SPOT, SPOT_UNCALIBRATED = (
-    _message(
+    MessageType(
         f"{prefix}Spot",
         "/spot",
-        *_FRAME,
-        *_SPOT,
-        *_doubles(*DEFLECTION_FIELDS[unit], *(() if prefix else ("x_arcsec", "y_arcsec"))),
+        (
+            *_FRAME,
+            *_SPOT,
+            *_doubles(*DEFLECTION_FIELDS[unit], *(() if prefix else ("x_arcsec", "y_arcsec"))),
+        ),
         description=_SPOT_DESCRIPTION,
         meanings=(SpotFlag,),
     )
@@ -307,11 +288,10 @@ SPOT, SPOT_UNCALIBRATED = (
 )
 """One frame: its number and times, the spot, the deflections of the pendulum."""
 SWING, SWING_UNCALIBRATED = (
-    _message(
+    MessageType(
         f"{prefix}Swing",
         "/swing",
-        *_turning_point(unit),
-        *_doubles(*(() if prefix else ("amplitude_arcsec",)), "period_s"),
+        (*_turning_point(unit), *_doubles(*(() if prefix else ("amplitude_arcsec",)), "period_s")),
         description=_SWING_DESCRIPTION,
         meanings=(HalfCycleFlag, TurningSide),
     )
@@ -319,23 +299,23 @@ SWING, SWING_UNCALIBRATED = (
 )
 """One half-cycle."""
 BALANCE, BALANCE_UNCALIBRATED = (
-    _message(f"{prefix}Balance", "/balance", *_balance(unit)) for unit, prefix in _UNITS
+    MessageType(f"{prefix}Balance", "/balance", _balance(unit)) for unit, prefix in _UNITS
 )
 """One state of the balance; without a lever in px, except the line's angle."""
 _PIXELS = (
     *_ints("sequence", "time_ns", "x0_px", "y0_px", "width_px", "height_px", "bytes_per_pixel", "compressed"),
     *_ints(*(f"model_{name}" for name in IntegerGaussian._fields), "bit_planes"),
 )
-WINDOW = _message("Window", "/window", *_PIXELS, tail=(("pixels", "bytes"),))
+WINDOW = MessageType("Window", "/window", _PIXELS, (("pixels", "bytes"),))
 """Pixels row by row: first the low bytes of all, then their high bytes; in a zstd frame if `compressed`.
 
 If `model_inverse_x` is not 0, `pixels` are the bit planes of the pixels minus a model of the spot; see
 `acquisition.record.window_residual`.
 """
-IMAGE = _message("Image", "/image", *_PIXELS, tail=(("pixels", "bytes"),))
+IMAGE = MessageType("Image", "/image", _PIXELS, (("pixels", "bytes"),))
 """A whole frame, stored as a window is."""
-EVENT = _message(
-    "Event", "/event", *_ints("time_ns"), tail=(("kind", "text"), ("text", "text"), ("level", "text"))
+EVENT = MessageType(
+    "Event", "/event", _ints("time_ns"), (("kind", "text"), ("text", "text"), ("level", "text"))
 )
 
 
@@ -347,7 +327,7 @@ class TimedMessage(Protocol):
         """Time of the value in ns on the frames' clock."""
 
 
-_MEASURED_VALUES: Final[dict[str, type[TimedMessage]]] = {
+_VALUE_CLASSES: Final[dict[str, type[TimedMessage] | None]] = {
     "/environment": Environment,
     "/reference": RecordedReference,
     "/witness": RecordedWitness,
@@ -356,18 +336,19 @@ _MEASURED_VALUES: Final[dict[str, type[TimedMessage]]] = {
     "/clock": ClockAnchor,
     "/camera_clock_step": RecordedClockStep,
     "/camera_temperature": CameraTemperature,
-}
-_SESSION_VALUES: Final[dict[str, type[TimedMessage]]] = {
+    LOG_TOPIC: None,
+    CAMERA_TOPIC: None,
     "/phase": RecordedPhase,
     "/light": RecordedLight,
     "/health": RecordedHealth,
     "/estimate": RecordedEstimate,
     "/fitted": RecordedFittedPoint,
 }
-"""Values by which a session states its progress while it measures."""
+"""Classes of the values that have a topic of their own, in the order of the channels; None as in `Topics`."""
 KIND_OF: Final[dict[type[TimedMessage], MessageType]] = {
-    value_class: message_type_of(value_class, f"{PACKAGE}.{value_class.__name__}", topic)
-    for topic, value_class in (_MEASURED_VALUES | _SESSION_VALUES).items()
+    value_class: message_type_of(value_class, topic)
+    for topic, value_class in _VALUE_CLASSES.items()
+    if value_class is not None
 }
 """Types of the messages that hold one value each, by the class of the value."""
 ENVIRONMENT, REFERENCE, WITNESS, CLOCK = (
@@ -385,11 +366,8 @@ Topics: TypeAlias = dict[str, MessageType | None]
 def number_topics(unit: DeflectionUnit) -> Topics:
     """Topics in the file of numbers."""
     topics: Topics = {kind.topic: kind for kind in (*TYPES_BY_UNIT[unit], EVENT)}
-    measured, session = (
-        {topic: KIND_OF[value_class] for topic, value_class in classes.items()}
-        for classes in (_MEASURED_VALUES, _SESSION_VALUES)
-    )
-    return topics | measured | {LOG_TOPIC: None, CAMERA_TOPIC: None} | session
+    kinds = {topic: None if value is None else KIND_OF[value] for topic, value in _VALUE_CLASSES.items()}
+    return topics | kinds
 
 
 PIXEL_TOPICS: Final[Topics] = {WINDOW.topic: WINDOW, IMAGE.topic: IMAGE, PREVIEW_TOPIC: None}

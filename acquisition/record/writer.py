@@ -3,7 +3,6 @@
 In a crash or a power failure at most the last second is lost.
 """
 
-import json
 import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,10 +18,9 @@ from acquisition.record.codec import (
     encode_balance,
     encode_log,
     encode_preview,
+    encode_spots,
     encode_swing,
     encode_window,
-    foxglove_schema,
-    spot_rows,
 )
 from acquisition.record.events import Event, EventKind, Severity
 from acquisition.record.mcap_file import McapFile
@@ -33,7 +31,6 @@ from acquisition.record.topics import (
     IMAGE,
     KIND_OF,
     LOG_TOPIC,
-    METADATA_COPY,
     PIXEL_TOPICS,
     PREVIEW_TOPIC,
     SCHEMA_VERSION,
@@ -44,7 +41,6 @@ from acquisition.record.topics import (
     RecordedNote,
     RecordedReference,
     TimedMessage,
-    Topics,
     number_topics,
 )
 from processing.balance import Balance
@@ -132,10 +128,10 @@ class RecordWriter:
             raise RecordError(
                 f"{pixels_beside(path)}: exists already and is never overwritten; choose another name"
             )
-        self._numbers = McapFile(path, schemas(number_topics(self._unit)), reserve_bytes)
+        self._numbers = McapFile(path, number_topics(self._unit), reserve_bytes)
         self._pixels: McapFile | None = None
-        with self._closing_after_errors():
-            write_metadata(self._numbers, {**(metadata or {}), "record": self._identity}, time.time_ns())
+        with self._writing():
+            self._numbers.add_metadata({**(metadata or {}), "record": self._identity}, time.time_ns())
         for name, data in (attachments or {}).items():
             self.attach(name, data)
         self.flush()
@@ -149,7 +145,7 @@ class RecordWriter:
     @property
     def bytes_written(self) -> int:
         """Present size of both files."""
-        return sum(file.size for file in self._files)
+        return sum(file.disk.size for file in self._files)
 
     def write_spots(
         self,
@@ -166,18 +162,12 @@ class RecordWriter:
         of the deflections is not the record's `deflection_unit`.
         """
         self._check_unit(deflections.unit)
-        rows = spot_rows(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
-        data, size = rows.tobytes(), rows.dtype.itemsize
-        self._require_open()
-        with self._closing_after_errors():
-            for place, (sequence, time_ns) in enumerate(
-                zip(sequences, deflections.times_ns.tolist(), strict=True)
-            ):
-                message = data[place * size : (place + 1) * size]
+        messages = encode_spots(self._spot, sequences, device_times_ns, host_times_ns, spots, deflections)
+        times_ns = deflections.times_ns.tolist()
+        with self._writing():
+            for sequence, time_ns, message in zip(sequences, times_ns, messages, strict=True):
                 self._numbers.add(self._spot.topic, sequence, self._log_time_ns(time_ns), message)
-        for sequence, time_ns, spot in zip(
-            sequences, deflections.times_ns.tolist(), references, strict=bool(references)
-        ):
+        for sequence, time_ns, spot in zip(sequences, times_ns, references, strict=bool(references)):
             self.write(RecordedReference.from_spot(sequence, time_ns, spot))
         self.flush_if_due()
 
@@ -206,11 +196,10 @@ class RecordWriter:
         """The file of pixels, which is created when the first pixels are written."""
         if self._pixels is None:
             try:
-                self._pixels = McapFile(pixels_beside(self.path), schemas(PIXEL_TOPICS), self._reserve_bytes)
+                self._pixels = McapFile(pixels_beside(self.path), PIXEL_TOPICS, self._reserve_bytes)
             except RecordError as error:
                 raise self._close_after_error(str(error)) from error
-            with self._closing_after_errors():
-                write_metadata(self._pixels, {"record": self._identity}, time.time_ns())
+            self._pixels.add_metadata({"record": self._identity}, time.time_ns())
         return self._pixels
 
     def write_swing(self, swing: HalfCycle) -> None:
@@ -226,12 +215,7 @@ class RecordWriter:
         """Write an event, also as a line of the log, which viewers display."""
         event = Event(time_ns, kind, text)
         self._add(EVENT.topic, time_ns, EVENT.encode(*event, event.level))
-        self.write_log(time_ns, _LOG_LEVELS[event.level], "event", event.line)
-
-    def write_log(self, time_ns: int, level: int, source: str, text: str) -> None:
-        """Write a line of the log; `level` as in foxglove.Log (1 debug ... 5 fatal)."""
-        data = encode_log(self._offset_ns + time_ns, level, source, text)
-        self._add(LOG_TOPIC, time_ns, data)
+        self._write_log(event, "event", event.line)
 
     def write_camera_calibration(
         self,
@@ -267,19 +251,23 @@ class RecordWriter:
         data = kind.encode(*[getattr(value, name) for name in kind.names])
         self._add(kind.topic, value.time_ns, data)
         if isinstance(value, RecordedNote):
-            self.write_log(value.time_ns, _LOG_LEVELS[value.event.level], "note", value.event.text)
+            self._write_log(value.event, "note", value.event.text)
+
+    def _write_log(self, event: Event, source: str, text: str) -> None:
+        """Write a line of the log, which viewers display."""
+        data = encode_log(self._offset_ns + event.time_ns, _LOG_LEVELS[event.level], source, text)
+        self._add(LOG_TOPIC, event.time_ns, data)
 
     def attach(self, name: str, data: bytes) -> None:
         """Attach a further file to the record."""
-        self._require_open()
         media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-        with self._closing_after_errors():
+        with self._writing():
             self._numbers.add_attachment(name, media_type, data, time.time_ns())
 
     def flush(self, wait: bool = True) -> None:
         """End the open chunks and force everything to the disk; `wait` until that is done."""
         if not self._closed:
-            with self._closing_after_errors():
+            with self._writing():
                 for file in self._files:
                     file.flush(wait)
                 self._flushed_s = self._clock()
@@ -295,10 +283,20 @@ class RecordWriter:
             return
         self.flush()
         self._closed = True
+        failure = self._finish()
+        if failure is not None:
+            raise self._close_error(failure) from failure
+
+    def _finish(self) -> OSError | None:
+        """Finish both files; returns the first error."""
+        failure = None
         # the pixels first, because a closed file of numbers means that the whole record is closed
-        failures = [failure for file in reversed(self._files) if (failure := _finish_error(file))]
-        if failures:
-            raise self._close_error(failures[0]) from failures[0]
+        for file in reversed(self._files):
+            try:
+                file.finish()
+            except OSError as error:
+                failure = failure or error
+        return failure
 
     @property
     def _files(self) -> list[McapFile]:
@@ -311,17 +309,12 @@ class RecordWriter:
                 "must be written into another record"
             )
 
-    def _require_open(self) -> None:
-        if self._closed:
-            raise RecordError(f"{self.path}: is closed; nothing more can be written")
-
     def _add(self, topic: str, time_ns: int, data: bytes, sequence: int | None = None) -> None:
-        self._require_open()
         if sequence is None:
             sequence = self._sequence
             self._sequence += 1
-        file = self._pixels_file() if topic in PIXEL_TOPICS else self._numbers
-        with self._closing_after_errors():
+        with self._writing():
+            file = self._pixels_file() if topic in PIXEL_TOPICS else self._numbers
             file.add(topic, sequence, self._log_time_ns(time_ns), data)
         self.flush_if_due()
 
@@ -332,11 +325,16 @@ class RecordWriter:
         return logged_ns
 
     @contextmanager
-    def _closing_after_errors(self) -> Iterator[None]:
-        """If the block fails or a disk is full, close the files as far as possible and raise RecordError."""
+    def _writing(self) -> Iterator[None]:
+        """Refuse a closed record; after an error or a full disk close the files as far as possible.
+
+        Both are raised as RecordError.
+        """
+        if self._closed:
+            raise RecordError(f"{self.path}: is closed; nothing more can be written")
         try:
             yield
-            failure = next((file.full for file in self._files if file.full is not None), None)
+            failure = next((file.disk.full for file in self._files if file.disk.full is not None), None)
         except OSError as error:
             failure = error
         if failure is not None:
@@ -346,8 +344,8 @@ class RecordWriter:
         """Close the files with the data that can still be written; return the error to be raised."""
         self._closed = True
         what = f"{self.path}: cannot be written: {why}"
-        lost = sum(file.waiting for file in self._files if file.broken)
-        failures: list[OSError] = []
+        lost = sum(file.waiting for file in self._files if file.disk.broken)
+        failure = None
         try:
             # without an end event, readers could not tell why the run ended
             for kind in (EventKind.RECORD, EventKind.FAILED, EventKind.STOP):
@@ -356,10 +354,11 @@ class RecordWriter:
                 self._numbers.add(EVENT.topic, self._sequence, self._end_ns, reason)
                 self._sequence += 1
         except OSError as error:
-            failures.append(error)
-        failures += [failure for file in reversed(self._files) if (failure := _finish_error(file))]
-        if failures:
-            return self._close_error(failures[0])
+            failure = error
+        unfinished = self._finish()
+        failure = failure or unfinished
+        if failure is not None:
+            return self._close_error(failure)
         rest = f"; the last {lost} messages could not be written" if lost else ""
         return RecordError(f"{what}; the record is closed and readable{rest}")
 
@@ -368,33 +367,6 @@ class RecordWriter:
             f"{self.path}: could not be closed properly: {error.strerror or error}; "
             "rig record recover makes a complete file of it"
         )
-
-
-def schemas(topics: Topics) -> dict[str, tuple[str, bytes]]:
-    """Schema and descriptor of each topic of a file."""
-    return {
-        topic: foxglove_schema(topic) if kind is None else (kind.full_name, kind.descriptor)
-        for topic, kind in topics.items()
-    }
-
-
-def write_metadata(file: McapFile, metadata: Mapping[str, Mapping[str, str]], time_ns: int) -> None:
-    """Write the metadata (texts by key, by section), and two copies as attachments, which have checksums."""
-    for name, texts in metadata.items():
-        file.add_metadata(name, texts)
-    copy = json.dumps({name: dict(texts) for name, texts in metadata.items()}, ensure_ascii=False)
-    for _ in range(2):
-        # two, so that one changed bit of a truncated file does not make it unreadable
-        file.add_attachment(METADATA_COPY, "application/json", copy.encode(), time_ns)
-
-
-def _finish_error(file: McapFile) -> OSError | None:
-    """Finish a file; returns the error if that fails."""
-    try:
-        file.finish()
-    except OSError as error:
-        return error
-    return None
 
 
 def compile_window(image: Image, spot: Spot) -> None:

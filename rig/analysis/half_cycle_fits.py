@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from acquisition.record import pixels_beside
-from acquisition.record.digest import cached_sha256_of_path
+from acquisition.record.digest import cached_sha256
 from calibration import Axes
 from processing.ambient import AmbientConditions
 from processing.decay_summary import mean_period
@@ -206,7 +206,7 @@ def _head(path: Path, points: TurningPoints, unit: DeflectionUnit) -> dict[str, 
 def _sha256_if_readable(path: Path) -> str:
     """Hash by which results find their record; empty where its disk cannot give all of it."""
     try:
-        return cached_sha256_of_path(path)
+        return cached_sha256(path)
     except RecordError:
         return ""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.record.digest import cached_sha256_of_path
+from acquisition.record.digest import cached_sha256
 from processing.contact import StatedLaw
 from processing.contact.laws import Law
 from processing.decay_summary import DecaySummary, summarise_decay
@@ -255,7 +255,7 @@ def _analyse(
     points = turning_points(swings)
     summary = summarise_decay(points)
     problem = missing_for_laws(trajectory, config)
-    sha256 = cached_sha256_of_path(path)
+    sha256 = cached_sha256(path)
     run = AnalysedRun(path=path, record=relative_record(path, Path.cwd()), sha256=sha256, problem=problem)
     if config is not None and not problem:
         zero_ns, absolute = trajectory.first_ns, seconds(trajectory.first_ns) > FIRST_UTC_S

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from acquisition.record import records_of, recovered_beside
-from acquisition.record.digest import cached_sha256_of_path, sha256_of, utc
+from acquisition.record.digest import cached_sha256, sha256_of, utc
 from acquisition.record.events import EARLY_ENDS, end_of
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WINDOW
@@ -140,7 +140,7 @@ def _table_row(folder: Path, decay: RunResults, number: int) -> Row:
     row |= decay.surroundings.known() if decay.surroundings is not None else {}
     if not path.exists():
         row |= {"state": "missing", "flaw": "results name a table that is not there"}
-    elif cached_sha256_of_path(path) != decay.sha256:
+    elif cached_sha256(path) != decay.sha256:
         row |= {"state": "damaged", "flaw": "the table has changed since the results were made"}
     return row | results_row(decay)
 
@@ -153,23 +153,25 @@ def _record_row(path: Path, run: RunResults | None) -> Row:
     row: Row = {"sha256": sha256_of(path), "record_bytes": path.stat().st_size, "state": "whole"}
     try:
         with RecordReader(path) as reader:
-            contents = reader.contents
             if reader.truncated:
                 row["state"] = "cut"
                 row["flaw"] = (
                     "no footer: it is being measured, or was cut short (rig record recover completes it)"
                 )
             elif not reader.sound:
-                row |= {"state": "damaged", "flaw": "; ".join(contents.damage) or "its bytes have changed"}
+                row |= {
+                    "state": "damaged",
+                    "flaw": "; ".join(one.description for one in reader.damages) or "its bytes have changed",
+                }
             elif (end := end_of(reader.events())) is None or end.kind in EARLY_ENDS:
                 flaw = "it has no end" if end is None else f"{end.kind}: {end.text}"
                 row |= {"state": "cut short", "flaw": flaw}
             if not reader.truncated:
                 # a truncated record lacks the counts
                 row["windows"] = "recorded" if reader.counts.get(WINDOW.topic) else "none"
-            if contents.start_ns:
-                row["began_utc"] = utc(contents.start_ns).replace(tzinfo=None)
-                row["duration_s"] = seconds(contents.end_ns - contents.start_ns)
+            if reader.numbers.start_ns:
+                row["began_utc"] = utc(reader.numbers.start_ns).replace(tzinfo=None)
+                row["duration_s"] = seconds(reader.numbers.end_ns - reader.numbers.start_ns)
             session, camera, versions = (
                 reader.metadata.get(name, {}) for name in ("session", "camera", "versions")
             )

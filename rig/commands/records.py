@@ -40,32 +40,29 @@ def _print_info(path: Path) -> None:
     from rig.terminal import answer, print_line
 
     with RecordReader(path) as reader:
-        contents, metadata = reader.contents, reader.metadata
+        numbers, metadata = reader.numbers, reader.metadata
         losses, counts, files = reader.losses(), reader.counts, reader.files
         swings, unit = reader.swings(), reader.deflection_unit
+        attachments = {name: len(next(numbers.copies(name), b"")) for name in numbers.attachments}
+        damage = [one.description for one in reader.damages]
     clean = [swing.amplitude / unit.shown_size for swing in swings if not swing.flags]
     amplitude = f"{clean[0]:.2f} to {clean[-1]:.2f} {unit.shown}" if clean else "none"
     half_cycles = f"{len(swings)}, {len(swings) - len(clean)} of them flagged"
     result = _result(path)
     sizes = []
     for file in files:
-        held = file.contents
-        state = (
-            "whole"
-            if held.whole
-            else f"cut short after {_size(held.readable_bytes)} (see rig record recover)"
-        )
-        sizes.append(f"{file.path}: {_size(held.size)}, {state}")
+        cut = f"cut short after {_size(file.readable_bytes)} (see rig record recover)"
+        sizes.append(f"{file.path}: {_size(file.size)}, {'whole' if file.whole else cut}")
     print_line(sizes[0])
     for name, text in (("amplitude", amplitude), ("half-cycles", half_cycles), ("result", result)):
         print_line(f"{name:<12} {text}")
     for line in sizes[1:]:
         print_line(line)
-    print_line(f"schema {int(metadata['record']['schema_version'])}, written by {contents.library}")
-    if contents.start_ns:
+    print_line(f"schema {int(metadata['record']['schema_version'])}, written by {numbers.library}")
+    if numbers.start_ns:
         when = " of simulated time" if RecordedCamera.from_metadata(metadata).simulated else ""
-        lasted_s = seconds(contents.end_ns - contents.start_ns)
-        print_line(f"{utc_text(contents.start_ns)} to {utc_text(contents.end_ns)}, {lasted_s:.1f} s{when}")
+        lasted_s = seconds(numbers.end_ns - numbers.start_ns)
+        print_line(f"{utc_text(numbers.start_ns)} to {utc_text(numbers.end_ns)}, {lasted_s:.1f} s{when}")
     for topic, count in counts.items():
         print_line(f"  {topic:<20} {count}")
     if losses is not None:
@@ -76,9 +73,8 @@ def _print_info(path: Path) -> None:
             print_line(f"{section}")
             for key, text in filled.items():
                 print_line(f"  {key:<20} {text}")
-    for name, size in contents.attachments.items():
+    for name, size in attachments.items():
         print_line(f"attachment {name} ({_size(size)})")
-    damage = [text for file in files for text in file.contents.damage]
     for problem in damage:
         print_line(f"problem: {problem}")
     answer(
@@ -89,14 +85,14 @@ def _print_info(path: Path) -> None:
                 "amplitude_unit": unit.shown,
                 "half_cycles": len(swings),
                 "result": result,
-                "size_bytes": sum(file.contents.size for file in files),
-                "whole": all(file.contents.whole for file in files),
-                "start_ns": contents.start_ns,
-                "end_ns": contents.end_ns,
+                "size_bytes": sum(file.size for file in files),
+                "whole": all(file.whole for file in files),
+                "start_ns": numbers.start_ns,
+                "end_ns": numbers.end_ns,
                 "messages": dict(counts),
                 "frames_lost": losses,
                 "metadata": metadata,
-                "attachments": contents.attachments,
+                "attachments": attachments,
                 "damage": damage,
             }
         ]
@@ -193,8 +189,6 @@ def recover(
         topics = ", ".join(damage.topics)
         span = f"{topics} from {utc_text(damage.start_ns)} to {utc_text(damage.end_ns)}: " if topics else ""
         print_line(f"lost: {span}{damage.description}")
-    for text in recovery.damage:
-        print_line(f"damaged: {text}")
 
 
 def _size(count: int) -> str:

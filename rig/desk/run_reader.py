@@ -10,7 +10,7 @@ from typing import Any
 
 from acquisition.frames.queue import taken_from
 from acquisition.record.reader import Piece, RecordReader
-from acquisition.record.topics import KIND_OF, SPOT, RecordedFittedPoint
+from acquisition.record.topics import SPOT, RecordedFittedPoint
 from processing.balance import Balance
 from processing.deflections import Deflections
 from processing.errors import RecordError
@@ -106,14 +106,14 @@ class RecordFollower:
         if self._start_ns is None:
             if SPOT.topic not in piece:
                 return
-            self._start_ns = int(reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
+            self._start_ns = int(reader.table(SPOT.topic, piece)["time_ns"][0])
         start_ns, size = self._start_ns, reader.deflection_unit.shown_size
         told = piece_contents(reader, piece, start_ns, start_ns)
         if told.balances and self.config is not None:
             self.balance = _told(self.config, told.balances[-1])
         with self._lock:
             if SPOT.topic in piece:
-                deflections = reader.deflections(reader.rows(SPOT.topic, piece[SPOT.topic]))
+                deflections = reader.deflections(reader.table(SPOT.topic, piece))
                 self._path.append(deflections)
                 while deflections.times_ns[-1] - self._path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     self._path.popleft()
@@ -123,7 +123,7 @@ class RecordFollower:
                     self._swings["amplitude"].append((at_s, round(swing.amplitude / size, _DIGITS)))
                     if math.isfinite(swing.half_period_s):
                         self._swings["period"].append((at_s, round(2.0 * swing.half_period_s, _DIGITS)))
-            points = reader.values(RecordedFittedPoint, piece.get(KIND_OF[RecordedFittedPoint].topic, ()))
+            points = reader.values(RecordedFittedPoint, piece)
             if points:
                 # those of an earlier fit are forgotten
                 last_ns = points[-1].time_ns

@@ -180,7 +180,7 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
     """The configuration that a record was made with, with ``KEY=VALUE`` overrides applied."""
     attachment = reader.attachments.get(CONFIGURATION_NAME)
     if attachment is None:
-        if CONFIGURATION_NAME in reader.contents.attachment_places or reader.contents.damage:
+        if CONFIGURATION_NAME in reader.numbers.attachments or reader.numbers.damages:
             raise RecordError(
                 f"{reader.path}: its configuration is damaged and no copy is intact, so the settings "
                 "of the measurement are unknown; restore the record from a backup"

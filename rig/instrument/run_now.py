@@ -10,10 +10,6 @@ from acquisition.frames.losses import FrameLosses
 from acquisition.record.events import Event
 from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import (
-    BALANCE,
-    EVENT,
-    KIND_OF,
-    SWING,
     Environment,
     RecordedClockStep,
     RecordedEstimate,
@@ -127,18 +123,14 @@ class RecordContents(NamedTuple):
 
 def piece_contents(reader: RecordReader, piece: Piece, start_ns: int, last_ns: int) -> RecordContents:
     """The contents of a piece of a record; notes are among the events."""
-    notes = reader.values(RecordedNote, piece.get(KIND_OF[RecordedNote].topic, ()))
+    notes = reader.values(RecordedNote, piece)
     return RecordContents(
         start_ns,
         last_ns,
-        reader.swings(piece.get(SWING.topic, ())),
-        reader.balances(piece.get(BALANCE.topic, ())),
-        [*reader.events(piece.get(EVENT.topic, ())), *(note.event for note in notes)],
-        [
-            value
-            for value_class in _STATES
-            for value in reader.values(value_class, piece.get(KIND_OF[value_class].topic, ()))
-        ],
+        reader.swings(piece),
+        reader.balances(piece),
+        [*reader.events(piece), *(note.event for note in notes)],
+        [value for value_class in _STATES for value in reader.values(value_class, piece)],
     )
 
 

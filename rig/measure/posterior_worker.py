@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.record.reader import Piece, RecordReader
-from acquisition.record.topics import REFERENCE, SPOT, SWING, RecordedFittedPoint
+from acquisition.record.topics import REFERENCE, SPOT, RecordedFittedPoint
 from calibration import Axes
 from processing.balance import Balance
 from processing.contact import AMPLITUDE, TIME, PendulumOnBall, turning_points_of
@@ -207,14 +207,14 @@ class FollowedMotion:
             deflector = optics.deflector(frame_shape(reader))
             self._beam_correction = BeamCorrection(deflector, optics.reference_gain, threaded=False)
         # rows of frames of which only one of the two spots is flushed yet
-        self._spots, self._references = (reader.rows(kind.topic, ()) for kind in (SPOT, REFERENCE))
+        self._spots, self._references = (reader.table(kind.topic, {}) for kind in (SPOT, REFERENCE))
 
     def unread(self) -> Iterator[tuple[Sequence[HalfCycle], Deflections]]:
         """Half-cycles, and deflections up to them, that were flushed since the last call, piece by piece."""
         for piece in self._reader.unread():
-            spots = self._reader.rows(SPOT.topic, piece.get(SPOT.topic, ()))
+            spots = self._reader.table(SPOT.topic, piece)
             if self._beam_correction is None:
-                swings = self._reader.swings(piece.get(SWING.topic, ()))
+                swings = self._reader.swings(piece)
                 yield swings, self._reader.deflections(spots)
             else:
                 yield self._corrected(self._beam_correction, spots, piece)
@@ -222,7 +222,7 @@ class FollowedMotion:
     def _corrected(
         self, correction: BeamCorrection, spots: NDArray[Any], piece: Piece
     ) -> tuple[Sequence[HalfCycle], Deflections]:
-        new = self._reader.rows(REFERENCE.topic, piece.get(REFERENCE.topic, ()))
+        new = self._reader.table(REFERENCE.topic, piece)
         spots, references = np.append(self._spots, spots), np.append(self._references, new)
         both = min(len(spots), len(references))
         self._spots, self._references = spots[both:], references[both:]

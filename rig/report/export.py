@@ -97,7 +97,8 @@ def _read_run(path: Path, results: RunResults | None) -> ExportData:
         spots, swings = reader.table(SPOT.topic), reader.table(SWING.topic)
         began, ended = (utc(time_ns).isoformat() for time_ns in _span_ns(reader, spots))
         notes = tuple(reader.doubts())
-        if configuration is None and CONFIGURATION_NAME in reader.contents.attachment_places:
+        held = reader.numbers
+        if configuration is None and (CONFIGURATION_NAME in held.attachments or held.damages):
             notes = (*notes, "the configuration is damaged and not part of this export")
     provenance["sha256"] = cached_sha256(path)
     if results is not None and results.sha256 != provenance["sha256"]:
@@ -113,7 +114,7 @@ def _read_run(path: Path, results: RunResults | None) -> ExportData:
 def _span_ns(reader: RecordReader, spots: NDArray[Any]) -> tuple[int, int]:
     """UTC of the first and the last frame; without frames of the first and the last message."""
     if not len(spots):
-        return reader.contents.start_ns, reader.contents.end_ns
+        return reader.numbers.start_ns, reader.numbers.end_ns
     first_ns, last_ns = int(spots["time_ns"][0]), int(spots["time_ns"][-1])
     return first_ns + reader.epoch_offset_ns, last_ns + reader.epoch_offset_ns
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from acquisition.record.events import EventKind
 from acquisition.record.reader import Piece, RecordReader
 from acquisition.record.topics import (
-    EVENT,
     REFERENCE,
     SPOT,
     RecordedEstimate,
@@ -105,8 +104,8 @@ class RecordDrawer:
     def _first_ns(self, piece: Piece) -> int | None:
         """Time of the run's first frame, from the first piece that contains it; else None."""
         if SPOT.topic in piece:
-            return int(self._reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
-        events = self._reader.events(piece.get(EVENT.topic, ()))
+            return int(self._reader.table(SPOT.topic, piece)["time_ns"][0])
+        events = self._reader.events(piece)
         return next((event.time_ns for event in events if event.kind == EventKind.START), None)
 
     def _run_s(self, times_ns: int) -> float:
@@ -120,7 +119,7 @@ class RecordDrawer:
         self._draw_balances(contents.balances)
         for topic, draw in ((SPOT.topic, self._draw_spots), (REFERENCE.topic, self._draw_references)):
             if topic in piece:
-                draw(reader.rows(topic, piece[topic]))
+                draw(reader.table(topic, piece))
         self._draw_half_cycles(contents.swings)
         for event in contents.events:
             if event.kind == EventKind.ADVICE:
@@ -192,7 +191,7 @@ class RecordDrawer:
 
     def _draw_pictures(self, *, at_end: bool = False) -> None:
         """Draw the pictures whose spots are known, or all that are left."""
-        until_ns = self._reader.contents.end_ns if at_end else self._last_ns
+        until_ns = self._reader.numbers.end_ns if at_end else self._last_ns
         self._pictures.extend(self._reader.unread_pictures(self._picture_interval_ns, until_ns))
         while self._pictures and (at_end or self._pictures[0][0] < self._next_sequence):
             sequence, time_ns, jpeg = self._pictures.popleft()

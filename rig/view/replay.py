@@ -113,7 +113,7 @@ class Replay:
         if head is None:
             raise RecordError(f"{reader.path}: contains no spots; there is nothing to replay")
         self.start_ns = int(head["time_ns"][0])
-        self._last_ns = max(reader.contents.end_ns - reader.epoch_offset_ns, self.start_ns)
+        self._last_ns = max(reader.numbers.end_ns - reader.epoch_offset_ns, self.start_ns)
         self._steps = [(one.time_ns, one.step_ns) for one in reader.values(RecordedClockStep)]
         if from_s > seconds(self._last_ns - self.start_ns):
             length_s = seconds(self._last_ns - self.start_ns)

@@ -272,7 +272,7 @@ def _parameters(readers: Sequence[RecordReader], config: Configuration | None) -
         and config.instrument.description().report == "contact"
         and pendulum_on_ball(config) is not None
     )
-    if not fitted or (readers[0].contents.whole and KIND_OF[RecordedHealth].topic not in readers[0].counts):
+    if not fitted or (readers[0].numbers.whole and KIND_OF[RecordedHealth].topic not in readers[0].counts):
         return ()
     return DEFAULT_LAW.fit_names(calibrated=True, drag=config.fit.fits_drag)[:-2]
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import check_record
-from acquisition.record.chunk import messages_in
 from acquisition.record.reader import RecordReader
 from processing.errors import RecordError
 from tests.acquisition.record.samples import BLOCK, write_sample
@@ -102,8 +101,10 @@ def _frames_by_chunk(path: Path, damaged: Path) -> list[tuple[int, int]]:
     """Of every chunk of one file its end, and how many spots or windows it holds."""
     with RecordReader(path) as reader:
         file = next(file for file in reader.files if file.path == damaged)
-        wanted = frozenset(n for n, topic in file.contents.channels.items() if topic in ("/spot", "/window"))
         return [
-            (place.offset + place.length, len(messages_in(file.open_chunk(place), wanted)))
-            for place in file.contents.chunks
+            (
+                place.offset + place.length,
+                sum(one.topic in ("/spot", "/window") for one in file.messages(place)),
+            )
+            for place in file.chunks
         ]

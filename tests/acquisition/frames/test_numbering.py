@@ -1,7 +1,9 @@
 """A camera's clock that errs: nothing of it ends a run, and every frame keeps a time or is counted."""
 
 import time
+from collections.abc import Iterable
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 
 from acquisition.camera import Frame
 from acquisition.frames.numbering import FrameLine
+from acquisition.record.topics import RecordedClockStep
 
 IMAGE = np.zeros((2, 2), np.uint8)
 RATE_HZ = 25.0
@@ -18,9 +21,16 @@ HOST_NS = time.monotonic_ns() - 10**14
 """No frame of these hours is in the future of the computer's clock, which a line refuses."""
 
 
-def joined(
-    device_ns: list[int], late_ms: list[float] | None = None
-) -> tuple[list[Frame], FrameLine, list[str]]:
+class Carried(NamedTuple):
+    """What a line lets through of a camera's frames, and says of them."""
+
+    frames: list[Frame]
+    clock: FrameLine
+    notes: list[str]
+    steps: list[RecordedClockStep]
+
+
+def joined(device_ns: list[int], late_ms: list[float] | None = None) -> Carried:
     """Frames that a line lets through, of times at a steady rate."""
     rng = np.random.default_rng(5)
     late = late_ms or [0.0] * len(device_ns)
@@ -31,14 +41,15 @@ def joined(
     return carried(device_ns, host_ns)
 
 
-def carried(times: list[int], host_ns: list[int]) -> tuple[list[Frame], FrameLine, list[str]]:
+def carried(times: list[int], host_ns: list[int], numbers: Iterable[int] | None = None) -> Carried:
     """Frames with numbers that go on whatever is lost, as of a camera that was reset."""
-    clock, frames, notes = FrameLine(in_real_time=True), [], []
-    for number, (time_ns, arrived_ns) in enumerate(zip(times, host_ns, strict=True)):
-        found = clock.take(Frame(IMAGE.copy(), number, time_ns, arrived_ns))
-        frames += found.frames
-        notes += [text for _, text in found.notes]
-    return frames, clock, notes
+    all_of = Carried([], FrameLine(in_real_time=True), [], [])
+    for number, time_ns, arrived_ns in zip(numbers or range(len(times)), times, host_ns, strict=True):
+        found = all_of.clock.take(Frame(IMAGE.copy(), number, time_ns, arrived_ns))
+        all_of.frames.extend(found.frames)
+        all_of.notes.extend(text for _, text in found.notes)
+        all_of.steps.extend(found.steps)
+    return all_of
 
 
 def steady(count: int = 300, first_ns: int = 10**9) -> list[int]:
@@ -59,7 +70,7 @@ def off_ns(frames: list[Frame]) -> float:
 def test_a_single_wrong_time_is_left_out_and_counted(wrong: int) -> None:
     times = steady()
     times[100] = wrong
-    frames, clock, notes = joined(times)
+    frames, clock, notes, _ = joined(times)
     assert [one.sequence for one in frames] == [n for n in range(300) if n != 100]
     assert clock.rejected == 1
     assert len(notes) == 1
@@ -70,7 +81,7 @@ def test_a_single_wrong_time_is_left_out_and_counted(wrong: int) -> None:
 def test_a_step_is_found_named_and_taken_off(step_ms: float) -> None:
     step_ns = round(step_ms * 1e6)
     times = [t + step_ns * (n >= 120) for n, t in enumerate(steady())]
-    frames, clock, notes = joined(times)
+    frames, clock, notes, _ = joined(times)
     assert [one.sequence for one in frames] == list(range(300))
     assert clock.rejected == 0
     assert len(notes) == 1
@@ -82,7 +93,7 @@ def test_a_step_is_found_named_and_taken_off(step_ms: float) -> None:
 
 def test_a_counter_of_32_bits_is_unwrapped_and_said_once_after_its_first() -> None:
     times = [t % 2**32 for t in steady(700)]
-    frames, clock, notes = joined(times)
+    frames, clock, notes, _ = joined(times)
     assert [one.sequence for one in frames] == list(range(700))
     assert clock.wraps >= 4
     assert len(notes) == 2
@@ -91,7 +102,7 @@ def test_a_counter_of_32_bits_is_unwrapped_and_said_once_after_its_first() -> No
 
 
 def test_a_first_time_that_is_wrong_moves_the_others() -> None:
-    frames, _, notes = joined([0, *steady()[1:]])
+    frames, _, notes, _ = joined([0, *steady()[1:]])
     assert [one.sequence for one in frames] == list(range(300))
     assert len(notes) == 1
     assert off_ns(frames) < 5e6
@@ -111,26 +122,17 @@ def test_frames_that_are_read_late_or_lost_are_no_fault_of_the_clock(
         at = 40 + 50 * place
         behind[at:] = np.maximum(behind[at:], late_ms - 40.0 * np.arange(300 - at))
     times = steady()
-    frames, clock, notes = joined(times, behind.tolist())
+    frames, clock, notes, _ = joined(times, behind.tolist())
     assert (len(frames), clock.rejected, notes) == (300, 0, [])
-    kept = [(n, t) for n, t in enumerate(times) if n not in lost]
-    again = FrameLine(in_real_time=True)
-    through = [
-        one for n, t in kept for one in again.take(Frame(IMAGE, n, t, HOST_NS + n * INTERVAL_NS)).frames
-    ]
-    assert len(through) == len(kept)
+    kept = [n for n in range(300) if n not in lost]
+    again = carried([times[n] for n in kept], [HOST_NS + n * INTERVAL_NS for n in kept], kept)
+    assert len(again.frames) == len(kept)
 
 
 def test_a_rate_that_changes_is_no_step() -> None:
-    times = np.cumsum([INTERVAL_NS] * 100 + [2 * INTERVAL_NS] * 100 + [INTERVAL_NS // 2] * 100)
-    clock = FrameLine(in_real_time=True)
-    frames = [
-        one
-        for n, t in enumerate(times.tolist())
-        for one in clock.take(Frame(IMAGE, n, t, HOST_NS + t + 10**6 * (n % 3))).frames
-    ]
-    assert len(frames) == 300
-    assert clock.rejected == 0
+    times = np.cumsum([INTERVAL_NS] * 100 + [2 * INTERVAL_NS] * 100 + [INTERVAL_NS // 2] * 100).tolist()
+    frames, clock, _, _ = carried(times, [HOST_NS + t + 10**6 * (n % 3) for n, t in enumerate(times)])
+    assert (len(frames), clock.rejected) == (300, 0)
 
 
 def arrivals(times: list[int]) -> list[int]:
@@ -142,7 +144,7 @@ def test_where_frames_without_numbers_are_missing_the_computer_s_clock_says_the_
     """The camera was reset for 0.98 s: its clock begins again, and its numbers go on by one."""
     true = [n * INTERVAL_NS + (980_000_000 if n >= 120 else 0) for n in range(300)]
     shown = [t + 7 * 10**9 if n < 120 else t - true[120] for n, t in enumerate(true)]
-    frames, _, notes = carried(shown, arrivals(true))
+    frames, _, notes, _ = carried(shown, arrivals(true))
     assert [one.sequence for one in frames] == list(range(300))
     off = [one.device_time_ns - 7 * 10**9 - t for one, t in zip(frames, true, strict=True)]
     assert max(map(abs, off)) < 3e6
@@ -154,7 +156,7 @@ def test_readings_that_have_become_later_meanwhile_do_not_make_the_step_smaller(
     true = [n * INTERVAL_NS + (980_000_000 if n >= 600 else 0) for n in range(700)]
     shown = [t + 7 * 10**9 if n < 600 else t - true[600] for n, t in enumerate(true)]
     host = [ns + 12_000_000 * (n >= 50) for n, ns in enumerate(arrivals(true))]
-    frames, _, notes = carried(shown, host)
+    frames, _, notes, _ = carried(shown, host)
     assert len(notes) == 1
     assert max(abs(one.device_time_ns - 7 * 10**9 - true[one.sequence]) for one in frames) < 3e6
 
@@ -164,7 +166,7 @@ def test_a_step_while_the_reader_hangs_is_as_exact_as_the_camera_s_rate() -> Non
     host = arrivals([n * INTERVAL_NS for n in range(300)])
     for n in range(118, 134):
         host[n] = host[134] - 10_000 * (134 - n)
-    frames, _, notes = carried(times, host)
+    frames, _, notes, _ = carried(times, host)
     assert len(frames) == 300
     assert len(notes) == 1
     assert off_ns(frames) < 20e3
@@ -176,7 +178,7 @@ def test_what_is_missing_without_numbers_while_the_reader_hangs_for_long_is_no_s
     host = arrivals(true)
     for n in range(110, 260):
         host[n] = host[260] - 10_000 * (260 - n)
-    frames, _, notes = carried([10**9 + t for t in true], host)
+    frames, _, notes, _ = carried([10**9 + t for t in true], host)
     assert [one.sequence for one in frames] == list(range(400))
     off = [one.device_time_ns - 10**9 - t for one, t in zip(frames, true, strict=True)]
     assert max(map(abs, off)) < 3e6
@@ -207,7 +209,7 @@ def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_car
         "anything": rng.integers(0, 2**62, 300).tolist(),
     }[shows]
     times = [t if n < 120 else wrong[n] for n, t in enumerate(steady())]
-    frames, clock, notes = joined(times)
+    frames, clock, notes, _ = joined(times)
     assert [one.sequence for one in frames] == list(range(300))
     assert clock.rejected == 0
     assert len(notes) == 1
@@ -222,19 +224,16 @@ def test_a_clock_that_makes_no_sense_any_more_is_given_up_and_the_computer_s_car
 
 
 def test_a_clock_that_never_shows_a_time_is_given_up_at_the_start() -> None:
-    frames, _, notes = joined([2**64 - 1] * 50)
+    frames, _, notes, _ = joined([2**64 - 1] * 50)
     assert [one.sequence for one in frames] == list(range(50))
     assert len(notes) == 1
     assert off_ns(frames) < 5e6
 
 
 def test_a_step_says_its_size_and_what_is_not_known_of_it() -> None:
-    clock, steps = FrameLine(in_real_time=True), []
-    for n, t in enumerate(steady()):
-        shown = (t + 130_000_000 * (n >= 120)) % 2**32
-        steps += clock.take(Frame(IMAGE.copy(), n, shown, HOST_NS + n * INTERVAL_NS)).steps
+    shown = [(t + 130_000_000 * (n >= 120)) % 2**32 for n, t in enumerate(steady())]
+    _, clock, _, (step,) = carried(shown, [HOST_NS + n * INTERVAL_NS for n in range(300)])
     assert clock.wraps == 2
-    (step,) = steps
     assert abs(step.step_ns - 130_000_000) < 4 * step.u_step_ns < 100_000
 
 
@@ -244,7 +243,7 @@ def test_first_frames_that_waited_for_their_reader_are_no_step(rate_hz: float) -
     each_ns = round(1e9 / rate_hz)
     times = [10**9 + n * each_ns for n in range(60)]
     host_ns = [max(HOST_NS + t, HOST_NS + times[3] + 5_000_000 + n * 300_000) for n, t in enumerate(times)]
-    frames, _, notes = carried(times, host_ns)
+    frames, _, notes, _ = carried(times, host_ns)
     assert notes == []
     assert [one.device_time_ns for one in frames] == times
 
@@ -265,7 +264,7 @@ def test_times_never_run_backwards_however_irregularly_a_camera_without_numbers_
     late = [*late_ms, *[0.0] * 60]
     read_ns = np.maximum.accumulate([t + round(1e6 * late[n]) + 1000 * n for n, t in enumerate(true)])
     times = [10**9 + t + round(1e6 * step_ms) * (n >= at) for n, t in enumerate(true)]
-    frames, _, _ = carried(times, [HOST_NS + int(ns) for ns in read_ns])
+    frames = carried(times, [HOST_NS + int(ns) for ns in read_ns]).frames
     found = [one.device_time_ns for one in frames]
     assert all(later > earlier for earlier, later in pairwise(found))
 
@@ -286,7 +285,7 @@ def rising_by(intervals: list[int]) -> list[int]:
 def test_a_rate_that_changes_while_the_reader_hangs_is_no_senseless_clock(rate_hz: float) -> None:
     """No clock erred: every time is the camera's own, none is made of when a frame was read."""
     true = rising_by([INTERVAL_NS] * 120 + [round(1e9 / rate_hz)] * 200)
-    frames, clock, notes = carried([10**9 + t for t in true], hanging(true, 110, 160))
+    frames, clock, notes, _ = carried([10**9 + t for t in true], hanging(true, 110, 160))
     assert [one.device_time_ns - 10**9 for one in frames] == true
     assert (clock.rejected, notes) == (0, [])
 
@@ -299,7 +298,7 @@ def test_several_gaps_without_numbers_in_one_hang_lose_no_frame_and_move_none(
     """Also where the rate has changed before them, so that their times cross what the old one expects."""
     each = [INTERVAL_NS // (rate if n > 115 else 1) for n in range(1, 300)]
     true = rising_by([each_ns * (1 + gaps.get(n, 0)) for n, each_ns in enumerate(each, 1)])
-    frames, clock, notes = carried([10**9 + t for t in true], hanging(true, 110, 160))
+    frames, clock, notes, _ = carried([10**9 + t for t in true], hanging(true, 110, 160))
     assert [one.device_time_ns - 10**9 for one in frames] == true
     assert (clock.rejected, notes) == (0, [])
 
@@ -309,7 +308,7 @@ def test_several_gaps_without_numbers_in_one_hang_lose_no_frame_and_move_none(
 def test_a_step_behind_a_gap_in_one_hang_is_taken_off_from_where_it_was(step_ms: float, gap: int) -> None:
     true = rising_by([INTERVAL_NS * (1 + gap * (n == 120)) for n in range(1, 300)])
     shown = [10**9 + t + round(1e6 * step_ms) * (n >= 135) for n, t in enumerate(true)]
-    frames, clock, notes = carried(shown, hanging(true, 110, 160))
+    frames, clock, notes, _ = carried(shown, hanging(true, 110, 160))
     assert [one.sequence for one in frames] == list(range(300))
     assert max(abs(one.device_time_ns - 10**9 - t) for one, t in zip(frames, true, strict=True)) < 3e6
     assert clock.rejected == 0
@@ -323,7 +322,7 @@ def test_a_long_hang_teaches_nothing_of_how_late_frames_are() -> None:
     host = hanging(true, 100, 600)
     for n in range(690, 720):
         host[n] = host[720] - 10_000 * (720 - n)
-    frames, clock, notes = carried([10**9 + t for t in true], host)
+    frames, clock, notes, _ = carried([10**9 + t for t in true], host)
     assert [one.device_time_ns - 10**9 for one in frames] == true
     assert (clock.rejected, notes) == (0, [])
 
@@ -331,7 +330,7 @@ def test_a_long_hang_teaches_nothing_of_how_late_frames_are() -> None:
 def test_a_wrong_time_among_frames_that_were_read_late_is_left_out_alone() -> None:
     true = rising_by([INTERVAL_NS * (1 + 5 * (n == 120)) for n in range(1, 300)])
     shown = [10**9 + t + 27_000_000 * (n == 130) for n, t in enumerate(true)]
-    frames, clock, notes = carried(shown, hanging(true, 110, 160))
+    frames, clock, notes, _ = carried(shown, hanging(true, 110, 160))
     assert [one.sequence for one in frames] == [n for n in range(300) if n != 130]
     assert max(abs(one.device_time_ns - 10**9 - true[one.sequence]) for one in frames) == 0
     assert clock.rejected == 1
@@ -344,12 +343,8 @@ def test_a_step_belongs_to_the_frame_after_it_however_many_waited_before(gap: in
     """As recorded, it is taken off the times from that frame on."""
     true = rising_by([INTERVAL_NS * (1 + gap * (n == 120)) for n in range(1, 300)])
     shown = [10**9 + t + 130_000_000 * (n >= 135) for n, t in enumerate(true)]
-    clock, steps, times = FrameLine(in_real_time=True), [], {}
-    for n, (time_ns, host_ns) in enumerate(zip(shown, hanging(true, 110, 160), strict=True)):
-        seen = clock.take(Frame(IMAGE, n, time_ns, host_ns))
-        steps += seen.steps
-        times |= {one.sequence: one.time_ns for one in seen.frames}
-    assert [step.time_ns for step in steps] == [times[135]]
+    frames, _, _, (step,) = carried(shown, hanging(true, 110, 160))
+    assert step.time_ns == {one.sequence: one.time_ns for one in frames}[135]
 
 
 def joined_one(line: FrameLine, number: int, device_ns: int, host_ns: int) -> tuple[Frame, str]:

@@ -90,7 +90,6 @@ def write_sample(
                 writer.write_image(frame)
                 writer.write_preview(frame)
                 writer.write(Environment(time_ns, 21.5, np.nan, 101325.0))
-            writer.write_log(time_ns, 2, "session", f"block {first}")
             writer.flush()
         writer.write_event(frames * FRAME_NS, "stop", "amplitude below 2 arcsec")
     return done

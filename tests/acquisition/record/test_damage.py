@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import Finding, check_record
-from acquisition.record.chunk import Contents
+from acquisition.record.chunk import ChunkPlace
 from acquisition.record.digest import sha256_of
 from acquisition.record.read_file import ReadFile
 from acquisition.record.reader import RecordReader
@@ -58,10 +58,10 @@ def whole(both: Files) -> bytes:
     return both.numbers
 
 
-def contents_of(path: Path) -> Contents:
+def chunks_of(path: Path) -> list[ChunkPlace]:
     file = ReadFile(path)
     file.close()
-    return file.contents
+    return list(file.chunks)
 
 
 def errors(findings: list[Finding]) -> list[str]:
@@ -74,18 +74,14 @@ def flipped(data: bytes, place: int, bit: int = 0) -> bytes:
     return bytes(changed)
 
 
-def test_a_whole_record_has_no_findings(tmp_path: Path, both: Files) -> None:
+def test_a_whole_record_has_no_findings_also_without_its_pixels(tmp_path: Path, both: Files) -> None:
     path = tmp_path / "run.mcap"
     both.lay(path)
     assert check_record(path) == []
     with RecordReader(path) as reader:
         assert reader.sound
         assert sum(1 for _ in reader.windows()) == FRAMES
-
-
-def test_the_numbers_are_a_whole_record_without_the_pixels(tmp_path: Path, both: Files) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_bytes(both.numbers)
+    pixels_beside(path).unlink()
     assert check_record(path) == []
     with RecordReader(path) as reader:
         assert not reader.truncated
@@ -104,10 +100,10 @@ def test_pixels_of_another_record_are_not_taken(tmp_path: Path, both: Files) -> 
         RecordReader(pixels_beside(path))
 
 
-def test_a_flipped_byte_in_a_chunk_is_named_and_the_rest_is_read(tmp_path: Path, both: Files) -> None:
-    path = tmp_path / "run.mcap"
+def test_a_flipped_byte_in_a_chunk_is_named_and_the_rest_is_recovered(tmp_path: Path, both: Files) -> None:
+    path, copy = tmp_path / "run.mcap", tmp_path / "whole.mcap"
     both.lay(path)
-    place = list(contents_of(path).chunks)[1]
+    place = chunks_of(path)[1]
     both._replace(numbers=flipped(both.numbers, place.offset + place.length // 2)).lay(path)
     with RecordReader(path) as reader:
         assert len(reader.spots()) == FRAMES - 16
@@ -120,6 +116,11 @@ def test_a_flipped_byte_in_a_chunk_is_named_and_the_rest_is_read(tmp_path: Path,
     assert "/spot" in first
     assert "2026-09-21 " in first
     assert f"byte {place.offset}" in first
+    assert [lost.start_ns for lost in recover(path, copy).lost] == [place.start_ns]
+    with RecordReader(copy) as reader:
+        assert reader.metadata["recovery"]["lost_chunks"] == "1"
+        assert (len(reader.spots()), reader.damages, len(reader.attachments)) == (FRAMES - 16, [], 2)
+    assert errors(check_record(copy)) == []
 
 
 @pytest.mark.slow
@@ -258,21 +259,6 @@ def test_a_file_that_was_cut_before_its_first_message_has_no_time(tmp_path: Path
     assert said[0].startswith("cut.mcap was cut short before anything was measured, after ")
 
 
-def test_a_damaged_record_is_recovered_without_the_damaged_chunk(tmp_path: Path, whole: bytes) -> None:
-    path, copy = tmp_path / "run.mcap", tmp_path / "whole.mcap"
-    path.write_bytes(whole)
-    place = list(contents_of(path).chunks)[2]
-    path.write_bytes(flipped(whole, place.offset + place.length - 20))
-    found = recover(path, copy)
-    assert len(found.lost) == 1
-    assert found.lost[0].start_ns == place.start_ns
-    with RecordReader(copy) as reader:
-        assert reader.metadata["recovery"]["lost_chunks"] == "1"
-        assert reader.damages == []
-        assert len(reader.attachments) == 2
-    assert errors(check_record(copy)) == []
-
-
 def test_a_record_whose_summary_is_damaged_is_read_by_walking_through_it(
     tmp_path: Path, whole: bytes
 ) -> None:
@@ -281,22 +267,22 @@ def test_a_record_whose_summary_is_damaged_is_read_by_walking_through_it(
     with RecordReader(path) as reader:
         assert not reader.truncated
         assert len(reader.spots()) == FRAMES
-        assert any("summary" in text for text in reader.contents.damage)
+        assert any("summary" in damage.description for damage in reader.damages)
 
 
 def overview(path: Path) -> dict[str, Any]:
     """What `rig record info` prints of a record."""
-    names = ("whole", "library", "start_ns", "end_ns", "attachments", "damage")
+    names = ("whole", "library", "start_ns", "end_ns", "attachments", "damages")
     with RecordReader(path) as reader:
-        read = {"counts": reader.counts, "losses": reader.losses(), "chunks": len(reader.contents.chunks)}
-        return {name: getattr(reader.contents, name) for name in names} | read
+        read = {"counts": reader.counts, "losses": reader.losses(), "chunks": len(reader.numbers.chunks)}
+        return {name: getattr(reader.numbers, name) for name in names} | read
 
 
 def test_info_reads_no_chunk(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(whole)
     expected = overview(path)
-    chunks = contents_of(path).chunks
+    chunks = chunks_of(path)
     scrambled = bytearray(whole)
     for chunk in chunks:
         scrambled[chunk.offset : chunk.offset + chunk.length] = bytes(chunk.length)
@@ -341,7 +327,7 @@ def test_the_hash_is_compared_with_the_results(tmp_path: Path, whole: bytes) -> 
 def test_a_length_that_claims_the_world_takes_no_memory(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(whole)
-    place = next(iter(contents_of(path).chunks))
+    place = chunks_of(path)[0]
     changed = bytearray(whole)
     size_at = place.offset + 9 + 16
     changed[size_at : size_at + 8] = struct.pack("<Q", 2**40)

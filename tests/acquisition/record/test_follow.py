@@ -61,13 +61,13 @@ def test_each_piece_is_given_once_and_the_same_of_a_record_that_grows(tmp_path: 
             writer.write_preview(Frame(image, number, number, number))
             writer.flush()
             reader.update()
-            given += [reader.events(piece["/event"]) for piece in reader.unread()]
+            given += [reader.events(piece) for piece in reader.unread()]
             pictures += [one[:2] for one in reader.unread_pictures(2, number)]
         writer.close()
         reader.update()
         assert list(reader.unread()) == []
     with RecordReader(path) as reader:
-        assert [reader.events(piece["/event"]) for piece in reader.unread()] == given
+        assert [reader.events(piece) for piece in reader.unread()] == given
         assert [one[:2] for one in reader.unread_pictures(2, 3)] == [(0, 0), (2, 2)]
         assert [one[:2] for one in reader.unread_pictures(2, 5)] == [(4, 4)]
     assert [event.time_ns for events in given for event in events] == list(range(6))

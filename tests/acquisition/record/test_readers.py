@@ -17,7 +17,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from rerun.chunk import RrdReader
 
 from acquisition.record import pixels_beside
-from acquisition.record.chunk import messages_in
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import METADATA_COPY, PIXEL_TOPICS, PREVIEW_TOPIC, SPOT
 from processing.swing import HalfCycleFlag
@@ -80,7 +79,7 @@ def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode:
             else:
                 assert theirs == [value.tobytes().hex() for value in ours]
         assert found["times"]["/spot"] == [str(EPOCH_OFFSET_NS + i * FRAME_NS) for i in range(FRAMES)]
-        assert found["logs"] == [line.text for line in reader.log()]
+        assert found["logs"] == [event.line for event in reader.events()]
         assert found["metadata"] == reader.metadata
         assert found["attachments"].pop(METADATA_COPY) > 100
         assert found["attachments"] == {name: len(data) for name, data in reader.attachments.items()}
@@ -100,11 +99,7 @@ def test_foxgloves_reader_sees_the_same(mcap_packages: Path, record: Path, mode:
 def previewed(record: Path) -> list[np.ndarray[Any, Any]]:
     """The images of which a record has small pictures."""
     with RecordReader(record) as reader:
-        (number,) = (n for n, topic in enumerate(PIXEL_TOPICS, 1) if topic == PREVIEW_TOPIC)
-        (pixels,) = reader.files[1:]
-        kept = [
-            m.sequence for data in pixels.chunks_with(number) for m in messages_in(data, frozenset({number}))
-        ]
+        kept = [message.sequence for message in reader.messages(PREVIEW_TOPIC)]
         shown = {frame.sequence: frame.image for frame in reader.images()}
         return [shown[sequence] for sequence in kept]
 

@@ -10,7 +10,7 @@ import pytest
 
 from acquisition.record import pixels_beside
 from acquisition.record.check import check_record
-from acquisition.record.read_file import _read_at
+from acquisition.record.read_file import read_at
 from acquisition.record.reader import RecordReader
 from acquisition.record.recover import recover
 from processing.errors import RecordError
@@ -95,7 +95,7 @@ class Failing(io.BytesIO):
 def test_a_disk_that_is_pulled_out_is_no_unreadable_block() -> None:
     """What was there is on the disk still: it would be taken for a damaged record."""
     file = Failing(bytes(8))
-    assert _read_at(file, 0, 8) == b""
+    assert read_at(file, 0, 8) == b""
     file.number = errno.ENODEV
     with pytest.raises(OSError, match="failed"):
-        _read_at(file, 0, 8)
+        read_at(file, 0, 8)

@@ -56,12 +56,14 @@ def spot(
         st.sampled_from([np.uint8, np.uint16]), st.tuples(st.integers(1, 9), st.integers(1, 9))
     ),
     origin=st.tuples(st.integers(0, 5000), st.integers(0, 5000)),
-    spot=SPOTS,
+    spot=st.none() | SPOTS,
+    transposed=st.booleans(),
 )
 @settings(max_examples=300, deadline=None)
 def test_pixels_come_back_whatever_the_spot_is(
-    image: np.ndarray[Any, Any], origin: tuple[int, int], spot: Spot
+    image: np.ndarray[Any, Any], origin: tuple[int, int], spot: Spot | None, transposed: bool
 ) -> None:
+    image = image.T if transposed else image
     window = decode_window(WINDOW, encode_window(7, 8, image, *origin, spot))
     assert (window.sequence, window.time_ns, window.origin_px) == (7, 8, origin)
     assert window.image.dtype == image.dtype

@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from acquisition.record.events import EventKind, level_of
+from acquisition.record.events import EventKind
 from rig.control import STALE_S
 from rig.desk.alarm_list import AlarmKey, AlarmState
 from rig.desk.desk import Desk
@@ -77,7 +77,7 @@ def wait_for(desk: Desk, key: AlarmKey, state: AlarmState | None = AlarmState.AC
 def test_a_new_session_leaves_what_was_before_unheard(config: Path) -> None:
     desk = Desk(config)
     following = desk.following
-    gap = {"kind": EventKind.GAP, "level": level_of(EventKind.GAP), "text": "2 frames are missing"}
+    gap = {"kind": EventKind.GAP, "level": EventKind.GAP.level, "text": "2 frames are missing"}
     following.folder = config.parent / "runs" / "session"
     following.unheard.append(gap)
     desk.alarming.start()

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
-from acquisition.record.events import EventKind, level_of
+from acquisition.record.events import EventKind
 from rig.control import ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey
 from rig.desk.alarming import Seen, conditions, happened
@@ -91,7 +91,7 @@ def test_conditions(seen: Seen, keys: set[AlarmKey]) -> None:
 
 
 def events(*kinds: EventKind) -> list[dict[str, str]]:
-    return [{"kind": str(kind), "level": level_of(kind), "text": "so it was"} for kind in kinds]
+    return [{"kind": str(kind), "level": kind.level, "text": "so it was"} for kind in kinds]
 
 
 def test_events_that_are_warnings_are_alarms_with_their_own_words() -> None:

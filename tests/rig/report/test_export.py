@@ -130,9 +130,9 @@ def test_what_a_record_lacks_is_said_in_every_file(
     path = tmp_path / "=run.mcap"
     data = bytearray((measured_series / "run-1.mcap").read_bytes()[:-2000])
     with RecordReader(measured_series / "run-1.mcap") as reader:
-        contents = reader.contents
+        contents = reader.numbers
     spot = next(number for number, topic in contents.channels.items() if topic == "/spot")
-    *_, chunk = (chunk for chunk in contents.chunks if spot in chunk.channels)
+    *_, chunk = (chunk for chunk in contents.chunks if chunk.channels >> spot & 1)
     data[chunk.offset + chunk.length // 2] ^= 1
     path.write_bytes(data)
     spots, *_ = export_session(path, "csv", tmp_path / "csv")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from acquisition.camera import Frame
-from acquisition.record.events import WARNING_KINDS
+from acquisition.record.events import EventKind, Severity
 from acquisition.record.reader import RecordReader
 from acquisition.record.writer import RecordWriter
 from processing.balance import Balance
@@ -106,19 +106,21 @@ def test_what_is_drawn_of_a_record_does_not_depend_on_how_much_was_there_at_firs
 def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path) -> None:
     path, rrd = tmp_path / "run.mcap", tmp_path / "shown.rrd"
     lost_light = ("laser dark", "laser unknown")
+    warnings = [kind for kind in EventKind if kind.level is Severity.WARNING]
+    assert EventKind.GAP in warnings
     with RecordWriter(path, EPOCH_NS) as writer:
         spot = Spot(*[math.nan] * 10, SpotFlag.LOST)
         nowhere = np.full(1, math.nan)
         at = Deflections(np.zeros(1, np.int64), nowhere, nowhere, nowhere, nowhere, DeflectionUnit.RAD)
         writer.write_spots([0], [0], [0], [spot], at)
-        for kind in ("start", "trip", *lost_light, *WARNING_KINDS):
+        for kind in ("start", "trip", *lost_light, *warnings):
             writer.write_event(0, kind, "happened")
     write_rrd([path], rrd)
     texts = [text for (text,) in column(rrd, "/events", "TextLog:text")[1]]
     levels = [level for (level,) in column(rrd, "/events", "TextLog:level")[1]]
     found = dict(zip(texts, levels, strict=True))
     assert found.pop("start: happened") == "INFO"
-    warned = {f"{kind}: happened": "WARN" for kind in WARNING_KINDS}
+    warned = {f"{kind}: happened": "WARN" for kind in warnings}
     alarms = {f"{kind}: happened": "ERROR" for kind in lost_light}
     assert found == warned | {"trip: happened": "CRITICAL", **alarms}
 

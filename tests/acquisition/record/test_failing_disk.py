@@ -1,6 +1,7 @@
-"""On a full disk the record is closed with its ending, and the writer gives the reason."""
+"""A full disk closes the record with its ending and the reason; one that fails keeps what was flushed."""
 
 import os
+import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -20,29 +21,48 @@ from acquisition.record.writer import RecordWriter
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import RecordError
 from processing.spot import Spot
+from processing.swing import HalfCycle
 from tests.acquisition.record.samples import EPOCH_OFFSET_NS, write_sample
 
 SPOT = Spot(*[1.0] * 10, flags=0)
 DISK_BYTES = 3 * 1024 * 1024
+DRIVE_BYTES = 32 * 1024 * 1024
+EXT4_SHUTDOWN = 0x8004587D
+WITHOUT_LOG_FLUSH = 2
 
 
 @pytest.fixture(params=["tmpfs", "ext4"])
 def small_disk(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
     """A file system of 3 MiB of its own; needs the right to mount."""
-    folder = tmp_path / "disk"
+    folder, image = tmp_path / "disk", tmp_path / "disk.img"
+    commands = [["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]]
+    if request.param == "ext4":
+        commands = ext4_commands(image, folder, DISK_BYTES, "-O", "^has_journal")
+    yield from mounted_by(commands, folder)
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
+    """Image file of a journalled ext4 and the folder that it is mounted at; needs the right to mount."""
+    if sys.platform != "linux":
+        pytest.skip("ext4's shutdown is of Linux")
+    folder, image = tmp_path / "drive", tmp_path / "drive.img"
+    for _ in mounted_by(ext4_commands(image, folder, DRIVE_BYTES), folder):
+        yield image, folder
+
+
+def ext4_commands(image: Path, folder: Path, size: int, *options: str) -> list[list[str]]:
+    """What makes an ext4 in a new image file, and mounts it."""
+    with image.open("wb") as file:
+        file.truncate(size)
+    return [["mkfs.ext4", "-q", *options, str(image)], ["mount", "-o", "loop", str(image), str(folder)]]
+
+
+def mounted_by(commands: list[list[str]], folder: Path) -> Iterator[Path]:
     folder.mkdir()
-    if request.param == "tmpfs":
-        command = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]
-    else:
-        image = tmp_path / "disk.img"
-        image.write_bytes(bytes(DISK_BYTES))
-        formatted = _run(["mkfs.ext4", "-q", "-O", "^has_journal", str(image)])
-        if formatted:
-            pytest.skip(f"no ext4 can be made here: {formatted}")
-        command = ["mount", "-o", "loop", str(image), str(folder)]
-    refused = _run(command)
-    if refused:
-        pytest.skip(f"nothing can be mounted here: {refused}")
+    for command in commands:
+        if refused := _run(command):
+            pytest.skip(f"nothing can be mounted here: {refused}")
     yield folder
     _run(["umount", str(folder)])
 
@@ -145,7 +165,7 @@ import resource
 from pathlib import Path
 from acquisition.record.writer import RecordWriter
 from processing.errors import RecordError
-from tests.acquisition.record.test_full_disk import record_until_full
+from tests.acquisition.record.test_failing_disk import record_until_full
 writer = RecordWriter(Path({str(path)!r}), {EPOCH_OFFSET_NS}, reserve_bytes=65536)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
 print(*record_until_full(writer))
@@ -170,7 +190,7 @@ def test_a_piece_written_in_parts_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     file = McapFile(path, {}, 4096)
     taken: list[int] = []
-    raw = file._disk._file
+    raw = file.disk._file
 
     class Slow:
         def __getattr__(self, name: str) -> object:
@@ -180,8 +200,8 @@ def test_a_piece_written_in_parts_is_whole(tmp_path: Path) -> None:
             taken.append(len(data))
             return raw.write(data[:7]) or 0
 
-    file._disk._file = Slow()  # type: ignore[assignment]
-    file.add_metadata("session", {"a": "b" * 100})
+    file.disk._file = Slow()  # type: ignore[assignment]
+    file.add_metadata({"session": {"a": "b" * 100}}, 0)
     file.finish()
     assert len(taken) > 20
     with path.open("rb") as whole:
@@ -202,3 +222,40 @@ def test_the_reserve_is_nameless_and_given_back_once(tmp_path: Path) -> None:
     assert not reserve.release()
     reserve.hold(1)
     assert reserve.size == 0
+
+
+def cut_power(folder: Path) -> None:
+    """From now on every access fails with EIO; what was not forced to the disk is gone."""
+    import fcntl
+
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.ioctl(number, EXT4_SHUTDOWN, struct.pack("I", WITHOUT_LOG_FLUSH))
+    except OSError as error:
+        pytest.skip(f"this kernel cannot shut ext4 down: {error}")
+    finally:
+        os.close(number)
+
+
+def test_what_was_flushed_survives(drive: tuple[Path, Path], tmp_path: Path) -> None:
+    image, folder = drive
+    path = folder / "run.mcap"
+    writer = RecordWriter(path, EPOCH_OFFSET_NS, flush_interval_s=1e9)
+    for index in range(100):
+        writer.write_swing(HalfCycle(index, index, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1, 0))
+        if index == 59:
+            writer.flush()
+    cut_power(folder)
+    with pytest.raises(
+        RecordError, match="Input/output error; rig record recover makes a complete file of it"
+    ):
+        writer.flush()
+    writer.close()
+    assert _run(["umount", str(folder)]) == ""
+    assert _run(["mount", "-o", "loop", str(image), str(folder)]) == ""
+    with RecordReader(path) as reader:
+        assert reader.truncated
+        assert [swing.index for swing in reader.swings()] == list(range(60))
+    found = recover(path, tmp_path / "whole.mcap")
+    assert found.messages["/swing"] == 60
+    assert not [f for f in check_record(tmp_path / "whole.mcap") if f.severity == "error"]
