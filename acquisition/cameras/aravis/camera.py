@@ -106,26 +106,14 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
         camera.get_device().connect("control-lost", lambda *_: gone.set())
         camera.stop_acquisition()  # a program that crashed may have left it running
         features = AravisFeatures(camera, library.aravis, found.name)
-        pixel_format = features.choose_usable_format()
+        features.choose_usable_format()
         if camera.is_gv_device():
             self._set_packet_size(library, camera)
             device = camera.get_device()
             self._has_clock = any(device.read_register(address) for address in _TICKS_REGISTERS)
         else:
             self._has_clock = True
-        width_px, height_px = features.sensor_size()
-        states_shutter = camera.is_feature_available("SensorShutterMode")
-        info = CameraInfo(
-            driver="aravis",
-            vendor=found.vendor,
-            model=found.model,
-            serial=found.serial,
-            width_px=width_px,
-            height_px=height_px,
-            full_scale_dn=pixel_format.full_scale_dn,
-            has_clock=self._has_clock,
-            shutter=features.text("SensorShutterMode") if states_shutter else "",
-        )
+        info = features.info("aravis", found.vendor, found.model, found.serial, has_clock=self._has_clock)
         return info, features
 
     def _set_packet_size(self, library: Library, camera: Any) -> None:
