@@ -18,8 +18,8 @@ from acquisition.camera import (
 from acquisition.cameras.drivers import PylonSettings, buffer_count
 from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures
 from acquisition.cameras.pixel_formats import Format, plane_of
-from acquisition.cameras.reading import CameraRun
-from processing.errors import DeviceError, MissingPackage
+from acquisition.cameras.reading import CameraRun, only_camera
+from processing.errors import MissingPackage
 from processing.units import NS_PER_S
 
 _TICKS_PER_S: Final = "GevTimestampTickFrequency"
@@ -121,16 +121,12 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         self.close()
         pylon = self._pylon = load_pylon()
         factory = pylon.TlFactory.GetInstance()
-        devices = list(factory.EnumerateDevices())
-        wanted = self._settings.serial
-        chosen = [device for device in devices if wanted in (None, device.GetSerialNumber())]
-        listed = "; ".join(f"{device.GetModelName()} serial {device.GetSerialNumber()}" for device in devices)
-        if not chosen:
-            what = "no camera is plugged in" if not devices else f"no camera has the serial number {wanted!r}"
-            raise DeviceError(f"pylon: {what}; there are: {listed or 'none'}")
-        if len(chosen) > 1:
-            raise DeviceError(f"pylon: several cameras: {listed}; set camera.serial to one of them")
-        device = chosen[0]
+        plugged = [
+            (f"{device.GetModelName()} (serial {number})", number, device)
+            for device in factory.EnumerateDevices()
+            for number in [device.GetSerialNumber()]
+        ]
+        device = only_camera("pylon", plugged, self._settings.serial)
         self._name = f"pylon camera {device.GetModelName()} (serial {device.GetSerialNumber()})"
         with self._lock, self._translate_errors():
             camera = pylon.InstantCamera(factory.CreateDevice(device))

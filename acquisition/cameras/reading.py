@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import ClassVar, Final, Generic, Protocol, TypeVar
 
@@ -106,6 +106,26 @@ class CameraRun:
             self._ended = True
         for action in actions:
             action()
+
+
+_Found = TypeVar("_Found")
+
+
+def only_camera(kind: str, cameras: Sequence[tuple[str, str, _Found]], serial: str | None) -> _Found:
+    """Of `cameras`, (name, serial number, camera) each, that of this number; None: the only one connected.
+
+    Raises DeviceError, with a list of the cameras, if there is none or the choice is ambiguous.
+    """
+    chosen = [camera for _, number, camera in cameras if serial in (None, number)]
+    listed = "; ".join(name for name, _, _ in cameras)
+    if not cameras:
+        raise DeviceError(f"{kind}: no camera answers; check cable, power and network, then: rig doctor")
+    if not chosen:
+        raise DeviceError(f"{kind}: no camera has the serial number {serial!r}; there are: {listed}")
+    if len(chosen) > 1:
+        which = "set camera.serial to one of them" if serial is None else "unplug all but one"
+        raise DeviceError(f"{kind}: several cameras: {listed}; {which}")
+    return chosen[0]
 
 
 class AppliesSettings(Protocol):

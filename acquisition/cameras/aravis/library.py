@@ -13,6 +13,7 @@ from acquisition.camera import ColourPlane, FeatureValue, Frame, PluggedCamera
 from acquisition.cameras.genicam import GenicamFeatures
 from acquisition.cameras.genicam_access import NumericFeature
 from acquisition.cameras.pixel_formats import Format, plane_of
+from acquisition.cameras.reading import only_camera
 from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError
 
@@ -86,23 +87,10 @@ def list_cameras() -> list[PluggedCamera]:
 
 
 def find_camera(wanted: str | None) -> AravisDevice:
-    """The camera with this serial number or id; None: the only camera connected.
-
-    Raises DeviceError, with a list of the cameras, if there is none or the choice is ambiguous.
-    """
+    """The camera with this serial number, or id where two share one; None: the only camera connected."""
     cameras = find_cameras()
-    chosen = [camera for camera in cameras if wanted in (None, camera.serial, camera.identity)]
-    listed = "; ".join(camera.name for camera in cameras)
-    if not cameras:
-        raise DeviceError("aravis: no camera answers; check cable, power and network, then: rig doctor")
-    if not chosen:
-        raise DeviceError(f"aravis: no camera has the serial number {wanted!r}; there are: {listed}")
-    if len(chosen) > 1:
-        raise DeviceError(
-            f"aravis: several cameras: {listed}; set camera.serial to one of them "
-            "(where two share one, to its id: rig doctor)"
-        )
-    return chosen[0]
+    known = {camera.identity: camera for camera in cameras}
+    return known.get(wanted or "") or only_camera("aravis", [(c.name, c.serial, c) for c in cameras], wanted)
 
 
 _FUNCTION_NAMES: Final[dict[NumericFeature, str]] = {

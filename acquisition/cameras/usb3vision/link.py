@@ -14,6 +14,7 @@ import usb.core
 import usb.util
 
 from acquisition.camera import CameraLost, PluggedCamera
+from acquisition.cameras.reading import only_camera
 from acquisition.cameras.usb3vision.node_map import load_genapi
 from processing.errors import DeviceError
 
@@ -296,27 +297,11 @@ def find_camera(serial: str | None, backend: usb.backend.IBackend | None = None)
         there is no permission to open it.
     """
     cameras = find_cameras(backend)
-    if not cameras:
-        raise DeviceError("no USB3 Vision camera is plugged in; check cable and power, then: rig doctor")
-    listed = "; ".join(camera.name for camera in cameras)
-    if serial is None:
-        if len(cameras) > 1:
-            raise DeviceError(
-                f"{len(cameras)} USB3 Vision cameras, and no serial given; set one of: {listed}"
-            )
-        chosen = cameras[0]
-    else:
-        matching = [camera for camera in cameras if camera.serial == serial]
-        unreadable = [camera for camera in cameras if not camera.accessible]
-        if not matching and unreadable:
-            raise no_permission(unreadable[0].name)
-        if not matching:
-            raise DeviceError(f"no USB3 Vision camera has serial {serial!r}; plugged in: {listed}")
-        if len(matching) > 1:
-            raise DeviceError(
-                f"{len(matching)} USB3 Vision cameras have serial {serial!r}; unplug all but one"
-            )
-        chosen = matching[0]
+    if serial is not None and all(camera.serial != serial for camera in cameras):
+        for camera in cameras:
+            if not camera.accessible:
+                raise no_permission(camera.name)
+    chosen = only_camera("usb3vision", [(one.name, one.serial, one) for one in cameras], serial)
     if not chosen.accessible:
         raise no_permission(chosen.name)
     return chosen

@@ -64,7 +64,7 @@ def test_a_region_moves_although_old_and_new_limits_cross(device: VisionDevice) 
         applied = camera.configure(CameraSettings(width_px=width, offset_x_px=offset))
         assert (applied.width_px, applied.offset_x_px) == (width, offset)
     camera.configure(CameraSettings(width_px=160, offset_x_px=1280))
-    with pytest.raises(DeviceError, match="width_px with its offset reaches 1480; .*set the offset, too"):
+    with pytest.raises(DeviceError, match=r"width_px with its offset reaches 1480; .*set the offset, too"):
         camera.configure(CameraSettings(width_px=200))
     assert camera.features.region()[::2] == (1280, 160), "as it was"
     camera.close()
