@@ -43,18 +43,18 @@ def test_simulated_rig_is_driven_through_the_real_protocol() -> None:
     control = simulated()
     with ControlService(simulated_controller(control, 0.001, rig.outputs()), control) as service:
         assert service.wait_open().serial == "SIMULATED"
-        service.set_laser_power_w(0.0004).result(5.0)
+        service.submit(lambda c: c.set_laser_power_w(0.0004)).result(5.0)
         service.laser_on().result(5.0)
         assert rig.last("laser") == pytest.approx(0.0004)
-        service.hold().result(5.0)
-        service.release().result(5.0)
+        service.submit(lambda c: c.hold()).result(5.0)
+        service.submit(lambda c: c.release()).result(5.0)
         assert rig.last("magnet") == 0.0
-        service.starter_pulse(0.1).result(5.0)
+        service.submit(lambda c: c.starter_pulse(0.1)).result(5.0)
         until(lambda: rig.last("starter") == 0.0)
         began, ended = [at for at, name, _ in rig.said if name == "starter"][-2:]
         assert ended - began >= 0.095
         with pytest.raises(PowerLimit):
-            service.set_laser_power_w(0.0011).result(5.0)
+            service.submit(lambda c: c.set_laser_power_w(0.0011)).result(5.0)
         until(lambda: service.snapshot.environment == AirReading(20.0, 45.0, 101325.0))
         rig.closed = False
         until(lambda: rig.last("laser") == 0.0)
