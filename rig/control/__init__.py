@@ -28,7 +28,7 @@ from rig.control.settings import (
     EnvironmentSettings,
     SeismometerSettings,
 )
-from rig.control.simulated import SimulatedOutputs, simulated_controller
+from rig.control.simulated import simulated_controller
 from rig.control.states import (
     STALE_S,
     DevicesNow,
