@@ -25,10 +25,9 @@ def simulated_controller(
     inputs: RigInputs | None = None,
     laser: Callable[[float], None] | None = None,
     interlock_closed: Callable[[], bool] = lambda: True,
-    stored_laser_max_w: float = 0.005,
 ) -> Controller:
     """A `Controller` whose board is simulated in this process, as `SimulatedBoard`."""
-    board = SimulatedBoard(inputs, settings.faults, laser, interlock_closed, stored_laser_max_w)
+    board = SimulatedBoard(inputs, settings.faults, laser, interlock_closed)
     return Controller(settings, laser_max_w, board.open_line)
 
 
@@ -48,14 +47,13 @@ class SimulatedBoard:
         must return immediately.
     interlock_closed
         State of the interlock loop.
-    laser_max_w
-        Limit of the power that is stored on the board.
     """
 
     fault = ""
     serial = "SIMULATED"
     clamp_closed = False
     latches_at_start = False
+    laser_max_w = 0.005
     starter_max_ms = 5000
     brake_max_ms = 60000
     ticks_diff, ticks_add = staticmethod(operator.sub), staticmethod(operator.add)
@@ -67,9 +65,7 @@ class SimulatedBoard:
         faults: SerialFaults,
         laser: Callable[[float], None] | None = None,
         interlock_closed: Callable[[], bool] = lambda: True,
-        laser_max_w: float = 0.005,
     ) -> None:
-        self.laser_max_w = laser_max_w
         self.faults = faults
         self.changed = threading.Condition()
         self.to_board = bytearray()
