@@ -3,12 +3,12 @@
 Names are those of the Standard Feature Naming Convention (SFNC) and of older cameras.
 """
 
-import math
 from abc import ABC, abstractmethod
 from typing import ClassVar, Final, Literal
 
 from acquisition.camera import CameraInfo, CameraSettings, FeatureValue
 from acquisition.cameras.pixel_formats import format_of
+from acquisition.cameras.reading import check_end, check_range
 from processing.errors import DeviceError
 
 NumericFeature = Literal["exposure_us", "gain_db", "frame_rate_hz"]
@@ -131,7 +131,7 @@ class FeatureAccess(ABC):
         if not self.writable(found):
             raise DeviceError(f"{self.name}: has no {found} that can be set; leave camera.{key} out")
         low, high = self.limits(found)
-        self._check(key, wanted, low, high)
+        check_range(self.name, key, wanted, low, high)
         self.put(found, round(wanted) if isinstance(low, int) else wanted)
 
     def sensor_size(self, size: str) -> int:
@@ -160,7 +160,7 @@ class FeatureAccess(ABC):
             offset, size = f"Offset{axis.upper()}", "Width" if axis == "x" else "Height"
             before, wanted = present[0], length or present[1]
             start = before if start is None else start
-            self._check_end(f"{size.lower()}_px", start + wanted, self.sensor_size(size))
+            check_end(self.name, f"{size.lower()}_px", start, wanted, self.sensor_size(size))
             try:
                 if wanted != present[1]:
                     if before:
@@ -225,20 +225,6 @@ class FeatureAccess(ABC):
         """Set an enumeration, if the camera has it, it can be set, and it offers this value."""
         if wanted in self.choices(feature) and self.writable(feature):
             self.write(feature, wanted)
-
-    def _check(self, key: str, wanted: float, low: float | None, high: float | None) -> None:
-        low, high = -math.inf if low is None else low, math.inf if high is None else high
-        if not low <= wanted <= high:
-            raise DeviceError(
-                f"{self.name}: {key} = {wanted:g} is out of range; {low:g} to {high:g} are possible"
-            )
-
-    def _check_end(self, key: str, end: int, size: int) -> None:
-        if end > size:
-            raise DeviceError(
-                f"{self.name}: {key} with its offset reaches {end}; the sensor has {size}. Ask for less, or "
-                "set the offset, too"
-            )
 
 
 def is_on(value: FeatureValue | None) -> bool:

@@ -1,5 +1,6 @@
 """Base class of the drivers of real cameras: life cycle, and frames that the calling thread reads itself."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -106,6 +107,22 @@ class CameraRun:
             self._ended = True
         for action in actions:
             action()
+
+
+def check_range(name: str, key: str, value: float, low: float | None, high: float | None) -> None:
+    """Raise DeviceError, which states the range, for a value outside it; a limit of None is none."""
+    low, high = -math.inf if low is None else low, math.inf if high is None else high
+    if not low <= value <= high:
+        raise DeviceError(f"{name}: {key} = {value:g} is out of range; {low:g} to {high:g} are possible")
+
+
+def check_end(name: str, key: str, start_px: int, length_px: int, sensor_px: int) -> None:
+    """Raise DeviceError for a region whose `key`, its width or height, reaches beyond the sensor."""
+    if start_px + length_px > sensor_px:
+        raise DeviceError(
+            f"{name}: {key} with its offset reaches {start_px + length_px}; the sensor has {sensor_px}. "
+            "Ask for less, or set the offset, too"
+        )
 
 
 _Found = TypeVar("_Found")

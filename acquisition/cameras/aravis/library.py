@@ -13,7 +13,7 @@ from acquisition.camera import ColourPlane, FeatureValue, Frame, PluggedCamera
 from acquisition.cameras.genicam import GenicamFeatures
 from acquisition.cameras.genicam_access import NumericFeature
 from acquisition.cameras.pixel_formats import Format, plane_of
-from acquisition.cameras.reading import only_camera
+from acquisition.cameras.reading import check_range, only_camera
 from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError
 
@@ -159,7 +159,8 @@ class AravisFeatures(GenicamFeatures):
         if not getattr(self.camera, f"is_{_FUNCTION_NAMES[key]}_available")():
             raise DeviceError(f"{self.name}: does not allow it to be set; leave camera.{key} out")
         # libaravis clips values out of range without an error
-        self._check(key, wanted, *getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}_bounds")())
+        bounds = getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}_bounds")()
+        check_range(self.name, key, wanted, *bounds)
         getattr(self.camera, f"set_{_FUNCTION_NAMES[key]}")(wanted)
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
