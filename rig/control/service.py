@@ -69,7 +69,6 @@ class ControlSnapshot:
     status: ControllerStatus | None = None
     status_time_ns: int = 0
     environment: AirReading = _NO_READING
-    environment_time_ns: int = 0
     reconnects: int = 0
     junk_lines: int = 0
     late_replies: int = 0
@@ -270,9 +269,7 @@ class ControlService(DeviceThread):
             self._environment_due_s = now_s + self._environment_period_s
             environment = controller.environment()
             self._sensor_silent = self._sensor_silent and math.isnan(environment.temperature_c)
-            self._snapshot = replace(
-                self._snapshot, environment=environment, environment_time_ns=time.monotonic_ns()
-            )
+            self._snapshot = replace(self._snapshot, environment=environment)
 
     def _hear(self, now_s: float) -> None:
         """Note that the board has reported its state."""
