@@ -25,23 +25,6 @@ class Library(NamedTuple):
     error: type[Exception]
 
 
-@dataclass(frozen=True, slots=True)
-class AravisDevice:
-    """A camera found by libaravis; `place` is its address or USB identity."""
-
-    identity: str
-    vendor: str
-    model: str
-    serial: str
-    place: str
-    protocol: str
-
-    @property
-    def name(self) -> str:
-        """Name of the camera in messages."""
-        return f"{self.protocol} camera {self.vendor} {self.model} (serial {self.serial or 'unknown'})"
-
-
 def load_library() -> Library:
     """Load libaravis 0.8 through PyGObject. Raises DeviceError, which names the missing part."""
     try:
@@ -61,36 +44,38 @@ def load_library() -> Library:
     return Library(Aravis, GLib.Error)
 
 
-def find_cameras() -> tuple[AravisDevice, ...]:
-    """All cameras that libaravis finds; the search takes about a second."""
+def find_cameras() -> dict[str, PluggedCamera]:
+    """All cameras that libaravis finds, by its ids; the search takes about a second."""
     aravis = load_library().aravis
     aravis.update_device_list()
-    return tuple(
-        AravisDevice(
-            identity=aravis.get_device_id(index),
-            vendor=aravis.get_device_vendor(index) or "",
-            model=aravis.get_device_model(index) or "",
-            serial=aravis.get_device_serial_nbr(index) or "",
-            place=aravis.get_device_address(index) or aravis.get_device_physical_id(index) or "",
-            protocol=aravis.get_device_protocol(index) or "",
+    return {
+        aravis.get_device_id(index): PluggedCamera(
+            "aravis",
+            f"{aravis.get_device_vendor(index) or ''} {aravis.get_device_model(index) or ''}".strip(),
+            aravis.get_device_serial_nbr(index) or "",
+            aravis.get_device_address(index) or aravis.get_device_physical_id(index) or "",
         )
         for index in range(aravis.get_n_devices())
-    )
+    }
 
 
 def list_cameras() -> list[PluggedCamera]:
     """All cameras found by libaravis, for ``rig doctor``."""
-    return [
-        PluggedCamera("aravis", f"{found.vendor} {found.model}", found.serial, found.place)
-        for found in find_cameras()
+    return list(find_cameras().values())
+
+
+def find_camera(wanted: str | None) -> tuple[str, str]:
+    """Id, and name in messages, of the camera with this serial number, or id where two share one.
+
+    None: the only camera connected.
+    """
+    cameras = [
+        (f"aravis camera {found.name} (serial {found.serial or 'unknown'})", found.serial, identity)
+        for identity, found in find_cameras().items()
     ]
-
-
-def find_camera(wanted: str | None) -> AravisDevice:
-    """The camera with this serial number, or id where two share one; None: the only camera connected."""
-    cameras = find_cameras()
-    known = {camera.identity: camera for camera in cameras}
-    return known.get(wanted or "") or only_camera("aravis", [(c.name, c.serial, c) for c in cameras], wanted)
+    names = {identity: name for name, _, identity in cameras}
+    identity = wanted if wanted in names else only_camera("aravis", cameras, wanted)
+    return identity, names[identity]
 
 
 _FUNCTION_NAMES: Final[dict[NumericFeature, str]] = {
