@@ -61,7 +61,7 @@ class PylonFeatures(GenicamFeatures):
             node.FromString(str(value).lower() if isinstance(value, bool) else str(value))
 
     def value_for_user(self, name: str) -> FeatureValue:
-        return str(self._node(name).ToString())
+        return str(self._node(self.find(name)).ToString())
 
     def offered_formats(self) -> tuple[str, ...]:
         # pylon makes arrays of whole words only

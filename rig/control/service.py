@@ -153,6 +153,10 @@ class ControlService(DeviceThread):
         self._offs += 1
         return self.submit(self._darken, math.inf, urgent=True)
 
+    def set_laser_power_w(self, power_w: float) -> "Future[None]":
+        """Set the laser's power within its limits."""
+        return self.submit(lambda c: c.set_laser_power_w(power_w))
+
     def safe(self) -> "Future[None]":
         """Put every output into its safe state, before all waiting commands; it has no time limit."""
         self._offs += 1

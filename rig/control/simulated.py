@@ -76,7 +76,7 @@ class SimulatedBoard:
         self.set_pulse, self.set_magnet, self.set_starter = inputs.pulse, inputs.magnet, inputs.starter
         self.set_clamp, self.set_brake = inputs.clamp, inputs.brake
         self._laser = laser or inputs.laser
-        self.interlock_closed = interlock_closed
+        self._interlock_closed = interlock_closed
         self._random = random.Random(0)
         self._thread: threading.Thread | None = None
         self._reset_done = False
@@ -148,6 +148,10 @@ class SimulatedBoard:
     def laser_enabled(self) -> bool:
         """Whether the laser's relay is closed."""
         return self._enabled
+
+    def interlock_closed(self) -> bool:
+        """State of the interlock loop."""
+        return self._interlock_closed()
 
     def interlock_opened(self) -> bool:
         """Whether the loop opened for less than a turn, which is not simulated."""

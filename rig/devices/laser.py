@@ -58,7 +58,7 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
             wait_for_command(
                 control.submit(lambda c: c.set_laser_pulse(settings.pulse_delay_us, settings.pulse_us))
             )
-        wait_for_command(control.submit(lambda c: c.set_laser_power_w(settings.power_w)))
+        wait_for_command(control.set_laser_power_w(settings.power_w))
         wait_for_command(control.laser_on())
         pulsed = f", {settings.pulse_us:g} µs in each exposure" if settings.pulse_us else ""
         return f"laser on, {settings.power_w * 1e3:g} mW{pulsed}"

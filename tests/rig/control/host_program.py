@@ -14,7 +14,7 @@ def main(port: str, ending: str) -> None:
     service = ControlService(Controller(settings, 0.001), settings)
     service.start()
     service.wait_open(10.0)
-    service.submit(lambda c: c.set_laser_power_w(0.0005)).result(5.0)
+    service.set_laser_power_w(0.0005).result(5.0)
     service.laser_on().result(5.0)
     service.submit(lambda c: c.hold()).result(5.0)
     service.submit(lambda c: c.brake(False)).result(5.0)

@@ -20,12 +20,12 @@ def test_snapshot_follows_the_board_and_many_may_call_at_once(board: FirmwareBoa
     control = settings_for(board.port, heartbeat_s=0.05)
     with ControlService(Controller(control, 0.001), control, environment_period_s=0.1) as service:
         assert service.wait_open(10.0).serial == "TEST0001"
-        service.submit(lambda c: c.set_laser_power_w(0.0003)).result(5.0)
+        service.set_laser_power_w(0.0003).result(5.0)
         service.laser_on().result(5.0)
         until(lambda: (s := service.snapshot.status) is not None and s.laser_on and s.laser_power_w == 0.0003)
         until(lambda: service.snapshot.environment.temperature_c == 20.125)
         with pytest.raises(PowerLimit):
-            service.submit(lambda c: c.set_laser_power_w(1.0)).result(5.0)
+            service.set_laser_power_w(1.0).result(5.0)
         assert service.snapshot.state is ControlState.OPEN
         readings: list[float] = []
 

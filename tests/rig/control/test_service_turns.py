@@ -207,7 +207,7 @@ def test_a_board_whose_sensor_is_not_wanted_is_not_asked(board: SteppedBoard) ->
 def test_what_the_board_refuses_is_said_and_no_loss(service: ControlService) -> None:
     turn(service)
     service.take_events()
-    release, power = service.submit(lambda c: c.release()), service.submit(lambda c: c.set_laser_power_w(1.0))
+    release, power = service.submit(lambda c: c.release()), service.set_laser_power_w(1.0)
     turn(service)
     with pytest.raises(CommandRefused, match="holds nothing"):
         release.result(0)

@@ -43,7 +43,7 @@ def test_simulated_rig_is_driven_through_the_real_protocol() -> None:
     control = simulated()
     with ControlService(rig.controller(control), control) as service:
         assert service.wait_open().serial == "SIMULATED"
-        service.submit(lambda c: c.set_laser_power_w(0.0004)).result(5.0)
+        service.set_laser_power_w(0.0004).result(5.0)
         service.laser_on().result(5.0)
         assert rig.last("laser_w") == pytest.approx(0.0004)
         service.submit(lambda c: c.hold()).result(5.0)
@@ -54,7 +54,7 @@ def test_simulated_rig_is_driven_through_the_real_protocol() -> None:
         began, ended = [at for at, name, _ in rig.said if name == "starter"][-2:]
         assert ended - began >= 0.095
         with pytest.raises(PowerLimit):
-            service.submit(lambda c: c.set_laser_power_w(0.0011)).result(5.0)
+            service.set_laser_power_w(0.0011).result(5.0)
         until(lambda: service.snapshot.environment == AirReading(20.0, 45.0, 101325.0))
         rig.closed = False
         until(lambda: rig.last("laser_w") == 0.0)
