@@ -1,11 +1,6 @@
-"""Base classes for drivers of GenICam cameras, for any library that reads the features.
+"""Base classes for drivers of GenICam cameras: settings applied in order, pixel format, wiring."""
 
-Names are those of the Standard Feature Naming Convention (SFNC) and of older cameras.
-"""
-
-from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from typing import Final, Literal, TypeVar
+from typing import Final, TypeVar
 
 from acquisition.camera import (
     CLOCK_STATES,
@@ -15,6 +10,7 @@ from acquisition.camera import (
     FeatureValue,
     PixelFormat,
 )
+from acquisition.cameras.genicam_access import RATE_SWITCH, FeatureAccess, NumericFeature, is_on
 from acquisition.cameras.pixel_formats import (
     Format,
     format_of,
@@ -25,8 +21,6 @@ from acquisition.cameras.pixel_formats import (
 )
 from acquisition.cameras.reading import DeviceCamera
 from processing.errors import DeviceError
-
-NumericFeature = Literal["exposure_us", "gain_db", "frame_rate_hz"]
 
 _STICKY: Final = ("trigger", "trigger_edge", "exposure_output", "ptp", "binning", "colour_plane")
 """Settings that keep their last requested value if left out."""
@@ -48,35 +42,19 @@ _AUTOMATIC: Final = (
 """Enumerations that are set to "Off", in this order."""
 _NONLINEAR: Final = ("GammaEnable", "GammaEnabled", "LUTEnable", "SharpnessEnable", "SharpeningEnable")
 """Switches that make DN no longer proportional to light; set to false."""
-_RESULTING_RATES: Final = (
-    "AcquisitionResultingFrameRate",
-    "ResultingFrameRate",
-    "ResultingFrameRateAbs",
-    "AcquisitionResultingFrameRateAbs",
-)
-"""Highest frame rate that exposure, size and bus allow, under the makers' names."""
 
 
-class GenicamFeatures(ABC):
-    """Features of an open camera that the rig uses; each driver reads and sets them with its own library.
-
-    Methods raise DeviceError for values that the camera does not support; errors of the driver's library are
-    passed on.
-    """
+class GenicamFeatures(FeatureAccess):
+    """The settings of an open camera, by its features."""
 
     def __init__(self, name: str) -> None:
-        self.name = name
+        super().__init__(name)
         self._requested = CameraSettings()
 
     @property
     def plane(self) -> ColourPlane | None:
         """The colour whose pixels are used, of a sensor with a Bayer mosaic; None: all pixels."""
         return self._requested.colour_plane
-
-    @property
-    def rate_switch(self) -> str:
-        """Name of the feature that must be on for a frame rate to have an effect."""
-        return "AcquisitionFrameRateEnable"
 
     @property
     def is_triggered(self) -> bool:
@@ -107,81 +85,6 @@ class GenicamFeatures(ABC):
         self.renew()
         return self._read_back(settings)
 
-    # ---- implemented by each driver
-
-    @abstractmethod
-    def writable(self, feature: str) -> bool:
-        """Whether the camera has the feature and it can be set now."""
-
-    @abstractmethod
-    def choices(self, feature: str) -> tuple[str, ...]:
-        """Values to which an enumeration can be set now; empty for other features."""
-
-    @abstractmethod
-    def read(self, feature: str) -> FeatureValue | None:
-        """Value of a feature, possibly as text; None if the camera has none or it is unreadable now."""
-
-    @abstractmethod
-    def write(self, feature: str, value: FeatureValue) -> None:
-        """Set a feature; any value runs a command."""
-
-    def renew(self) -> None:  # noqa: B027 most libraries keep nothing
-        """Discard values that the library keeps, so that they are read from the camera again."""
-
-    @abstractmethod
-    def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
-        """All features that can be read now; `error` is raised by the library for those that cannot."""
-
-    @abstractmethod
-    def number(self, key: NumericFeature) -> float | None:
-        """Present value of a quantity; None where the camera does not have it, or does not use it."""
-
-    @abstractmethod
-    def set_number(self, key: NumericFeature, wanted: float) -> None:
-        """Set a quantity; DeviceError if the camera does not have it, or cannot be set to this value."""
-
-    @abstractmethod
-    def region(self) -> tuple[int | None, int | None, int, int]:
-        """(x, y, width, height) of the frames, in pixels of the sensor."""
-
-    @abstractmethod
-    def set_region(self, requested: CameraSettings) -> None:
-        """Set those of offset and size that are not None, in pixels of the sensor."""
-
-    @abstractmethod
-    def format_name(self) -> str:
-        """The camera's name of its present pixel format."""
-
-    @abstractmethod
-    def offered_formats(self) -> Iterable[str]:
-        """Names of the pixel formats that the camera offers now and the driver can read."""
-
-    @abstractmethod
-    def set_format_name(self, name: str) -> None:
-        """Set the pixel format of this name."""
-
-    def set_feature(self, name: str, value: FeatureValue) -> None:
-        """Set a feature by the name in the user's settings."""
-        self.write(name, value)
-
-    def value_for_user(self, name: str) -> FeatureValue:
-        """Present value of a feature for the user; empty if it is not readable."""
-        value = self.read(name)
-        return "" if value is None else value
-
-    def possible_rate(self) -> float | None:
-        """Highest rate in Hz that exposure, size and bus allow; None: unknown."""
-        rates_hz = (float(self.read(name) or 0) for name in _RESULTING_RATES)
-        return next(filter(None, rates_hz), None)
-
-    def stated_rate(self) -> float | None:
-        """Highest frame rate in Hz to expect, triggered or not; None if the camera states none."""
-        return min(filter(None, (self.number("frame_rate_hz"), self.possible_rate())), default=None)
-
-    def free_rate(self, possible_hz: float | None) -> float | None:
-        """Frame rate in Hz without a trigger, at most `possible_hz`; None: unknown."""
-        return min(filter(None, (self.number("frame_rate_hz"), possible_hz)), default=None)
-
     # ---- pixel formats
 
     def present_format(self) -> Format | None:
@@ -194,37 +97,38 @@ class GenicamFeatures(ABC):
         if found is not None:
             return found
         mosaic = not self.plane and format_of(self.format_name(), "red") is not None
+        depths = ", ".join(names_by_depth(self.offered_formats(), self.plane))
         raise DeviceError(
             f"{self.name}: pixel format {self.format_name()} is not supported; "
-            f"set one of: {self.usable_depths()}"
+            f"set one of: {depths or '(this camera has none)'}"
             + (", or camera.colour_plane to the laser's colour" if mosaic else "")
         )
 
-    def usable_depths(self) -> str:
-        """Supported bit depths that the camera offers, as text for a message."""
-        offered = names_by_depth(set(self.offered_formats()), self.plane)
-        return ", ".join(offered) or "(this camera has none)"
-
-    def choose_usable_format(self) -> Format:
-        """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported; returns it."""
-        mosaic = format_of(self.format_name(), "red")
-        if mosaic is None:
+    def choose_usable_format(self) -> None:
+        """Keep a supported pixel format (a Bayer mosaic, too), else set the first supported."""
+        if format_of(self.format_name(), "red") is None:
             self.set_format(None)
-        return mosaic or self.pixel_format()
 
     def set_format(self, wanted: PixelFormat | None) -> None:
-        """Set the format `wanted`; None: keep a supported one, else set the first supported one."""
-        if wanted is None and self.present_format() is not None:
+        """Set the format `wanted`, unless the present one has this depth; None: keep any supported one."""
+        offered, present = self.offered_formats(), self.present_format()
+        if present is not None and wanted in (None, present.pixel_format) and present.name in offered:
             return
-        offered = preferred_names(self.name, self.offered_formats(), self.plane)
-        wanted = wanted or next(iter(offered))
-        if wanted not in offered:
+        preferred = preferred_names(self.name, offered, self.plane)
+        wanted = wanted or next(iter(preferred))
+        if wanted not in preferred:
             raise DeviceError(
-                f"{self.name}: pixel format {wanted} is not supported; there are {', '.join(offered)}"
+                f"{self.name}: pixel format {wanted} is not supported; there are {', '.join(preferred)}"
             )
-        self.set_format_name(offered[wanted])
+        self.put("PixelFormat", preferred[wanted])
 
     # ---- wiring
+
+    def select_continuous(self) -> None:
+        """Select continuous acquisition, without a trigger unless one was requested."""
+        self._choose_if_possible("AcquisitionMode", "Continuous")
+        if not self.is_triggered:
+            self.run_freely()
 
     def run_freely(self) -> None:
         """Switch all triggers off."""
@@ -242,23 +146,6 @@ class GenicamFeatures(ABC):
         """Have the camera renew its `CLOCK_STATES`, which some do on command only."""
         if latch := next(filter(self.writable, _PTP_LATCHES), ""):
             self.write(latch, True)
-
-    def _choose(self, feature: str, wanted: str, key: str) -> None:
-        """Set an enumeration for ``camera.KEY``; DeviceError with the choices if `wanted` is not one."""
-        if not self.writable(feature):
-            raise DeviceError(f"{self.name}: has no {feature} that can be set; leave camera.{key} out")
-        offered = self.choices(feature)
-        if wanted not in offered:
-            listed = ", ".join(offered)
-            raise DeviceError(
-                f"{self.name}: camera.{key}: its {feature} cannot be {wanted}; it can be {listed}"
-            )
-        self.write(feature, wanted)
-
-    def _choose_if_possible(self, feature: str, wanted: str) -> None:
-        """Set an enumeration, if the camera has it, it can be set, and it offers this value."""
-        if wanted in self.choices(feature) and self.writable(feature):
-            self.write(feature, wanted)
 
     def _wire(self, settings: CameraSettings) -> None:
         """Set trigger, exposure output and network clock; without a trigger the camera runs freely."""
@@ -293,7 +180,7 @@ class GenicamFeatures(ABC):
         if settings.exposure_output is not None and self.read("LineSource") == _EXPOSURE_SIGNAL:
             found["exposure_output"] = str(self.read("LineSelector"))
         if settings.ptp is not None:
-            found["ptp"] = any(_is_on(self.read(name)) for name in _PTP)
+            found["ptp"] = any(is_on(self.read(name)) for name in _PTP)
         return found
 
     # ---- inside
@@ -305,7 +192,7 @@ class GenicamFeatures(ABC):
         for name in _AUTOMATIC:
             self._choose_if_possible(name, "Off")
         for name in _NONLINEAR:
-            if self.writable(name) and _is_on(self.read(name)):
+            if self.writable(name) and is_on(self.read(name)):
                 self.write(name, False)
         self._choose_if_possible("ExposureMode", "Timed")
 
@@ -336,8 +223,8 @@ class GenicamFeatures(ABC):
         exposure_us, rate_hz = settings.exposure_us, settings.frame_rate_hz
         if settings.trigger is not None:
             rate_hz = None
-            if self.writable(self.rate_switch):
-                self.write(self.rate_switch, False)
+            if self.writable(switch := self.find(RATE_SWITCH)):
+                self.put(switch, False)
         now_us = None if exposure_us is None else self.number("exposure_us")
         wanted: list[tuple[NumericFeature, float | None]] = [
             ("exposure_us", exposure_us),
@@ -368,21 +255,6 @@ class GenicamFeatures(ABC):
             features={name: self.value_for_user(name) for name in settings.features},
         )
         return in_plane_px(applied.model_copy(update=self._read_wiring(settings)), settings.colour_plane)
-
-    def _check(self, key: str, wanted: float, low: float, high: float) -> None:
-        if not low <= wanted <= high:
-            raise DeviceError(
-                f"{self.name}: {key} = {wanted:g} is out of range; {low:g} to {high:g} are possible"
-            )
-
-    def _check_end(self, key: str, end: int, size: int) -> None:
-        if end > size:
-            raise DeviceError(f"{self.name}: {key} with its offset reaches {end}; the sensor has {size}")
-
-
-def _is_on(value: FeatureValue | None) -> bool:
-    """Whether a switch is on, from the value as the library returns it: true, "true", 1 or "On"."""
-    return str(value).lower() in ("true", "1", "on")
 
 
 _Features = TypeVar("_Features", bound=GenicamFeatures)

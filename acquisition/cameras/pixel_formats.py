@@ -9,7 +9,7 @@ a grey sensor of twice the pitch. Planes are not combined, because pixels of oth
 hold little light and all of their noise, and interpolated pixels are correlated.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Final
 
@@ -161,15 +161,14 @@ BAYER_FORMATS: Final = tuple(
     for first, code in codes.items()
 )
 _BAYER_BY_NAME: Final = {item.name: item for item in BAYER_FORMATS}
-_BY_NAME: Final = {item.name: item for item in FORMATS}
 
 
 def format_of(name: str, plane: ColourPlane | None) -> Format | None:
     """The supported pixel format of this name: of grey pixels, or, with a `plane`, of a mosaic; else None."""
-    return (_BAYER_BY_NAME if plane else _BY_NAME).get(name)
+    return (_BAYER_BY_NAME if plane else BY_NAME).get(name)
 
 
-def names_by_depth(offered: set[str], plane: ColourPlane | None) -> dict[PixelFormat, list[str]]:
+def names_by_depth(offered: Collection[str], plane: ColourPlane | None) -> dict[PixelFormat, list[str]]:
     """Names of the offered formats that can be read, by their depth, the preferred ones first."""
     found: dict[PixelFormat, list[str]] = {}
     for item in BAYER_FORMATS if plane else FORMATS:
@@ -178,15 +177,16 @@ def names_by_depth(offered: set[str], plane: ColourPlane | None) -> dict[PixelFo
     return found
 
 
-def preferred_names(camera: str, offered: Iterable[str], plane: ColourPlane | None) -> dict[PixelFormat, str]:
+def preferred_names(
+    camera: str, offered: Collection[str], plane: ColourPlane | None
+) -> dict[PixelFormat, str]:
     """Name of the preferred offered format of each depth; DeviceError, which names the `camera`, if none."""
-    there = set(offered)
-    found = {depth: names[0] for depth, names in names_by_depth(there, plane).items()}
+    found = {depth: names[0] for depth, names in names_by_depth(offered, plane).items()}
     if not found:
         what = "Bayer format" if plane else "grey pixel format"
-        mosaic = not plane and names_by_depth(there, "red")
+        mosaic = not plane and names_by_depth(offered, "red")
         raise DeviceError(
-            f"{camera}: has no {what}, only {', '.join(sorted(there))}"
+            f"{camera}: has no {what}, only {', '.join(sorted(offered))}"
             + ("; set camera.colour_plane to the laser's colour" if mosaic else "")
         )
     return found

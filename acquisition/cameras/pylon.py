@@ -10,24 +10,18 @@ import numpy as np
 from acquisition.camera import (
     CameraInfo,
     CameraLost,
-    CameraSettings,
     ColourPlane,
     FeatureValue,
     Frame,
     PluggedCamera,
 )
 from acquisition.cameras.drivers import PylonSettings, buffer_count
-from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures, NumericFeature
+from acquisition.cameras.genicam import GenicamCamera, GenicamFeatures
 from acquisition.cameras.pixel_formats import Format, plane_of
-from acquisition.cameras.reading import CameraRun
-from processing.errors import DeviceError, MissingPackage
+from acquisition.cameras.reading import CameraRun, only_camera
+from processing.errors import MissingPackage
 from processing.units import NS_PER_S
 
-_NAMES: Final[dict[NumericFeature, tuple[str, ...]]] = {
-    "exposure_us": ("ExposureTime", "ExposureTimeAbs"),
-    "gain_db": ("Gain",),
-    "frame_rate_hz": ("AcquisitionFrameRate", "AcquisitionFrameRateAbs"),
-}
 _TICKS_PER_S: Final = "GevTimestampTickFrequency"
 
 
@@ -36,93 +30,48 @@ class PylonFeatures(GenicamFeatures):
 
     def __init__(self, camera: Any, name: str) -> None:
         super().__init__(name)
-        self._camera = camera
         self._nodes = camera.GetNodeMap()
 
-    # ---- the methods of GenicamFeatures
+    def has(self, feature: str) -> bool:
+        return self._node(feature) is not None
 
     def writable(self, feature: str) -> bool:
-        node = self.node(feature)
+        node = self._node(feature)
         return node is not None and bool(node.IsWritable())
 
     def choices(self, feature: str) -> tuple[str, ...]:
-        return tuple(getattr(self.node(feature), "Symbolics", ()))
+        return tuple(getattr(self._node(feature), "Symbolics", ()))
+
+    def limits(self, feature: str) -> tuple[float | None, float | None]:
+        node = self._node(feature)
+        return getattr(node, "Min", None), getattr(node, "Max", None)
 
     def read(self, feature: str) -> FeatureValue | None:
-        node = self.node(feature)
+        node = self._node(feature)
         if node is None or not node.IsReadable():
             return None
         value: FeatureValue = node.Value
         return value
 
     def write(self, feature: str, value: FeatureValue) -> None:
-        node = self.node(feature)
+        node = self._node(feature)
         if hasattr(node, "Execute"):
             node.Execute()
         else:
             node.FromString(str(value).lower() if isinstance(value, bool) else str(value))
 
-    def set_feature(self, name: str, value: FeatureValue) -> None:
-        if self.node(name) is None:
-            raise DeviceError(f"{self.name}: has no feature {name}; leave camera.features.{name} out")
-        self.write(name, value)
-
     def value_for_user(self, name: str) -> FeatureValue:
-        return str(self.node(name).ToString())
+        return str(self._node(self.find(name)).ToString())
 
-    def number(self, key: NumericFeature) -> float | None:
-        node = self.node(*_NAMES[key])
-        return None if node is None or not node.IsReadable() else float(node.Value)
-
-    def set_number(self, key: NumericFeature, wanted: float) -> None:
-        node = self.node(*_NAMES[key])
-        if key == "frame_rate_hz" and self.node(self.rate_switch) is not None:
-            self.write(self.rate_switch, True)
-        if node is None:
-            raise DeviceError(f"{self.name}: has no {_NAMES[key][0]}; leave camera.{key} out")
-        self._check(key, wanted, node.Min, node.Max)
-        node.Value = wanted
-
-    def region(self) -> tuple[int, int, int, int]:
-        camera = self._camera
-        x, y, width_px, height_px = camera.OffsetX, camera.OffsetY, camera.Width, camera.Height
-        return int(x.Value), int(y.Value), int(width_px.Value), int(height_px.Value)
-
-    def set_region(self, asked: CameraSettings) -> None:
-        camera = self._camera
-        for key, start, length, offset, size in (
-            ("width_px", asked.offset_x_px, asked.width_px, camera.OffsetX, camera.Width),
-            ("height_px", asked.offset_y_px, asked.height_px, camera.OffsetY, camera.Height),
-        ):
-            if start is None and length is None:
-                continue
-            start = int(offset.Value) if start is None else start
-            length = int(size.Value) if length is None else length
-            self._check_end(key, start + length, int(size.Max) + int(offset.Value))
-            offset.Value = offset.Min
-            size.Value = length
-            offset.Value = start
-
-    def format_name(self) -> str:
-        return str(self._camera.PixelFormat.Value)
-
-    def offered_formats(self) -> list[str]:
+    def offered_formats(self) -> tuple[str, ...]:
         # pylon makes arrays of whole words only
-        return [name for name in self._camera.PixelFormat.Symbolics if not name.endswith(("p", "Packed"))]
+        return tuple(name for name in super().offered_formats() if not name.endswith(("p", "Packed")))
 
-    def set_format_name(self, name: str) -> None:
-        self._camera.PixelFormat.Value = name
-
-    # ---- for the driver
-
-    def node(self, *names: str) -> Any:
-        """The first of these features that the camera has, as pylon's node; None if it has none of them."""
-        for name in names:
-            node = self._nodes.GetNode(name)
-            # newer versions return an invalid node for a missing feature
-            if node is not None and node.IsValid():
-                return node
-        return None
+    def _node(self, name: str) -> Any:
+        """pylon's node of a feature; None if the camera does not have it."""
+        node = self._nodes.GetNode(name)
+        # newer versions return an invalid node for a missing feature
+        return node if node is not None and node.IsValid() else None
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
         found: dict[str, FeatureValue] = {}
@@ -172,35 +121,26 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
         self.close()
         pylon = self._pylon = load_pylon()
         factory = pylon.TlFactory.GetInstance()
-        devices = list(factory.EnumerateDevices())
-        wanted = self._settings.serial
-        chosen = [device for device in devices if wanted in (None, device.GetSerialNumber())]
-        listed = "; ".join(f"{device.GetModelName()} serial {device.GetSerialNumber()}" for device in devices)
-        if not chosen:
-            what = "no camera is plugged in" if not devices else f"no camera has the serial number {wanted!r}"
-            raise DeviceError(f"pylon: {what}; there are: {listed or 'none'}")
-        if len(chosen) > 1:
-            raise DeviceError(f"pylon: several cameras: {listed}; set camera.serial to one of them")
-        device = chosen[0]
+        plugged = [
+            (f"{device.GetModelName()} (serial {number})", number, device)
+            for device in factory.EnumerateDevices()
+            for number in [device.GetSerialNumber()]
+        ]
+        device = only_camera("pylon", plugged, self._settings.serial)
         self._name = f"pylon camera {device.GetModelName()} (serial {device.GetSerialNumber()})"
         with self._lock, self._translate_errors():
             camera = pylon.InstantCamera(factory.CreateDevice(device))
             camera.Open()
             self._camera = camera
             features = self._features = PylonFeatures(camera, self._name)
-            pixel_format = features.choose_usable_format()
+            features.choose_usable_format()
             self._emulated = device.GetDeviceClass() == "BaslerCamEmu"
-            shutter = features.read("SensorShutterMode") or features.read("ShutterMode")
-            return CameraInfo(
-                driver="pylon",
-                vendor=device.GetVendorName(),
-                model=device.GetModelName(),
-                serial=device.GetSerialNumber(),
-                width_px=int(features.node("SensorWidth", "WidthMax").Value),
-                height_px=int(features.node("SensorHeight", "HeightMax").Value),
-                full_scale_dn=pixel_format.full_scale_dn,
+            return features.info(
+                "pylon",
+                device.GetVendorName(),
+                device.GetModelName(),
+                device.GetSerialNumber(),
                 has_clock=not self._emulated,
-                shutter=str(shutter or ""),
             )
 
     def start(self) -> None:
@@ -211,7 +151,7 @@ class PylonCamera(GenicamCamera[PylonFeatures]):
             self._begin((_LAST_GIGE_BLOCK,))
             self._format_and_plane = (features.present_format(), features.plane)
             self._tick_ns = 0.0 if self._emulated else features.tick_ns()
-            frame_bytes = int(features.node("PayloadSize").Value)
+            frame_bytes = camera.PayloadSize.Value
             camera.MaxNumBuffer.Value = buffer_count(
                 self._settings.buffers, features.stated_rate(), frame_bytes, 64, 4096
             )

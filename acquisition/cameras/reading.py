@@ -1,8 +1,9 @@
 """Base class of the drivers of real cameras: life cycle, and frames that the calling thread reads itself."""
 
+import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import ClassVar, Final, Generic, Protocol, TypeVar
 
@@ -106,6 +107,42 @@ class CameraRun:
             self._ended = True
         for action in actions:
             action()
+
+
+def check_range(name: str, key: str, value: float, low: float | None, high: float | None) -> None:
+    """Raise DeviceError, which states the range, for a value outside it; a limit of None is none."""
+    low, high = -math.inf if low is None else low, math.inf if high is None else high
+    if not low <= value <= high:
+        raise DeviceError(f"{name}: {key} = {value:g} is out of range; {low:g} to {high:g} are possible")
+
+
+def check_end(name: str, key: str, start_px: int, length_px: int, sensor_px: int) -> None:
+    """Raise DeviceError for a region whose `key`, its width or height, reaches beyond the sensor."""
+    if start_px + length_px > sensor_px:
+        raise DeviceError(
+            f"{name}: {key} with its offset reaches {start_px + length_px}; the sensor has {sensor_px}. "
+            "Ask for less, or set the offset, too"
+        )
+
+
+_Found = TypeVar("_Found")
+
+
+def only_camera(kind: str, cameras: Sequence[tuple[str, str, _Found]], serial: str | None) -> _Found:
+    """Of `cameras`, (name, serial number, camera) each, that of this number; None: the only one connected.
+
+    Raises DeviceError, with a list of the cameras, if there is none or the choice is ambiguous.
+    """
+    chosen = [camera for _, number, camera in cameras if serial in (None, number)]
+    listed = "; ".join(name for name, _, _ in cameras)
+    if not cameras:
+        raise DeviceError(f"{kind}: no camera answers; check cable, power and network, then: rig doctor")
+    if not chosen:
+        raise DeviceError(f"{kind}: no camera has the serial number {serial!r}; there are: {listed}")
+    if len(chosen) > 1:
+        which = "set camera.serial to one of them" if serial is None else "unplug all but one"
+        raise DeviceError(f"{kind}: several cameras: {listed}; {which}")
+    return chosen[0]
 
 
 class AppliesSettings(Protocol):

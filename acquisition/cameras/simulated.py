@@ -17,6 +17,7 @@ from acquisition.camera import (
     Image,
     refuse_features,
 )
+from acquisition.cameras.reading import check_end, check_range
 from acquisition.simulation.inputs import FaultSettings, RigInputs
 from acquisition.simulation.scene import PlannedFrames, Scene, SensorSettings, block_frames
 from acquisition.simulation.settings import SimulationSettings
@@ -112,14 +113,10 @@ class SimulatedCamera:
             new = new._replace(offset_x_px=min(new.offset_x_px, max(width_px - new.width_px, 0)))
         if settings.height_px is not None and settings.offset_y_px is None:
             new = new._replace(offset_y_px=min(new.offset_y_px, max(height_px - new.height_px, 0)))
-        _check_range("width_px", new.offset_x_px + new.width_px, width_px)
-        _check_range("height_px", new.offset_y_px + new.height_px, height_px)
-        if not 0 <= new.gain_db <= 48:
-            raise DeviceError(f"{_NAME}: gain_db = {new.gain_db:g} is out of range; 0 to 48 dB are possible")
-        if new.frame_rate_hz > 100_000:
-            raise DeviceError(
-                f"{_NAME}: frame_rate_hz = {new.frame_rate_hz:g} is out of range; at most 100000 are possible"
-            )
+        check_end(_NAME, "width_px", new.offset_x_px, new.width_px, width_px)
+        check_end(_NAME, "height_px", new.offset_y_px, new.height_px, height_px)
+        check_range(_NAME, "gain_db", new.gain_db, 0, 48)
+        check_range(_NAME, "frame_rate_hz", new.frame_rate_hz, 0, 100_000)
         if new.exposure_us * new.frame_rate_hz > 1e6:
             raise DeviceError(
                 f"{_NAME}: exposure_us = {new.exposure_us:g} is longer than a frame at "
@@ -175,13 +172,6 @@ class SimulatedCamera:
     def _must_be_open(self) -> None:
         if not self._opened:
             raise DeviceError(f"{_NAME}: is not open; call open first")
-
-
-def _check_range(name: str, end_px: int, size_px: int) -> None:
-    if end_px > size_px:
-        raise DeviceError(
-            f"{_NAME}: {name} with its offset reaches {end_px}; the sensor has {size_px}. Ask for less"
-        )
 
 
 class _SimulatedFrames:

@@ -77,7 +77,7 @@ def show(config: Config, set_: Set = None) -> None:
                 f"camera.{name}: not reported by this camera" if value is None else f"camera.{name} = {value}"
             )
         features = getattr(camera, "features", None)
-        lines = list(feature_lines(features.nodes.readings())) if features is not None else []
+        lines = list(feature_lines(features.readings())) if features is not None else []
         answer(camera=info, settings=applied.model_dump(mode="json"), features=lines)
         for line in lines:
             print_line(line)
@@ -116,7 +116,7 @@ def set_features(
                 answer(**{f"camera.{name}": getattr(applied, name)})
                 print_line(f"camera.{name} = {getattr(applied, name)}")
             elif hasattr(camera, "features"):
-                now = camera.features.set(name, value)
+                now = camera.features.set_feature(name, value)
                 answer(**{name: now})
                 print_line(f"{name} = {now}")
             else:

@@ -2,7 +2,7 @@
 
 from rig.control.controller import Controller
 from rig.control.laser_service import LONGEST_JOB_S, LaserService
-from rig.control.lasers import LASERS, LaserSettings, LaserState, laser_unit, make_laser
+from rig.control.lasers import LASERS, LaserSettings, LaserState, make_laser
 from rig.control.light_permit import TO_BE_ASKED, Interlock, LightPermit, LightRefused, Stage
 from rig.control.ports import (
     check_controller,
@@ -28,7 +28,7 @@ from rig.control.settings import (
     EnvironmentSettings,
     SeismometerSettings,
 )
-from rig.control.simulated import SimulatedOutputs, simulated_controller
+from rig.control.simulated import simulated_controller
 from rig.control.states import (
     STALE_S,
     DevicesNow,

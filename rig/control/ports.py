@@ -1,9 +1,6 @@
 """Serial ports: their list, checks of the configured devices on them, and udev rules for access to them."""
 
-import re
-import time
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass, replace
 
 from serial.tools import list_ports
@@ -13,8 +10,8 @@ from rig.control.controller import Controller
 from rig.control.lasers import LaserSettings, make_laser
 from rig.control.lasers.thorlabs4000 import USB_VENDOR as THORLABS
 from rig.control.protocol import ControllerStatus
-from rig.control.sensors import parse_environment
-from rig.control.serial_port import LineReader, PortLost, SerialPort, ports_here
+from rig.control.sensors import EnvironmentService
+from rig.control.serial_port import ports_here
 from rig.control.settings import ControllerSettings, EnvironmentSettings
 from rig.terminal import Verdict
 
@@ -39,7 +36,6 @@ def udev_board() -> str:
     return f'SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", ATTR{{idVendor}}=="{PICO:04x}"'
 
 
-_SILENT_S = 0.1
 _TRIP_ERRORS = range(101, 105)
 """Error codes of the board that report trips; its latch reports them in more detail."""
 
@@ -197,26 +193,15 @@ def check_environment(settings: EnvironmentSettings, patience_s: float = 5.0) ->
     """Read the lines of a sensor with its own port until one matches the pattern, for at most patience_s."""
     if settings.kind != "serial":
         return ()
-    pattern = re.compile(settings.pattern)
-    last = ""
-    try:
-        with closing(SerialPort(settings.port, settings.baud)) as port:
-            reader = LineReader(port)
-            deadline_s = time.monotonic() + patience_s
-            while not reader.finds_line_start(min(time.monotonic() + _SILENT_S, deadline_s)):
-                if time.monotonic() >= deadline_s:
-                    break
-            if settings.request:
-                port.write(settings.request.encode("ascii") + b"\n")
-            while (raw := reader.read_line(deadline_s)) is not None and time.monotonic() < deadline_s:
-                last = raw.decode("latin-1").strip() or last
-                if parse_environment(pattern, last) is not None:
-                    return (Verdict("environment sensor", True, last[:80]),)
-    except PortLost as error:
-        found = Verdict.failed("environment sensor", error, ports_here())
+    sensor = EnvironmentService(settings)
+    if sensor.look(patience_s):
+        return (Verdict("environment sensor", True, sensor.last_line),)
+    if sensor.last_error:
+        found = Verdict.failed("environment sensor", DeviceError(sensor.last_error), ports_here())
         without = "; or measure without it: --set environment_sensor.kind=none"
         return (replace(found, remedy=found.remedy + without),)
-    reason = f"{last[:80]!r} does not match the pattern" if last else f"no line within {patience_s:g} s"
+    last = sensor.last_line
+    reason = f"{last!r} does not match the pattern" if last else f"no line within {patience_s:g} s"
     return (
         Verdict(
             "environment sensor",

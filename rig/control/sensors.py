@@ -56,6 +56,14 @@ class SensorLines(DeviceThread):
         """Whether no reading has come for `stale_after_s`."""
         return self.age_s > self._stale_after_s
 
+    def look(self, patience_s: float) -> bool:
+        """Whether a reading comes within `patience_s`; called instead of `start`, in the caller's thread."""
+        deadline_s = time.monotonic() + patience_s
+        while self.last_ns < 0 and not self.last_error and time.monotonic() < deadline_s:
+            self._poll()
+        self._finish()
+        return self.last_ns >= 0
+
     @abstractmethod
     def _take(self, text: str, now_ns: int) -> bool:
         """Take the reading from a line; False if it has none."""

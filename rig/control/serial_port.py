@@ -119,25 +119,24 @@ class SerialPort:
 class LineReader:
     """Divides the bytes of a `SerialLine` into lines; an incomplete line is kept for the next call."""
 
-    def __init__(self, line: SerialLine, terminator: bytes = b"\n") -> None:
+    def __init__(self, line: SerialLine) -> None:
         self._line = line
-        self._terminator = terminator
         self._buffer = bytearray()
 
     def read_line(self, deadline_s: float) -> bytes | None:
         """Next line without its terminator; None if it has not ended by deadline_s (`time.monotonic`)."""
         while True:
-            end = self._buffer.find(self._terminator)
+            end = self._buffer.find(b"\n")
             if end >= 0:
                 line = bytes(self._buffer[:end])
-                del self._buffer[: end + len(self._terminator)]
+                del self._buffer[: end + 1]
                 return line
             remaining_s = deadline_s - time.monotonic()
             data = self._line.read(max(remaining_s, 0.0))
             self._buffer += data
             if len(self._buffer) > _BUFFER_MAX:
                 del self._buffer[:-_BUFFER_MAX]
-            if remaining_s <= 0 and self._terminator not in data:
+            if remaining_s <= 0 and b"\n" not in data:
                 return None
 
     @property

@@ -69,7 +69,6 @@ class ControlSnapshot:
     status: ControllerStatus | None = None
     status_time_ns: int = 0
     environment: AirReading = _NO_READING
-    environment_time_ns: int = 0
     reconnects: int = 0
     junk_lines: int = 0
     late_replies: int = 0
@@ -80,10 +79,10 @@ class ControlSnapshot:
 class ControlService(DeviceThread):
     """Operates a `Controller` from `start` to `close`, which puts every output into its safe state.
 
-    Every command returns a future immediately. Its error is a DeviceError: the controller rejected the
-    command or is not connected, or the command waited longer than its time limit and was not sent
-    (`Overdue`). If the connection is lost, the board's watchdog puts its outputs into their safe state. The
-    service then opens the controller again, but does not switch the laser on by itself.
+    Every command, and any call by `submit`, returns a future immediately. Its error is a DeviceError: the
+    controller rejected the command or is not connected, or the command waited longer than its time limit and
+    was not sent (`JobExpired`). If the connection is lost, the board's watchdog puts its outputs into their
+    safe state. The service then opens the controller again, but does not switch the laser on by itself.
 
     While `permit` refuses the light, the laser is switched off. While it says that frames have stalled, no
     heartbeat is sent either, so that the board's watchdog makes everything safe even if that command is lost.
@@ -135,7 +134,7 @@ class ControlService(DeviceThread):
     def submit(
         self, call: Callable[[Controller], T], timeout_s: float = 2.0, urgent: bool = False
     ) -> "Future[T]":
-        """Queue any call on the controller."""
+        """Queue any call on the controller, such as ``lambda controller: controller.brake(True)``."""
         return self._queue(lambda: self._guarded(call), timeout_s, urgent)
 
     def laser_on(self) -> "Future[None]":
@@ -157,30 +156,6 @@ class ControlService(DeviceThread):
     def set_laser_power_w(self, power_w: float) -> "Future[None]":
         """Set the laser's power within its limits."""
         return self.submit(lambda c: c.set_laser_power_w(power_w))
-
-    def set_laser_pulse(self, delay_us: float, width_us: float) -> "Future[None]":
-        """Set the pulse of light in each exposure; only while the laser is off."""
-        return self.submit(lambda c: c.set_laser_pulse(delay_us, width_us))
-
-    def hold(self) -> "Future[None]":
-        """Energise the holding magnet."""
-        return self.submit(Controller.hold)
-
-    def release(self) -> "Future[None]":
-        """Release the pendulum."""
-        return self.submit(Controller.release)
-
-    def starter_pulse(self, duration_s: float) -> "Future[None]":
-        """Tilt the pendulum by the starter; the future is done when the pulse has begun."""
-        return self.submit(lambda c: c.starter_pulse(duration_s))
-
-    def clamp(self, closed: bool) -> "Future[None]":
-        """Close or open the clamp."""
-        return self.submit(lambda c: c.clamp(closed))
-
-    def brake(self, on: bool) -> "Future[None]":
-        """Apply or release the brake."""
-        return self.submit(lambda c: c.brake(on))
 
     def safe(self) -> "Future[None]":
         """Put every output into its safe state, before all waiting commands; it has no time limit."""
@@ -298,9 +273,7 @@ class ControlService(DeviceThread):
             self._environment_due_s = now_s + self._environment_period_s
             environment = controller.environment()
             self._sensor_silent = self._sensor_silent and math.isnan(environment.temperature_c)
-            self._snapshot = replace(
-                self._snapshot, environment=environment, environment_time_ns=time.monotonic_ns()
-            )
+            self._snapshot = replace(self._snapshot, environment=environment)
 
     def _hear(self, now_s: float) -> None:
         """Note that the board has reported its state."""

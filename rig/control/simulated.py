@@ -1,8 +1,7 @@
 """A simulated controller, which runs the board's firmware in this process, over a line that can fail.
 
 The host's side is the same as for real hardware, including checksums, repetitions and watchdog. Only the
-board's pins are replaced by callbacks, with which a simulated rig switches its laser or releases its
-pendulum.
+board's pins are replaced by the inputs of the simulated rig, which switch its laser or release its pendulum.
 """
 
 import operator
@@ -10,47 +9,25 @@ import random
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
+from acquisition.simulation.inputs import RigInputs
 from rig.control.controller import Controller
 from rig.control.firmware.core import Firmware
-from rig.control.protocol import AirReading
 from rig.control.serial_port import PortLost, SerialLine
 from rig.control.settings import ControllerSettings, SerialFaults
 
 _TURN_S = 0.005
 
 
-def _ignore(*_: object) -> None:
-    """Output of a pin that is not connected."""
-
-
-@dataclass(frozen=True)
-class SimulatedOutputs:
-    """Callbacks of the simulated board's pins, called from its thread; each must return immediately.
-
-    `laser` is called with the optical power in W, 0.0 when off, `pulse` with delay and width in us of the
-    light after each exposure's beginning, width 0 for light all the time, the others with True or False.
-    """
-
-    laser: Callable[[float], None] = _ignore
-    pulse: Callable[[float, float], None] = _ignore
-    magnet: Callable[[bool], None] = _ignore
-    starter: Callable[[bool], None] = _ignore
-    clamp: Callable[[bool], None] = _ignore
-    brake: Callable[[bool], None] = _ignore
-    interlock_closed: Callable[[], bool] = lambda: True
-    environment: Callable[[], AirReading] = lambda: AirReading(20.0, 45.0, 101325.0)
-
-
 def simulated_controller(
     settings: ControllerSettings,
     laser_max_w: float,
-    outputs: SimulatedOutputs | None = None,
-    stored_laser_max_w: float = 0.005,
+    inputs: RigInputs | None = None,
+    laser: Callable[[float], None] | None = None,
+    interlock_closed: Callable[[], bool] = lambda: True,
 ) -> Controller:
-    """A `Controller` whose board is simulated in this process; the faults of its line are in the settings."""
-    board = SimulatedBoard(outputs or SimulatedOutputs(), stored_laser_max_w, settings.faults)
+    """A `Controller` whose board is simulated in this process, as `SimulatedBoard`."""
+    board = SimulatedBoard(inputs, settings.faults, laser, interlock_closed)
     return Controller(settings, laser_max_w, board.open_line)
 
 
@@ -58,28 +35,48 @@ class SimulatedBoard:
     """The simulated board, whose thread runs the firmware's loop while a line is open or a session lasts.
 
     The watchdog therefore acts as on the real board when the heartbeats stop.
+
+    Parameters
+    ----------
+    inputs
+        The rig that the board's pins move; None: they are not connected.
+    faults
+        Faults of the line.
+    laser
+        Called from the board's thread, instead of the rig's, with the optical power in W, 0.0 when off; it
+        must return immediately.
+    interlock_closed
+        State of the interlock loop.
     """
 
     fault = ""
     serial = "SIMULATED"
     clamp_closed = False
     latches_at_start = False
+    laser_max_w = 0.005
     starter_max_ms = 5000
     brake_max_ms = 60000
     ticks_diff, ticks_add = staticmethod(operator.sub), staticmethod(operator.add)
     """Difference and sum of readings of the clock, which does not overflow."""
 
-    def __init__(self, outputs: SimulatedOutputs, laser_max_w: float, faults: SerialFaults) -> None:
-        self.laser_max_w = laser_max_w
+    def __init__(
+        self,
+        inputs: RigInputs | None,
+        faults: SerialFaults,
+        laser: Callable[[float], None] | None = None,
+        interlock_closed: Callable[[], bool] = lambda: True,
+    ) -> None:
         self.faults = faults
         self.changed = threading.Condition()
         self.to_board = bytearray()
         self.to_host: list[tuple[float, bytes]] = []
         self.open_lines = 0
         self.begun_s = time.monotonic()
-        self._outputs = outputs
-        self.set_pulse, self.set_magnet, self.set_starter = outputs.pulse, outputs.magnet, outputs.starter
-        self.set_clamp, self.set_brake = outputs.clamp, outputs.brake
+        inputs = inputs or RigInputs()
+        self.set_pulse, self.set_magnet, self.set_starter = inputs.pulse, inputs.magnet, inputs.starter
+        self.set_clamp, self.set_brake = inputs.clamp, inputs.brake
+        self._laser = laser or inputs.laser
+        self._interlock_closed = interlock_closed
         self._random = random.Random(0)
         self._thread: threading.Thread | None = None
         self._reset_done = False
@@ -146,7 +143,7 @@ class SimulatedBoard:
     def set_laser(self, on: bool, power_w: float) -> None:
         """Switch the laser, with this power."""
         self._enabled = on
-        self._outputs.laser(power_w if on else 0.0)
+        self._laser(power_w if on else 0.0)
 
     def laser_enabled(self) -> bool:
         """Whether the laser's relay is closed."""
@@ -154,7 +151,7 @@ class SimulatedBoard:
 
     def interlock_closed(self) -> bool:
         """State of the interlock loop."""
-        return self._outputs.interlock_closed()
+        return self._interlock_closed()
 
     def interlock_opened(self) -> bool:
         """Whether the loop opened for less than a turn, which is not simulated."""
@@ -178,8 +175,7 @@ class SimulatedBoard:
 
     def environment(self) -> tuple[float, float, float]:
         """Temperature in °C, relative humidity in %, pressure in Pa."""
-        air = self._outputs.environment()
-        return air.temperature_c, air.humidity_percent, air.pressure_pa
+        return 20.0, 45.0, 101325.0
 
     def ticks_ms(self) -> int:
         """The board's clock in ms."""

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from acquisition.camera import CameraStatus, FrameTimeout
 from acquisition.cameras.drivers import Usb3VisionSettings
-from acquisition.cameras.usb3vision.link import FoundCamera, UsbSpeed, find_cameras
+from acquisition.cameras.usb3vision.link import SUPER_SPEED, FoundCamera, find_cameras
 from acquisition.frames.losses import FrameLosses
 from processing.errors import ConfigurationError, DeviceError, RigError
 from processing.units import seconds
@@ -257,7 +257,6 @@ def _read(path: Path) -> str:
 
 
 _USBFS_MEMORY = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
-_SLOW = (UsbSpeed.LOW, UsbSpeed.FULL, UsbSpeed.HIGH)
 
 
 def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
@@ -271,11 +270,11 @@ def check_usb_camera(camera: FoundCamera) -> tuple[Verdict, ...]:
         else f"only root may open USB devices unless a udev rule allows it: {as_root()}, "
         "then plug the camera in again",
     )
-    slow = camera.usb_speed in _SLOW
+    slow = 0 < camera.usb_speed < SUPER_SPEED
     speed = Verdict(
         "camera USB speed",
         not slow,
-        camera.usb_speed.text,
+        camera.speed_text,
         "use a USB 3 port (blue, or marked SS) and a USB 3 cable, without a hub" if slow else "",
     )
     return allowed, speed

@@ -55,7 +55,9 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
         if settings.power_w <= 0:
             raise ConfigurationError("laser.power_w = 0: set it to the wanted power in W")
         if settings.pulse_us:
-            wait_for_command(control.set_laser_pulse(settings.pulse_delay_us, settings.pulse_us))
+            wait_for_command(
+                control.submit(lambda c: c.set_laser_pulse(settings.pulse_delay_us, settings.pulse_us))
+            )
         wait_for_command(control.set_laser_power_w(settings.power_w))
         wait_for_command(control.laser_on())
         pulsed = f", {settings.pulse_us:g} µs in each exposure" if settings.pulse_us else ""

@@ -21,7 +21,6 @@ from rig.control import (
     EnvironmentService,
     LaserService,
     SafetyState,
-    SimulatedOutputs,
     make_laser,
     simulated_controller,
 )
@@ -240,19 +239,7 @@ class Devices(LitDevices):
         interlock = SimulatedInterlock(
             config.faults.interlock_opens_at_s, config.faults.interlock_open_for_s, wired
         )
-        return simulated_controller(
-            config.controller,
-            limit_w,
-            SimulatedOutputs(
-                laser=interlock.laser,
-                interlock_closed=interlock.closed,
-                pulse=inputs.pulse,
-                magnet=inputs.magnet,
-                starter=inputs.starter,
-                clamp=inputs.clamp,
-                brake=inputs.brake,
-            ),
-        )
+        return simulated_controller(config.controller, limit_w, inputs, interlock.laser, interlock.closed)
 
     def required_control(self, who: str) -> ControlService:
         """The controller; raises ConfigurationError, with `who` needs it, if there is none."""

@@ -280,7 +280,7 @@ class PhasesBeforeRecord:
         instruction = ""
         rest, threshold = self._rest_position()
         if start.way == "magnet":
-            wait_for_command(self._devices.required_control(who).hold())
+            wait_for_command(self._devices.required_control(who).submit(lambda c: c.hold()))
             self._come_to_rest()
             free = rest
             rest, threshold = self._rest_position()
@@ -292,9 +292,11 @@ class PhasesBeforeRecord:
                     "from its free rest position; check the magnet, its current and its distance"
                 )
             wait.note(EventKind.MAGNET, f"holds the pendulum at {distance}")
-            wait_for_command(self._devices.required_control(who).release())
+            wait_for_command(self._devices.required_control(who).submit(lambda c: c.release()))
         elif start.way == "starter":
-            wait_for_command(self._devices.required_control(who).starter_pulse(self.starter_pulse_s))
+            wait_for_command(
+                self._devices.required_control(who).submit(lambda c: c.starter_pulse(self.starter_pulse_s))
+            )
             wait.note(EventKind.STARTER, f"pulse of {self.starter_pulse_s:.3f} s")
         else:
             instruction = "release by hand now"
@@ -328,7 +330,7 @@ class PhasesBeforeRecord:
         if control is None or self._config.start.way == "at once":
             return
         try:
-            wait_for_command(control.brake(on))
+            wait_for_command(control.submit(lambda c: c.brake(on)))
         except DeviceError as error:
             self._wait.note(EventKind.BRAKE, str(error))
 

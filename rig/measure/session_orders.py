@@ -85,7 +85,7 @@ def orders(devices: Devices, notes: Notes) -> Orders:
     def brake(value: str) -> str:
         if value not in ("on", "off"):
             raise RigError(f"brake {value!r}: should be on or off")
-        wait_for_command(devices.required_control("the brake").brake(value == "on"))
+        wait_for_command(devices.required_control("the brake").submit(lambda c: c.brake(value == "on")))
         devices.audit(AuditEntry.BRAKE, "ordered", on=value == "on")
         return f"brake {value}"
 

@@ -133,7 +133,7 @@ def measure(
                 if light.alarm:
                     raise DeviceError(light.alarm)
                 if held and frames and frames[-1].time_ns >= begin_ns:
-                    wait_for_command(devices.required_control("the magnet").release())
+                    wait_for_command(devices.required_control("the magnet").submit(lambda c: c.release()))
                     held = False
                 if not frames or held:
                     continue
@@ -160,10 +160,10 @@ def _start_swing(config: Configuration, devices: Devices, swing_arcsec: float) -
     if start.way == "starter":
         part = min(1.0, swing_arcsec / config.session.initial_amplitude_arcsec)
         pulse_s = max(part * start.starter_pulse_s, _MIN_PULSE_S)
-        wait_for_command(devices.required_control("the starter").starter_pulse(pulse_s))
+        wait_for_command(devices.required_control("the starter").submit(lambda c: c.starter_pulse(pulse_s)))
     if start.way != "magnet":
         return 0.0
-    wait_for_command(devices.required_control("the magnet").hold())
+    wait_for_command(devices.required_control("the magnet").submit(lambda c: c.hold()))
     return config.phases.rest_window_s
 
 

@@ -13,7 +13,6 @@ from acquisition.camera import (
 )
 from acquisition.cameras.aravis.library import (
     LAST_SHORT_ID,
-    AravisDevice,
     AravisFeatures,
     BufferReader,
     Library,
@@ -88,44 +87,33 @@ class AravisCamera(GenicamCamera[AravisFeatures]):
             self._closing.wait(self._name)
             closings = self._closings
             self._library = load_library()
-            found = find_camera(self._settings.serial)
-            self._name = found.name
+            identity, self._name = find_camera(self._settings.serial)
             self._gone = threading.Event()
             with self._translate_errors():
-                info, features = self._take_control(self._library, found)
+                info, features = self._take_control(self._library, identity)
             if closings != self._closings:
                 self._closing.run(_no_action, features.release(), self._library.error)
                 raise DeviceError(f"{self._name}: was closed while it was opened")
             self._features = features
             return info
 
-    def _take_control(self, library: Library, found: AravisDevice) -> tuple[CameraInfo, AravisFeatures]:
-        camera = library.aravis.Camera.new(found.identity)
+    def _take_control(self, library: Library, identity: str) -> tuple[CameraInfo, AravisFeatures]:
+        camera = library.aravis.Camera.new(identity)
         # a local variable, because the signal's handler must keep no reference to this object
         gone = self._gone
         camera.get_device().connect("control-lost", lambda *_: gone.set())
         camera.stop_acquisition()  # a program that crashed may have left it running
-        features = AravisFeatures(camera, library.aravis, found.name)
-        pixel_format = features.choose_usable_format()
+        features = AravisFeatures(camera, library.aravis, self._name)
+        features.choose_usable_format()
         if camera.is_gv_device():
             self._set_packet_size(library, camera)
             device = camera.get_device()
             self._has_clock = any(device.read_register(address) for address in _TICKS_REGISTERS)
         else:
             self._has_clock = True
-        width_px, height_px = features.sensor_size()
-        states_shutter = camera.is_feature_available("SensorShutterMode")
-        info = CameraInfo(
-            driver="aravis",
-            vendor=found.vendor,
-            model=found.model,
-            serial=found.serial,
-            width_px=width_px,
-            height_px=height_px,
-            full_scale_dn=pixel_format.full_scale_dn,
-            has_clock=self._has_clock,
-            shutter=features.text("SensorShutterMode") if states_shutter else "",
-        )
+        vendor, model = camera.get_vendor_name(), camera.get_model_name()
+        serial = camera.get_device_serial_number() or ""
+        info = features.info("aravis", vendor, model, serial, has_clock=self._has_clock)
         return info, features
 
     def _set_packet_size(self, library: Library, camera: Any) -> None:

@@ -9,9 +9,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from acquisition.camera import CameraSettings, ColourPlane, FeatureValue, Frame, PluggedCamera
-from acquisition.cameras.genicam import GenicamFeatures, NumericFeature
+from acquisition.camera import ColourPlane, FeatureValue, Frame, PluggedCamera
+from acquisition.cameras.genicam import GenicamFeatures
+from acquisition.cameras.genicam_access import NumericFeature
 from acquisition.cameras.pixel_formats import Format, plane_of
+from acquisition.cameras.reading import check_range, only_camera
 from acquisition.frames.losses import BlockNumbers, LossCause
 from processing.errors import DeviceError
 
@@ -21,23 +23,6 @@ class Library(NamedTuple):
 
     aravis: Any
     error: type[Exception]
-
-
-@dataclass(frozen=True, slots=True)
-class AravisDevice:
-    """A camera found by libaravis; `place` is its address or USB identity."""
-
-    identity: str
-    vendor: str
-    model: str
-    serial: str
-    place: str
-    protocol: str
-
-    @property
-    def name(self) -> str:
-        """Name of the camera in messages."""
-        return f"{self.protocol} camera {self.vendor} {self.model} (serial {self.serial or 'unknown'})"
 
 
 def load_library() -> Library:
@@ -59,49 +44,38 @@ def load_library() -> Library:
     return Library(Aravis, GLib.Error)
 
 
-def find_cameras() -> tuple[AravisDevice, ...]:
-    """All cameras that libaravis finds; the search takes about a second."""
+def find_cameras() -> dict[str, PluggedCamera]:
+    """All cameras that libaravis finds, by its ids; the search takes about a second."""
     aravis = load_library().aravis
     aravis.update_device_list()
-    return tuple(
-        AravisDevice(
-            identity=aravis.get_device_id(index),
-            vendor=aravis.get_device_vendor(index) or "",
-            model=aravis.get_device_model(index) or "",
-            serial=aravis.get_device_serial_nbr(index) or "",
-            place=aravis.get_device_address(index) or aravis.get_device_physical_id(index) or "",
-            protocol=aravis.get_device_protocol(index) or "",
+    return {
+        aravis.get_device_id(index): PluggedCamera(
+            "aravis",
+            f"{aravis.get_device_vendor(index) or ''} {aravis.get_device_model(index) or ''}".strip(),
+            aravis.get_device_serial_nbr(index) or "",
+            aravis.get_device_address(index) or aravis.get_device_physical_id(index) or "",
         )
         for index in range(aravis.get_n_devices())
-    )
+    }
 
 
 def list_cameras() -> list[PluggedCamera]:
     """All cameras found by libaravis, for ``rig doctor``."""
-    return [
-        PluggedCamera("aravis", f"{found.vendor} {found.model}", found.serial, found.place)
-        for found in find_cameras()
-    ]
+    return list(find_cameras().values())
 
 
-def find_camera(wanted: str | None) -> AravisDevice:
-    """The camera with this serial number or id; None: the only camera connected.
+def find_camera(wanted: str | None) -> tuple[str, str]:
+    """Id, and name in messages, of the camera with this serial number, or id where two share one.
 
-    Raises DeviceError, with a list of the cameras, if there is none or the choice is ambiguous.
+    None: the only camera connected.
     """
-    cameras = find_cameras()
-    chosen = [camera for camera in cameras if wanted in (None, camera.serial, camera.identity)]
-    listed = "; ".join(camera.name for camera in cameras)
-    if not cameras:
-        raise DeviceError("aravis: no camera answers; check cable, power and network, then: rig doctor")
-    if not chosen:
-        raise DeviceError(f"aravis: no camera has the serial number {wanted!r}; there are: {listed}")
-    if len(chosen) > 1:
-        raise DeviceError(
-            f"aravis: several cameras: {listed}; set camera.serial to one of them "
-            "(where two share one, to its id: rig doctor)"
-        )
-    return chosen[0]
+    cameras = [
+        (f"aravis camera {found.name} (serial {found.serial or 'unknown'})", found.serial, identity)
+        for identity, found in find_cameras().items()
+    ]
+    names = {identity: name for name, _, identity in cameras}
+    identity = wanted if wanted in names else only_camera("aravis", cameras, wanted)
+    return identity, names[identity]
 
 
 _FUNCTION_NAMES: Final[dict[NumericFeature, str]] = {
@@ -125,35 +99,41 @@ class AravisFeatures(GenicamFeatures):
         camera, self.camera = self.camera, None
         return [camera]
 
-    def sensor_size(self) -> tuple[int, int]:
-        """(width, height) of the sensor."""
-        width_px, height_px = self.camera.get_sensor_size()
-        return int(width_px), int(height_px)
-
     # ---- the methods of GenicamFeatures
+
+    def has(self, feature: str) -> bool:
+        return self._node(feature) is not None
 
     def writable(self, feature: str) -> bool:
         if not self.camera.is_feature_available(feature):
             return False
-        node = self.camera.get_device().get_feature(feature)
+        node = self._node(feature)
         read_only = node.get_actual_access_mode() == self._aravis.GcAccessMode.RO
         return not (read_only or node.is_locked())
 
     def choices(self, feature: str) -> tuple[str, ...]:
-        node = self.camera.get_device().get_feature(feature)
+        node = self._node(feature)
         if not isinstance(node, self._aravis.GcEnumeration) or not node.is_available():
             return ()
         return tuple(self.camera.dup_available_enumerations_as_strings(feature))
 
+    def limits(self, feature: str) -> tuple[float | None, float | None]:
+        node = self._node(feature)
+        numbers = self._aravis.GcInteger, self._aravis.GcFloat
+        return (node.get_min(), node.get_max()) if isinstance(node, numbers) else (None, None)
+
     def read(self, feature: str) -> FeatureValue | None:
-        return self.text(feature) if self.camera.is_feature_available(feature) else None
+        available = self.camera.is_feature_available(feature)
+        return str(self._node(feature).get_value_as_string()) if available else None
 
     def write(self, feature: str, value: FeatureValue) -> None:
-        if isinstance(self.camera.get_device().get_feature(feature), self._aravis.GcCommand):
+        if isinstance(self._node(feature), self._aravis.GcCommand):
             self.camera.execute_command(feature)
             return
         text = str(value).lower() if isinstance(value, bool) else str(value)
         self.camera.get_device().set_features_from_string(f"{feature}={text}")
+
+    # libaravis knows the makers' own names of these quantities, and how their cameras want them to be set
 
     def number(self, key: NumericFeature) -> float | None:
         if not getattr(self.camera, f"is_{_FUNCTION_NAMES[key]}_available")():
@@ -164,35 +144,9 @@ class AravisFeatures(GenicamFeatures):
         if not getattr(self.camera, f"is_{_FUNCTION_NAMES[key]}_available")():
             raise DeviceError(f"{self.name}: does not allow it to be set; leave camera.{key} out")
         # libaravis clips values out of range without an error
-        self._check(key, wanted, *getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}_bounds")())
+        bounds = getattr(self.camera, f"get_{_FUNCTION_NAMES[key]}_bounds")()
+        check_range(self.name, key, wanted, *bounds)
         getattr(self.camera, f"set_{_FUNCTION_NAMES[key]}")(wanted)
-
-    def region(self) -> tuple[int, int, int, int]:
-        x, y, width_px, height_px = self.camera.get_region()
-        return int(x), int(y), int(width_px), int(height_px)
-
-    def set_region(self, asked: CameraSettings) -> None:
-        wanted = (asked.offset_x_px, asked.offset_y_px, asked.width_px, asked.height_px)
-        if all(value is None for value in wanted):
-            return
-        x, y, width_px, height_px = (
-            present if value is None else value for value, present in zip(wanted, self.region(), strict=True)
-        )
-        sensor_width_px, sensor_height_px = self.sensor_size()
-        self._check_end("width_px", x + width_px, sensor_width_px)
-        self._check_end("height_px", y + height_px, sensor_height_px)
-        self.camera.set_region(x, y, width_px, height_px)
-
-    def format_name(self) -> str:
-        return str(self.camera.get_pixel_format_as_string())
-
-    def offered_formats(self) -> list[str]:
-        return list(self.camera.dup_available_pixel_formats_as_strings())
-
-    def set_format_name(self, name: str) -> None:
-        self.camera.set_pixel_format_from_string(name)
-
-    # ---- for the driver
 
     def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
         found: dict[str, FeatureValue] = {}
@@ -209,15 +163,9 @@ class AravisFeatures(GenicamFeatures):
                     found[name] = str(node.get_value_as_string())
         return found
 
-    def text(self, name: str) -> str:
-        """A feature's value as text."""
-        return str(self.camera.get_device().get_feature(name).get_value_as_string())
-
-    def select_continuous(self) -> None:
-        """Select continuous acquisition, without a trigger unless one was requested."""
-        if not self.is_triggered:
-            self.camera.clear_triggers()
-        self.camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
+    def _node(self, feature: str) -> Any:
+        """libaravis's node of a feature; None if the camera does not have it."""
+        return self.camera.get_device().get_feature(feature)
 
 
 LAST_SHORT_ID: Final = 65535

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.cameras.files.film_index import FilmIndex, ffmpeg_error, film_index, open_film, pyav
-from acquisition.cameras.files.formats import is_whole, slices_of
+from acquisition.cameras.files.formats import has_checksums
 from acquisition.cameras.files.frame_source import FrameSource, FrameTimes, StoredImage, UnreadableFrame
 from processing.errors import DeviceError
 
@@ -200,8 +200,7 @@ class FilmSource(FrameSource):
         self.pixel_aspect = float(index.pixel_aspect)
         self.warnings = index.warnings
         self.lossy = "" if index.codec in _LOSSLESS else index.codec
-        self._checksums = index.codec == "ffv1" and any(map(slices_of, index.first_packets))
-        if index.codec == "ffv1" and not self._checksums:
+        if index.codec == "ffv1" and not any(map(has_checksums, index.first_packets)):
             _log.warning("%s: was written without checksums; damaged frames cannot be recognised", path)
         rate = "changing" if index.rate_hz is None else f"{float(index.rate_hz):.9g} frames/s"
         lasts = f"{len(index.ticks)} frames in {index.time_ns[-1] / 1e9:.6g} s"
@@ -307,8 +306,6 @@ class FilmSource(FrameSource):
             fault = f"it, or a frame it builds on, is damaged: {messages[0][2].strip()}"
         if packet.is_corrupt:
             fault = "the container marks it, or one it builds on, as damaged"
-        if self._checksums and not is_whole(bytes(packet)):
-            fault = "its checksum, or that of a frame it builds on, does not match"
         return fault, frames
 
 

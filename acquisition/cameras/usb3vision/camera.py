@@ -13,10 +13,8 @@ from acquisition.camera import (
 )
 from acquisition.cameras.drivers import Usb3VisionSettings
 from acquisition.cameras.genicam import GenicamCamera
-from acquisition.cameras.pixel_formats import BY_NAME
 from acquisition.cameras.reading import CameraRun
 from acquisition.cameras.usb3vision.description import read_description
-from acquisition.cameras.usb3vision.features import Features
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from acquisition.cameras.usb3vision.link import UsbLink, find_camera
 from acquisition.cameras.usb3vision.node_map import NodeMap, load_genapi
@@ -43,7 +41,7 @@ _MAX_CLOCK_STEP_NS: Final = 15_000
 """Resolution of the camera's clock above which the times of turning points become less accurate."""
 
 
-class Usb3VisionCamera(GenicamCamera[Features]):
+class Usb3VisionCamera(GenicamCamera[NodeMap]):
     """Any USB3 Vision camera, through pyusb and libusb.
 
     Parameters
@@ -101,11 +99,13 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 self._has_clock = identity.timestamp_increment_ns > 0
                 # end an acquisition that a killed program left running
                 self._try_each(
-                    lambda: features.execute("AcquisitionStop"),
+                    lambda: features.write("AcquisitionStop", True),
                     lambda: self._enable(False),
                     lambda: _set_locked(features, False),
                 )
-                info = self._info(features, identity)
+                info = features.info(
+                    "usb3vision", identity.vendor, identity.model, identity.serial, has_clock=self._has_clock
+                )
             except BaseException:
                 self._channel = None
                 link.release()
@@ -113,12 +113,12 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             self._link, self._features = link, features
             return info
 
-    def _read_features(self, channel: GenCpChannel, identity: Identity) -> Features:
+    def _read_features(self, channel: GenCpChannel, identity: Identity) -> NodeMap:
         """The camera's features; DeviceError if its description is invalid or incomplete."""
         xml = read_description(channel, identity.manifest_address, self._name)
-        features = Features(NodeMap(xml, channel, self._name))
+        features = NodeMap(xml, channel, self._name)
         for name in ("Width", "Height", "PixelFormat", "AcquisitionStart", "AcquisitionStop"):
-            if name not in features.nodes:
+            if not features.has(name):
                 raise DeviceError(f"{self._name}: its description lacks {name}, which every camera must have")
         if identity.timestamp_increment_ns > _MAX_CLOCK_STEP_NS:
             logger.warning(
@@ -129,21 +129,6 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 _MAX_CLOCK_STEP_NS / 1e3,
             )
         return features
-
-    def _info(self, features: Features, identity: Identity) -> CameraInfo:
-        """Identity and sensor size of the camera."""
-        pixel_format = BY_NAME.get(str(features.get("PixelFormat")))
-        return CameraInfo(
-            driver="usb3vision",
-            vendor=identity.vendor,
-            model=identity.model,
-            serial=identity.serial,
-            width_px=features.sensor_size("Width"),
-            height_px=features.sensor_size("Height"),
-            full_scale_dn=255 if pixel_format is None else pixel_format.full_scale_dn,
-            has_clock=self._has_clock,
-            shutter=str(features.get_if_readable("SensorShutterMode") or ""),
-        )
 
     def start(self) -> None:
         """Set up the stream, then start the camera's acquisition."""
@@ -156,13 +141,8 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             pixel_format = features.pixel_format()
             pixel_format.prepare()
             features.select_continuous()
-            expected = ExpectedFrames(
-                pixel_format,
-                int(features.get("Width")),
-                int(features.get("Height")),
-                self._has_clock,
-                features.plane,
-            )
+            _, _, width_px, height_px = features.region()
+            expected = ExpectedFrames(pixel_format, width_px, height_px, self._has_clock, features.plane)
             registers.enable(False)
             link.reset_stream()
             plan = registers.set_up(_MAX_FRAME_BYTES, _MAX_TRANSFER_BYTES)
@@ -181,7 +161,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
             self._run = CameraRun(self._stream.step, transfers.cancel)
             self._camera_is_running = True
             try:
-                features.execute("AcquisitionStart")
+                features.write("AcquisitionStart", True)
             except DeviceError:
                 self.stop()
                 raise
@@ -209,7 +189,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
         self._camera_is_running = False
         with suppress(CameraLost):
             self._try_each(
-                lambda: features.execute("AcquisitionStop"),
+                lambda: features.write("AcquisitionStop", True),
                 lambda: self._enable(False),
                 limit_s=_COMMANDS_S / 2,
             )
@@ -250,7 +230,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
     # ---- not part of the protocol `Camera`
 
     @property
-    def features(self) -> Features:
+    def features(self) -> NodeMap:
         """All features of the open camera, for ``rig camera show`` and ``rig camera set``."""
         return self._open_device()
 
@@ -269,7 +249,7 @@ class Usb3VisionCamera(GenicamCamera[Features]):
                 self._lock.release()
 
 
-def _set_locked(features: Features, locked: bool) -> None:
+def _set_locked(features: NodeMap, locked: bool) -> None:
     """Lock or unlock the features that determine the size of frames."""
     if features.writable("TLParamsLocked"):
         features.write("TLParamsLocked", int(locked))

@@ -5,7 +5,6 @@ import logging
 import sys
 from array import array
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any, Final
 
 import usb.backend
@@ -14,6 +13,7 @@ import usb.core
 import usb.util
 
 from acquisition.camera import CameraLost, PluggedCamera
+from acquisition.cameras.reading import only_camera
 from acquisition.cameras.usb3vision.node_map import load_genapi
 from processing.errors import DeviceError
 
@@ -210,40 +210,36 @@ _MODEL_INDEX: Final = 13
 _SERIAL_INDEX: Final = 17
 
 
-class UsbSpeed(IntEnum):
-    """The speed of a connection, as libusb numbers it."""
-
-    UNKNOWN = 0
-    LOW = 1
-    FULL = 2
-    HIGH = 3
-    SUPER = 4
-    SUPER_PLUS = 5
-
-    @classmethod
-    def _missing_(cls, value: object) -> "UsbSpeed":
-        return cls.UNKNOWN
-
-    @property
-    def text(self) -> str:
-        """Name of the speed in data sheets."""
-        names = {UsbSpeed.SUPER: "SuperSpeed", UsbSpeed.SUPER_PLUS: "SuperSpeed+"}
-        return names.get(self, f"{self.name.lower()} speed")
+SUPER_SPEED: Final = 4
+_SPEED_NAMES: Final = {
+    1: "low speed",
+    2: "full speed",
+    3: "high speed",
+    SUPER_SPEED: "SuperSpeed",
+    5: "SuperSpeed+",
+}
+"""Names of the speeds in data sheets, by libusb's numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
     """A camera on the bus; texts that cannot be read are empty.
 
-    `accessible` is False without permission or driver; `device` is pyusb's object.
+    `usb_speed` is libusb's number of the speed, 0 if it is unknown. `accessible` is False without permission
+    or driver; `device` is pyusb's object.
     """
 
     vendor: str
     model: str
     serial: str
-    usb_speed: UsbSpeed
+    usb_speed: int
     accessible: bool
     device: Any
+
+    @property
+    def speed_text(self) -> str:
+        """Name of the speed in data sheets."""
+        return _SPEED_NAMES.get(self.usb_speed, "unknown speed")
 
     @property
     def name(self) -> str:
@@ -279,7 +275,7 @@ def list_cameras() -> list[PluggedCamera]:
             driver="usb3vision",
             name=f"{found.vendor} {found.model}".strip(),
             serial=found.serial,
-            place=found.usb_speed.text,
+            place=found.speed_text,
             problem=missing if found.accessible else remedy,
         )
         for found in find_cameras()
@@ -296,27 +292,11 @@ def find_camera(serial: str | None, backend: usb.backend.IBackend | None = None)
         there is no permission to open it.
     """
     cameras = find_cameras(backend)
-    if not cameras:
-        raise DeviceError("no USB3 Vision camera is plugged in; check cable and power, then: rig doctor")
-    listed = "; ".join(camera.name for camera in cameras)
-    if serial is None:
-        if len(cameras) > 1:
-            raise DeviceError(
-                f"{len(cameras)} USB3 Vision cameras, and no serial given; set one of: {listed}"
-            )
-        chosen = cameras[0]
-    else:
-        matching = [camera for camera in cameras if camera.serial == serial]
-        unreadable = [camera for camera in cameras if not camera.accessible]
-        if not matching and unreadable:
-            raise no_permission(unreadable[0].name)
-        if not matching:
-            raise DeviceError(f"no USB3 Vision camera has serial {serial!r}; plugged in: {listed}")
-        if len(matching) > 1:
-            raise DeviceError(
-                f"{len(matching)} USB3 Vision cameras have serial {serial!r}; unplug all but one"
-            )
-        chosen = matching[0]
+    if serial is not None and all(camera.serial != serial for camera in cameras):
+        for camera in cameras:
+            if not camera.accessible:
+                raise no_permission(camera.name)
+    chosen = only_camera("usb3vision", [(one.name, one.serial, one) for one in cameras], serial)
     if not chosen.accessible:
         raise no_permission(chosen.name)
     return chosen
@@ -352,7 +332,6 @@ def _is_vision(device: Any) -> bool:
 
 def _describe(device: Any) -> FoundCamera:
     indices = _string_indices(device)
-    speed = UsbSpeed(device.speed)
     try:
         vendor, model, serial = (_text(device, index) for index in indices)
         accessible = True
@@ -364,7 +343,7 @@ def _describe(device: Any) -> FoundCamera:
         accessible = False
     finally:
         usb.util.dispose_resources(device)
-    return FoundCamera(vendor, model, serial, speed, accessible, device)
+    return FoundCamera(vendor, model, serial, device.speed or 0, accessible, device)
 
 
 def _text(device: Any, index: int) -> str:

@@ -5,9 +5,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
-from acquisition.camera import CameraLost, FeatureValue
+from acquisition.camera import CameraLost, FeatureValue, PixelFormat
+from acquisition.cameras.genicam import GenicamFeatures
+from acquisition.cameras.genicam_access import Aliases
 from acquisition.cameras.usb3vision.gencp import GenCpChannel
 from processing.errors import DeviceError, MissingPackage
 
@@ -54,7 +56,7 @@ def load_genapi() -> Any:
     return genapi
 
 
-class NodeMap:
+class NodeMap(GenicamFeatures):
     """The features of a camera by name, with a cache of its registers.
 
     Methods raise DeviceError for a feature that the camera does not have, or that cannot be read or set;
@@ -70,8 +72,13 @@ class NodeMap:
         Name of the camera in messages.
     """
 
+    ALIASES: ClassVar[Aliases] = GenicamFeatures.ALIASES | {
+        "ExposureTime": ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw"),
+        "Gain": ("Gain", "GainAbs", "GainRaw"),
+    }
+
     def __init__(self, xml: str, channel: GenCpChannel, name: str) -> None:
-        self.name = name
+        super().__init__(name)
         self._genapi = genapi = load_genapi()
         # GenApi keeps Python's lock while it waits for its own, so two threads in it would wait for ever
         self._lock = threading.RLock()
@@ -95,39 +102,40 @@ class NodeMap:
             if not self._nodes.connect(Port(), _PORT):
                 raise DeviceError(f"{name}: the camera's description is not valid: it has no port {_PORT!r}")
 
-    def __contains__(self, name: str) -> bool:
+    def has(self, feature: str) -> bool:
         with self._lock:
-            return bool(self._nodes.has_node(name))
+            return bool(self._nodes.has_node(feature))
 
     def access(self, name: str) -> str:
         """Possible access to a feature at present, one of `ACCESS`; the camera need not have the feature."""
         with self._locked(f"{name} cannot be read"):
-            return ACCESS[self._node(name).get_access_mode()] if name in self else NOT_IMPLEMENTED
+            return ACCESS[self._node(name).get_access_mode()] if self.has(name) else NOT_IMPLEMENTED
 
     def readable(self, name: str) -> bool:
         """Whether the camera has the feature and it can be read at present."""
         return self.access(name) in (READ_ONLY, READ_WRITE)
 
-    def writable(self, name: str) -> bool:
-        """Whether the camera has the feature and it can be set at present."""
-        return self.access(name) in (WRITE_ONLY, READ_WRITE)
+    def writable(self, feature: str) -> bool:
+        return self.access(feature) in (WRITE_ONLY, READ_WRITE)
 
     def kind(self, name: str) -> str:
         """Kind of a feature by its interface: "Integer", "Float", "Command" and so on."""
         return type(self._node(name)).__name__.removeprefix("I")
 
-    def choices(self, name: str) -> tuple[str, ...]:
-        """Values to which an enumeration can be set at present; empty for other features."""
-        with self._locked(f"{name} cannot be read"):
-            return tuple(getattr(self._node(name), "symbolics", ())) if name in self else ()
+    def choices(self, feature: str) -> tuple[str, ...]:
+        with self._locked(f"{feature} cannot be read"):
+            return tuple(getattr(self._node(feature), "symbolics", ())) if self.has(feature) else ()
 
-    def limits(self, name: str) -> tuple[float | None, float | None]:
-        """Smallest and largest value of a number at present; None for a limit that is absent or unknown."""
-        if self.kind(name) not in _NUMBERS or not self.readable(name):
+    def limits(self, feature: str) -> tuple[float | None, float | None]:
+        if self.kind(feature) not in _NUMBERS or not self.readable(feature):
             return None, None
-        with self._locked(f"{name} cannot be read"):
-            low, high = self._node(name).min, self._node(name).max
+        with self._locked(f"{feature} cannot be read"):
+            low, high = self._node(feature).min, self._node(feature).max
             return (low if low > -_NO_LIMIT else None), (high if high < _NO_LIMIT else None)
+
+    def read(self, feature: str) -> FeatureValue | None:
+        value = self.get(feature) if self.readable(feature) else None
+        return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
     def get(self, name: str) -> Any:
         """Value of a feature: int, float, bool, bytes (a register), or str (a text or a choice).
@@ -146,27 +154,45 @@ class NodeMap:
                 raise DeviceError(f"{self.name}: {name} is a {kind} and has no value")
             return node.value
 
-    def set(self, name: str, value: Any) -> None:
+    def write(self, feature: str, value: FeatureValue) -> None:
         """Set a feature to a value, or to a value's text; a command is run by any value."""
-        with self._locked(f"{name} cannot be set to {value!r}"):
-            node, kind = self._node(name), self.kind(name)
-            if not self.writable(name):
-                raise DeviceError(f"{self.name}: {name} cannot be set: it is {self.access(name)}")
+        with self._locked(f"{feature} cannot be set to {value!r}"):
+            node, kind = self._node(feature), self.kind(feature)
+            if not self.writable(feature):
+                raise DeviceError(f"{self.name}: {feature} cannot be set: it is {self.access(feature)}")
             if kind == "Command":
                 node.execute()
             elif kind in _VALUES:
-                node.value = self._allowed(name, value)
+                node.value = self._allowed(feature, value)
             else:
-                raise DeviceError(f"{self.name}: {name} is a {kind} and cannot be set")
+                raise DeviceError(f"{self.name}: {feature} is a {kind} and cannot be set")
 
-    def forget(self) -> None:
-        """Empty the cache, so that every value is read from the camera again."""
+    def values(self, error: type[Exception]) -> dict[str, FeatureValue]:
+        return {
+            one.name: one.value.hex() if isinstance(one.value, bytes) else one.value
+            for one in self.readings()
+            if one.value is not None and not one.problem and one.kind != "Command"
+        }
+
+    def free_rate(self, possible_hz: float | None) -> float | None:
+        return super().free_rate(possible_hz) if self.number("frame_rate_hz") else None
+
+    def possible_rate(self) -> float | None:
+        found = self.find("AcquisitionFrameRate")
+        return super().possible_rate() or (self.limits(found)[1] if self.has(found) else None)
+
+    def set_format(self, wanted: PixelFormat | None) -> None:
+        # a mosaic that is set is not replaced by pixels that the camera computes from it, but refused
+        if wanted is not None or self.plane:
+            super().set_format(wanted)
+
+    def renew(self) -> None:
         with self._lock:
             self._node(_PORT).node.invalidate_node()
 
     def readings(self) -> Iterator[FeatureReading]:
         """All implemented features of the camera and their present values; faulty ones have a `problem`."""
-        self.forget()
+        self.renew()
         for name in dict.fromkeys(self._listed("Root")):
             try:
                 reading = self._reading(name)
@@ -180,7 +206,7 @@ class NodeMap:
     # ---- inside
 
     def _node(self, name: str) -> Any:
-        if name not in self:
+        if not self.has(name):
             raise DeviceError(f"{self.name}: has no feature {name!r}")
         with self._lock:
             return self._nodes.get_node(name)

@@ -22,6 +22,7 @@ from acquisition.camera import (
 )
 from acquisition.cameras.drivers import V4l2Settings, buffer_count
 from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px
+from acquisition.cameras.reading import check_end, check_range
 from acquisition.cameras.v4l2 import kernel
 from acquisition.cameras.v4l2.devices import (
     LAYOUTS,
@@ -217,11 +218,9 @@ class LinuxSource:
             raise DeviceError(
                 f"{self._name}: has no control {name}; there are {', '.join(sorted(available)) or 'none'}"
             )
-        if isinstance(value, str) or not control.lowest <= value <= control.highest:
-            raise DeviceError(
-                f"{self._name}: {name} = {value!r} is out of range; {control.lowest} to {control.highest} "
-                "are possible"
-            )
+        if isinstance(value, str):
+            raise DeviceError(f"{self._name}: {name} = {value!r} is not a number")
+        check_range(self._name, name, value, control.lowest, control.highest)
         kernel.set_control(self._device, control.number, int(value))
 
     def feature_values(self) -> dict[str, FeatureValue]:
@@ -273,14 +272,8 @@ class LinuxSource:
             settings.width_px or present.width,
             settings.height_px or present.height,
         )
-        for name, end, size in (
-            ("width_px", requested.left + requested.width, bounds.width),
-            ("height_px", requested.top + requested.height, bounds.height),
-        ):
-            if end > size:
-                raise DeviceError(
-                    f"{self._name}: {name} with its offset reaches {end}; the sensor has {size}"
-                )
+        check_end(self._name, "width_px", requested.left, requested.width, bounds.width)
+        check_end(self._name, "height_px", requested.top, requested.height, bounds.height)
         if requested == present:
             return present
         kernel.set_selection(self._device, requested)
@@ -294,12 +287,8 @@ class LinuxSource:
         if exposure is None:
             raise DeviceError(f"{self._name}: has no exposure time; leave camera.exposure_us out")
         steps = round(settings.exposure_us / _EXPOSURE_STEP_US)
-        if not exposure.lowest <= steps <= exposure.highest:
-            raise DeviceError(
-                f"{self._name}: exposure_us = {settings.exposure_us:g} is out of range; "
-                f"{exposure.lowest * _EXPOSURE_STEP_US:g} to {exposure.highest * _EXPOSURE_STEP_US:g} "
-                "are possible"
-            )
+        low_us, high_us = exposure.lowest * _EXPOSURE_STEP_US, exposure.highest * _EXPOSURE_STEP_US
+        check_range(self._name, "exposure_us", settings.exposure_us, low_us, high_us)
         for number, value in ((kernel.EXPOSURE_AUTO, kernel.MANUAL_EXPOSURE), (kernel.EXPOSURE_PRIORITY, 0)):
             if number in available:
                 kernel.set_control(self._device, number, value)
@@ -317,10 +306,7 @@ class LinuxSource:
         gain = available.get(kernel.GAIN)
         if gain is None:
             raise DeviceError(f"{self._name}: has no gain; leave camera.v4l2.gain out")
-        if not gain.lowest <= wanted <= gain.highest:
-            raise DeviceError(
-                f"{self._name}: gain = {wanted} is out of range; {gain.lowest} to {gain.highest} are possible"
-            )
+        check_range(self._name, "gain", wanted, gain.lowest, gain.highest)
         if kernel.AUTO_GAIN in available:
             kernel.set_control(self._device, kernel.AUTO_GAIN, 0)
         kernel.set_control(self._device, kernel.GAIN, wanted)

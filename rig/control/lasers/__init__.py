@@ -1,7 +1,7 @@
 """Laser drivers, one file per family."""
 
 import importlib
-from typing import Literal, cast
+from typing import cast
 
 from rig.control.lasers.serial_laser import LaserIdentity, LaserRefused, LaserState, SerialLaser
 from rig.control.lasers.settings import LASERS, LaserSettings
@@ -18,11 +18,6 @@ def off_line(settings: LaserSettings) -> bytes | None:
         return None
     driver = _driver(settings.kind)
     return driver.off_command.encode("ascii") + driver.terminator
-
-
-def laser_unit(kind: str) -> Literal["w", "a"]:
-    """Unit in which a laser is set, "w" or "a"; a laser that the controller switches is set in watts."""
-    return _driver(kind).unit if kind in LASERS else "w"
 
 
 def _driver(kind: str) -> type[SerialLaser]:

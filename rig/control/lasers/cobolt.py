@@ -5,13 +5,7 @@ An executed command is answered by ``OK``, any other by ``Syntax error: ...``. M
 lights it, must be switched off by hand.
 """
 
-from rig.control.lasers.serial_laser import (
-    LaserIdentity,
-    LaserRefused,
-    LaserState,
-    SerialLaser,
-    rounded_down,
-)
+from rig.control.lasers.serial_laser import LaserIdentity, LaserRefused, LaserState, SerialLaser
 
 _MODULATION = ("3", "4")
 _FAULTS = {"0": "", "1": "temperature error", "3": "", "4": "constant-power time-out"}
@@ -21,7 +15,9 @@ _FAULTS = {"0": "", "1": "temperature error", "3": "", "4": "constant-power time
 class Cobolt(SerialLaser):
     """Mode of constant power, regulated by the laser's own photodiode."""
 
-    off_command = "l0"
+    on_command, off_command = "l1", "l0"
+    set_header = "p"
+    digits = 5
     terminator = b"\r"
     step = 1e-5
 
@@ -38,7 +34,7 @@ class Cobolt(SerialLaser):
         """Emission, interlock, measured power, fault."""
         fault = self.ask("f?")
         return LaserState(
-            on=self.ask("l?") == "1",
+            on=self.ask_flag("l?"),
             interlock_closed=self.ask("ilk?") == "0",
             power_w=self.ask_float("pa?"),
             fault=_FAULTS.get(fault, f"fault {fault}"),
@@ -64,17 +60,10 @@ class Cobolt(SerialLaser):
     # models without these settings answer with a syntax error
 
     def _autostarts(self) -> bool:
-        return self.ask("@cobas?") == "1"
+        return self.ask_flag("@cobas?")
 
     def _lights_directly(self) -> bool:
-        return self.ask("@cobasdr?") == "1"
-
-    def _switch(self, on: bool) -> None:
-        self._command("l1" if on else self.off_command)
-
-    def _set(self, value: float) -> float:
-        self._command(f"p {rounded_down(value, 5)}")
-        return self.ask_float("p?")
+        return self.ask_flag("@cobasdr?")
 
     def _command(self, command: str) -> None:
         answer = self.ask(command)

@@ -7,13 +7,7 @@ can start, is refused.
 
 import time
 
-from rig.control.lasers.serial_laser import (
-    DiodeDriver,
-    LaserIdentity,
-    LaserRefused,
-    LaserState,
-    rounded_down,
-)
+from rig.control.lasers.serial_laser import DiodeDriver, LaserIdentity, LaserRefused, LaserState
 
 _CARRIED_OUT_S = 0.1
 
@@ -21,7 +15,9 @@ _CARRIED_OUT_S = 0.1
 class Ldc500(DiodeDriver):
     """Diode driver in the mode of constant current."""
 
-    off_command = "LDON OFF"
+    on_command, off_command = "LDON ON", "LDON OFF"
+    set_header, limit_header = "SILD", "SILM"
+    scale, digits = 1000.0, 3
 
     def identify(self) -> LaserIdentity:
         """Vendor, model and serial number."""
@@ -30,8 +26,8 @@ class Ldc500(DiodeDriver):
     def _read(self) -> LaserState:
         """Output, interlock, measured current, monitor diode's power."""
         return LaserState(
-            on=_flag(self.ask("LDON?")),
-            interlock_closed=_flag(self.ask("ILOC?")),
+            on=self.ask_flag("LDON?"),
+            interlock_closed=self.ask_flag("ILOC?"),
             current_a=self.ask_float("RILD?") / 1000.0,
             power_w=self.ask_float("RWPD?") / 1000.0,
         )
@@ -39,22 +35,14 @@ class Ldc500(DiodeDriver):
     def _prepare(self) -> None:
         self._command("SMOD CC")
         self._command("MODU OFF")
-        self._command(f"SILM {rounded_down(self._settings.max_current_a * 1000.0, 3)}")
-        self._check_limit(self.ask_float("SILM?") / 1000.0)
+        self._write_limit()
 
     def _strayed(self) -> str:
         if self.ask("SMOD?").upper() not in ("CC", "0"):
             return "it is not in the mode of constant current"
-        if _flag(self.ask("MODU?")):
+        if self.ask_flag("MODU?"):
             return "its modulation input is on"
-        return "a scan of its current is in progress" if _flag(self.ask("SCAN?")) else ""
-
-    def _switch(self, on: bool) -> None:
-        self._command("LDON ON" if on else self.off_command)
-
-    def _set(self, value: float) -> float:
-        self._command(f"SILD {rounded_down(value * 1000.0, 3)}")
-        return self.ask_float("SILD?") / 1000.0
+        return "a scan of its current is in progress" if self.ask_flag("SCAN?") else ""
 
     def _command(self, command: str) -> None:
         self.tell(command)
@@ -64,7 +52,3 @@ class Ldc500(DiodeDriver):
         errors = (self.ask("LEXE?"), self.ask("LCME?"))
         if any(error not in ("0", "0.0") for error in errors):
             raise LaserRefused(f"{self.name}: refused {command} (LEXE {errors[0]}, LCME {errors[1]})")
-
-
-def _flag(answer: str) -> bool:
-    return answer.upper() in ("1", "ON", "CLOSED")

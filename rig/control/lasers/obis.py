@@ -10,23 +10,17 @@ on while it warms up, because it would then light at the end of the warm-up.
 
 import time
 
-from rig.control.lasers.serial_laser import (
-    LaserIdentity,
-    LaserRefused,
-    LaserState,
-    SerialLaser,
-    rounded_down,
-)
+from rig.control.lasers.serial_laser import LaserIdentity, LaserRefused, LaserState, SerialLaser
 from rig.control.serial_port import ReplyTimeout
 
-_CLOSED = ("ON", "OK", "1", "CLOSED")
 _WARMING_UP = 0x100
 
 
 class Obis(SerialLaser):
     """Mode of continuous emission at constant power, regulated by the laser's own photodiode."""
 
-    off_command = "SOURce:AM:STATe OFF"
+    on_command, off_command = "SOURce:AM:STATe ON", "SOURce:AM:STATe OFF"
+    set_header = "SOURce:POWer:LEVel:IMMediate:AMPLitude"
     terminator = b"\r\n"
     step = 1e-5
 
@@ -49,8 +43,8 @@ class Obis(SerialLaser):
         else:
             fault = "warming up" if (_number(self.ask("SYSTem:STATus?")) or 0) & _WARMING_UP else ""
         return LaserState(
-            on=self.ask("SOURce:AM:STATe?").upper() == "ON",
-            interlock_closed=self.ask("SYSTem:LOCK?").upper() in _CLOSED,
+            on=self.ask_flag("SOURce:AM:STATe?"),
+            interlock_closed=self.ask_flag("SYSTem:LOCK?"),
             power_w=self.ask_float("SOURce:POWer:LEVel?"),
             fault=fault,
         )
@@ -71,13 +65,6 @@ class Obis(SerialLaser):
         if (source := self.ask("SOURce:AM:SOURce?").upper()) != "CWP":
             return f"it does not run at constant power: {source} sets its light"
         return "" if self.ask("SYSTem:AUTostart?").upper() in ("OFF", "0") else "its autostart is on"
-
-    def _switch(self, on: bool) -> None:
-        self._command("SOURce:AM:STATe ON" if on else self.off_command)
-
-    def _set(self, value: float) -> float:
-        self._command(f"SOURce:POWer:LEVel:IMMediate:AMPLitude {rounded_down(value, 6)}")
-        return self.ask_float("SOURce:POWer:LEVel:IMMediate:AMPLitude?")
 
     def _command(self, command: str) -> None:
         _, reader = self._require_open()

@@ -64,11 +64,16 @@ class SerialLaser(ABC):
     timeouts (``enable`` for the delay of the safety class) and raises DeviceError with one line.
 
     Limits are checked here before a value is sent, and are also written into the device if it has a limit of
-    its own. `unit` is that of the value that is set, "w" or "a".
+    its own. `unit` is that of the value that is set, "w" or "a". The value is set by `set_header` with a
+    number of `digits` decimals, `scale` times the value, and read back by the same header with a "?".
     """
 
     terminator = b"\n"
+    on_command: str
     off_command: str
+    set_header: str
+    scale = 1.0
+    digits = 6
     unit: ClassVar[Literal["w", "a"]] = "w"
     step = 1e-6
     """Resolution of the device in its unit: a value read back that differs by no more counts as set."""
@@ -98,12 +103,8 @@ class SerialLaser(ABC):
         """Set modes and limits, while the emission is off."""
 
     @abstractmethod
-    def _switch(self, on: bool) -> None:
-        """Switch the emission on or off."""
-
-    @abstractmethod
-    def _set(self, value: float) -> float:
-        """Set power or current in W or A; return the value read back from the device."""
+    def _command(self, command: str) -> None:
+        """Send a command; raises LaserRefused unless the laser has executed it."""
 
     # -- the same for every family ---------------------------------------------
 
@@ -242,6 +243,23 @@ class SerialLaser(ABC):
         line, _ = self._require_open()
         line.write(command.encode("ascii") + self.terminator)
 
+    def ask_flag(self, command: str) -> bool:
+        """Whether the answer to a query says that something is on or closed."""
+        return self.ask(command).upper() in ("1", "ON", "OK", "CLOSED")
+
+    def _switch(self, on: bool) -> None:
+        self._command(self.on_command if on else self.off_command)
+
+    def _set(self, value: float) -> float:
+        """Set power or current in W or A; return the value read back from the device."""
+        return self._write_value(self.set_header, value)
+
+    def _write_value(self, header: str, value: float) -> float:
+        # rounded down, so that a limit is not exceeded (except by binary rounding)
+        steps = math.floor(value * self.scale * 10**self.digits + 1e-6)
+        self._command(f"{header} {steps / 10**self.digits:.{self.digits}f}")
+        return self.ask_float(f"{header}?") / self.scale
+
     def _set_within(self, value: float, limit: float, limit_name: str) -> None:
         # this form of the condition also rejects NaN
         if not 0.0 <= value <= limit:
@@ -283,6 +301,7 @@ class DiodeDriver(SerialLaser):
     """A driver of laser diodes, whose current is set, with a limit of its own."""
 
     unit = "a"
+    limit_header: str
 
     def _identified(self, maker: str, models: tuple[str, ...], what: str) -> LaserIdentity:
         """Vendor, model and serial number; raises LaserRefused for other models, with `what` is expected."""
@@ -291,17 +310,12 @@ class DiodeDriver(SerialLaser):
             raise LaserRefused(f"{self.name}: {','.join(fields)!r} is not {what}; check the port")
         return LaserIdentity(fields[0], fields[1], fields[2].removeprefix("s/n"))
 
-    def _check_limit(self, applied_a: float) -> None:
-        """Raise LaserRefused where the device has not taken max_current_a as its limit."""
+    def _write_limit(self) -> None:
+        """Write max_current_a into the device; LaserRefused where it has not taken it as its limit."""
         limit_a = self._settings.max_current_a
+        applied_a = self._write_value(self.limit_header, limit_a)
         if applied_a > limit_a + 1e-6:
             raise LaserRefused(
                 f"{self.name}: the current limit was set to {limit_a:g} A and is {applied_a:g} A;"
                 " set it on the instrument's panel"
             )
-
-
-def rounded_down(value: float, digits: int) -> str:
-    """Fixed-point text, rounded down so that a limit is not exceeded (except by binary rounding)."""
-    scale = 10**digits
-    return f"{math.floor(value * scale + 1e-6) / scale:.{digits}f}"

@@ -11,13 +11,7 @@ permanently instead of only while it is low.
 
 from collections.abc import Callable
 
-from rig.control.lasers.serial_laser import (
-    DiodeDriver,
-    LaserIdentity,
-    LaserRefused,
-    LaserState,
-    rounded_down,
-)
+from rig.control.lasers.serial_laser import DiodeDriver, LaserIdentity, LaserRefused, LaserState
 from rig.control.lasers.settings import LaserSettings
 from rig.control.serial_port import SerialLine
 from rig.control.usbtmc import UsbTmcLine, find_usbtmc, is_usbtmc
@@ -36,7 +30,9 @@ _TRIPS = {
 class Thorlabs4000(DiodeDriver):
     """Diode driver in the mode of constant current."""
 
-    off_command = "OUTPut:STATe OFF"
+    on_command, off_command = "OUTPut:STATe ON", "OUTPut:STATe OFF"
+    set_header = "SOURce:CURRent:LEVel:AMPLitude"
+    limit_header = "SOURce:CURRent:LIMit:AMPLitude"
 
     def __init__(self, settings: LaserSettings, open_line: Callable[[], SerialLine] | None = None) -> None:
         if open_line is None and is_usbtmc(settings.port):
@@ -52,9 +48,9 @@ class Thorlabs4000(DiodeDriver):
 
     def _read(self) -> LaserState:
         """Output, protections and measured current."""
-        tripped = [name for key, name in _TRIPS.items() if self._flag(f"OUTPut:PROTection:{key}:TRIPped?")]
+        tripped = [name for key, name in _TRIPS.items() if self.ask_flag(f"OUTPut:PROTection:{key}:TRIPped?")]
         return LaserState(
-            on=self._flag("OUTPut:STATe?"),
+            on=self.ask_flag("OUTPut:STATe?"),
             interlock_closed="interlock" not in tripped,
             current_a=self.ask_float("MEASure:CURRent?"),
             fault=", ".join(trip for trip in tripped if trip != "interlock"),
@@ -67,27 +63,19 @@ class Thorlabs4000(DiodeDriver):
         self._command("SOURce:AM:STATe OFF")
         if self._lights_by_its_input():
             self._command("OUTPut:PROTection:EXTernal:MODE PROTection")
-        self._command(f"SOURce:CURRent:LIMit:AMPLitude {rounded_down(self._settings.max_current_a, 6)}")
-        self._check_limit(self.ask_float("SOURce:CURRent:LIMit:AMPLitude?"))
+        self._write_limit()
 
     def _strayed(self) -> str:
         if not self.ask("SOURce:FUNCtion:MODE?").upper().startswith("CURR"):
             return "it is not in the mode of constant current"
         if not self.ask("SOURce:FUNCtion:SHAPe?").upper().startswith("DC"):
             return "it makes pulses"
-        if self._flag("SOURce:AM:STATe?"):
+        if self.ask_flag("SOURce:AM:STATe?"):
             return "its amplitude modulation is on"
         return "its input LD ENABLE can light it" if self._lights_by_its_input() else ""
 
     def _lights_by_its_input(self) -> bool:
         return self.ask("OUTPut:PROTection:EXTernal:MODE?").upper().startswith("ENAB")
-
-    def _switch(self, on: bool) -> None:
-        self._command("OUTPut:STATe ON" if on else self.off_command)
-
-    def _set(self, value: float) -> float:
-        self._command(f"SOURce:CURRent:LEVel:AMPLitude {rounded_down(value, 6)}")
-        return self.ask_float("SOURce:CURRent:LEVel:AMPLitude?")
 
     def _command(self, command: str) -> None:
         self.tell(command)
@@ -96,6 +84,3 @@ class Thorlabs4000(DiodeDriver):
             raise LaserRefused(
                 f"{self.name}: refused {command}: {text.strip().strip(chr(34))} ({code.strip()})"
             )
-
-    def _flag(self, command: str) -> bool:
-        return self.ask(command).upper() in ("1", "ON")

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from acquisition.camera import CameraSettings, Frame
 from acquisition.cameras.simulated import SimulatedCamera
 from acquisition.cameras.usb3vision import link
-from acquisition.cameras.usb3vision.link import FoundCamera, UsbSpeed
+from acquisition.cameras.usb3vision.link import FoundCamera
 from acquisition.cameras.usb3vision.node_map import FeatureReading
 from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
@@ -136,7 +136,7 @@ def test_the_noise_that_judges_a_picture_is_that_of_the_sensor(command: str, tmp
 
 
 def test_checks_name_the_rule_and_the_port() -> None:
-    found = FoundCamera("Testwerk", "T1", "7", UsbSpeed.HIGH, False, None)
+    found = FoundCamera("Testwerk", "T1", "7", 3, False, None)
     allowed, speed = check_usb_camera(found)
     assert not allowed.ok
     assert "rig doctor --install-udev" in allowed.remedy

@@ -16,8 +16,8 @@ def main(port: str, ending: str) -> None:
     service.wait_open(10.0)
     service.set_laser_power_w(0.0005).result(5.0)
     service.laser_on().result(5.0)
-    service.hold().result(5.0)
-    service.brake(False).result(5.0)
+    service.submit(lambda c: c.hold()).result(5.0)
+    service.submit(lambda c: c.brake(False)).result(5.0)
     print("lit", flush=True)
     sys.stdin.readline()
     if ending == "returns":

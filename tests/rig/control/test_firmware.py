@@ -46,15 +46,10 @@ def opened(board: Board, **changes: object) -> Controller:
     return controller
 
 
-def test_identity_and_stored_limit(board: Board) -> None:
-    controller = Controller(settings_for(board.port), MAX_W)
+def test_it_says_who_it_is_and_every_command_reaches_its_output(board: Board) -> None:
+    controller = Controller(settings_for(board.port, watchdog_s=5.0), MAX_W)
     identity = controller.open()
     assert (identity.serial, identity.firmware, identity.laser_max_w) == ("TEST0001", VERSION, 0.001)
-    controller.close()
-
-
-def test_every_command_reaches_its_output(board: Board) -> None:
-    controller = opened(board, watchdog_s=5.0)
     controller.set_laser_power_w(0.0005)
     assert board.outputs()["laser"] == [0, 0]
     controller.laser_on()
@@ -84,6 +79,14 @@ def test_every_command_reaches_its_output(board: Board) -> None:
     controller.close()
     # The end of a session leaves the clamp where it was: moving it could strike the ball.
     assert board.outputs()["clamp"] == [1]
+    # a sensor that is gone gives NaN, and not an old value
+    controller = opened(board, watchdog_s=5.0)
+    while controller.next_error()[0]:
+        pass
+    board.press(b"x")
+    board.wait_for(lambda: math.isnan(controller.environment().pressure_pa), 20.0)
+    assert controller.next_error()[1] == "Hardware error; environment sensor"
+    controller.close()
 
 
 def test_pulse_ends_by_itself_and_brake_has_a_longest_time(board: Board) -> None:
@@ -151,14 +154,6 @@ def test_interlock_is_read_before_enabling_and_trips_while_lit(board: Board) -> 
     controller.close()
 
 
-def test_environment_sensor_gone_is_nan_not_an_old_value(board: Board) -> None:
-    controller = opened(board, watchdog_s=5.0)
-    board.press(b"x")
-    board.wait_for(lambda: math.isnan(controller.environment().pressure_pa), 20.0)
-    assert controller.next_error()[1] == "Hardware error; environment sensor"
-    controller.close()
-
-
 @OF_THE_HOST
 def test_power_above_the_configured_limit_is_not_even_sent(board: Board) -> None:
     controller = opened(board)
@@ -171,59 +166,52 @@ def test_power_above_the_configured_limit_is_not_even_sent(board: Board) -> None
     controller.close()
 
 
-def test_typed_by_hand_one_may_ask_but_not_act(board: Board) -> None:
-    with board.terminal() as terminal:
-        terminal.write(b"*IDN?\r\n")
-        assert terminal.readline() == f"OK optical-pendulum-rig,controller,TEST0001,{VERSION}\r\n".encode()
-        terminal.write(b"laser:power:limit?\n")
-        assert terminal.readline() == b"OK 0.001\r\n"
-        terminal.write(b"LAS:STAT ON\n")
-        assert terminal.readline().startswith(b"!NAK")
-        terminal.write(b"SYST:ERR?\n")
-        assert terminal.readline() == b'OK -101,"Invalid character or checksum"\r\n'
-    assert board.count("laser", 1) == 0
-
-
-def test_a_repeated_line_is_answered_again_but_done_once(board: Board) -> None:
+def test_lines_without_a_session_may_ask_but_not_act_and_every_one_is_answered(board: Board) -> None:
     with board.terminal() as line:
-        line.write(encode(1, "SYST:SESS A,5000"))
-        line.readline()
-        replies = []
-        for _ in range(3):
-            line.write(encode(2, "STAR:PULS 50"))
-            replies.append(line.readline())
-            board.wait_for(lambda: board.outputs()["starter"] == [0], 20.0)
-        assert replies[0].startswith(b"#2 OK")
-        assert replies == replies[:1] * 3
-    assert board.count("starter", 1) == 1
-
-
-def test_no_session_no_action(board: Board) -> None:
-    with board.terminal() as line:
+        # typed by hand
+        line.write(b"*IDN?\r\n")
+        assert line.readline() == f"OK optical-pendulum-rig,controller,TEST0001,{VERSION}\r\n".encode()
+        line.write(b"laser:power:limit?\n")
+        assert line.readline() == b"OK 0.001\r\n"
+        line.write(b"LAS:STAT ON\n")
+        assert line.readline().startswith(b"!NAK")
+        line.write(b"SYST:ERR?\n")
+        assert line.readline() == b'OK -101,"Invalid character or checksum"\r\n'
+        # sent by a program
         for tag, command in enumerate(("LAS:STAT ON", "MAGN ON", "STAR:PULS 10", "CLAM ON", "BRAK ON"), 1):
             line.write(encode(tag, command))
             assert b"ERR -203" in line.readline()
-    assert not any(board.count(name, 1) for name in ("laser", "magnet", "starter", "clamp", "brake"))
-
-
-def test_errors_beyond_the_queue_are_not_silent(board: Board) -> None:
-    with board.terminal() as line:
-        for tag in range(1, 31):
-            line.write(encode(tag, "NO:SUCH"))
-            assert b"ERR -113" in line.readline()
-        codes = []
-        for tag in range(31, 60):
-            line.write(encode(tag, "SYST:ERR?"))
-            codes.append(int(line.readline().split(b" ")[2].split(b",")[0]))
-        assert codes == [-113] * 15 + [-350] + [0] * 13
-
-
-def test_endless_line_is_cut_and_the_next_one_read(board: Board) -> None:
-    with board.terminal() as line:
+        assert not any(board.count(name, 1) for name in ("laser", "magnet", "starter", "clamp", "brake"))
+        # an endless line is cut, and the next one read
         line.write(b"x" * 5000 + b"\n")
         assert line.readline().startswith(b"!NAK")
         line.write(encode(9, "*IDN?"))
         assert line.readline().startswith(b"#9 OK")
+
+        def errors(first_tag: int, count: int) -> list[int]:
+            codes = []
+            for tag in range(first_tag, first_tag + count):
+                line.write(encode(tag, "SYST:ERR?"))
+                codes.append(int(line.readline().split(b" ")[2].split(b",")[0]))
+            return codes
+
+        assert errors(10, 7) == [-203] * 5 + [-363, 0]
+        # errors beyond the queue are not silent
+        for tag in range(20, 50):
+            line.write(encode(tag, "NO:SUCH"))
+            assert b"ERR -113" in line.readline()
+        assert errors(50, 29) == [-113] * 15 + [-350] + [0] * 13
+        # a repeated line is answered again, but done once
+        line.write(encode(80, "SYST:SESS A,5000"))
+        line.readline()
+        replies = []
+        for _ in range(3):
+            line.write(encode(81, "STAR:PULS 50"))
+            replies.append(line.readline())
+            board.wait_for(lambda: board.outputs()["starter"] == [0], 20.0)
+        assert replies[0].startswith(b"#81 OK")
+        assert replies == replies[:1] * 3
+    assert board.count("starter", 1) == 1
 
 
 def test_reset_in_mid_command_is_noticed_and_nothing_is_done_twice(

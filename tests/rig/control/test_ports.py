@@ -5,7 +5,7 @@ import math
 import pytest
 from pydantic import ValidationError
 
-from rig.control import ports as ports_module
+from rig.control import sensors
 from rig.control.controller import Controller
 from rig.control.lasers import LaserSettings, serial_laser
 from rig.control.ports import check_controller, check_environment, check_laser, list_serial_ports
@@ -18,9 +18,7 @@ from tests.rig.control.stepped import Clock, InstrumentLine, SteppedBoard, stepp
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    found = stepped_clock(monkeypatch)
-    monkeypatch.setattr(ports_module, "time", found)
-    return found
+    return stepped_clock(monkeypatch)
 
 
 def by_name(checks: tuple[Verdict, ...]) -> dict[str, Verdict]:
@@ -129,7 +127,7 @@ def test_the_check_of_a_sensor_names_the_line_that_does_not_match(
         def answer(self, command: str) -> str:
             return line
 
-    monkeypatch.setattr(ports_module, "SerialPort", lambda *_: InstrumentLine(Sensor(), clock))
+    monkeypatch.setattr(sensors, "SerialPort", lambda *_: InstrumentLine(Sensor(), clock))
     began_s = clock.monotonic()
     (check,) = check_environment(EnvironmentSettings(kind="serial", port="x", request=request_text))
     assert (check.ok, check.reason) == (ok, reason)
@@ -142,7 +140,7 @@ def test_the_check_of_a_missing_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(port: str, *_: object) -> None:
         raise PortLost(f"{port}: cannot open the serial port")
 
-    monkeypatch.setattr(ports_module, "SerialPort", missing)
+    monkeypatch.setattr(sensors, "SerialPort", missing)
     (check,) = check_environment(EnvironmentSettings(kind="serial", port="/dev/ttyX"))
     assert not check.ok
     assert check.reason == "/dev/ttyX: cannot open the serial port"

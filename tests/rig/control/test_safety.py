@@ -86,7 +86,7 @@ def test_cable_pulled_while_the_program_lives(make_board: Callable[..., Firmware
     with ControlService(Controller(control, 0.001), control) as service:
         service.wait_open(10.0)
         service.laser_on().result(5.0)
-        service.hold().result(5.0)
+        service.submit(lambda c: c.hold()).result(5.0)
         assert board.outputs()["laser"][0] == 1
         board.wire.connected = False
         board.wait_for(lambda: dark(board), DARK_WITHIN_S)

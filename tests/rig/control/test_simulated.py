@@ -6,29 +6,29 @@ from contextlib import ExitStack
 
 import pytest
 
-from rig.control.controller import InterlockOpen, PowerLimit
+from acquisition.simulation.inputs import RigInputs
+from rig.control.controller import Controller, InterlockOpen, PowerLimit
 from rig.control.light_permit import LightRefused
 from rig.control.protocol import AirReading
 from rig.control.service import ControlService, ControlState
 from rig.control.settings import ControllerSettings, SerialFaults
-from rig.control.simulated import SimulatedOutputs, simulated_controller
+from rig.control.simulated import simulated_controller
 from tests.waiting import until
 
 
-class Rig:
+class Rig(RigInputs):
     """Remembers what its outputs were told."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.said: list[tuple[float, str, float]] = []
         self.closed = True
 
-    def outputs(self) -> SimulatedOutputs:
-        def say(name: str) -> object:
-            return lambda value: self.said.append((time.monotonic(), name, float(value)))
+    def _change(self, **changed: float | bool) -> None:
+        self.said += [(time.monotonic(), name, float(value)) for name, value in changed.items()]
 
-        names = ("laser", "magnet", "starter", "clamp", "brake")
-        wires = {name: say(name) for name in names}
-        return SimulatedOutputs(interlock_closed=lambda: self.closed, **wires)  # type: ignore[arg-type]
+    def controller(self, settings: ControllerSettings) -> Controller:
+        return simulated_controller(settings, 0.001, self, interlock_closed=lambda: self.closed)
 
     def last(self, name: str) -> float:
         return [value for _, said, value in self.said if said == name][-1]
@@ -41,15 +41,15 @@ def simulated(**changes: object) -> ControllerSettings:
 def test_simulated_rig_is_driven_through_the_real_protocol() -> None:
     rig = Rig()
     control = simulated()
-    with ControlService(simulated_controller(control, 0.001, rig.outputs()), control) as service:
+    with ControlService(rig.controller(control), control) as service:
         assert service.wait_open().serial == "SIMULATED"
         service.set_laser_power_w(0.0004).result(5.0)
         service.laser_on().result(5.0)
-        assert rig.last("laser") == pytest.approx(0.0004)
-        service.hold().result(5.0)
-        service.release().result(5.0)
+        assert rig.last("laser_w") == pytest.approx(0.0004)
+        service.submit(lambda c: c.hold()).result(5.0)
+        service.submit(lambda c: c.release()).result(5.0)
         assert rig.last("magnet") == 0.0
-        service.starter_pulse(0.1).result(5.0)
+        service.submit(lambda c: c.starter_pulse(0.1)).result(5.0)
         until(lambda: rig.last("starter") == 0.0)
         began, ended = [at for at, name, _ in rig.said if name == "starter"][-2:]
         assert ended - began >= 0.095
@@ -57,22 +57,22 @@ def test_simulated_rig_is_driven_through_the_real_protocol() -> None:
             service.set_laser_power_w(0.0011).result(5.0)
         until(lambda: service.snapshot.environment == AirReading(20.0, 45.0, 101325.0))
         rig.closed = False
-        until(lambda: rig.last("laser") == 0.0)
+        until(lambda: rig.last("laser_w") == 0.0)
         # by the board, or by the permit once it has heard
         with pytest.raises((InterlockOpen, LightRefused)):
             service.laser_on().result(5.0)
-    assert rig.last("laser") == 0.0
+    assert rig.last("laser_w") == 0.0
 
 
 def test_simulated_watchdog_needs_nobody() -> None:
     rig = Rig()
     control = simulated(heartbeat_s=0.05, watchdog_s=1.5)
-    controller = simulated_controller(control, 0.001, rig.outputs())
+    controller = rig.controller(control)
     controller.open()
     controller.set_laser_power_w(0.001)
     controller.laser_on()
-    assert rig.last("laser") == 0.001
-    until(lambda: rig.last("laser") == 0.0)
+    assert rig.last("laser_w") == 0.001
+    until(lambda: rig.last("laser_w") == 0.0)
     controller.close()
     until(lambda: not any(thread.name == "simulated-board" for thread in threading.enumerate()))
 
@@ -81,14 +81,14 @@ def test_serial_junk_by_setting_is_survived() -> None:
     rig = Rig()
     faults = SerialFaults(junk_probability=0.15, loss_probability=0.15)
     control = simulated(faults=faults, timeout_s=0.05, retries=6)
-    with ControlService(simulated_controller(control, 0.001, rig.outputs()), control) as service:
+    with ControlService(rig.controller(control), control) as service:
         service.wait_open(20.0)
         service.laser_on().result(10.0)
         powers = [1e-5 * i for i in range(1, 31)]
         for future in [service.submit(lambda c, p=p: c.set_laser_power_w(p), 60.0) for p in powers]:  # type: ignore[misc]
             future.result(60.0)
         until(lambda: service.snapshot.junk_lines > 0 and service.snapshot.retried > 0)
-    lit = [value for _, name, value in rig.said if name == "laser" and value > 0]
+    lit = [value for _, name, value in rig.said if name == "laser_w" and value > 0]
     assert lit == pytest.approx(powers, rel=2e-6)
 
 

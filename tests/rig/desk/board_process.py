@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rig.control.settings import SerialFaults
-from rig.control.simulated import SimulatedBoard, SimulatedOutputs
+from rig.control.simulated import SimulatedBoard
 from tests.rig.known_rig import known
 
 
@@ -95,9 +95,7 @@ def main() -> None:
 
     master, slave = pty.openpty()
     tty.setraw(slave)
-    board = SimulatedBoard(
-        SimulatedOutputs(laser=laser, interlock_closed=closed.is_set), 0.005, SerialFaults()
-    )
+    board = SimulatedBoard(None, SerialFaults(), laser, closed.is_set)
     line = board.open_line()
     print(os.ttyname(slave), flush=True)
     threading.Thread(target=listen, daemon=True).start()

@@ -163,7 +163,7 @@ def talk_to_the_controller() -> None:
     settings = ControllerSettings(kind="simulated", faults=faults)
     with ControlService(simulated_controller(settings, 1e-3), settings) as service:
         service.wait_open()
-        service.starter_pulse(0.05).result(5.0)
+        service.submit(lambda c: c.starter_pulse(0.05)).result(5.0)
     with pytest.raises(RigError):
         Controller(ControllerSettings(kind="serial", port=NOWHERE), 1e-3).open()
     Devices(configuration(controller__kind='"simulated"', simulation__real_time="true")).make_controller()

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import usb.backend
 import usb.core
+from usb.backend import libusb1
 
 from acquisition.cameras.drivers import Usb3VisionSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
@@ -24,52 +25,16 @@ from tests.acquisition.cameras.usb3vision.device import (
 
 WITHOUT_GENICAM = "USB3 Vision cameras need genicam: pip install '.[usb3vision]'"
 
-# Fields of the descriptors, in order
-DEVICE_FIELDS = [
-    "bLength",
-    "bDescriptorType",
-    "bcdUSB",
-    "bDeviceClass",
-    "bDeviceSubClass",
-    "bDeviceProtocol",
-    "bMaxPacketSize0",
-    "idVendor",
-    "idProduct",
-    "bcdDevice",
-    "iManufacturer",
-    "iProduct",
-    "iSerialNumber",
-    "bNumConfigurations",
-]
-CONFIGURATION_FIELDS = [
-    "bLength",
-    "bDescriptorType",
-    "wTotalLength",
-    "bNumInterfaces",
-    "bConfigurationValue",
-    "iConfiguration",
-    "bmAttributes",
-    "bMaxPower",
-]
-INTERFACE_FIELDS = [
-    "bLength",
-    "bDescriptorType",
-    "bInterfaceNumber",
-    "bAlternateSetting",
-    "bNumEndpoints",
-    "bInterfaceClass",
-    "bInterfaceSubClass",
-    "bInterfaceProtocol",
-    "iInterface",
-]
-ENDPOINT_FIELDS = [
-    "bLength",
-    "bDescriptorType",
-    "bEndpointAddress",
-    "bmAttributes",
-    "wMaxPacketSize",
-    "bInterval",
-]
+
+def _fields(structure: Any, count: int) -> list[str]:
+    """Names of the first fields of a descriptor, as pyusb has them."""
+    return [name for name, _ in structure._fields_[:count]]
+
+
+DEVICE_FIELDS = _fields(libusb1._libusb_device_descriptor, 14)
+CONFIGURATION_FIELDS = _fields(libusb1._libusb_config_descriptor, 8)
+INTERFACE_FIELDS = _fields(libusb1._libusb_interface_descriptor, 9)
+ENDPOINT_FIELDS = _fields(libusb1._libusb_endpoint_descriptor, 6)
 
 
 def _usb_error(error: Exception) -> usb.core.USBError:

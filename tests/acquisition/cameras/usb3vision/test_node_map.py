@@ -68,14 +68,14 @@ def test_locked_absent_and_read_only_features_say_so() -> None:
         "<Value>3</Value></Integer>"
     )
     nodes = node_map(body)
-    nodes.set("F", 4)
+    nodes.write("F", 4)
     with pytest.raises(DeviceError, match="camera: G cannot be set: it is read-only"):
-        nodes.set("G", 4)
-    nodes.set("Lock", 1)
+        nodes.write("G", 4)
+    nodes.write("Lock", 1)
     assert nodes.get("F") == 4
     with pytest.raises(DeviceError, match="F cannot be set: it is read-only"):
-        nodes.set("F", 5)
-    nodes.set("There", 0)
+        nodes.write("F", 5)
+    nodes.write("There", 0)
     with pytest.raises(DeviceError, match="F cannot be read: it is not available"):
         nodes.get("F")
     with pytest.raises(DeviceError, match="G cannot be read: it is not implemented"):
@@ -97,28 +97,28 @@ def test_texts_switches_commands_and_plain_bytes() -> None:
         + '<Command Name="Go"><pValue>Do</pValue><CommandValue>9</CommandValue></Command>'
     )
     nodes = node_map(body, ram)
-    nodes.set("F", "Grün")
+    nodes.write("F", "Grün")
     assert (nodes.get("F"), bytes(ram.data[:8])) == ("Grün", "Grün".encode().ljust(8, b"\0"))
     with pytest.raises(DeviceError, match=r"F cannot be set to '123456789': .*length is 8"):
-        nodes.set("F", "123456789")
+        nodes.write("F", "123456789")
     ram.data[8:12] = b"abcd"
     assert nodes.get("Raw") == b"abcd"
     with pytest.raises(DeviceError, match="Raw is a Register and cannot be set"):
-        nodes.set("Raw", "abcd")
+        nodes.write("Raw", "abcd")
     with pytest.raises(DeviceError, match="Switch cannot be read: Value '0' is neither"):
         nodes.get("Switch")
     for value, raw in ((True, 5), ("off", 2), ("True", 5), (0, 2)):
-        nodes.set("Switch", value)
+        nodes.write("Switch", value)
         assert (nodes.get("Switch"), ram.data[16]) == (raw == 5, raw)
     with pytest.raises(DeviceError, match="Switch = wide must be true or false"):
-        nodes.set("Switch", "wide")
-    nodes.set("Go", None)
+        nodes.write("Switch", "wide")
+    nodes.write("Go", True)
     assert ram.data[20] == 9
     for name, what in (("Root", "Category"), ("Device", "Port")):
         with pytest.raises(DeviceError, match=f"{name} is a {what} and has no value|cannot be read"):
             nodes.get(name)
     ram.data[:4] = b"Gr\xfcn"
-    nodes.forget()
+    nodes.renew()
     with pytest.raises(DeviceError, match="F cannot be read: 'utf-8' codec"):
         nodes.get("F")
 
@@ -130,8 +130,8 @@ def test_numbers_are_taken_in_words_and_refused_with_what_is_allowed() -> None:
         '<Float Name="H"><Value>1</Value></Float>'
     )
     for value in ("0x140", 320, 320.0, "320"):
-        nodes.set("F", 8)
-        nodes.set("F", value)
+        nodes.write("F", 8)
+        nodes.write("F", value)
         assert nodes.get("F") == 320
     for name, value, reason in (
         ("F", "wide", "F = 'wide' is not a number"),
@@ -142,7 +142,7 @@ def test_numbers_are_taken_in_words_and_refused_with_what_is_allowed() -> None:
         ("G", float("nan"), "G = nan is out of range; allowed is 0.5 to 20000 us"),
     ):
         with pytest.raises(DeviceError, match=re.escape(reason)):
-            nodes.set(name, value)
+            nodes.write(name, value)
     assert (nodes.limits("F"), nodes.limits("H")) == ((8, 1440), (None, None))
 
 
@@ -150,7 +150,7 @@ def test_a_lost_camera_is_told_as_that_and_read_again_when_it_is_back() -> None:
     ram = Ram()
     nodes = node_map(register("F", 0), ram)
     ram.error = CameraLost("camera: is gone")
-    for use in (lambda: nodes.get("F"), lambda: nodes.set("F", 1), lambda: list(nodes.readings())):
+    for use in (lambda: nodes.get("F"), lambda: nodes.write("F", 1), lambda: list(nodes.readings())):
         with pytest.raises(CameraLost, match="is gone"):
             use()
     ram.error = DeviceError("camera: busy")
@@ -164,7 +164,7 @@ def test_threads_that_read_at_once_do_not_wait_for_each_other_for_ever() -> None
     ram = Ram()
     ram.pause_s = 0.002
     nodes = node_map(register("F", 0, "<Cachable>NoCache</Cachable>"), ram)
-    uses = [lambda: nodes.get("F"), lambda: nodes.set("F", 3), lambda: list(nodes.readings()), nodes.forget]
+    uses = [lambda: nodes.get("F"), lambda: nodes.write("F", 3), lambda: list(nodes.readings()), nodes.renew]
     threads = [
         threading.Thread(target=lambda use=use: [use() for _ in range(20)], daemon=True) for use in uses
     ]
@@ -228,7 +228,7 @@ def test_every_feature_of_real_cameras_is_read_and_set_or_refused_in_one_line(
         xml = decode_description(gzip.decompress(file.read_bytes()), file.name)
         nodes = NodeMap(xml, Memory(seed), file.name)  # type: ignore[arg-type]
         for name in ("Width", "Height", "PixelFormat", "AcquisitionStart", "AcquisitionStop"):
-            assert name in nodes
+            assert nodes.has(name)
         readings = list(nodes.readings())
         assert len(readings) > 60
         done, refused = 0, []
@@ -240,7 +240,7 @@ def test_every_feature_of_real_cameras_is_read_and_set_or_refused_in_one_line(
             value = reading.maximum if reading.maximum is not None else reading.value
             value = reading.choices[-1] if reading.choices else value
             try:
-                nodes.set(reading.name, value)
+                nodes.write(reading.name, value)
                 done += 1
             except DeviceError as error:
                 refused.append(str(error))

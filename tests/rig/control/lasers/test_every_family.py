@@ -16,14 +16,10 @@ from rig.control.serial_port import PortLost, ReplyTimeout
 from tests.rig.control.lasers.pairs import FAMILIES, LIMIT, STRAYED, Pair, Ports, laser_for
 
 
-def test_opening_identifies_and_leaves_it_dark(pair: Pair) -> None:
+def test_opened_dark_lit_set_read_dark_again_and_closed(pair: Pair) -> None:
     identity = pair.laser.open()
     assert (identity.model, identity.serial) == FAMILIES[pair.kind][1:]
     assert not pair.instrument.on
-
-
-def test_lit_set_read_and_dark_again(pair: Pair) -> None:
-    pair.laser.open()
     pair.set(0.020)
     pair.laser.enable()
     assert pair.instrument.on
@@ -37,10 +33,6 @@ def test_lit_set_read_and_dark_again(pair: Pair) -> None:
     pair.laser.off()
     assert not pair.instrument.on
     assert not pair.laser.state().on
-
-
-def test_closing_turns_it_off(pair: Pair) -> None:
-    pair.laser.open()
     pair.laser.enable()
     pair.laser.close()
     assert not pair.instrument.on
@@ -81,7 +73,7 @@ def test_never_above_the_limit_whatever_is_asked(pair: Pair) -> None:
     assert pair.instrument.highest_lit == pytest.approx(LIMIT, rel=1e-6)
 
 
-def test_the_other_unit_is_refused(pair: Pair) -> None:
+def test_the_other_unit_a_stuck_output_and_silence_are_said(pair: Pair) -> None:
     pair.laser.open()
     if pair.kind in ("thorlabs4000", "ldc500"):
         with pytest.raises(LaserRefused, match="current_a, not power_w"):
@@ -89,18 +81,10 @@ def test_the_other_unit_is_refused(pair: Pair) -> None:
     else:
         with pytest.raises(LaserRefused, match="power_w, not current_a"):
             pair.laser.set_current_a(0.001)
-
-
-def test_a_laser_that_stays_lit_is_reported(pair: Pair) -> None:
-    pair.laser.open()
     pair.laser.enable()
     pair.instrument.stuck_on = True
     with pytest.raises(LaserRefused, match="still emits"):
         pair.laser.off()
-
-
-def test_silence_is_a_timeout(pair: Pair) -> None:
-    pair.laser.open()
     pair.instrument.silent = True
     with pytest.raises(ReplyTimeout, match="check port"):
         pair.laser.state()
