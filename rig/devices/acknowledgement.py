@@ -146,7 +146,7 @@ class LightWatch:
 
     def _darkness(self, devices: Devices) -> list[tuple[EventKind, str]]:
         devices.compare()
-        why, laser = devices.darkness(), devices.laser_now()
+        why, laser = devices.darkness(), devices.laser_report()
         if laser is not None and laser.light in _SAID:
             self._said = laser.light, time.monotonic() - laser.age_s
         now_s, since_s = time.monotonic(), self._dark_since_s

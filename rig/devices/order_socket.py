@@ -123,13 +123,9 @@ class OrderSocket:
         return False, f"{name!r}: this session knows no such order"
 
 
-def devices_now(devices: Devices) -> dict[str, Any]:
+def safety_values(devices: Devices) -> dict[str, Any]:
     """State of laser, controller and interlock as plain values; never blocks."""
-    return {
-        "devices": asdict(devices.now()),
-        "darkness": devices.darkness(),
-        "safety": asdict(devices.safety()),
-    }
+    return {"darkness": devices.darkness(), "safety": asdict(devices.safety())}
 
 
 @contextmanager
@@ -147,7 +143,7 @@ def light_told(devices: Devices, folder: Path, session_news: SessionNews | None 
         # without the folder the command runs unwatched
         folder.mkdir(parents=True, exist_ok=True)
     orders = {"dark": lambda _: devices.light_off("the desk")}
-    with OrderSocket(folder, session_news or SessionNews(), orders, lambda: devices_now(devices)):
+    with OrderSocket(folder, session_news or SessionNews(), orders, lambda: safety_values(devices)):
         yield
 
 

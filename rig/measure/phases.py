@@ -237,8 +237,8 @@ class PhasesBeforeRecord:
                 frames.window_bytes(),
                 free_bytes(self._folder),
             ),
-            frame_checks.controller(self._devices.now(), config.controller.kind != "none"),
-            frame_checks.laser(self._devices.laser_now(), through_controller(config.laser)),
+            frame_checks.controller(self._devices.safety(), config.controller.kind != "none"),
+            frame_checks.laser(self._devices.laser_report(), through_controller(config.laser)),
             self._seismometer_verdict(look),
             vault_checks.reference(look, config.reference, limits),
             frame_checks.air(

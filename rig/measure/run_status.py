@@ -156,7 +156,7 @@ def _light(devices: Devices) -> RecordedLight:
         devices.darkness(),
         safety.refusal,
         "" if safety.trip is None else safety.trip.text,
-        devices.now().text,
+        safety.devices_text,
     )
 
 

@@ -16,7 +16,7 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.devices import Devices, OrderSocket, SessionNews, devices_now
+from rig.devices import Devices, OrderSocket, SessionNews, safety_values
 from rig.instrument import check_materials, complete
 from rig.measure.notices import Notices, PreflightWait, announced, check_waiting
 from rig.measure.phases import NoGo
@@ -104,7 +104,7 @@ def make_runs(
     """
     session_news, notes = SessionNews(), Notes(file.folder, config.session.operator)
     with OrderSocket(
-        file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)
+        file.folder, session_news, orders(devices, notes), lambda: safety_values(devices)
     ) as watched:
         if watched.problem:
             say(watched.problem)

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from processing.errors import DeviceError
-from rig.control import ControlService, LaserNow, Light, LightRefused
+from rig.control import ControlService, LaserReport, Light, LightRefused
 from rig.control.service import ControlSnapshot
 from rig.devices.session_devices import Devices
 from rig.measure.preflight import frame_checks
@@ -49,7 +49,7 @@ def test_lit_in_a_session_and_dark_after_it(family: tuple[str, Instrument]) -> N
         assert "stays lit when this program is killed" in devices.light()
         assert instrument.on
         assert instrument.set_value == pytest.approx(0.02)
-        now = devices.laser_now()
+        now = devices.laser_report()
         assert now is not None
         assert now.on
         assert devices.now().text == "laser on"
@@ -87,7 +87,7 @@ def test_an_open_interlock_lights_nothing(family: tuple[str, Instrument]) -> Non
         until(lambda: devices.permit.latched is not None)
         with pytest.raises(LightRefused, match="the interlock of the laser opened"):
             devices.light()
-        now = devices.laser_now()
+        now = devices.laser_report()
         assert now is not None
         assert now.light is Light.INTERLOCK_OPEN
     assert instrument.highest_lit == 0.0
@@ -258,13 +258,13 @@ def test_without_the_relay_sigterm_darkens_it_and_sigkill_does_not(
 
 def test_preflight_says_how_the_laser_stands() -> None:
     assert frame_checks.laser(None, True).ok
-    dark = frame_checks.laser(LaserNow(Light.OFF), True)
+    dark = frame_checks.laser(LaserReport(Light.OFF), True)
     assert not dark.ok
     assert dark.remedy
-    well = frame_checks.laser(LaserNow(Light.ON, 0.5e-3), True)
+    well = frame_checks.laser(LaserReport(Light.ON, 0.5e-3), True)
     assert well.ok
     assert not well.remedy
-    warning = frame_checks.laser(LaserNow(Light.ON, 0.5e-3), False)
+    warning = frame_checks.laser(LaserReport(Light.ON, 0.5e-3), False)
     assert warning.ok
     assert "killed" in warning.reason
     assert "relay" in warning.remedy

@@ -13,7 +13,7 @@ from rig.measure.end_of_run import CONSECUTIVE_FITS, EndLimits, EndOfRun
 from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
-from rig.view.show import write_rrd
+from rig.view.show import show_records
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.rig.view.rrd_contents import column
 
@@ -71,7 +71,7 @@ def test_a_session_ends_by_what_it_knows_and_says_so(tmp_path: Path) -> None:
     assert 46 <= run["half_cycles"] <= 48
     with RecordReader(folder / "run-1.mcap") as reader:
         assert reader.events()[-1].text == run["ended"]
-    write_rrd([folder / "run-1.mcap"], folder / "run-1.rrd")
+    show_records([folder / "run-1.mcap"], rrd=folder / "run-1.rrd")
     _, shown = column(folder / "run-1.rrd", "/parameters/period0_s", "Measurements:values")
     assert shown[0][0] == pytest.approx(4.071, rel=0.02)
 

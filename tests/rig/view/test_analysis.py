@@ -15,7 +15,7 @@ from rig.instrument import advice_for, complete
 from rig.settings import load_configuration
 from rig.view import replay_record
 from rig.view.analysis import analysis_curves, report_text, run_analysis
-from rig.view.show import write_rrd
+from rig.view.show import show_records
 from tests.rig.view.replay_record import CONFIG, make_record
 from tests.rig.view.rrd_contents import column, entities, measured, scalars, static_values
 
@@ -52,7 +52,7 @@ def test_the_report_says_what_results_json_says(measured_series: Path) -> None:
 
 def test_a_record_without_results_is_fitted(tmp_path: Path) -> None:
     rrd = tmp_path / "fitted.rrd"
-    write_rrd([make_record(tmp_path / "alone.mcap", 100.0)], rrd, layout="analysing")
+    show_records([make_record(tmp_path / "alone.mcap", 100.0)], rrd=rrd, layout="analysing")
     drawn = entities(rrd)
     for panel in PANELS:
         assert f"/analysis/{panel}/axes/grid" in drawn, panel
@@ -73,7 +73,7 @@ def test_runs_laid_over_each_other_share_their_axes(measured_series: Path, tmp_p
     for panel in PANELS:
         assert [curve.name for curve in curves if curve.panel == panel] == ["run-1", "run-2"]
     rrd = tmp_path / "both.rrd"
-    write_rrd(paths, rrd, layout="analysing")
+    show_records(paths, rrd=rrd, layout="analysing")
     graticules = [name for name in entities(rrd) if name.endswith("/decay/axes/grid")]
     assert len(graticules) == 1
 
@@ -94,7 +94,7 @@ def test_advice_names_what_is_out_of_limits(balance: Balance) -> None:
 def test_advice_reaches_the_view_of_a_record_and_of_its_replay(tmp_path: Path) -> None:
     shown, again = tmp_path / "shown.rrd", tmp_path / "again.rrd"
     record = make_record(tmp_path / "run.mcap", 15.0)
-    write_rrd([record], shown, layout="balancing")
+    show_records([record], rrd=shown, layout="balancing")
     replay_record(record, None, retrack=False, overrides=[], rrd=again)
     for path in (shown, again):
         assert "balanced" in str(column(path, "/advice", "TextDocument:text"))
@@ -109,7 +109,7 @@ def test_the_balance_of_a_record_without_a_calibration_is_in_px(tmp_path: Path) 
     # what is in rad without a lever, too, is the angle of the line
     assert all("line_angle" in name or "rotation" in name for name in names if "rad" in name)
     assert not any("arcsec" in name for name in names)
-    write_rrd([path], rrd, layout="balancing")
+    show_records([path], rrd=rrd, layout="balancing")
     tables = str(column(rrd, "/balance_table", "TextDocument:text"))
     assert "| rest X / px |" in tables
     assert "| drift Y / (px/min) |" in tables

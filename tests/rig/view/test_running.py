@@ -17,7 +17,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from rig.terminal import LOOPBACK, start_python
 from rig.view import RunningView, replay_record
-from rig.view.show import write_rrd
+from rig.view.show import show_records
 from tests.rig.command_line import CONFIGS, rig, set_words
 from tests.rig.view.rrd_contents import column, contents, scalars
 from tests.rig.view.test_recorded import make_record
@@ -48,7 +48,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_is_shown_live_is_what_is_shown_afterwards(live: Path, tmp_path: Path) -> None:
-    write_rrd([live / "run-1.mcap"], tmp_path / "again.rrd")
+    show_records([live / "run-1.mcap"], rrd=tmp_path / "again.rrd")
     first, again = contents(live / "run-1.rrd"), contents(tmp_path / "again.rrd")
     assert first.keys() == again.keys()
     differing = {key for key in first if first[key] != again[key]}

@@ -18,7 +18,7 @@ from processing.deflections import Deflections
 from processing.spot import Spot
 from rig.instrument import complete, configuration_attachments
 from rig.settings import load_configuration
-from rig.view.show import write_rrd
+from rig.view.show import show_records
 from tests.rig.view.replay_record import CONFIG, EPOCH_NS
 from tests.rig.view.rrd_contents import column
 
@@ -45,7 +45,7 @@ def state_of(
         writer.write(HEALTHY)
         for name, (value, u) in (estimates or {}).items():
             writer.write(RecordedEstimate(0, 80, value, u, name))
-    write_rrd([folder / "run.mcap"], folder / "run.rrd")
+    show_records([folder / "run.mcap"], rrd=folder / "run.rrd")
     ((text,),) = column(folder / "run.rrd", "/state", "TextDocument:text")[1][-2:-1]
     return str(text)
 
