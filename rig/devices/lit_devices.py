@@ -92,7 +92,7 @@ class LitDevices:
             raise LightRefused(f"the laser stays off: {trip.text}; {self.remedy}")
         # noted before the wait for the lock, so that a trip meanwhile counts as later than the request
         if asked:
-            self.ask_for_light()
+            self.permit.request_light()
         # if a run and an order light at the same time, the second finds the laser lit
         with self._lighting:
             return self._lit(in_run)
@@ -114,7 +114,7 @@ class LitDevices:
 
     def _lit(self, in_run: bool) -> str:
         kind = self._config.laser.kind
-        if self.waits_for_asking:
+        if self.permit.needs_request:
             self.audit(AuditEntry.REFUSED, TO_BE_ASKED)
             raise LightRefused(TO_BE_ASKED)
         if why := self.darkness():
@@ -149,15 +149,6 @@ class LitDevices:
         self.permit.end()
         self._order_dark()
         self.went_dark(why)
-
-    @property
-    def waits_for_asking(self) -> bool:
-        """Whether no person has asked for light since the last trip of these devices."""
-        return self.permit.waits_for_asking
-
-    def ask_for_light(self) -> None:
-        """Note that a person asks for light again; a later trip makes that invalid."""
-        self.permit.ask()
 
     def light_off(self, who: str) -> str:
         """Switch the laser off at once, until acknowledged, by order of a person at the place `who`.
@@ -284,7 +275,7 @@ class LitDevices:
                 self._is_lit = False
                 self.audit(AuditEntry.UNKNOWN, why)
             return
-        if self.permit.begun and not self.waits_for_asking:
+        if self.permit.begun and not self.permit.needs_request:
             self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {why}")
         self.went_dark(why)
 
@@ -424,7 +415,7 @@ class LitDevices:
             interlock_age_s=oldest_s,
             seen=spot.seen if spot.age_s <= STALE_S else None,
             seen_age_s=spot.age_s,
-            to_be_asked=self.waits_for_asking,
+            to_be_asked=self.permit.needs_request,
             laser=report,
             controller=connection,
             status=known,

@@ -5,7 +5,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,7 +13,7 @@ from typing import Literal
 from acquisition.record.events import Severity
 from processing.errors import ConfigurationError, RigError
 from rig.instrument import RecordContents
-from rig.measure.session_file import SessionFile, read_session
+from rig.measure.session_file import SessionFile
 from rig.presentation import say
 from rig.settings import Configuration, PreflightSettings, SessionSettings
 from rig.terminal import reason_of
@@ -103,19 +103,19 @@ class Outcome:
 
 
 @contextmanager
-def announced(settings: SessionSettings, folder: Path, file: SessionFile | None = None) -> Iterator[Outcome]:
+def announced(settings: SessionSettings, file: SessionFile) -> Iterator[Outcome]:
     """Send a notice of the end or the failure of the block, by its exit status or its error.
 
     A resumed session without a missing run ends as it ended before: that notice is not sent twice, unless the
-    first was not delivered. `file` is the session's file if it is open already.
+    first was not delivered.
     """
-    outcome, told = Outcome(Notices(settings, folder)), ""
+    outcome, told = Outcome(Notices(settings, file.folder)), ""
+    notices = outcome.notices
     try:
         yield outcome
     except BaseException as error:
         why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
-        outcome.notices.tell("failure", why or type(error).__name__)
-        _note_reported_end(folder, file, outcome.notices, "")
+        notices.tell("failure", why or type(error).__name__)
         raise
     else:
         kind: Literal["end", "failure"] = "end"
@@ -123,27 +123,15 @@ def announced(settings: SessionSettings, folder: Path, file: SessionFile | None 
         if outcome.status:
             kind = "failure"
             text = "not every run was measured and fitted under its conditions"
-            text = ": ".join([text, *filter(None, ["; ".join(outcome.notices.failures)])])
-        if _reported_end(folder) != f"{kind}: {text}":
-            outcome.notices.tell(kind, text)
-            told = f"{kind}: {text}"
+            text = ": ".join([text, *filter(None, ["; ".join(notices.failures)])])
+        told = f"{kind}: {text}"
+        if file.state.told != told:
+            notices.tell(kind, text)
     finally:
-        outcome.notices.wait()
-        if told and outcome.notices.last_was_delivered:
-            _note_reported_end(folder, file, outcome.notices, told)
-
-
-def _reported_end(folder: Path) -> str:
-    with suppress(RigError):
-        return read_session(folder).told
-    return ""
-
-
-def _note_reported_end(folder: Path, file: SessionFile | None, notices: Notices, words: str) -> None:
-    """Save the notice of the session's end in its file, if one was sent; the file may not exist yet."""
-    if notices.calls and _reported_end(folder) != words:
-        with suppress(RigError), nullcontext(file) if file else closing(SessionFile.opened(folder)) as held:
-            held.note_reported_end(words)
+        notices.wait()
+        if notices.calls and file.state.told != told and (notices.last_was_delivered or not told):
+            with suppress(RigError):
+                file.note_reported_end(told)
 
 
 Sleep = Callable[[float], None]

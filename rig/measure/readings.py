@@ -133,7 +133,7 @@ class SideReadings:
         A sensor that has fallen silent is recorded once, as a reading of NaN.
         """
         devices = self._parts.devices
-        if devices is None or time_ns < self._environment_due_ns:
+        if time_ns < self._environment_due_ns:
             return None
         self._environment_due_ns = time_ns + nanoseconds(self._parts.plan.config.environment_sensor.period_s)
         reading = devices.environment()
@@ -142,5 +142,5 @@ class SideReadings:
 
     def _seismometer_samples(self, frame: Frame) -> list[RecordedWitness]:
         """Samples of the auxiliary seismometer since the last call, up to a frame; empty without one."""
-        devices = self._parts.devices
-        return [] if devices is None or devices.witness is None else devices.witness.take(frame)
+        witness = self._parts.devices.witness
+        return [] if witness is None else witness.take(frame)

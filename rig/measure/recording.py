@@ -22,7 +22,6 @@ from processing.slope_uncertainty import KickWatch, StepWatch
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
 from rig.instrument import BeamCorrection, Block, Phase, Pipeline, RecordContents
-from rig.measure.end_of_run import EndOfRun
 from rig.measure.posterior_worker import Posterior
 from rig.measure.readings import SideReadings
 from rig.measure.recorder import RecordEntry, Recorder
@@ -207,7 +206,7 @@ class Recording:
         self._beam_correction: BeamCorrection | None = None
         if gain is not None:
             self._beam_correction = BeamCorrection(parts.optics.deflector(shape), gain, threaded=threaded)
-        self._end = EndOfRun(parts.end_limits)
+        self._end = parts.end
         self._steps = StepEvents(parts.optics.unit)
         self._readings = SideReadings(parts, first.time_ns)
         self._published_ns = self._half_cycles = 0
@@ -319,8 +318,8 @@ class Recording:
             state = self._state(Phase.MEASURING, age_s)
             self._recorder.put(RecordEntry(messages=state))
             messages = [*messages, *state]
-        if (news := parts.plan.session_news) is not None:
-            self._guard.call(_LIVE_PICTURE, None, partial(news.look, recorded=True), taken, shown)
+        look = partial(parts.plan.session_news.look, recorded=True)
+        self._guard.call(_LIVE_PICTURE, None, look, taken, shown)
         if due or entry.events or messages or shown.balances:
             self._inform_watchers(entry.events, messages, shown)
         return shown
@@ -362,11 +361,9 @@ class Recording:
 
     def _notes(self) -> list[TimedMessage]:
         """Notes of the operators since the last call, timed by the frames' clock."""
-        if self._parts.plan.notes is None:
-            return []
         counts, last = self._counts, self._last
         found = list[TimedMessage]()
-        for host_time_ns, author, text in self._parts.plan.notes.take():
+        for host_time_ns, author, text in self._parts.plan.take_notes():
             at_ns = last.time_ns + host_time_ns - last.host_time_ns
             # clipped: notes typed before the record begins belong to it, and frames on demand have another
             # clock
@@ -376,8 +373,8 @@ class Recording:
 
     def _end_in_darkness(self) -> None:
         """End the run if the laser is dark, unless the run is to wait for its light."""
-        alarm, devices = self._status.light.alarm, self._parts.devices
-        if not alarm or devices is None or self._stop:
+        alarm = self._status.light.alarm
+        if not alarm or self._stop:
             return
         parts = self._parts
         if parts.waits_when_dark and parts.operator_present:

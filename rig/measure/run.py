@@ -104,9 +104,8 @@ class MeasurementRun:
 
     def _darken(self, why: str) -> None:
         """Refuse light from now on and ask for the laser to be switched off; nothing here can block."""
-        if self._parts.devices is not None:
-            self._parts.devices.permit.withdraw(why)
-            self._parts.devices.darken(why)
+        self._parts.devices.permit.withdraw(why)
+        self._parts.devices.darken(why)
 
     def _has_stalled(self) -> bool:
         return self._stream.permit.paused_s > _MAX_PAUSE_S
@@ -296,21 +295,18 @@ def _execute(
         simulated=config.simulated,
         phases=phases_wanted(config),
     )
-    if session_news is not None:
-        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, plan.record)
+    session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, plan.record)
 
     def show_table(verdicts: Sequence[Verdict]) -> None:
         display.show_preflight(verdicts)
-        if session_news is not None:
-            session_news.preflight(verdicts)
+        session_news.preflight(verdicts)
 
     def show(now: RunNow) -> None:
         try:
             display.show(now)
         finally:
             # also if the display fails
-            if session_news is not None:
-                session_news.state(display.values(now), display.facts(now))
+            session_news.state(display.values(now), display.facts(now))
 
     phases: PhasesBeforeRecord | None = None
     if phases_wanted(config):
@@ -322,7 +318,7 @@ def _execute(
             plan.record.parent,
             force=plan.force,
             show_table=show_table,
-            watch=None if session_news is None else session_news.look,
+            watch=session_news.look,
         )
     parts = RunParts(
         plan=plan,

@@ -267,9 +267,12 @@ class Drawing:
                 mode = rr.components.InterpolationMode.StepAfter if steps else None
                 style = rr.SeriesLines(colors=colours, names=name, widths=1.5, interpolation_mode=mode)
             self.stream.log(full, style, static=True)
-        columns = [np.atleast_1d(one) for one in (time_s, value, u) if one is not None]
-        columns = self._breaks.broken(full, gap_periods * self.setup.period_s, *columns)
-        self._gathered.add(full, _scalar_columns if u is None else _measurement_columns, *columns)
+        drawn = self._breaks.broken(
+            full,
+            gap_periods * self.setup.period_s,
+            *(np.atleast_1d(one) for one in (time_s, value, u) if one is not None),
+        )
+        self._gathered.add(full, _scalar_columns if u is None else _measurement_columns, *drawn)
 
     def _run_colour(self, run: str, colour: str) -> str:
         """The colour of the run if several are overlaid, otherwise the colour of the quantity."""

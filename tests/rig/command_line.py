@@ -17,6 +17,7 @@ from processing.fit import drag_verdict, identifiability
 from rig.analysis import contact_verdicts
 from rig.cli import main
 from rig.report import session_report
+from rig.settings import Configuration, load_configuration
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SAMPLES = Path(__file__).resolve().parent / "data" / "samples"
@@ -42,6 +43,11 @@ with figures_are_drawn(False):
 def set_words(values: dict[str, str]) -> list[str]:
     """Options that set these keys of the configuration."""
     return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+
+
+def configured(values: dict[str, str], source: Path = CONFIGS / "demo.toml") -> Configuration:
+    """The configuration in a file with these keys set."""
+    return load_configuration(source, [f"{key}={value}" for key, value in values.items()])
 
 
 @dataclass(frozen=True)

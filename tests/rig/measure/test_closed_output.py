@@ -12,8 +12,7 @@ import pytest
 
 from rig.devices import SessionNews
 from rig.measure import measure_session, screen
-from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, QUICK, set_words
+from tests.rig.command_line import CONFIGS, QUICK, configured, set_words
 
 NOHUP = (
     "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
@@ -68,6 +67,6 @@ def test_who_watches_is_told_on_when_the_terminal_was_closed(
     monkeypatch.setattr(SessionNews, "state", state)
     monkeypatch.setattr(screen, "say", closed)
     values = {**QUICK, "session.max_duration_s": "3"}
-    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in values.items()])
+    config = configured(values)
     measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
     assert phases[-1] == "done"

@@ -9,12 +9,12 @@ from acquisition.record.reader import RecordReader
 from processing.errors import ConfigurationError
 from processing.estimate import Estimate
 from rig.instrument import RunNow
-from rig.measure.end_of_run import CONSECUTIVE_FITS, EndLimits, EndOfRun
+from rig.measure.end_of_run import CONSECUTIVE_FITS, EndOfRun
 from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
 from rig.view.show import show_records
-from tests.rig.command_line import CONFIGS, SMALL
+from tests.rig.command_line import CONFIGS, SMALL, configured
 from tests.rig.view.rrd_contents import column
 
 WHEN = (StopCondition("c", 0.03), StopCondition("b", 0.01))
@@ -22,7 +22,7 @@ KNOWN = {"c": Estimate(1e-8, 2.5e-10), "b": Estimate(37e-4, 0.2e-4)}
 
 
 def test_a_run_ends_once_all_conditions_hold() -> None:
-    end = EndOfRun(EndLimits(0.0, 1e3, WHEN))
+    end = EndOfRun(0.0, 1e3, WHEN)
     assert end.reason([], 1.0) is None
     assert end.reason([], 1.0, {}) is None
     assert end.reason([], 1.0, {**KNOWN, "b": Estimate(37e-4, 1e-4)}) is None
@@ -31,12 +31,12 @@ def test_a_run_ends_once_all_conditions_hold() -> None:
     assert end.reason([], 1.0, dict(KNOWN)) == (
         "known well enough: u(c)/c = 0.025 < 0.03, u(b)/b = 0.00541 < 0.01"
     )
-    assert EndOfRun(EndLimits(0.0, 1e3)).reason([], 1.0, KNOWN) is None
+    assert EndOfRun(0.0, 1e3).reason([], 1.0, KNOWN) is None
 
 
 def test_a_lucky_dip_does_not_end_a_run() -> None:
     """One fit is asked about with every block of frames, and counts once; one that fails begins anew."""
-    end = EndOfRun(EndLimits(0.0, 1e3, WHEN))
+    end = EndOfRun(0.0, 1e3, WHEN)
     unlucky = {**KNOWN, "c": Estimate(1e-8, 4e-10)}
     for _ in range(20):
         assert end.reason([], 1.0, KNOWN) is None
@@ -62,7 +62,7 @@ def test_a_session_ends_by_what_it_knows_and_says_so(tmp_path: Path) -> None:
         "session.stop_when": '["u(p)/p < 0.9"]',
     }
     source, folder = CONFIGS / "demo.toml", tmp_path / "out"
-    config = load_configuration(source, [f"{key}={value}" for key, value in wanted.items()])
+    config = configured(wanted, source)
     assert measure_session(config, source, folder) == 0
     (run,) = json.loads((folder / "results.json").read_text())["runs"]
     assert run["ended"].startswith("known well enough: u(p)/p = 0.")
