@@ -155,13 +155,7 @@ def snap(
 
     loaded = complete(load_configuration(config, set_ or []))
     with _opened_camera(config, set_) as (camera, info, _):
-        camera.start()
-        reads = (camera.read(loaded.camera.patience_s) for _ in range(average))
-        frames = [frame for frame in reads if frame is not None]
-        camera.stop()
-        if len(frames) < average:
-            raise ConfigurationError(f"the camera gave {len(frames)} frames, {average} were asked for")
-        image = camera_picture.average(frames)
+        image = camera_picture.average(camera_picture.take_frames(camera, average, loaded.camera.patience_s))
         done, png = cv2.imencode(".png", image)
         if not done:
             raise ConfigurationError(f"{output}: can't be written as PNG")

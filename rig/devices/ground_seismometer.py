@@ -21,9 +21,6 @@ _LOOK_S = 0.02
 class GroundSeismometer:
     """An auxiliary seismometer, sampled together with a camera's frames; a context manager."""
 
-    problem = ""
-    """The reason why no samples come; empty while they come."""
-
     def __init__(self) -> None:
         self._looked_at: list[RecordedWitness] = []
 
@@ -54,6 +51,11 @@ class GroundSeismometer:
     def take_events(self) -> tuple[str, ...]:
         """Events of the instrument since the last call."""
         return ()
+
+    @property
+    def problem(self) -> str:
+        """The reason why no samples come; empty while they come."""
+        return ""
 
 
 def ground_witness(config: Configuration) -> GroundSeismometer | None:

@@ -46,13 +46,12 @@ class OrderSocket:
         extra: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         self._path = folder / ORDERS_NAME
-        self._news, self._extra = session_news, extra
         self._answers: dict[str, Callable[[Any], Any]] = {
+            **orders,
             BEAT: lambda _: None,
-            NEWS: lambda _: plain_values({**self._news.news(), **self._extra()}),
-            LOOK: self._news.picture,
+            NEWS: lambda _: plain_values({**session_news.news(), **extra()}),
+            LOOK: session_news.picture,
         }
-        self._orders = orders
         self._key = secrets.token_bytes(24)
         self._over = threading.Event()
         self._socket: socket.socket | None = None
@@ -115,8 +114,6 @@ class OrderSocket:
         try:
             if name in self._answers:
                 return True, self._answers[name](value)
-            if name in self._orders:
-                return True, self._orders[name](value)
         except Exception as error:
             # any error is reported to the client, and must not end the session
             return False, str(error) or type(error).__name__

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame, Image
 from acquisition.frames.guard import FrameChecks
-from processing.errors import DeviceError
+from processing.errors import DataError, DeviceError
 
 _FLOOR = 0.1
 # sqrt(A / B) for exp(-u) - 0.1 where it is positive, u = r^2 / (2 s^2), u0 = ln 10:
@@ -89,6 +89,19 @@ def histogram_bars(image: Image, full_scale_dn: int, bars: int = 16, width: int 
         bar = "#" * round(float(np.log1p(count) / longest) * width)
         lines.append(f"{low:>6} DN {bar:<{width}} {count}")
     return lines
+
+
+def take_frames(camera: Camera, count: int, patience_s: float) -> list[Frame]:
+    """That many frames of a configured camera, which is started and stopped; DataError if it gives fewer."""
+    camera.start()
+    try:
+        frames = [camera.read(patience_s) for _ in range(count)]
+    finally:
+        camera.stop()
+    found = [frame for frame in frames if frame is not None]
+    if len(found) < count:
+        raise DataError(f"the camera gave {len(found)} frames, {count} were asked for")
+    return found
 
 
 _FRAMES = 9

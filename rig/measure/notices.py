@@ -4,9 +4,8 @@ import datetime
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
@@ -94,39 +93,27 @@ class Notices:
                 delivered.set()
 
 
-@dataclass
-class Outcome:
-    """Exit status of a session, set in the block of `announced`, and the notices that report it."""
-
-    notices: Notices
-    status: int = 1
-
-
-@contextmanager
-def announced(settings: SessionSettings, file: SessionFile) -> Iterator[Outcome]:
-    """Send a notice of the end or the failure of the block, by its exit status or its error.
+def announced(settings: SessionSettings, file: SessionFile, make: Callable[[Notices], int]) -> int:
+    """Make a session and send a notice of its end or failure, by its exit status, which is returned.
 
     A resumed session without a missing run ends as it ended before: that notice is not sent twice, unless the
     first was not delivered.
     """
-    outcome, told = Outcome(Notices(settings, file.folder)), ""
-    notices = outcome.notices
+    notices, told = Notices(settings, file.folder), ""
     try:
-        yield outcome
+        status = make(notices)
+        text = "end: every run was measured and fitted"
+        if status:
+            text = "failure: not every run was measured and fitted under its conditions"
+            text = ": ".join([text, *filter(None, ["; ".join(notices.failures)])])
+        told = text
+        if file.state.told != told:
+            notices.tell("failure" if status else "end", told.partition(": ")[2])
+        return status
     except BaseException as error:
         why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
         notices.tell("failure", why or type(error).__name__)
         raise
-    else:
-        kind: Literal["end", "failure"] = "end"
-        text = "every run was measured and fitted"
-        if outcome.status:
-            kind = "failure"
-            text = "not every run was measured and fitted under its conditions"
-            text = ": ".join([text, *filter(None, ["; ".join(notices.failures)])])
-        told = f"{kind}: {text}"
-        if file.state.told != told:
-            notices.tell(kind, text)
     finally:
         notices.wait()
         if notices.calls and file.state.told != told and (notices.last_was_delivered or not told):

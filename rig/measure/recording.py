@@ -16,14 +16,12 @@ from acquisition.record.topics import (
     RecordedPhase,
     TimedMessage,
 )
-from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
-from processing.slope_uncertainty import KickWatch, StepWatch
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
 from rig.instrument import BeamCorrection, Block, Phase, Pipeline, RecordContents
 from rig.measure.posterior_worker import Posterior
-from rig.measure.readings import SideReadings
+from rig.measure.readings import SideReadings, StepEvents
 from rig.measure.recorder import RecordEntry, Recorder
 from rig.measure.run_parts import RunParts
 from rig.measure.session_orders import StartJudge
@@ -37,51 +35,6 @@ _MAX_BLOCK_NS = 2_000_000_000
 """Longest time span of a block, so that a run with a slow camera ends when it should."""
 _PUBLISH_INTERVAL_NS = 10_000_000
 """Shortest time between two published states of the run; nobody looks more often."""
-
-_MIN_REST_STEP = {DeflectionUnit.RAD: 3.0, DeflectionUnit.PX: 1.0}
-"""Smallest step of the rest position that is an event, in arcsec, or in px without a lever: far above the
-drift within some half-cycles."""
-_MIN_PUSH = {DeflectionUnit.RAD: 1.0, DeflectionUnit.PX: 2.0}
-_MIN_LIGHT_STEP_DN = 1.0
-
-
-class StepEvents:
-    """Detects steps of rest position, amplitude and background in a run.
-
-    Only one value of each half-cycle is compared, so that the oscillation itself cancels.
-    """
-
-    def __init__(self, unit: DeflectionUnit) -> None:
-        self._unit = unit
-        self._rest = StepWatch(_MIN_REST_STEP[unit])
-        self._push = KickWatch(_MIN_PUSH[unit])
-        self._light = StepWatch(_MIN_LIGHT_STEP_DN)
-        self._background_dn: list[float] = []
-
-    def take(self, block: Block) -> list[Event]:
-        """Events of the steps detected with this block."""
-        found: list[Event] = []
-        lost = SpotFlag.LOST
-        self._background_dn += [spot.background_dn for spot in block.spots if not spot.flags & lost]
-        for swing in block.swings:
-            rest = math.nan if swing.flags else swing.centre / self._unit.shown_size
-            step = self._rest.take(swing.turn_time_ns, rest)
-            if step is not None:
-                text = f"the rest position moved by {step.size:+.1f} {self._unit.shown}"
-                found.append(Event(step.time_ns, EventKind.REST_STEP, text))
-            amplitude = math.nan if swing.flags else swing.amplitude / self._unit.shown_size
-            kick = self._push.take(swing.index, swing.turn_time_ns, amplitude)
-            if kick is not None:
-                text = f"the swing was pushed by {kick.size:.1f} {self._unit.shown}: a draught, or a knock"
-                found.append(Event(kick.time_ns, EventKind.PUSH, text))
-            light_dn = float(np.median(self._background_dn)) if self._background_dn else math.nan
-            self._background_dn.clear()
-            step = self._light.take(swing.turn_time_ns, light_dn)
-            if step is not None:
-                text = f"the background moved by {step.size:+.1f} DN"
-                found.append(Event(step.time_ns, EventKind.LIGHT_STEP, text))
-        return found
-
 
 _LOST_IMAGE_INTERVAL_NS, _PREVIEW_INTERVAL_NS = 1_000_000_000, 300_000_000
 _MIN_LOST_S = 5.0

@@ -104,11 +104,12 @@ def finish_session(
 
     Returns the exit status like `measure_session`.
     """
-    with announced(config.session, file) as outcome:
-        waiting = waiting or PreflightWait(file.folder.name, config.preflight)
-        options = SessionOptions(outcome.notices, force, json_lines, waiting)
-        outcome.status = _finish(file, config, task, options)
-    return outcome.status
+    waiting = waiting or PreflightWait(file.folder.name, config.preflight)
+
+    def finish(notices: Notices) -> int:
+        return _finish(file, config, task, SessionOptions(notices, force, json_lines, waiting))
+
+    return announced(config.session, file, finish)
 
 
 def _finish(file: SessionFile, config: Configuration, task: str, options: SessionOptions) -> int:

@@ -1,13 +1,10 @@
 """`rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
 
 import math
-import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Self
 
 from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
@@ -22,7 +19,7 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.instrument import RunNow, configuration_attachments, recorded_configuration
+from rig.instrument import configuration_attachments, recorded_configuration
 from rig.presentation import (
     Keys,
     QuantityDisplay,
@@ -34,93 +31,18 @@ from rig.presentation import (
     quantity,
     say,
     signed,
-    terminal_columns,
 )
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import Terminated
 from rig.view.replay import Replay, ReplayResult
 from rig.view.replay_comparison import ParameterDifference, ReplayDifferences, parameter_changes
-from rig.view.replay_player import HELP, MAX_FRAMES, Player
+from rig.view.replay_player import HELP, MAX_FRAMES, Player, ReplayLine
 from rig.view.scratch import ScratchHead, ScratchView
 from rig.view.values import Mode
 
-_PLAIN_INTERVAL_S = 5.0
-_LINE_INTERVAL_S = 0.1
-_ERASE = "\r\x1b[K"
 _MAX_ROUNDING_U = 0.01
 """Largest change, in standard uncertainties, that is attributed to rounding."""
 _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
-
-
-class ReplayLine:
-    """The progress of a replay: one line updated on a terminal, elsewhere a new line every few seconds.
-
-    On a terminal `help_text` is printed first.
-    """
-
-    def __init__(
-        self,
-        unit: str,
-        help_text: str = "",
-        *,
-        stream: IO[str] | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._stream = sys.stderr if stream is None else stream
-        self._terminal = self._stream.isatty()
-        self._unit = unit
-        self._help = help_text
-        self._clock = clock
-        self._shown_s = clock() if not self._terminal else -math.inf
-        self._shown = ""
-
-    def __enter__(self) -> Self:
-        if self._terminal and self._help:
-            self._stream.write(f"keys: {self._help}\n")
-            self._stream.flush()
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        if self._terminal and self._shown:
-            self._stream.write("\n")
-            self._stream.flush()
-
-    def show(
-        self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
-    ) -> None:
-        """Update the line."""
-        now_s = self._clock()
-        interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
-        # while paused or typing nothing is delayed, so that the effect of a key is shown immediately
-        moving = not paused and prompt is None and now.elapsed_s < length_s
-        if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
-            return
-        doing = "paused" if paused else "replaying"
-        text = prompt if prompt is None else f"go to (seconds from the start, Enter): {prompt}"
-        text = text or self._text(now, doing, length_s, remaining_s)
-        if not self._terminal:
-            self._shown_s = now_s
-            self._stream.write(f"{text}\n")
-            self._stream.flush()
-        elif text != self._shown:
-            self._shown_s, self._shown = now_s, text
-            self._stream.write(_ERASE + text)
-            self._stream.flush()
-
-    def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
-        columns = terminal_columns(self._stream)
-        part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
-        amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
-        clock = f"  clock {state.clock.text}" if state.clock.text else ""
-        left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
-        begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
-        half_cycles = f"  {state.half_cycles} half-cycles"
-        texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
-        # a wrapped line could not be overwritten, so parts are left out, the least important first
-        for place, _ in enumerate(texts):
-            if columns and len(begin) + sum(map(len, texts)) >= columns:
-                texts[place] = ""
-        return begin + "".join((texts[0], *texts[2:4], texts[1], texts[4]))
 
 
 def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
@@ -198,12 +120,6 @@ def _largest(change_u: float, where: str, once: int, changed: int) -> str:
     said = [f"{plain(change_u, 2)} u, {where}"] if change_u > 0 else []
     said += [f"{once} in one of the two only"] if once else []
     return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(max(seconds, 0.0)), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
 _KEY_INTERVAL_S = 0.2

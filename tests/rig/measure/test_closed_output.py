@@ -23,20 +23,9 @@ NOHUP = (
 @pytest.mark.slow
 def test_a_session_without_anybody_to_read_its_output_is_complete(tmp_path: Path) -> None:
     out, into = os.pipe()
-    words = set_words(QUICK)
+    words = ["-m", "rig", "run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *set_words(QUICK)]
     process = subprocess.Popen(
-        [
-            sys.executable,
-            "-c",
-            NOHUP,
-            "-m",
-            "rig",
-            "run",
-            CONFIGS / "demo.toml",
-            "-o",
-            tmp_path / "out",
-            *words,
-        ],
+        [sys.executable, "-c", NOHUP, *words],
         stdin=subprocess.DEVNULL,
         stdout=into,
         stderr=into,

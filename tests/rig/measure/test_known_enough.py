@@ -1,18 +1,21 @@
-"""Runs that end by what they know, and what the screen says of it."""
+"""Runs that end by what they know, what the screen says of it, and who ended a run."""
 
 import json
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from acquisition.record.reader import RecordReader
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
+from rig.devices import FrameStream
 from rig.instrument import RunNow
-from rig.measure.end_of_run import CONSECUTIVE_FITS, EndOfRun
+from rig.measure.end_of_run import CONSECUTIVE_FITS, EndOfRun, StopRequest
 from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
+from rig.terminal import BY_USER
 from rig.view.show import show_records
 from tests.rig.command_line import CONFIGS, SMALL, configured
 from tests.rig.view.rrd_contents import column
@@ -97,3 +100,23 @@ def test_a_rig_that_fits_no_contact_is_told_before_it_measures(
     ):
         measure_session(config, source, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+class Stream:
+    """A camera's stream that takes note of the end."""
+
+    stopped = 0
+
+    def request_stop(self) -> None:
+        self.stopped += 1
+
+
+def test_only_the_first_who_asks_ends_the_run() -> None:
+    stream = Stream()
+    stop = StopRequest(cast(FrameStream, stream))
+    assert stop.because("final amplitude reached")
+    # Ctrl-C just after the end, and in the same words
+    assert not stop.because(BY_USER)
+    assert not stop.because("final amplitude reached")
+    stop.failed(DataError("the record cannot be read"))
+    assert (stop.reason, stream.stopped) == ("final amplitude reached", 1)

@@ -9,7 +9,7 @@ from processing.spot import Spot
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
 from rig.instrument import Block
-from rig.measure.recording import StepEvents
+from rig.measure.readings import StepEvents
 
 HALF_PERIOD_NS = 2_000_000_000
 

@@ -11,7 +11,8 @@ from acquisition.record.reader import RecordReader
 from processing.balance import BalanceEstimator
 from processing.swing import TurningPointDetector
 from rig.instrument import ObserverGuard
-from rig.measure import LivePosterior, measure_session, readings, recording
+from rig.measure import measure_session, readings
+from rig.measure.posterior import LivePosterior
 from rig.measure.screen import RunDisplay
 from tests.rig.command_line import CONFIGS, SMALL, configured
 
@@ -20,7 +21,7 @@ WATCHERS = {
     "the display": (RunDisplay, "show"),
     "the live fit": (LivePosterior, "take"),
     "the estimate of the balance": (BalanceEstimator, "update"),
-    "the watch for steps": (recording.StepEvents, "take"),
+    "the watch for steps": (readings.StepEvents, "take"),
     "the camera's temperature": (readings.TemperatureWatch, "take"),
 }
 

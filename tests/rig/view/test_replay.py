@@ -19,10 +19,10 @@ from rig.analysis.result_rows import ResultRow
 from rig.instrument.provenance import recorded_configuration
 from rig.instrument.run_now import RunNow
 from rig.presentation.quantities import KeyParser, Keys
-from rig.view.record_replay import ReplayLine, replay_record, speed_of
+from rig.view.record_replay import replay_record, speed_of
 from rig.view.replay import Replay
 from rig.view.replay_comparison import parameter_changes
-from rig.view.replay_player import Player
+from rig.view.replay_player import Player, ReplayLine
 from tests.rig.view.replay_record import GAP_FRAME, LOST_FRAME, RATE_HZ, make_record
 
 SECONDS = 100.0
