@@ -69,9 +69,8 @@ class SafetyNow:
     `trip` waits for an acknowledgement, `refusal` is the reason why no light is allowed (empty while it is),
     `to_be_asked` whether a person must ask for light before there is any, `seen` whether the camera's frames
     show the laser's spot, None where no frames are examined. States older than `STALE_S` are unknown.
-    `laser` is the report of the laser's
-    device and `controller` the state of the connection, None for what the program does not control; `status`
-    is None, too, while the controller does not answer.
+    `laser` is the report of the laser's device and `controller` the state of the connection, None for what
+    the program does not control; `status` is None, too, while the controller does not answer.
     """
 
     trip: LatchedTrip | None = None
@@ -115,8 +114,16 @@ class SafetyNow:
     @classmethod
     def told(cls, values: Mapping[str, Any]) -> "SafetyNow":
         """The state from the plain values of a session's answer, in which infinite ages are null."""
-        known = {key: value for key, value in values.items() if value is not None}
-        return _adapter().validate_python(known)
+        return _adapter().validate_python(_known(values))
+
+
+def _known(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values, also of parts, that are not null."""
+    return {
+        key: _known(value) if isinstance(value, Mapping) else value
+        for key, value in values.items()
+        if value is not None
+    }
 
 
 @cache

@@ -11,7 +11,6 @@ from dataclasses import asdict
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Connection, answer_challenge, deliver_challenge
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from rig.devices.session_devices import Devices
@@ -70,9 +69,7 @@ class OrderSocket:
         threading.Thread(target=self._accept, args=(self._socket,), name="orders", daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         # connected clients would otherwise be answered as long as the process lives, which may fit the data
         self._over.set()
         if self._socket is not None:

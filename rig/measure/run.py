@@ -75,14 +75,10 @@ class MeasurementRun:
         """State of the run; may be read from any thread."""
         return self._status.now
 
-    def request_stop(self, reason: str, how: EventKind = EventKind.ENDED_EARLY) -> bool:
-        """End the run early; the first reason given is recorded. Returns whether this reason is the first."""
-        return self._stop.because(reason, how)
-
     def execute(self, show: Callable[[RunNow], None] = lambda _: None, interval_s: float = 0.1) -> RunOutcome:
         """Measure until the run ends; returns with the record closed.
 
-        Ctrl-C and `Terminated` switch the laser off and end the run like `request_stop`, immediately if
+        Ctrl-C and `Terminated` switch the laser off and end the run early, immediately if
         frames come on demand. A thread that hangs at the end is abandoned, sooner after a second interrupt.
         """
         self._stream.start_camera()
@@ -95,10 +91,10 @@ class MeasurementRun:
             interrupt = error
             self._stop.skip_waiting = True
             self._darken(reason_of(error))
-            stopped = self.request_stop(reason_of(error))
+            stopped = self._stop.because(reason_of(error), EventKind.ENDED_EARLY)
         finally:
             # also after an interrupt or an error, so that the record is complete
-            self.request_stop("the program has failed", EventKind.FAILED)
+            self._stop.because("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
         return RunOutcome(self.now, self._stop.failure, interrupt, stopped, hangs)
 
@@ -106,9 +102,6 @@ class MeasurementRun:
         """Refuse light from now on and ask for the laser to be switched off; nothing here can block."""
         self._parts.devices.permit.withdraw(why)
         self._parts.devices.darken(why)
-
-    def _has_stalled(self) -> bool:
-        return self._stream.permit.paused_s > _MAX_PAUSE_S
 
     def _end(self, show: Callable[[RunNow], None]) -> str:
         """Wait for the end of the processing thread; returns what hung, if it had to be abandoned."""
@@ -130,7 +123,7 @@ class MeasurementRun:
         """Show the run until it ends or stalls."""
         done = False
         while not done:
-            done = self._done.wait(interval_s) or self._has_stalled()
+            done = self._done.wait(interval_s) or self._stream.permit.paused_s > _MAX_PAUSE_S
             for state in self._status.take_instructions():
                 self._show(show, state)
             self._show(show, self._now_with_stall())

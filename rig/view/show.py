@@ -136,7 +136,7 @@ def _draw(
 
     from rig.view import layout
     from rig.view.drawing import Drawing
-    from rig.view.follower import RecordDrawer
+    from rig.view.follower import RecordDrawer, configuration_of
 
     names = run_names(paths)
     with ExitStack() as stack:
@@ -149,7 +149,9 @@ def _draw(
         stream.send_recording_name(setup.title)
         gather_s, rows, interval_s = _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S
         if viewer is not None:
-            gather_s, rows, interval_s = _LIVE_GATHER_S, _LIVE_GATHER_ROWS, _picture_interval_s(readers[0])
+            config = configuration_of(readers[0])
+            interval_s = 0.0 if config is None else config.view.image_interval_s
+            gather_s, rows = _LIVE_GATHER_S, _LIVE_GATHER_ROWS
         drawing = Drawing(stream, setup, gather_s=gather_s, gather_rows=rows)
         drawers = []
         for reader, run in zip(readers, names, strict=True):
@@ -251,13 +253,6 @@ def _parameters(readers: Sequence[RecordReader], config: Configuration | None) -
     if not fitted or (readers[0].contents.whole and KIND_OF[RecordedHealth].topic not in readers[0].counts):
         return ()
     return DEFAULT_LAW.fit_names(calibrated=True, drag=config.fit.fits_drag)[:-2]
-
-
-def _picture_interval_s(reader: RecordReader) -> float:
-    from rig.view.follower import configuration_of
-
-    config = configuration_of(reader)
-    return 0.0 if config is None else config.view.image_interval_s
 
 
 def _check(paths: Sequence[Path]) -> None:
