@@ -155,7 +155,7 @@ def snap(
 
     loaded = complete(load_configuration(config, set_ or []))
     with _opened_camera(config, set_) as (camera, info, _):
-        image = camera_picture.average(camera_picture.take_frames(camera, average, loaded.camera.patience_s))
+        image = camera_picture.average(camera_picture.read_frames(camera, average, loaded.camera.patience_s))
         done, png = cv2.imencode(".png", image)
         if not done:
             raise ConfigurationError(f"{output}: can't be written as PNG")

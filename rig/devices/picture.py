@@ -91,7 +91,7 @@ def histogram_bars(image: Image, full_scale_dn: int, bars: int = 16, width: int 
     return lines
 
 
-def take_frames(camera: Camera, count: int, patience_s: float) -> list[Frame]:
+def read_frames(camera: Camera, count: int, patience_s: float) -> list[Frame]:
     """That many frames of a configured camera, which is started and stopped; DataError if it gives fewer."""
     camera.start()
     try:

@@ -24,7 +24,7 @@ from rig.devices import (
     ask_leave,
     check_log,
     light_told,
-    picture,
+    read_frames,
     running_sessions,
 )
 from rig.instrument import (
@@ -95,7 +95,7 @@ def take_frames(config: Configuration, folder: Path, count: int) -> Path:
     if folder.exists():
         raise ConfigurationError(f"{folder}: exists already and is not overwritten; choose another folder")
     with Devices(config).camera(config) as opened:
-        frames = picture.take_frames(opened.camera, count, config.camera.patience_s)
+        frames = read_frames(opened.camera, count, config.camera.patience_s)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write.folder_being_written(folder) as beside:
