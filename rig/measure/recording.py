@@ -194,8 +194,7 @@ class Recording:
             *(Event(first_ns, EventKind.WAITED, text) for text in parts.plan.waited),
             Event(first_ns, EventKind.START, "first frame"),
         ]
-        self._recorder.put(RecordEntry(events=events))
-        self._inform_watchers(events)
+        self._tell(RecordEntry(events=events))
 
     def _take_all(self, begun: list[Frame]) -> str:
         """Take frames until the run ends; returns why the start was rejected, else an empty text."""
@@ -233,8 +232,7 @@ class Recording:
         """Record events without waiting for frames, so that a silent camera is noted immediately."""
         new, messages = self._device_events(), [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
         if new or messages:
-            self._recorder.put(RecordEntry(events=new, messages=messages))
-            self._inform_watchers(new, messages)
+            self._tell(RecordEntry(events=new, messages=messages))
 
     def _take(self, taken: list[Frame], taken_ns: int) -> Block:
         """Process frames that were taken at `taken_ns` and record them.
@@ -300,8 +298,13 @@ class Recording:
         last = [*self._device_events(), *early, end]
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
         messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
-        self._recorder.put(RecordEntry(block=empty, events=last, messages=messages, attachments=attachments))
-        self._inform_watchers(last, messages, empty._replace(swings=swings))
+        entry = RecordEntry(block=empty, events=last, messages=messages, attachments=attachments)
+        self._tell(entry, empty._replace(swings=swings))
+
+    def _tell(self, entry: RecordEntry, shown: Block | None = None) -> None:
+        """Record an entry, and pass it to the watchers with the block as they see it."""
+        self._recorder.put(entry)
+        self._inform_watchers(entry.events, entry.messages, shown)
 
     def _inform_watchers(
         self, events: Sequence[Event], messages: Sequence[TimedMessage] = (), block: Block | None = None

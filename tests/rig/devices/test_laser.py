@@ -19,6 +19,8 @@ from rig.control.service import ControlSnapshot
 from rig.devices.session_devices import Devices
 from rig.measure.preflight import frame_checks
 from rig.settings import Configuration, validate_configuration
+from tests.benchmarks.safety_lasers import TRIALS, measured
+from tests.benchmarks.safety_sequences import run_sequences
 from tests.rig.control.instruments import FakeObis, Instrument
 from tests.rig.control.lasers.pairs import FAMILIES
 from tests.rig.control.test_ending import ENDED_WITHIN_S, command
@@ -260,3 +262,20 @@ def test_preflight_says_how_the_laser_stands() -> None:
     assert warning.ok
     assert "killed" in warning.reason
     assert "relay" in warning.remedy
+
+
+def test_nothing_is_lit_without_leave() -> None:
+    """The first of the thousand that the benchmark makes."""
+    found = run_sequences(40, 30)
+    assert found["violations"] == []
+    assert found["lit"] > 20
+    assert found["acknowledged"] > 5
+
+
+def test_lasers_of_their_own_go_dark_and_wait_for_a_person(tmp_path: Path) -> None:
+    rows = [measured(*trial, tmp_path) for trial in TRIALS]
+    assert [row for row in rows if row.violation or row.relit] == []
+    # as documented: without the relay nothing darkens a laser whose program was killed
+    lit = {row.fault for row in rows if row.dark_s is None}
+    assert lit == {"program killed, interlock not wired"}
+    assert max(row.dark_s for row in rows if row.dark_s is not None) < 2.5
