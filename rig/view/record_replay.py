@@ -35,7 +35,7 @@ from rig.presentation import (
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import Terminated
 from rig.view.replay import Replay, ReplayResult
-from rig.view.replay_comparison import ParameterDifference, ReplayDifferences, parameter_changes
+from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
 from rig.view.replay_player import HELP, MAX_FRAMES, Player, ReplayLine
 from rig.view.scratch import ScratchHead, ScratchView
 from rig.view.values import Mode
@@ -47,32 +47,25 @@ _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
 
 def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
+    spots, half_cycles = comparison.spots, comparison.half_cycles
     if comparison.identical:
-        flagged = comparison.swings_flagged
+        flagged = comparison.flagged
         apart = f" ({flagged} flagged and not fitted)" if flagged else ""
         print_line(
-            f"{comparison.spots} spots and {comparison.swings_replayed} half-cycles{apart}, "
+            f"{comparison.frames} spots and {half_cycles.replayed} half-cycles{apart}, "
             "equal bit for bit to the recorded ones"
         )
         return
-    found = comparison
-    spots = (found.spots_found_recorded, found.spots_found_replayed, found.spots_changed)
-    swings = (found.swings_recorded, found.swings_replayed, found.swings_changed)
-    rows: list[list[str]] = []
-    for name, counts, once, change_u, where in (
-        ("spots", spots, found.spots_once, found.largest_spot_change_u, f"frame {found.largest_spot_frame}"),
-        (
-            "half-cycles",
-            swings,
-            found.swings_once,
-            found.largest_swing_change_u,
-            f"{found.largest_swing_s:.1f} s",
-        ),
-    ):
-        rows.append([name, *map(str, counts), _largest(change_u, where, once, counts[-1])])
+    rows = [
+        [name, *map(str, found[:3]), _largest(found, where)]
+        for name, found, where in (
+            ("spots", spots, f"frame {spots.largest_at:.0f}"),
+            ("half-cycles", half_cycles, f"{half_cycles.largest_at:.1f} s"),
+        )
+    ]
     head = ("", "recorded", "replayed", "changed", "largest change")
     print_tables([Table("comparison", "", head, rows, head, rows)])
-    if retracked and not found.spots_once and 0 < found.largest_spot_change_u < _MAX_ROUNDING_U:
+    if retracked and not spots.once and 0 < spots.largest_u < _MAX_ROUNDING_U:
         # each fit starts at the spot of the previous frame, which passes rounding errors on
         print_line(
             "the spots agree: pixels of a window are counted from another corner than those of the whole "
@@ -115,11 +108,11 @@ def _in_u(change: ParameterDifference) -> str:
     return "?" if math.isnan(change.change_u) else signed(change.change_u)
 
 
-def _largest(change_u: float, where: str, once: int, changed: int) -> str:
+def _largest(found: Differences, where: str) -> str:
     """The largest change of those present in both, and the number of those present in only one, in words."""
-    said = [f"{plain(change_u, 2)} u, {where}"] if change_u > 0 else []
-    said += [f"{once} in one of the two only"] if once else []
-    return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
+    said = [f"{plain(found.largest_u, 2)} u, {where}"] if found.largest_u > 0 else []
+    said += [f"{found.once} in one of the two only"] if found.once else []
+    return "; ".join(said or ["only in uncertainties or flags"]) if found.changed else ""
 
 
 _KEY_INTERVAL_S = 0.2

@@ -84,9 +84,9 @@ def test_retracking_stays_within_a_tenth_of_the_uncertainty(measured_series: Pat
         while replay.advance(np.inf, 64) is not None:
             pass
         comparison = replay.finish().comparison
-    assert comparison.largest_spot_change_u < 0.1
-    assert comparison.swings_replayed == comparison.swings_recorded
-    assert comparison.largest_swing_change_u < 0.1
+    assert comparison.spots.largest_u < 0.1
+    assert comparison.half_cycles.replayed == comparison.half_cycles.recorded
+    assert comparison.half_cycles.largest_u < 0.1
 
 
 @pytest.mark.slow
