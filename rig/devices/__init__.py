@@ -18,7 +18,7 @@ from rig.devices.laser import STAYS_LIT, WIRE_IT, check_wiring, through_controll
 from rig.devices.lit_devices import NOT_OURS
 from rig.devices.order_line import NoSession, OrderConnection, SessionBusy, running_sessions
 from rig.devices.order_socket import LOOPBACK, ORDERS_NAME, Orders, OrderSocket, light_told, safety_values
-from rig.devices.picture import PictureFigures, find_exposure, read_frames
+from rig.devices.picture import PictureFigures, find_exposure, png_of, read_frames
 from rig.devices.session_devices import Devices, OpenCamera
 from rig.devices.session_news import PATH_S, SessionNews, SessionPicture, thinned_path
 from rig.devices.udev import RULES_FOLDER, feature_lines, install_rules, udev_rules, watch_latest

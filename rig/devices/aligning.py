@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console, Group
@@ -15,10 +14,11 @@ from rich.text import Text
 
 from acquisition import atomic_write
 from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
-from processing.errors import ConfigurationError, DeviceError
+from processing.errors import DeviceError
 from processing.spot import Spot, SpotTracker
 from processing.units import nanoseconds
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
+from rig.devices.picture import png_of
 from rig.devices.udev import watch_latest
 from rig.presentation import Keys, answer
 
@@ -188,8 +188,5 @@ def _save(look: AlignmentFrame, folder: Path, zoom: float) -> Path:
     number = 1
     while (path := folder / f"{_PREFIX}-{number}.png").exists():
         number += 1
-    done, png = cv2.imencode(".png", annotated_picture(look, *_PICTURE_PX, zoom)[..., ::-1])
-    if not done:
-        raise ConfigurationError(f"{path}: can't be written as PNG")
-    atomic_write.write_new(path, png.tobytes())
+    atomic_write.write_new(path, png_of(annotated_picture(look, *_PICTURE_PX, zoom)[..., ::-1], path))
     return path

@@ -2,7 +2,8 @@
 
 import statistics
 from collections.abc import Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -89,6 +90,14 @@ def histogram_bars(image: Image, full_scale_dn: int, bars: int = 16, width: int 
         bar = "#" * round(float(np.log1p(count) / longest) * width)
         lines.append(f"{low:>6} DN {bar:<{width}} {count}")
     return lines
+
+
+def png_of(image: NDArray[Any], path: Path) -> bytes:
+    """An image as PNG, with every bit; DataError, which names the `path`, if it cannot be one."""
+    done, png = cv2.imencode(".png", image)
+    if not done:
+        raise DataError(f"{path}: cannot be written as PNG")
+    return png.tobytes()
 
 
 def read_frames(camera: Camera, count: int, patience_s: float) -> list[Frame]:

@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
-import cv2
 from rich.console import Console
 
 from acquisition import atomic_write
@@ -24,6 +23,7 @@ from rig.devices import (
     ask_leave,
     check_log,
     light_told,
+    png_of,
     read_frames,
     running_sessions,
 )
@@ -100,10 +100,8 @@ def take_frames(config: Configuration, folder: Path, count: int) -> Path:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write.folder_being_written(folder) as beside:
             for number, frame in enumerate(frames):
-                done, png = cv2.imencode(".png", frame.image)
-                if not done:
-                    raise DataError(f"{folder / f'{number:03d}.png'}: cannot be written as PNG")
-                (beside / f"{number:03d}.png").write_bytes(png.tobytes())
+                name = f"{number:03d}.png"
+                (beside / name).write_bytes(png_of(frame.image, folder / name))
     except OSError as error:
         raise RecordError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return folder
