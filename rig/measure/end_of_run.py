@@ -12,7 +12,6 @@ from processing.estimate import Estimate
 from processing.swing import HalfCycle
 from rig.analysis import (
     Limit,
-    RunResults,
     read_results,
     results_path,
     whole_result,
@@ -190,7 +189,7 @@ def hand_over(folder: Path) -> HandOver:
         of,
         whole.limits,
         [*steps, *whole.next_steps],
-        _others(run),
+        [(row.shown.label, row.text) for row in run.contact],
         report,
         remarks,
     )
@@ -206,7 +205,3 @@ def _steps_of_end(ended: RunState | None) -> list[str]:
     if ended is RunState.INTERRUPTED:
         return ["measure the missing runs: Runs, Resume"]
     return ["see why it failed, then start again"] if ended is RunState.FAILED else []
-
-
-def _others(run: RunResults) -> list[tuple[str, str]]:
-    return [(row.shown.label, row.text) for row in run.contact]

@@ -54,8 +54,8 @@ class RunStatus:
         Controller, laser and environment sensor.
     unit
         Unit of the half-cycles' amplitudes.
-    wall
-        Behind which the watchers stand.
+    guard
+        Catches the errors of watchers.
     """
 
     def __init__(

@@ -32,6 +32,12 @@ QUICK: dict[str, str] = {**SMALL, "instrument.kind": '"tomlinson"', "session.max
 """A whole session, from frames to results and report, without the fit of a contact: an eighth of its work."""
 
 
+AT_ONCE: dict[str, str] = {
+    "start.way": '"at once"',
+    "preflight.when": '"never"',
+    "simulation.release.way": '"let go"',
+}
+"""A session that records from the first frame on."""
 WITHOUT_FIGURES = """
 from tests.rig.command_line import figures_are_drawn, main
 with figures_are_drawn(False):

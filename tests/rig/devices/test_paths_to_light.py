@@ -27,7 +27,7 @@ from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
 from rig.measure.session_orders import Notes, orders
 from rig.settings import Configuration
-from tests.rig.command_line import CONFIGS, QUICK, configured
+from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, configured
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
 from tests.waiting import until
@@ -98,9 +98,7 @@ def test_the_command_that_lights_is_in_one_place() -> None:
 def config(tmp_path: Path) -> Configuration:
     quiet = {
         **QUICK,
-        "start.way": '"at once"',
-        "preflight.when": '"never"',
-        "simulation.release.way": '"let go"',
+        **AT_ONCE,
         "session.max_duration_s": "2",
         "session.output": json.dumps(str(tmp_path / "runs")),
         "balance.seconds": "9.1",

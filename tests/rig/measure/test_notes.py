@@ -14,14 +14,12 @@ from rig.devices import NoSession, OrderConnection
 from rig.measure.session_orders import NOTES_NAME, Notes
 from rig.report.source import read_source
 from rig.view.show import show_records
-from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
+from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, rig, set_words
 from tests.rig.view.rrd_contents import column
 
 LIVE = {
     **QUICK,
-    "start.way": '"at once"',
-    "preflight.when": '"never"',
-    "simulation.release.way": '"let go"',
+    **AT_ONCE,
     "session.max_duration_s": "14",
     "session.operator": '"Ada"',
 }
