@@ -215,14 +215,18 @@ _FIRST_NS, _BETWEEN_NS = 3_000_000_000, 10_000_000_000
 class ClockRate:
     """Rate of the camera's clock, from a line through some hundred pairs of times, each 10 s of the run.
 
-    A fit takes some ms of the calling thread; frames wait in their queue meanwhile.
+    With `beside` a thread of its own fits the line, which takes 10 ms, for which frames would wait. Its error
+    is raised by the next call.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, beside: bool = True) -> None:
+        self._beside = beside
         self._pairs: list[tuple[int, int, int]] = []
         self._every = 1
         self._passed = 0
         self._due_ns = 0
+        self._thread: threading.Thread | None = None
+        self._error: Exception | None = None
         self._rate_ppm = (math.nan, math.nan)
         self._steps_s: list[float] = []
 
@@ -253,24 +257,35 @@ class ClockRate:
                 self._every *= 2
         if not self._due_ns:
             self._due_ns = host_ns + _FIRST_NS
-        if host_ns >= self._due_ns:
+        if host_ns >= self._due_ns and (self._thread is None or not self._thread.is_alive()):
             self._due_ns = host_ns + _BETWEEN_NS
-            self._fit(np.array(self._pairs, dtype=np.int64))
+            table = np.array(self._pairs, dtype=np.int64)
+            if self._beside:
+                self._thread = threading.Thread(target=self._look, args=(table,), name="clock", daemon=True)
+                self._thread.start()
+            else:
+                self._look(table)
 
     @property
     def now(self) -> CameraClock:
-        """The present estimate of the clock's rate and steps."""
+        """The present estimate of the clock's rate and steps. Raises the error of the last fit, if any."""
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
         drift_ppm, u_drift_ppm = self._rate_ppm
         largest_s = max(self._steps_s, key=abs, default=0.0)
         return CameraClock(drift_ppm, u_drift_ppm, len(self._steps_s), largest_s)
 
-    def _fit(self, table: NDArray[np.int64]) -> None:
-        # of frames that were read at the same moment, the first is kept
-        keep = np.concatenate(([True], np.diff(np.maximum.accumulate(table[:, 1])) > 0))
-        device_ns, host_ns, sequence = table[keep].T
+    def _look(self, table: NDArray[np.int64]) -> None:
         try:
+            # of frames that were read at the same moment, the first is kept
+            keep = np.concatenate(([True], np.diff(np.maximum.accumulate(table[:, 1])) > 0))
+            device_ns, host_ns, sequence = table[keep].T
             relation = relate_clocks(device_ns, host_ns, sequence)
         except DataError:
             # there are too few pairs as yet
+            return
+        except Exception as error:
+            self._error = error
             return
         self._rate_ppm = (relation.drift_ppm, relation.u_drift_ppm)

@@ -9,6 +9,7 @@ from acquisition.camera import Frame
 from acquisition.record.events import EventKind
 from acquisition.record.topics import RecordedClockStep
 from processing.errors import DeviceError
+from rig.devices import clocks
 from rig.devices.clocks import ClockAnchors, ClockRate, HostClockReading, read_clocks
 from rig.instrument import CameraClock
 from rig.measure.run import utc_offset_ns
@@ -29,7 +30,7 @@ def frames(seconds: float, drift_ppm: float, *, seed: int = 3, clock: bool = Tru
 
 
 def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...] = ()) -> list[CameraClock]:
-    rate = ClockRate()
+    rate = ClockRate(beside=False)
     return [
         rate.take(given[first : first + size], steps if not first else ())
         for first in range(0, len(given), size)
@@ -65,6 +66,21 @@ def test_a_camera_without_a_clock_has_no_rate_and_few_frames_tell_none() -> None
     early = read(frames(3.5, 0.0), size=40)[-1]
     assert not early.known
     assert early.text == ""
+
+
+def test_what_fails_in_the_thread_is_raised_where_the_wall_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ValueError("no line")
+
+    monkeypatch.setattr(clocks, "relate_clocks", fails)
+    rate = ClockRate()
+    for frame in frames(10.0, 0.0):
+        rate.pair(frame.sequence, frame.device_time_ns, frame.host_time_ns)
+    assert rate._thread is not None
+    rate._thread.join()
+    with pytest.raises(ValueError, match="no line"):
+        rate.take([])
+    assert rate.take([]).text == ""
 
 
 class Clocks:
