@@ -143,10 +143,8 @@ def snap(
     Example:
       rig camera snap mine.toml -o spot.png --average 10
     """
-    import cv2
-
     from acquisition import atomic_write
-    from processing.errors import ConfigurationError, RecordError
+    from processing.errors import RecordError
     from rig.devices import SeenReference
     from rig.devices import picture as camera_picture
     from rig.instrument import beam_quality, complete, optics_of
@@ -155,19 +153,11 @@ def snap(
 
     loaded = complete(load_configuration(config, set_ or []))
     with _opened_camera(config, set_) as (camera, info, _):
-        camera.start()
-        reads = (camera.read(loaded.camera.patience_s) for _ in range(average))
-        frames = [frame for frame in reads if frame is not None]
-        camera.stop()
-        if len(frames) < average:
-            raise ConfigurationError(f"the camera gave {len(frames)} frames, {average} were asked for")
-        image = camera_picture.average(frames)
-        done, png = cv2.imencode(".png", image)
-        if not done:
-            raise ConfigurationError(f"{output}: can't be written as PNG")
+        image = camera_picture.average(camera_picture.read_frames(camera, average, loaded.camera.patience_s))
+        png = camera_picture.png_of(image, output)
         try:
             atomic_write.take_away_leftovers(output.parent, output.name)
-            atomic_write.write_new(output, png.tobytes())
+            atomic_write.write_new(output, png)
         except OSError as error:
             raise RecordError(f"{output}: cannot be written: {error.strerror or error}") from None
         print_line("pixels in each range of grey values (bars: logarithmic)")

@@ -31,8 +31,7 @@ from rig.control.settings import (
 from rig.control.simulated import simulated_controller
 from rig.control.states import (
     STALE_S,
-    DevicesNow,
-    LaserNow,
+    LaserReport,
     Light,
     Loop,
     SafetyNow,

@@ -169,7 +169,7 @@ class LightPermit:
         self._progress_s: dict[Stage, float] = {}
         self._begun = self._ended = False
         self._refused_for_good = ""
-        self._asked_before_trip = False
+        self._needs_request = False
         self._examined_s: float | None = None
         self.spot = SpotSeen(clock_s)
 
@@ -214,13 +214,13 @@ class LightPermit:
             self._latch(cause, why, now=False)
 
     def _latch(self, cause: TripCause, why: str, now: bool) -> None:
-        self._asked_before_trip = True
+        self._needs_request = True
         try:
             self._state.latch(cause, why, self._begun)
         except DeviceError as error:
             _log.error("%s", error)
         # light may have been asked for meanwhile by a person who did not know of the trip
-        self._asked_before_trip = True
+        self._needs_request = True
         if (trip := self.latched) is not None:
             self._tripped(trip, now)
 
@@ -240,7 +240,7 @@ class LightPermit:
         self._examined_s = self._clock_s()
         if trip is None:
             return False
-        self._asked_before_trip = True
+        self._needs_request = True
         if before is None or trip.number != before.number:
             self._tripped(trip, True)
         return True
@@ -255,14 +255,14 @@ class LightPermit:
         return self._state.trip
 
     @property
-    def waits_for_asking(self) -> bool:
+    def needs_request(self) -> bool:
         """Whether no person has asked for light since the last trip, acknowledged or not."""
-        return self._asked_before_trip
+        return self._needs_request
 
-    def ask(self) -> None:
+    def request_light(self) -> None:
         """Note that a person asks for light; ignored while a trip is latched, and undone by a later trip."""
         if self.latched is None:
-            self._asked_before_trip = False
+            self._needs_request = False
 
     @property
     def begun(self) -> bool:
@@ -288,7 +288,7 @@ class LightPermit:
         After a trip, a person must not only acknowledge it but also ask for light again.
         """
         self.look_for_presses()
-        to_be_asked = TO_BE_ASKED if self._asked_before_trip else ""
+        to_be_asked = TO_BE_ASKED if self._needs_request else ""
         return self.refusal or self._state.problem or to_be_asked or (OVER if self._ended else "")
 
     @property

@@ -30,8 +30,8 @@ class Light(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class LaserNow:
-    """The laser's state `age_s` ago; `set_w` is the power set at the controller, the others are measured."""
+class LaserReport:
+    """The laser's state as reported `age_s` ago; `set_w` is set at the controller, the rest is measured."""
 
     light: Light
     set_w: float | None = None
@@ -64,11 +64,13 @@ class Loop(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SafetyNow:
-    """The safety state of a rig; ages in s, infinite for what was never heard.
+    """The state of laser, controller and interlock; ages in s, infinite for what was never heard.
 
     `trip` waits for an acknowledgement, `refusal` is the reason why no light is allowed (empty while it is),
     `to_be_asked` whether a person must ask for light before there is any, `seen` whether the camera's frames
     show the laser's spot, None where no frames are examined. States older than `STALE_S` are unknown.
+    `laser` is the report of the laser's device and `controller` the state of the connection, None for what
+    the program does not control; `status` is None, too, while the controller does not answer.
     """
 
     trip: LatchedTrip | None = None
@@ -80,39 +82,18 @@ class SafetyNow:
     seen: bool | None = None
     seen_age_s: float = math.inf
     to_be_asked: bool = False
-
-    @classmethod
-    def told(cls, values: Mapping[str, Any]) -> "SafetyNow":
-        """The state from the plain values of a session's answer, in which infinite ages are null."""
-        known = {key: value for key, value in values.items() if value is not None}
-        return _adapter().validate_python(known)
-
-
-@cache
-def _adapter() -> TypeAdapter[SafetyNow]:
-    """The adapter, built once because that takes many times as long as reading with it."""
-    return TypeAdapter(SafetyNow)
-
-
-@dataclass(frozen=True, slots=True)
-class DevicesNow:
-    """The last known state of laser and controller, None for what the program does not control.
-
-    `status` is None, too, while the controller does not answer, or has not for `STALE_S`.
-    """
-
-    laser: LaserNow | None = None
+    laser: LaserReport | None = None
     controller: ControlState | None = None
     status: ControllerStatus | None = None
 
     @property
-    def interlock_closed(self) -> bool:
+    def controller_interlock_closed(self) -> bool:
         """Whether the controller answers and reports a closed interlock."""
         return self.status is not None and self.status.interlock_closed
 
     @property
-    def text(self) -> str:
-        """The states in words, such as `laser on, brake, interlock closed`; empty without devices."""
+    def devices_text(self) -> str:
+        """Laser and controller in words, such as `laser on, brake, interlock closed`; empty without them."""
         words = []
         if self.laser is not None:
             words.append("laser on" if self.laser.on else f"laser {self.laser.text}")
@@ -127,4 +108,25 @@ class DevicesNow:
             "brake": self.status.brake_on,
         }
         words += [name for name, on in outputs.items() if on]
-        return ", ".join([*words, "interlock closed" if self.interlock_closed else "INTERLOCK OPEN"])
+        closed = self.controller_interlock_closed
+        return ", ".join([*words, "interlock closed" if closed else "INTERLOCK OPEN"])
+
+    @classmethod
+    def told(cls, values: Mapping[str, Any]) -> "SafetyNow":
+        """The state from the plain values of a session's answer, in which infinite ages are null."""
+        return _adapter().validate_python(_known(values))
+
+
+def _known(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values, also of parts, that are not null."""
+    return {
+        key: _known(value) if isinstance(value, Mapping) else value
+        for key, value in values.items()
+        if value is not None
+    }
+
+
+@cache
+def _adapter() -> TypeAdapter[SafetyNow]:
+    """The adapter, built once because that takes many times as long as reading with it."""
+    return TypeAdapter(SafetyNow)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from acquisition.frames.queue import taken_from
 from acquisition.record.events import EventKind, Severity
 from processing.errors import RigError
-from rig.control import STALE_S, ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
+from rig.control import STALE_S, ControlState, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey, AlarmList, RaisedAlarm
 from rig.instrument import Phase
 from rig.measure import LEAST_FREE_BYTES, read_session, state_of
@@ -54,7 +54,7 @@ class Seen:
     news_age_s: float = 0.0
     beat_age_s: float = math.inf
     session: str = ""
-    devices: DevicesNow = field(default_factory=DevicesNow)
+    controller: ControlState | None = None
     sensor_wanted: bool = False
     picture_late_s: float = 0.0
 
@@ -108,8 +108,8 @@ def _of_light(seen: Seen) -> Iterator[RaisedAlarm]:
     if seen.lit_by and unknown and not math.isinf(safety.light_age_s):
         silence = str(safety.light) if silent else "nothing was heard of for more than 2 s"
         yield AlarmKey.LASER_UNKNOWN, f"{seen.lit_by} has the laser, which {silence}"
-    if seen.devices.controller not in (None, ControlState.OPEN):
-        yield AlarmKey.CONTROLLER, str(seen.devices.controller)
+    if seen.controller not in (None, ControlState.OPEN):
+        yield AlarmKey.CONTROLLER, str(seen.controller)
 
 
 def _of_session(seen: Seen) -> Iterator[RaisedAlarm]:
@@ -217,7 +217,7 @@ class Alarming:
             news_age_s=age_s,
             beat_age_s=following.heartbeat.age_s,
             session="" if following.folder is None else following.folder.name,
-            devices=following.devices,
+            controller=following.safety.controller,
             sensor_wanted=desk.config.environment_sensor.kind != "none",
             picture_late_s=0.0 if desk.aligner is None else desk.aligner.late_s,
         )
@@ -227,7 +227,7 @@ class Alarming:
         if aligner is not None and aligner.running and aligner.safety is not None:
             return "the live picture"
         measures = (following.news.get("state") or {}).get("phase") == Phase.MEASURING
-        has_laser = following.devices.laser is not None
+        has_laser = following.safety.laser is not None
         return "the session" if following.running and measures and has_laser and news_age_s < 1.0 else ""
 
     def _start_alarms(self) -> Iterator[RaisedAlarm]:

@@ -146,7 +146,7 @@ class Aligner:
     def relight(self) -> None:
         """Somebody asks for light again, now: a trip that comes before the picture follows outdates it."""
         if (devices := self._devices) is not None:
-            devices.ask_for_light()
+            devices.permit.request_light()
             self._relighting = True
 
     @property

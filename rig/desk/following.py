@@ -10,10 +10,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from pydantic import TypeAdapter
-
 from processing.errors import RigError
-from rig.control import STALE_S, DevicesNow, SafetyNow
+from rig.control import STALE_S, SafetyNow
 from rig.desk.alarm_list import AlarmKey, RaisedAlarm
 from rig.desk.run_reader import RecordFollower
 from rig.devices import ORDERS_NAME, NoSession, OrderConnection, SessionBusy, SessionPicture, running_sessions
@@ -24,7 +22,6 @@ _LOOK_S = 0.2
 _SEARCH_S = 1.0
 _BEAT_S = 0.25
 _EVENTS_KEPT = 300
-_DEVICES = TypeAdapter(DevicesNow)
 
 
 class Heartbeat:
@@ -154,13 +151,8 @@ class Following:
         return "" if config is None else config.deflection_unit.shown
 
     @property
-    def devices(self) -> DevicesNow:
-        """Laser and controller of the running session."""
-        return _DEVICES.validate_python(self.news.get("devices") or {})
-
-    @property
     def safety(self) -> SafetyNow:
-        """The safety state as the running session has told it."""
+        """State of laser, controller and interlock as the running session has told it."""
         return SafetyNow.told(self.news.get("safety") or {})
 
     def look_now(self, folder: Path | None = None) -> None:

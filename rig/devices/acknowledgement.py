@@ -42,7 +42,7 @@ def _what_to_ask(devices: LitDevices) -> str:
     """The question to a person before anything is lit again; empty if none is needed."""
     if (trip := devices.permit.latched) is not None:
         return f"{trip.text}. Check that nobody is in the beam path, then type {trip.number} and Enter"
-    return _ASKS_LIGHT if devices.waits_for_asking else ""
+    return _ASKS_LIGHT if devices.permit.needs_request else ""
 
 
 def _answer(devices: LitDevices, typed: str) -> None:
@@ -52,7 +52,7 @@ def _answer(devices: LitDevices, typed: str) -> None:
         if trip is not None and typed == str(trip.number):
             say(devices.acknowledge(trip.number, "terminal"))
         elif trip is None and typed == "light":
-            devices.ask_for_light()
+            devices.permit.request_light()
         else:
             say(f"{typed!r}: nothing is done")
     except DeviceError as error:
@@ -127,7 +127,7 @@ class LightWatch:
     the laser is lit. This class never lights it again: a person asks for that (`Devices.light`).
     """
 
-    def __init__(self, devices: Devices | None) -> None:
+    def __init__(self, devices: Devices) -> None:
         self._devices = devices
         self._dark_since_s: float | None = None
         self._said: tuple[Light, float] | None = None
@@ -137,16 +137,17 @@ class LightWatch:
 
     def look(self) -> list[tuple[EventKind, str]]:
         """Read the state of the laser; returns the events that follow from it, as (kind, text)."""
-        return [] if self._devices is None else [*self._trips(self._devices), *self._darkness(self._devices)]
+        return [*self._trips(), *self._darkness()]
 
-    def _trips(self, devices: Devices) -> list[tuple[EventKind, str]]:
-        trip, before = devices.permit.latched, self._told
+    def _trips(self) -> list[tuple[EventKind, str]]:
+        trip, before = self._devices.permit.latched, self._told
         self._told = 0 if trip is None else trip.number
         return [] if trip is None or trip.number == before else [(EventKind.TRIP, trip.text)]
 
-    def _darkness(self, devices: Devices) -> list[tuple[EventKind, str]]:
+    def _darkness(self) -> list[tuple[EventKind, str]]:
+        devices = self._devices
         devices.compare()
-        why, laser = devices.darkness(), devices.laser_now()
+        why, laser = devices.darkness(), devices.laser_report()
         if laser is not None and laser.light in _SAID:
             self._said = laser.light, time.monotonic() - laser.age_s
         now_s, since_s = time.monotonic(), self._dark_since_s

@@ -3,9 +3,8 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console, Group
@@ -15,10 +14,11 @@ from rich.text import Text
 
 from acquisition import atomic_write
 from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame
-from processing.errors import ConfigurationError, DeviceError
+from processing.errors import DeviceError
 from processing.spot import Spot, SpotTracker
 from processing.units import nanoseconds
 from rig.devices.alignment_look import AlignmentFrame, annotated_picture, take_look
+from rig.devices.picture import png_of
 from rig.devices.udev import watch_latest
 from rig.terminal import Keys, answer
 
@@ -90,13 +90,6 @@ _PICTURE_PX = (1200, 900)
 _PREFIX = "align"
 
 
-class _Wish(NamedTuple):
-    """Settings of the camera that a key requests."""
-
-    settings: CameraSettings
-    note: str
-
-
 def align_camera(
     camera: Camera,
     info: CameraInfo,
@@ -144,7 +137,7 @@ def align_camera(
     with terminal, AligningScreen(console, HELP if terminal.available else "Ctrl-C ends") as screen:
         going = True
         while going:
-            going, wish = False, None
+            going, wanted = False, None
             for *_, frame in watch_latest(camera, 1, end_s):
                 look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied, reference)
                 if view is not None:
@@ -159,42 +152,41 @@ def align_camera(
                         saved.append(_save(look, folder, _ZOOMS[zoom]))
                         note = f"{saved[-1]} saved"
                     else:
-                        wish = _wish_of(key, applied) or wish
+                        wanted = _wanted(key, applied) or wanted
                 screen.show(look, _ZOOMS[zoom], note)
                 answer(picture=tuple(look.lines()), beam=look.beam_line)  # the last one stays
-                if wish is not None:
+                if wanted is not None:
                     break
-            if wish is not None:
+            if wanted is not None:
                 # the camera was stopped to be configured, and starts again in the next round
-                applied, note = _configured(camera, applied, wish)
+                applied, note = _configured(camera, applied, wanted)
                 going = True
     return saved
 
 
-def _wish_of(key: str, applied: CameraSettings) -> _Wish | None:
+def _wanted(key: str, applied: CameraSettings) -> CameraSettings | None:
+    """The setting that a key requests; None for another key, and for one that the camera does not have."""
     if key in "eE" and applied.exposure_us is not None:
-        wanted_us = applied.exposure_us * (_EXPOSURE_STEP if key == "E" else 1 / _EXPOSURE_STEP)
-        return _Wish(CameraSettings(exposure_us=wanted_us), "exposure")
+        factor = _EXPOSURE_STEP if key == "E" else 1 / _EXPOSURE_STEP
+        return CameraSettings(exposure_us=applied.exposure_us * factor)
     if key in "gG" and applied.gain_db is not None:
-        wanted_db = applied.gain_db + (_GAIN_STEP_DB if key == "G" else -_GAIN_STEP_DB)
-        return _Wish(CameraSettings(gain_db=wanted_db), "gain")
+        return CameraSettings(gain_db=applied.gain_db + (_GAIN_STEP_DB if key == "G" else -_GAIN_STEP_DB))
     return None
 
 
-def _configured(camera: Camera, before: CameraSettings, wish: _Wish) -> tuple[CameraSettings, str]:
+def _configured(camera: Camera, before: CameraSettings, wanted: CameraSettings) -> tuple[CameraSettings, str]:
+    """The settings read back, and a note on what the camera has not set."""
+    name = "gain" if wanted.exposure_us is None else "exposure"
     try:
-        applied = camera.configure(wish.settings)
+        applied = camera.configure(wanted)
     except DeviceError as error:
-        return before, f"{wish.note}: {error}"
-    return applied, "" if applied != before else f"the {wish.note} is at the camera's limit"
+        return before, f"{name}: {error}"
+    return applied, "" if applied != before else f"the {name} is at the camera's limit"
 
 
 def _save(look: AlignmentFrame, folder: Path, zoom: float) -> Path:
     number = 1
     while (path := folder / f"{_PREFIX}-{number}.png").exists():
         number += 1
-    done, png = cv2.imencode(".png", annotated_picture(look, *_PICTURE_PX, zoom)[..., ::-1])
-    if not done:
-        raise ConfigurationError(f"{path}: can't be written as PNG")
-    atomic_write.write_new(path, png.tobytes())
+    atomic_write.write_new(path, png_of(annotated_picture(look, *_PICTURE_PX, zoom)[..., ::-1], path))
     return path

@@ -2,7 +2,6 @@
 
 import math
 import time
-from abc import ABC, abstractmethod
 from typing import Self
 
 from acquisition.camera import Camera, Frame
@@ -19,7 +18,7 @@ from rig.terminal import Verdict
 _LOOK_S = 0.02
 
 
-class GroundSeismometer(ABC):
+class GroundSeismometer:
     """An auxiliary seismometer, sampled together with a camera's frames; a context manager."""
 
     def __init__(self) -> None:
@@ -31,9 +30,8 @@ class GroundSeismometer(ABC):
     def __exit__(self, *_error: object) -> None:
         return None
 
-    @abstractmethod
     def beside(self, camera: Camera) -> None:
-        """Set the camera to whose clock the samples are related."""
+        """Set the camera to whose clock the samples are related, if its frames do not state their arrival."""
 
     def take(self, frame: Frame) -> list[RecordedWitness]:
         """Samples since the last call, up to a frame. Never blocks."""
@@ -46,18 +44,18 @@ class GroundSeismometer(ABC):
         self._looked_at = [one for one in self.take(frame) if one.time_ns >= from_ns]
         return list(self._looked_at)
 
-    @abstractmethod
     def _new(self, frame: Frame) -> list[RecordedWitness]:
         """Samples that have come since the last call."""
+        raise NotImplementedError
 
-    @abstractmethod
     def take_events(self) -> tuple[str, ...]:
         """Events of the instrument since the last call."""
+        return ()
 
     @property
-    @abstractmethod
     def problem(self) -> str:
         """The reason why no samples come; empty while they come."""
+        return ""
 
 
 def ground_witness(config: Configuration) -> GroundSeismometer | None:
@@ -118,9 +116,6 @@ class _ConnectedSeismometer(GroundSeismometer):
     def __exit__(self, *_error: object) -> None:
         self._service.close()
 
-    def beside(self, camera: Camera) -> None:
-        """Do nothing, because the frames of any camera state their arrival."""
-
     def _new(self, frame: Frame) -> list[RecordedWitness]:
         shift_ns = frame.time_ns - frame.host_time_ns
         return [
@@ -166,10 +161,3 @@ class _SimulatedSeismometer(GroundSeismometer):
             RecordedWitness(time_ns, frame.host_time_ns, math.nan, *counts)
             for time_ns, counts in zip(times_ns.tolist(), found.counts.tolist(), strict=True)
         ]
-
-    def take_events(self) -> tuple[str, ...]:
-        return ()
-
-    @property
-    def problem(self) -> str:
-        return ""

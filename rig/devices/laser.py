@@ -20,7 +20,7 @@ from rig.control import (
     ControllerSettings,
     ControllerStatus,
     ControlService,
-    LaserNow,
+    LaserReport,
     LaserService,
     LaserSettings,
     LaserState,
@@ -48,7 +48,7 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
     Raises DeviceError if the laser refuses or does not answer, if an interlock is open, or if the laser's
     interlock is not wired through the controller as configured. `check_wiring` requires `control`.
     """
-    if settings.kind == "none" or laser_now(settings, control, laser).on:
+    if settings.kind == "none" or laser_report(settings, control, laser).on:
         return ""
     if settings.kind == "controller":
         assert control is not None
@@ -83,30 +83,30 @@ def light(settings: LaserSettings, control: ControlService | None, laser: LaserS
     return "laser on" if through_controller(settings) else f"laser on; {STAYS_LIT} (docs/controller.md)"
 
 
-def laser_now(
+def laser_report(
     settings: LaserSettings, control: ControlService | None, laser: LaserService | None
-) -> LaserNow:
+) -> LaserReport:
     """The last known state, unknown if it is too old; never blocks."""
     if settings.kind == "controller":
         heard = control.snapshot if control is not None else None
         if heard is None or heard.status is None:
-            return LaserNow(Light.CONTROLLER_SILENT)
+            return LaserReport(Light.CONTROLLER_SILENT)
         status, old_s = heard.status, age_s(heard.status_time_ns)
         if old_s > STALE_S:
-            return LaserNow(Light.UNKNOWN, age_s=old_s)
+            return LaserReport(Light.UNKNOWN, age_s=old_s)
         if status.laser_on:
-            return LaserNow(Light.ON, status.laser_power_w, age_s=old_s)
+            return LaserReport(Light.ON, status.laser_power_w, age_s=old_s)
         at_odds = status.readback or status.light_seen or status.trip is Trip.OUTPUT
-        return LaserNow(Light.DISAGREES if at_odds else Light.OFF, age_s=old_s)
+        return LaserReport(Light.DISAGREES if at_odds else Light.OFF, age_s=old_s)
     told = laser.snapshot if laser is not None else None
     if told is None or told.state is None:
-        return LaserNow(Light.SILENT)
+        return LaserReport(Light.SILENT)
     state, old_s = told.state, age_s(told.state_time_ns)
     if old_s > STALE_S:
-        return LaserNow(Light.UNKNOWN, age_s=old_s)
+        return LaserReport(Light.UNKNOWN, age_s=old_s)
     if state.on:
-        return LaserNow(Light.ON, power_w=state.power_w, current_a=state.current_a, age_s=old_s)
-    return LaserNow(Light.OFF if state.interlock_closed else Light.INTERLOCK_OPEN, age_s=old_s)
+        return LaserReport(Light.ON, power_w=state.power_w, current_a=state.current_a, age_s=old_s)
+    return LaserReport(Light.OFF if state.interlock_closed else Light.INTERLOCK_OPEN, age_s=old_s)
 
 
 def age_s(heard_ns: int) -> float:

@@ -15,9 +15,8 @@ from rig.control import (
     TO_BE_ASKED,
     ControlService,
     ControlState,
-    DevicesNow,
     Interlock,
-    LaserNow,
+    LaserReport,
     LaserService,
     LatchedTrip,
     Light,
@@ -36,7 +35,7 @@ from rig.devices.laser import (
     age_s,
     check_wiring,
     confirmed_dark,
-    laser_now,
+    laser_report,
     light,
     through_controller,
     wait_for_command,
@@ -93,7 +92,7 @@ class LitDevices:
             raise LightRefused(f"the laser stays off: {trip.text}; {self.remedy}")
         # noted before the wait for the lock, so that a trip meanwhile counts as later than the request
         if asked:
-            self.ask_for_light()
+            self.permit.request_light()
         # if a run and an order light at the same time, the second finds the laser lit
         with self._lighting:
             return self._lit(in_run)
@@ -115,7 +114,7 @@ class LitDevices:
 
     def _lit(self, in_run: bool) -> str:
         kind = self._config.laser.kind
-        if self.waits_for_asking:
+        if self.permit.needs_request:
             self.audit(AuditEntry.REFUSED, TO_BE_ASKED)
             raise LightRefused(TO_BE_ASKED)
         if why := self.darkness():
@@ -150,15 +149,6 @@ class LitDevices:
         self.permit.end()
         self._order_dark()
         self.went_dark(why)
-
-    @property
-    def waits_for_asking(self) -> bool:
-        """Whether no person has asked for light since the last trip of these devices."""
-        return self.permit.waits_for_asking
-
-    def ask_for_light(self) -> None:
-        """Note that a person asks for light again; a later trip makes that invalid."""
-        self.permit.ask()
 
     def light_off(self, who: str) -> str:
         """Switch the laser off at once, until acknowledged, by order of a person at the place `who`.
@@ -233,7 +223,7 @@ class LitDevices:
 
     def compare(self) -> None:
         """Compare the devices' state with the frames; light in them while the laser is off latches a trip."""
-        laser, spot = self.laser_now(), self.permit.spot
+        laser, spot = self.laser_report(), self.permit.spot
         if laser is None or laser.light not in (Light.ON, Light.OFF, Light.INTERLOCK_OPEN):
             return
         spot.told(laser.on)
@@ -285,14 +275,14 @@ class LitDevices:
                 self._is_lit = False
                 self.audit(AuditEntry.UNKNOWN, why)
             return
-        if self.permit.begun and not self.waits_for_asking:
+        if self.permit.begun and not self.permit.needs_request:
             self.permit.trip(TripCause.WATCHDOG, f"the laser went dark: {why}")
         self.went_dark(why)
 
     @property
     def confirmed_dark(self) -> bool:
         """Whether the device that switches the laser has recently reported that it is off. Never blocks."""
-        laser = self.laser_now()
+        laser = self.laser_report()
         return laser is not None and laser.light in (Light.OFF, Light.INTERLOCK_OPEN)
 
     @property
@@ -355,7 +345,7 @@ class LitDevices:
 
     def darkness(self) -> str:
         """The reason why the laser does not emit; empty if it emits, or if no laser is controlled."""
-        laser = self.laser_now()
+        laser = self.laser_report()
         if laser is None or laser.on:
             return ""
         if self.permit.refusal:
@@ -392,18 +382,23 @@ class LitDevices:
             time.sleep(_LOOK_S)
         return self.darkness()
 
-    def laser_now(self) -> LaserNow | None:
+    def laser_report(self) -> LaserReport | None:
         """State of the laser; None if this program controls none. Never blocks."""
         if self._config.laser.kind == "none":
             return None
-        return laser_now(self._config.laser, self.control, self.laser)
+        return laser_report(self._config.laser, self.control, self.laser)
 
     def safety(self) -> SafetyNow:
-        """The safety state of the rig, with the ages of the states that it is derived from. Never blocks."""
-        laser, spot = self.laser_now() or LaserNow(Light.UNKNOWN), self.permit.spot
-        loops = []
-        if self.control is not None and (status := self.control.snapshot.status) is not None:
-            loops.append((status.interlock_closed, age_s(self.control.snapshot.status_time_ns)))
+        """The state of laser, controller and interlock, with the ages of their reports. Never blocks."""
+        report, spot = self.laser_report(), self.permit.spot
+        laser = report or LaserReport(Light.UNKNOWN)
+        loops, connection, known = [], None, None
+        if self.control is not None:
+            snapshot = self.control.snapshot
+            connection, status, status_age_s = snapshot.state, snapshot.status, age_s(snapshot.status_time_ns)
+            if status is not None:
+                loops.append((status.interlock_closed, status_age_s))
+            known = status if connection is ControlState.OPEN and status_age_s <= STALE_S else None
         if self.laser is not None and self._config.laser.interlock == "own":
             state = self.laser.snapshot.state
             if state is not None:
@@ -420,13 +415,8 @@ class LitDevices:
             interlock_age_s=oldest_s,
             seen=spot.seen if spot.age_s <= STALE_S else None,
             seen_age_s=spot.age_s,
-            to_be_asked=self.waits_for_asking,
+            to_be_asked=self.permit.needs_request,
+            laser=report,
+            controller=connection,
+            status=known,
         )
-
-    def now(self) -> DevicesNow:
-        """State of laser and controller. Never blocks."""
-        if self.control is None:
-            return DevicesNow(self.laser_now())
-        snapshot = self.control.snapshot
-        known = snapshot.state is ControlState.OPEN and age_s(snapshot.status_time_ns) <= STALE_S
-        return DevicesNow(self.laser_now(), snapshot.state, snapshot.status if known else None)

@@ -11,7 +11,6 @@ from dataclasses import asdict
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Connection, answer_challenge, deliver_challenge
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from rig.devices.session_devices import Devices
@@ -46,13 +45,12 @@ class OrderSocket:
         extra: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         self._path = folder / ORDERS_NAME
-        self._news, self._extra = session_news, extra
         self._answers: dict[str, Callable[[Any], Any]] = {
+            **orders,
             BEAT: lambda _: None,
-            NEWS: lambda _: plain_values({**self._news.news(), **self._extra()}),
-            LOOK: self._news.picture,
+            NEWS: lambda _: plain_values({**session_news.news(), **extra()}),
+            LOOK: session_news.picture,
         }
-        self._orders = orders
         self._key = secrets.token_bytes(24)
         self._over = threading.Event()
         self._socket: socket.socket | None = None
@@ -71,9 +69,7 @@ class OrderSocket:
         threading.Thread(target=self._accept, args=(self._socket,), name="orders", daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         # connected clients would otherwise be answered as long as the process lives, which may fit the data
         self._over.set()
         if self._socket is not None:
@@ -115,21 +111,15 @@ class OrderSocket:
         try:
             if name in self._answers:
                 return True, self._answers[name](value)
-            if name in self._orders:
-                return True, self._orders[name](value)
         except Exception as error:
             # any error is reported to the client, and must not end the session
             return False, str(error) or type(error).__name__
         return False, f"{name!r}: this session knows no such order"
 
 
-def devices_now(devices: Devices) -> dict[str, Any]:
+def safety_values(devices: Devices) -> dict[str, Any]:
     """State of laser, controller and interlock as plain values; never blocks."""
-    return {
-        "devices": asdict(devices.now()),
-        "darkness": devices.darkness(),
-        "safety": asdict(devices.safety()),
-    }
+    return {"darkness": devices.darkness(), "safety": asdict(devices.safety())}
 
 
 @contextmanager
@@ -147,7 +137,7 @@ def light_told(devices: Devices, folder: Path, session_news: SessionNews | None 
         # without the folder the command runs unwatched
         folder.mkdir(parents=True, exist_ok=True)
     orders = {"dark": lambda _: devices.light_off("the desk")}
-    with OrderSocket(folder, session_news or SessionNews(), orders, lambda: devices_now(devices)):
+    with OrderSocket(folder, session_news or SessionNews(), orders, lambda: safety_values(devices)):
         yield
 
 

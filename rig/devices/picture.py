@@ -2,7 +2,8 @@
 
 import statistics
 from collections.abc import Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings, Frame, Image
 from acquisition.frames.guard import FrameChecks
-from processing.errors import DeviceError
+from processing.errors import DataError, DeviceError
 
 _FLOOR = 0.1
 # sqrt(A / B) for exp(-u) - 0.1 where it is positive, u = r^2 / (2 s^2), u0 = ln 10:
@@ -89,6 +90,27 @@ def histogram_bars(image: Image, full_scale_dn: int, bars: int = 16, width: int 
         bar = "#" * round(float(np.log1p(count) / longest) * width)
         lines.append(f"{low:>6} DN {bar:<{width}} {count}")
     return lines
+
+
+def png_of(image: NDArray[Any], path: Path) -> bytes:
+    """An image as PNG, with every bit; DataError, which names the `path`, if it cannot be one."""
+    done, png = cv2.imencode(".png", image)
+    if not done:
+        raise DataError(f"{path}: cannot be written as PNG")
+    return png.tobytes()
+
+
+def read_frames(camera: Camera, count: int, patience_s: float) -> list[Frame]:
+    """That many frames of a configured camera, which is started and stopped; DataError if it gives fewer."""
+    camera.start()
+    try:
+        frames = [camera.read(patience_s) for _ in range(count)]
+    finally:
+        camera.stop()
+    found = [frame for frame in frames if frame is not None]
+    if len(found) < count:
+        raise DataError(f"the camera gave {len(found)} frames, {count} were asked for")
+    return found
 
 
 _FRAMES = 9

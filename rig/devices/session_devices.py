@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple, Self
 
 from acquisition.camera import Camera, CameraInfo, CameraSettings
@@ -57,32 +56,27 @@ class OpenCamera(NamedTuple):
     time_shift_ns: int = 0
 
 
-class PressWatch:
-    """Watches for presses of LIGHT OFF by programs whose orders do not reach the one that has the rig.
+@contextmanager
+def _presses_heard(devices: LitDevices) -> Iterator[None]:
+    """Hears presses of LIGHT OFF by programs whose orders do not reach the one that has the rig.
 
-    A context manager, with a thread of its own, so that a hanging disk delays no command to a device.
+    In a thread of its own, so that a hanging disk delays no command to a device.
     """
+    over = threading.Event()
 
-    def __init__(self, devices: LitDevices) -> None:
-        self._devices = devices
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._look, name="presses", daemon=True)
+    def look() -> None:
+        while not over.wait(_PRESSES_EACH_S):
+            devices.hear_presses()
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._over.set()
+    thread = threading.Thread(target=look, name="presses", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
         # it must not write after the next program has the state, but a hanging disk must not block the end
-        self._thread.join(_WATCH_ENDS_S)
-        self._devices.permit.stop_looking()
-
-    def _look(self) -> None:
-        while not self._over.wait(_PRESSES_EACH_S):
-            self._devices.hear_presses()
+        thread.join(_WATCH_ENDS_S)
+        devices.permit.stop_looking()
 
 
 class Devices(LitDevices):
@@ -147,7 +141,7 @@ class Devices(LitDevices):
             self.state.held_for(self._folder)
         self._look_at_what_was_left()
         if self.state.path is not None:
-            self._closing.enter_context(PressWatch(self))
+            self._closing.enter_context(_presses_heard(self))
         if config.controller.kind != "none":
             self.control = self._closing.enter_context(
                 ControlService(

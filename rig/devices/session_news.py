@@ -49,42 +49,34 @@ class SessionNews:
         self._picture_number = 0
         self._picture_s = 0.0
         self._frame: SessionPicture | None = None
-        self.run = ""
-        self._record = ""
-        self._begin()
+        self._begin("", "", {})
 
-    def _begin(self) -> None:
+    def _begin(self, run: str, record: str, camera: Mapping[str, Any]) -> None:
         self._path: deque[Deflections] = deque()
-        self._state: Mapping[str, Any] = {}
-        self._rows: Sequence[tuple[str, str]] = ()
-        self._preflight: Sequence[Mapping[str, Any]] = ()
-        self._camera: dict[str, Any] = {}
+        self._values: dict[str, Any] = {"run": run, "record": record, "camera": camera}
+        self._values |= {"state": {}, "rows": (), "preflight": ()}
         self._frames_s = self._seen_s = math.nan
 
     def begin_run(
         self, title: str, full_scale_dn: int, applied: CameraSettings | None, record: Path | None = None
     ) -> None:
         """Note the begin of a run, with the camera's settings as read back, and the path of its `record`."""
+        settings = {} if applied is None else applied.model_dump(exclude_none=True)
+        camera = {"full_scale_dn": full_scale_dn, "applied": settings}
         with self._lock:
-            self._begin()
-            self.run = title
-            self._record = "" if record is None else str(record.absolute())
-            self._camera = {
-                "full_scale_dn": full_scale_dn,
-                "applied": {} if applied is None else applied.model_dump(exclude_none=True),
-            }
+            self._begin(title, "" if record is None else str(record.absolute()), camera)
 
     def state(self, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
         """Set the state of the run as displayed: values for programs, and rows of text."""
-        self._state, self._rows = values, rows
+        self._values |= {"state": values, "rows": rows}
 
     def waits(self, what: str) -> None:
         """Set the state between two runs: that of the last run, and what the next one waits for."""
-        self._state = {**self._state, "progress": what}
+        self._values["state"] = {**self._values["state"], "progress": what}
 
     def preflight(self, verdicts: Sequence[Verdict]) -> None:
         """Set the preflight table."""
-        self._preflight = table_tree(verdicts)
+        self._values["preflight"] = table_tree(verdicts)
 
     # -- in the run's thread --------------------------------------------------
 
@@ -124,17 +116,11 @@ class SessionNews:
         """
         self._asked_s = time.monotonic()
         with self._lock:
-            path = list(self._path)
-        now_s = time.monotonic()
+            path, values = list(self._path), dict(self._values)
         return {
-            "run": self.run,
-            "frames_age_s": now_s - self._frames_s,
+            **values,
+            "frames_age_s": time.monotonic() - self._frames_s,
             "spot_lost_s": max(self._frames_s - self._seen_s, 0.0),
-            "record": self._record,
-            "camera": self._camera,
-            "state": self._state,
-            "rows": self._rows,
-            "preflight": self._preflight,
             "path": thinned_path(path),
         }
 

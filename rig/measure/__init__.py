@@ -9,10 +9,9 @@ from rig.measure.plain_record import (
     show_light,
     take_frames,
 )
-from rig.measure.posterior import LivePosterior, check_stop_when, live_posterior
-from rig.measure.posterior_worker import FIRST_HALF_CYCLES, Posterior
+from rig.measure.posterior_worker import FIRST_HALF_CYCLES
 from rig.measure.resuming import measure_sessions, resume_session
 from rig.measure.run import LEAST_FREE_BYTES
 from rig.measure.run_status import estimate_texts
 from rig.measure.session import measure_session, session_folder, simulate_record
-from rig.measure.session_file import STATE_NAME, RunState, SessionState, read_session
+from rig.measure.session_file import STATE_NAME, RunState, read_session

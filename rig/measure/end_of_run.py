@@ -12,7 +12,6 @@ from processing.estimate import Estimate
 from processing.swing import HalfCycle
 from rig.analysis import (
     Limit,
-    RunResults,
     read_results,
     results_path,
     whole_result,
@@ -28,26 +27,19 @@ CONSECUTIVE_FITS = 4
 uncertainty dips below a limit by chance; after a run that ended there it would be above it again."""
 
 
-@dataclass(frozen=True, slots=True)
-class EndLimits:
-    """Limits at which a run ends; any one of them suffices."""
-
-    final_amplitude: float
-    """In the unit of the deflections; the run ends below it. 0: no limit."""
-    max_duration_s: float
-    known_enough: tuple[StopCondition, ...] = ()
-    """The run ends when all of these conditions on parameters hold in `CONSECUTIVE_FITS` fits in a row."""
-
-
 class EndOfRun:
     """Decides whether one run has reached one of its limits.
 
-    The amplitude must stay below its limit for three consecutive half-cycles, so that one disturbed
-    half-cycle does not end a long measurement.
+    The amplitude must stay below `final_amplitude`, in the unit of the deflections (0: no limit), for three
+    consecutive half-cycles, so that one disturbed half-cycle does not end a long measurement. The conditions
+    `known_enough` on parameters must all hold in `CONSECUTIVE_FITS` fits in a row.
     """
 
-    def __init__(self, limits: EndLimits) -> None:
-        self._limits = limits
+    def __init__(
+        self, final_amplitude: float, max_duration_s: float, known_enough: Sequence[StopCondition] = ()
+    ) -> None:
+        self._final_amplitude, self._max_duration_s = final_amplitude, max_duration_s
+        self._known_enough = known_enough
         self._below = 0
         self._fits_in_a_row = 0
         self._last_estimates: Mapping[str, Estimate] | None = None
@@ -60,12 +52,12 @@ class EndOfRun:
         `estimates` are the parameters fitted to the half-cycles so far; each fit brings a new object.
         """
         for swing in swings:
-            self._below = self._below + 1 if swing.amplitude < self._limits.final_amplitude else 0
+            self._below = self._below + 1 if swing.amplitude < self._final_amplitude else 0
             if self._below >= BELOW_IN_A_ROW:
                 return "final amplitude reached"
-        if elapsed_s >= self._limits.max_duration_s:
-            return f"time limit of {self._limits.max_duration_s:g} s reached"
-        known, enough = estimates, self._limits.known_enough
+        if elapsed_s >= self._max_duration_s:
+            return f"time limit of {self._max_duration_s:g} s reached"
+        known, enough = estimates, self._known_enough
         if enough and known and known is not self._last_estimates:
             self._last_estimates = known
             holds = all(condition.relative(known) < condition.limit for condition in enough)
@@ -197,7 +189,7 @@ def hand_over(folder: Path) -> HandOver:
         of,
         whole.limits,
         [*steps, *whole.next_steps],
-        _others(run),
+        [(row.shown.label, row.text) for row in run.contact],
         report,
         remarks,
     )
@@ -213,7 +205,3 @@ def _steps_of_end(ended: RunState | None) -> list[str]:
     if ended is RunState.INTERRUPTED:
         return ["measure the missing runs: Runs, Resume"]
     return ["see why it failed, then start again"] if ended is RunState.FAILED else []
-
-
-def _others(run: RunResults) -> list[tuple[str, str]]:
-    return [(row.shown.label, row.text) for row in run.contact]

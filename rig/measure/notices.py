@@ -4,9 +4,8 @@ import datetime
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext, suppress
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +13,7 @@ from acquisition.record.events import Severity
 from processing.errors import ConfigurationError, RigError
 from rig.instrument import RecordContents
 from rig.interruption import reason_of
-from rig.measure.session_file import SessionFile, read_session
+from rig.measure.session_file import SessionFile
 from rig.settings import Configuration, PreflightSettings, SessionSettings
 from rig.terminal import say
 
@@ -94,56 +93,32 @@ class Notices:
                 delivered.set()
 
 
-@dataclass
-class Outcome:
-    """Exit status of a session, set in the block of `announced`, and the notices that report it."""
-
-    notices: Notices
-    status: int = 1
-
-
-@contextmanager
-def announced(settings: SessionSettings, folder: Path, file: SessionFile | None = None) -> Iterator[Outcome]:
-    """Send a notice of the end or the failure of the block, by its exit status or its error.
+def announced(settings: SessionSettings, file: SessionFile, make: Callable[[Notices], int]) -> int:
+    """Make a session and send a notice of its end or failure, by its exit status, which is returned.
 
     A resumed session without a missing run ends as it ended before: that notice is not sent twice, unless the
-    first was not delivered. `file` is the session's file if it is open already.
+    first was not delivered.
     """
-    outcome, told = Outcome(Notices(settings, folder)), ""
+    notices, told = Notices(settings, file.folder), ""
     try:
-        yield outcome
+        status = make(notices)
+        text = "end: every run was measured and fitted"
+        if status:
+            text = "failure: not every run was measured and fitted under its conditions"
+            text = ": ".join([text, *filter(None, ["; ".join(notices.failures)])])
+        told = text
+        if file.state.told != told:
+            notices.tell("failure" if status else "end", told.partition(": ")[2])
+        return status
     except BaseException as error:
         why = reason_of(error) if isinstance(error, KeyboardInterrupt) else str(error)
-        outcome.notices.tell("failure", why or type(error).__name__)
-        _note_reported_end(folder, file, outcome.notices, "")
+        notices.tell("failure", why or type(error).__name__)
         raise
-    else:
-        kind: Literal["end", "failure"] = "end"
-        text = "every run was measured and fitted"
-        if outcome.status:
-            kind = "failure"
-            text = "not every run was measured and fitted under its conditions"
-            text = ": ".join([text, *filter(None, ["; ".join(outcome.notices.failures)])])
-        if _reported_end(folder) != f"{kind}: {text}":
-            outcome.notices.tell(kind, text)
-            told = f"{kind}: {text}"
     finally:
-        outcome.notices.wait()
-        if told and outcome.notices.last_was_delivered:
-            _note_reported_end(folder, file, outcome.notices, told)
-
-
-def _reported_end(folder: Path) -> str:
-    with suppress(RigError):
-        return read_session(folder).told
-    return ""
-
-
-def _note_reported_end(folder: Path, file: SessionFile | None, notices: Notices, words: str) -> None:
-    """Save the notice of the session's end in its file, if one was sent; the file may not exist yet."""
-    if notices.calls and _reported_end(folder) != words:
-        with suppress(RigError), nullcontext(file) if file else closing(SessionFile.opened(folder)) as held:
-            held.note_reported_end(words)
+        notices.wait()
+        if notices.calls and file.state.told != told and (notices.last_was_delivered or not told):
+            with suppress(RigError):
+                file.note_reported_end(told)
 
 
 Sleep = Callable[[float], None]

@@ -95,8 +95,7 @@ class PhasesBeforeRecord:
         self._attempt += 1
         try:
             if config.start.way == "at once":
-                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _AT_ONCE_FRAMES)
-                self._check(resting=False)
+                self._preflight_at_once()
                 return frames.frames, self._wait.events
             self._come_to_rest()
             self._warm_up()
@@ -119,8 +118,7 @@ class PhasesBeforeRecord:
         self._wait = PhaseWait(frames, report, stop)
         with suppress(NoGo, WaitStopped):
             if self._config.start.way == "at once":
-                self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _AT_ONCE_FRAMES)
-                self._check(resting=False)
+                self._preflight_at_once()
             else:
                 self._preflight_at_rest()
         return self.verdicts
@@ -197,6 +195,11 @@ class PhasesBeforeRecord:
         self._wait.until_reached(Phase.WARM_UP, laser.warm_up_max_s, warm, every_s=0.5)
         self._warm = True
 
+    def _preflight_at_once(self) -> None:
+        frames = self._wait.frames
+        self._wait.until_reached(Phase.PREFLIGHT, math.inf, lambda: frames.count >= _AT_ONCE_FRAMES)
+        self._check(resting=False)
+
     def _preflight_at_rest(self) -> None:
         if not preflight_wanted(self._config):
             return
@@ -237,8 +240,8 @@ class PhasesBeforeRecord:
                 frames.window_bytes(),
                 free_bytes(self._folder),
             ),
-            frame_checks.controller(self._devices.now(), config.controller.kind != "none"),
-            frame_checks.laser(self._devices.laser_now(), through_controller(config.laser)),
+            frame_checks.controller(self._devices.safety(), config.controller.kind != "none"),
+            frame_checks.laser(self._devices.laser_report(), through_controller(config.laser)),
             self._seismometer_verdict(look),
             vault_checks.reference(look, config.reference, limits),
             frame_checks.air(

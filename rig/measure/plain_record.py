@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
-import cv2
 from rich.console import Console
 
 from acquisition import atomic_write
@@ -24,6 +23,8 @@ from rig.devices import (
     ask_leave,
     check_log,
     light_told,
+    png_of,
+    read_frames,
     running_sessions,
 )
 from rig.instrument import (
@@ -94,22 +95,13 @@ def take_frames(config: Configuration, folder: Path, count: int) -> Path:
     if folder.exists():
         raise ConfigurationError(f"{folder}: exists already and is not overwritten; choose another folder")
     with Devices(config).camera(config) as opened:
-        opened.camera.start()
-        try:
-            frames = [opened.camera.read(config.camera.patience_s) for _ in range(count)]
-        finally:
-            opened.camera.stop()
-    images = [frame.image for frame in frames if frame is not None]
-    if len(images) < count:
-        raise DataError(f"the camera gave {len(images)} frames, {count} were asked for")
+        frames = read_frames(opened.camera, count, config.camera.patience_s)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write.folder_being_written(folder) as beside:
-            for number, image in enumerate(images):
-                done, png = cv2.imencode(".png", image)
-                if not done:
-                    raise DataError(f"{folder / f'{number:03d}.png'}: cannot be written as PNG")
-                (beside / f"{number:03d}.png").write_bytes(png.tobytes())
+            for number, frame in enumerate(frames):
+                name = f"{number:03d}.png"
+                (beside / name).write_bytes(png_of(frame.image, folder / name))
     except OSError as error:
         raise RecordError(f"{folder}: cannot be written: {error.strerror or error}") from None
     return folder

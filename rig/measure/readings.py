@@ -1,13 +1,15 @@
-"""Readings recorded in addition to the frames: air, ground, clocks, losses, the camera's temperature."""
+"""Recorded in addition to the frames: air, ground, clocks, losses, the camera's temperature, steps."""
 
 import math
 import threading
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+
 from acquisition.camera import Camera, Frame, HasFeatures
 from acquisition.frames.losses import FrameLosses
-from acquisition.record.events import Event
+from acquisition.record.events import Event, EventKind
 from acquisition.record.topics import (
     CameraTemperature,
     ClockAnchor,
@@ -16,10 +18,13 @@ from acquisition.record.topics import (
     RecordedWitness,
     TimedMessage,
 )
+from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError
+from processing.slope_uncertainty import KickWatch, StepWatch
+from processing.spot import SpotFlag
 from processing.units import nanoseconds
 from rig.devices import ClockAnchors, ClockRate
-from rig.instrument import CameraClock
+from rig.instrument import Block, CameraClock
 from rig.measure.run_parts import RunParts, features_json
 
 _LOSSES_INTERVAL_NS = 1_000_000_000
@@ -133,7 +138,7 @@ class SideReadings:
         A sensor that has fallen silent is recorded once, as a reading of NaN.
         """
         devices = self._parts.devices
-        if devices is None or time_ns < self._environment_due_ns:
+        if time_ns < self._environment_due_ns:
             return None
         self._environment_due_ns = time_ns + nanoseconds(self._parts.plan.config.environment_sensor.period_s)
         reading = devices.environment()
@@ -142,5 +147,50 @@ class SideReadings:
 
     def _seismometer_samples(self, frame: Frame) -> list[RecordedWitness]:
         """Samples of the auxiliary seismometer since the last call, up to a frame; empty without one."""
-        devices = self._parts.devices
-        return [] if devices is None or devices.witness is None else devices.witness.take(frame)
+        witness = self._parts.devices.witness
+        return [] if witness is None else witness.take(frame)
+
+
+_MIN_REST_STEP = {DeflectionUnit.RAD: 3.0, DeflectionUnit.PX: 1.0}
+"""Smallest step of the rest position that is an event, in arcsec, or in px without a lever: far above the
+drift within some half-cycles."""
+_MIN_PUSH = {DeflectionUnit.RAD: 1.0, DeflectionUnit.PX: 2.0}
+_MIN_LIGHT_STEP_DN = 1.0
+
+
+class StepEvents:
+    """Detects steps of rest position, amplitude and background in a run.
+
+    Only one value of each half-cycle is compared, so that the oscillation itself cancels.
+    """
+
+    def __init__(self, unit: DeflectionUnit) -> None:
+        self._unit = unit
+        self._rest = StepWatch(_MIN_REST_STEP[unit])
+        self._push = KickWatch(_MIN_PUSH[unit])
+        self._light = StepWatch(_MIN_LIGHT_STEP_DN)
+        self._background_dn: list[float] = []
+
+    def take(self, block: Block) -> list[Event]:
+        """Events of the steps detected with this block."""
+        found: list[Event] = []
+        lost = SpotFlag.LOST
+        self._background_dn += [spot.background_dn for spot in block.spots if not spot.flags & lost]
+        for swing in block.swings:
+            rest = math.nan if swing.flags else swing.centre / self._unit.shown_size
+            step = self._rest.take(swing.turn_time_ns, rest)
+            if step is not None:
+                text = f"the rest position moved by {step.size:+.1f} {self._unit.shown}"
+                found.append(Event(step.time_ns, EventKind.REST_STEP, text))
+            amplitude = math.nan if swing.flags else swing.amplitude / self._unit.shown_size
+            kick = self._push.take(swing.index, swing.turn_time_ns, amplitude)
+            if kick is not None:
+                text = f"the swing was pushed by {kick.size:.1f} {self._unit.shown}: a draught, or a knock"
+                found.append(Event(kick.time_ns, EventKind.PUSH, text))
+            light_dn = float(np.median(self._background_dn)) if self._background_dn else math.nan
+            self._background_dn.clear()
+            step = self._light.take(swing.turn_time_ns, light_dn)
+            if step is not None:
+                text = f"the background moved by {step.size:+.1f} DN"
+                found.append(Event(step.time_ns, EventKind.LIGHT_STEP, text))
+        return found

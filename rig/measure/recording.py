@@ -16,15 +16,12 @@ from acquisition.record.topics import (
     RecordedPhase,
     TimedMessage,
 )
-from processing.deflections import DeflectionUnit
 from processing.errors import DeviceError, in_one_line
-from processing.slope_uncertainty import KickWatch, StepWatch
 from processing.spot import BeamUse, SpotFlag, SpotModel
 from processing.units import nanoseconds, seconds
 from rig.instrument import BeamCorrection, Block, Phase, Pipeline, RecordContents
-from rig.measure.end_of_run import EndOfRun
 from rig.measure.posterior_worker import Posterior
-from rig.measure.readings import SideReadings
+from rig.measure.readings import SideReadings, StepEvents
 from rig.measure.recorder import RecordEntry, Recorder
 from rig.measure.run_parts import RunParts
 from rig.measure.session_orders import StartJudge
@@ -38,51 +35,6 @@ _MAX_BLOCK_NS = 2_000_000_000
 """Longest time span of a block, so that a run with a slow camera ends when it should."""
 _PUBLISH_INTERVAL_NS = 10_000_000
 """Shortest time between two published states of the run; nobody looks more often."""
-
-_MIN_REST_STEP = {DeflectionUnit.RAD: 3.0, DeflectionUnit.PX: 1.0}
-"""Smallest step of the rest position that is an event, in arcsec, or in px without a lever: far above the
-drift within some half-cycles."""
-_MIN_PUSH = {DeflectionUnit.RAD: 1.0, DeflectionUnit.PX: 2.0}
-_MIN_LIGHT_STEP_DN = 1.0
-
-
-class StepEvents:
-    """Detects steps of rest position, amplitude and background in a run.
-
-    Only one value of each half-cycle is compared, so that the oscillation itself cancels.
-    """
-
-    def __init__(self, unit: DeflectionUnit) -> None:
-        self._unit = unit
-        self._rest = StepWatch(_MIN_REST_STEP[unit])
-        self._push = KickWatch(_MIN_PUSH[unit])
-        self._light = StepWatch(_MIN_LIGHT_STEP_DN)
-        self._background_dn: list[float] = []
-
-    def take(self, block: Block) -> list[Event]:
-        """Events of the steps detected with this block."""
-        found: list[Event] = []
-        lost = SpotFlag.LOST
-        self._background_dn += [spot.background_dn for spot in block.spots if not spot.flags & lost]
-        for swing in block.swings:
-            rest = math.nan if swing.flags else swing.centre / self._unit.shown_size
-            step = self._rest.take(swing.turn_time_ns, rest)
-            if step is not None:
-                text = f"the rest position moved by {step.size:+.1f} {self._unit.shown}"
-                found.append(Event(step.time_ns, EventKind.REST_STEP, text))
-            amplitude = math.nan if swing.flags else swing.amplitude / self._unit.shown_size
-            kick = self._push.take(swing.index, swing.turn_time_ns, amplitude)
-            if kick is not None:
-                text = f"the swing was pushed by {kick.size:.1f} {self._unit.shown}: a draught, or a knock"
-                found.append(Event(kick.time_ns, EventKind.PUSH, text))
-            light_dn = float(np.median(self._background_dn)) if self._background_dn else math.nan
-            self._background_dn.clear()
-            step = self._light.take(swing.turn_time_ns, light_dn)
-            if step is not None:
-                text = f"the background moved by {step.size:+.1f} DN"
-                found.append(Event(step.time_ns, EventKind.LIGHT_STEP, text))
-        return found
-
 
 _LOST_IMAGE_INTERVAL_NS, _PREVIEW_INTERVAL_NS = 1_000_000_000, 300_000_000
 _MIN_LOST_S = 5.0
@@ -207,7 +159,7 @@ class Recording:
         self._beam_correction: BeamCorrection | None = None
         if gain is not None:
             self._beam_correction = BeamCorrection(parts.optics.deflector(shape), gain, threaded=threaded)
-        self._end = EndOfRun(parts.end_limits)
+        self._end = parts.end
         self._steps = StepEvents(parts.optics.unit)
         self._readings = SideReadings(parts, first.time_ns)
         self._published_ns = self._half_cycles = 0
@@ -242,8 +194,7 @@ class Recording:
             *(Event(first_ns, EventKind.WAITED, text) for text in parts.plan.waited),
             Event(first_ns, EventKind.START, "first frame"),
         ]
-        self._recorder.put(RecordEntry(events=events))
-        self._inform_watchers(events)
+        self._tell(RecordEntry(events=events))
 
     def _take_all(self, begun: list[Frame]) -> str:
         """Take frames until the run ends; returns why the start was rejected, else an empty text."""
@@ -281,8 +232,7 @@ class Recording:
         """Record events without waiting for frames, so that a silent camera is noted immediately."""
         new, messages = self._device_events(), [*self._notes(), *self._state(Phase.MEASURING, math.nan)]
         if new or messages:
-            self._recorder.put(RecordEntry(events=new, messages=messages))
-            self._inform_watchers(new, messages)
+            self._tell(RecordEntry(events=new, messages=messages))
 
     def _take(self, taken: list[Frame], taken_ns: int) -> Block:
         """Process frames that were taken at `taken_ns` and record them.
@@ -319,8 +269,8 @@ class Recording:
             state = self._state(Phase.MEASURING, age_s)
             self._recorder.put(RecordEntry(messages=state))
             messages = [*messages, *state]
-        if (news := parts.plan.session_news) is not None:
-            self._guard.call(_LIVE_PICTURE, None, partial(news.look, recorded=True), taken, shown)
+        look = partial(parts.plan.session_news.look, recorded=True)
+        self._guard.call(_LIVE_PICTURE, None, look, taken, shown)
         if due or entry.events or messages or shown.balances:
             self._inform_watchers(entry.events, messages, shown)
         return shown
@@ -348,8 +298,13 @@ class Recording:
         last = [*self._device_events(), *early, end]
         losses = RecordedLosses(counts.last_ns, *self._stream.losses.counts)
         messages = [losses, *self._state(Phase.CLOSING, math.nan), *self._notes()]
-        self._recorder.put(RecordEntry(block=empty, events=last, messages=messages, attachments=attachments))
-        self._inform_watchers(last, messages, empty._replace(swings=swings))
+        entry = RecordEntry(block=empty, events=last, messages=messages, attachments=attachments)
+        self._tell(entry, empty._replace(swings=swings))
+
+    def _tell(self, entry: RecordEntry, shown: Block | None = None) -> None:
+        """Record an entry, and pass it to the watchers with the block as they see it."""
+        self._recorder.put(entry)
+        self._inform_watchers(entry.events, entry.messages, shown)
 
     def _inform_watchers(
         self, events: Sequence[Event], messages: Sequence[TimedMessage] = (), block: Block | None = None
@@ -362,11 +317,9 @@ class Recording:
 
     def _notes(self) -> list[TimedMessage]:
         """Notes of the operators since the last call, timed by the frames' clock."""
-        if self._parts.plan.notes is None:
-            return []
         counts, last = self._counts, self._last
         found = list[TimedMessage]()
-        for host_time_ns, author, text in self._parts.plan.notes.take():
+        for host_time_ns, author, text in self._parts.plan.take_notes():
             at_ns = last.time_ns + host_time_ns - last.host_time_ns
             # clipped: notes typed before the record begins belong to it, and frames on demand have another
             # clock
@@ -376,8 +329,8 @@ class Recording:
 
     def _end_in_darkness(self) -> None:
         """End the run if the laser is dark, unless the run is to wait for its light."""
-        alarm, devices = self._status.light.alarm, self._parts.devices
-        if not alarm or devices is None or self._stop:
+        alarm = self._status.light.alarm
+        if not alarm or self._stop:
             return
         parts = self._parts
         if parts.waits_when_dark and parts.operator_present:

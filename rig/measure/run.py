@@ -75,14 +75,10 @@ class MeasurementRun:
         """State of the run; may be read from any thread."""
         return self._status.now
 
-    def request_stop(self, reason: str, how: EventKind = EventKind.ENDED_EARLY) -> bool:
-        """End the run early; the first reason given is recorded. Returns whether this reason is the first."""
-        return self._stop.because(reason, how)
-
     def execute(self, show: Callable[[RunNow], None] = lambda _: None, interval_s: float = 0.1) -> RunOutcome:
         """Measure until the run ends; returns with the record closed.
 
-        Ctrl-C and `Terminated` switch the laser off and end the run like `request_stop`, immediately if
+        Ctrl-C and `Terminated` switch the laser off and end the run early, immediately if
         frames come on demand. A thread that hangs at the end is abandoned, sooner after a second interrupt.
         """
         self._stream.start_camera()
@@ -95,21 +91,17 @@ class MeasurementRun:
             interrupt = error
             self._stop.skip_waiting = True
             self._darken(reason_of(error))
-            stopped = self.request_stop(reason_of(error))
+            stopped = self._stop.because(reason_of(error), EventKind.ENDED_EARLY)
         finally:
             # also after an interrupt or an error, so that the record is complete
-            self.request_stop("the program has failed", EventKind.FAILED)
+            self._stop.because("the program has failed", EventKind.FAILED)
             hangs = self._end(show)
         return RunOutcome(self.now, self._stop.failure, interrupt, stopped, hangs)
 
     def _darken(self, why: str) -> None:
         """Refuse light from now on and ask for the laser to be switched off; nothing here can block."""
-        if self._parts.devices is not None:
-            self._parts.devices.permit.withdraw(why)
-            self._parts.devices.darken(why)
-
-    def _has_stalled(self) -> bool:
-        return self._stream.permit.paused_s > _MAX_PAUSE_S
+        self._parts.devices.permit.withdraw(why)
+        self._parts.devices.darken(why)
 
     def _end(self, show: Callable[[RunNow], None]) -> str:
         """Wait for the end of the processing thread; returns what hung, if it had to be abandoned."""
@@ -131,7 +123,7 @@ class MeasurementRun:
         """Show the run until it ends or stalls."""
         done = False
         while not done:
-            done = self._done.wait(interval_s) or self._has_stalled()
+            done = self._done.wait(interval_s) or self._stream.permit.paused_s > _MAX_PAUSE_S
             for state in self._status.take_instructions():
                 self._show(show, state)
             self._show(show, self._now_with_stall())
@@ -296,21 +288,18 @@ def _execute(
         simulated=config.simulated,
         phases=phases_wanted(config),
     )
-    if session_news is not None:
-        session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, plan.record)
+    session_news.begin_run(plan.title, camera.info.full_scale_dn, camera.applied, plan.record)
 
     def show_table(verdicts: Sequence[Verdict]) -> None:
         display.show_preflight(verdicts)
-        if session_news is not None:
-            session_news.preflight(verdicts)
+        session_news.preflight(verdicts)
 
     def show(now: RunNow) -> None:
         try:
             display.show(now)
         finally:
             # also if the display fails
-            if session_news is not None:
-                session_news.state(display.values(now), display.facts(now))
+            session_news.state(display.values(now), display.facts(now))
 
     phases: PhasesBeforeRecord | None = None
     if phases_wanted(config):
@@ -322,7 +311,7 @@ def _execute(
             plan.record.parent,
             force=plan.force,
             show_table=show_table,
-            watch=None if session_news is None else session_news.look,
+            watch=session_news.look,
         )
     parts = RunParts(
         plan=plan,

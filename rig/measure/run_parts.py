@@ -14,11 +14,11 @@ from processing.errors import DeviceError
 from processing.units import ARCSEC_RAD
 from rig.devices import Devices, FrameStream, OpenCamera, SessionNews, TypedAcknowledgement
 from rig.instrument import ObserverGuard, Optics, RunNow, configuration_attachments, session_metadata
-from rig.measure.end_of_run import EndLimits, StopRequest
+from rig.measure.end_of_run import EndOfRun, StopRequest
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.posterior import LivePosterior
 from rig.measure.run_status import RunStatus, Watcher
-from rig.measure.session_orders import Notes
+from rig.measure.session_orders import OperatorNote
 from rig.settings import Configuration
 from rig.terminal import Verdict, table_tree
 
@@ -43,70 +43,53 @@ class RunPlan:
     """Called with the new path of the record of each rejected start, and the reason."""
     watchers: Sequence[Watcher] = ()
     """Receive what is recorded, in addition to the display."""
-    session_news: SessionNews | None = None
+    session_news: SessionNews = field(default_factory=SessionNews)
     """Serves programs that watch the session through its socket."""
-    notes: Notes | None = None
-    """Notes that operators write during the run."""
+    take_notes: Callable[[], Sequence[OperatorNote]] = list
+    """Returns notes that operators have written during the run since the last call."""
     waited: Sequence[str] = ()
     """What the run has waited for, for the record."""
 
 
 @dataclass(slots=True, kw_only=True)
 class RunParts:
-    """The parts of a run, and what they share: its state, the request to end it, the guard around observers.
-
-    Attributes
-    ----------
-    plan
-        What the run is to be.
-    camera
-        Open and configured, not started.
-    optics
-        Calibrated values for the conversion of frames to deflections.
-    stream
-        The camera's frames.
-    devices
-        Controller, laser and environment sensor, whose events and readings are recorded.
-    phases
-        Phases before the record; None: the record begins with the camera's first frame.
-    watchers
-        Receive what is recorded.
-    posterior
-        The live fit; None without one.
-    typed_leave
-        Acknowledgements of a trip that a person types at the terminal.
-    guard
-        Catches the errors of observers.
-    status
-        State of the run, passed on to the watchers.
-    stop
-        Request to end the run.
-    """
+    """The parts of a run, and what they share: its state, the request to end it, the observer guard."""
 
     plan: RunPlan
     camera: OpenCamera
+    """Open and configured, not started."""
     optics: Optics
+    """Calibrated values for the conversion of frames to deflections."""
     stream: FrameStream
-    devices: Devices | None = None
+    """The camera's frames."""
+    devices: Devices
+    """Controller, laser and environment sensor, whose events and readings are recorded."""
     phases: PhasesBeforeRecord | None = None
+    """Phases before the record; None: the record begins with the camera's first frame."""
     watchers: Sequence[Watcher] = ()
+    """Receive what is recorded."""
     posterior: LivePosterior | None = None
+    """The live fit; None without one."""
     typed_acknowledgement: TypedAcknowledgement | None = None
+    """Acknowledgements of a trip that a person types at the terminal."""
     guard: ObserverGuard = field(init=False, default_factory=ObserverGuard)
+    """Catches the errors of observers."""
     status: RunStatus = field(init=False)
+    """State of the run, passed on to the watchers."""
     stop: StopRequest = field(init=False)
+    """Request to end the run."""
 
     def __post_init__(self) -> None:
         self.status = RunStatus(self.watchers, self.devices, self.optics.unit, self.guard)
         self.stop = StopRequest(self.stream)
 
     @property
-    def end_limits(self) -> EndLimits:
-        """Limits of amplitude and time at which the run ends."""
+    def end(self) -> EndOfRun:
+        """The judge of the run's end, by its limits of amplitude and time and its stop conditions."""
         session = self.plan.config.session
         # without a lever the amplitude in arcsec is unknown, and only the time limit applies
         final_rad = session.final_amplitude_arcsec * ARCSEC_RAD
-        return EndLimits(
+        return EndOfRun(
             final_rad if self.optics.unit is DeflectionUnit.RAD else 0.0,
             session.max_duration_s,
             self.plan.config.stop_conditions if self.posterior is not None else (),
@@ -120,8 +103,8 @@ class RunParts:
     @property
     def operator_present(self) -> bool:
         """Whether a person at the terminal or a desk could acknowledge a trip and ask for light."""
-        news, typed = self.plan.session_news, self.typed_acknowledgement
-        return (typed is not None and typed.available) or (news is not None and news.watched)
+        typed = self.typed_acknowledgement
+        return (typed is not None and typed.available) or self.plan.session_news.watched
 
     def open_record(self, epoch_offset_ns: int, first: Frame, preflight: Sequence[Verdict]) -> RecordWriter:
         """Create the file with configuration, provenance and preflight table.

@@ -51,15 +51,15 @@ class RunStatus:
     watchers
         Receive all that is recorded, in the processing thread.
     devices
-        Controller, laser and environment sensor; None without devices.
+        Controller, laser and environment sensor.
     unit
         Unit of the half-cycles' amplitudes.
-    wall
-        Behind which the watchers stand.
+    guard
+        Catches the errors of watchers.
     """
 
     def __init__(
-        self, watchers: Iterable[Watcher], devices: Devices | None, unit: DeflectionUnit, guard: ObserverGuard
+        self, watchers: Iterable[Watcher], devices: Devices, unit: DeflectionUnit, guard: ObserverGuard
     ) -> None:
         self._watchers = tuple(watchers)
         self._guard = guard
@@ -92,9 +92,8 @@ class RunStatus:
         """Publish a state before the record begins, which is not recorded; looks at the laser."""
         self._noticed += self.light.look()
         instruction_before = self.now.instruction
-        messages: list[TimedMessage] = [phase]
-        if self._devices is not None:
-            messages += [_light(self._devices), Environment(phase.time_ns, *self._devices.environment())]
+        air = Environment(phase.time_ns, *self._devices.environment())
+        messages: list[TimedMessage] = [phase, _light(self._devices), air]
         self.now = replace(
             self.now.after(RecordContents(messages=messages), self._unit), alarm=self.light.alarm
         )
@@ -109,7 +108,7 @@ class RunStatus:
 
     def take_events(self) -> list[tuple[EventKind, str]]:
         """Events of controller, laser and sensors since the last call, as (kind, text)."""
-        happened = [] if self._devices is None else self._devices.take_events()
+        happened = self._devices.take_events()
         happened += [(EventKind.WATCHER_FAILED, text) for text in self._guard.take_news()]
         noticed, self._noticed = self._noticed, []
         return happened + noticed + self.light.look()
@@ -127,7 +126,7 @@ class RunStatus:
         if self._phase is None or phase[2:] != self._phase[2:]:
             found.append(phase)
         self._phase, self._alarm = phase, health.alarm
-        if self._devices is not None and (light := _light(self._devices)) != self._light:
+        if (light := _light(self._devices)) != self._light:
             self._light = light
             found.append(light._replace(time_ns=time_ns))
         if known.half_cycles and known.estimates is not self._estimates:
@@ -156,7 +155,7 @@ def _light(devices: Devices) -> RecordedLight:
         devices.darkness(),
         safety.refusal,
         "" if safety.trip is None else safety.trip.text,
-        devices.now().text,
+        safety.devices_text,
     )
 
 

@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from functools import partial
 from typing import Any, Self
 
@@ -35,6 +35,7 @@ _MAX_SWINGS = 20_000
 _NO_FORECAST = Forecast(math.nan, math.nan)
 
 
+@dataclass
 class RunDisplay:
     """The display of one run: as a watcher it only collects values, the main thread draws the screen.
 
@@ -42,28 +43,21 @@ class RunDisplay:
     in time if the time limit will end the run.
     """
 
-    def __init__(
-        self,
-        title: str,
-        final_amplitude_arcsec: float,
-        unit: DeflectionUnit,
-        *,
-        longest_s: float = math.inf,
-        stop_when: Sequence[StopCondition] = (),
-        json_lines: bool = False,
-        simulated: bool = False,
-        phases: Sequence[Phase] = (),
-        console: Console | None = None,
-    ) -> None:
-        self._title = title
-        self._simulated, self._phases = simulated, tuple(phases)
+    title: str
+    final_amplitude_arcsec: float
+    unit: DeflectionUnit
+    _: KW_ONLY
+    longest_s: float = math.inf
+    stop_when: Sequence[StopCondition] = ()
+    json_lines: bool = False
+    simulated: bool = False
+    phases: Sequence[Phase] = ()
+    console: Console = field(default_factory=partial(Console, stderr=True))
+
+    def __post_init__(self) -> None:
         # the final amplitude is configured in arcsec, hence unknown in px
-        self._final = final_amplitude_arcsec if unit is DeflectionUnit.RAD else math.nan
-        self._unit, self._longest_s = unit, longest_s
-        self._stop_when = stop_when
-        self._json = json_lines
+        self._final = self.final_amplitude_arcsec if self.unit is DeflectionUnit.RAD else math.nan
         self._initial = math.nan
-        self._console = console or Console(stderr=True)
         self._live: Live | None = None
         self._closed = False
         self._printed_s = 0.0
@@ -77,8 +71,8 @@ class RunDisplay:
         self._forecast_s = 0.0
 
     def __enter__(self) -> Self:
-        if self._console.is_terminal and not self._json:
-            self._live = Live(console=self._console, auto_refresh=False, transient=False)
+        if self.console.is_terminal and not self.json_lines:
+            self._live = Live(console=self.console, auto_refresh=False, transient=False)
             self._live.start()
         return self
 
@@ -97,26 +91,26 @@ class RunDisplay:
         for event in told.events:
             elapsed_s = seconds(event.time_ns - told.start_ns)
             self._notes.append(f"{elapsed_s:8.1f} s  {event.line}")
-            if self._json:
+            if self.json_lines:
                 said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
                 self._to_print.append(partial(self.line, "event", said))
             if event.kind == EventKind.REJECTED:
-                self._to_print.append(partial(say, f"{self._title}: {event.text}"))
+                self._to_print.append(partial(say, f"{self.title}: {event.text}"))
 
     def show_preflight(self, verdicts: Sequence[Verdict]) -> None:
         """Queue the preflight table for printing above the live screen."""
         shown = list(verdicts)
-        if self._json:
+        if self.json_lines:
             self._to_print.append(lambda: self.line("preflight", {"table": table_tree(shown)}))
         else:
-            self._to_print.append(lambda: print_verdicts(self._console, shown))
+            self._to_print.append(lambda: print_verdicts(self.console, shown))
 
     # -- in the main thread --------------------------------------------------
 
     def line(self, kind: str, values: dict[str, Any]) -> None:
         """Print one line of JSON on stdout; a closed stdout is ignored, so that the measurement continues."""
         try:
-            print_json_line(kind, {"run": self._title, **values})
+            print_json_line(kind, {"run": self.title, **values})
         except BrokenPipeError:
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, sys.stdout.fileno())
@@ -151,27 +145,29 @@ class RunDisplay:
         changed = now.phase is not self._phase or asked != self._asked
         if self._live is not None:
             self._live.update(self.screen(now), refresh=True)
-        elif changed or now_s - self._printed_s >= (_JSON_INTERVAL_S if self._json else _PLAIN_INTERVAL_S):
+        elif changed or now_s - self._printed_s >= (
+            _JSON_INTERVAL_S if self.json_lines else _PLAIN_INTERVAL_S
+        ):
             self._printed_s = now_s
-            if self._json:
+            if self.json_lines:
                 self.line("state", self.values(now))
             else:
-                say(f"{self._title}: {100 * self._done_fraction(now):.0f} %  {self._plain_line(now)}")
+                say(f"{self.title}: {100 * self._done_fraction(now):.0f} %  {self._plain_line(now)}")
             for shout in (now.alarm.upper(), loud(now.instruction)):
-                if changed and shout and not self._json:
-                    say(f"{self._title}: {shout}")
+                if changed and shout and not self.json_lines:
+                    say(f"{self.title}: {shout}")
         self._phase, self._asked = now.phase, asked
 
     def screen(self, now: RunNow) -> RenderableType:
         """The whole screen, cut to the size of the terminal."""
         return run_panel(
-            f"SIMULATED {self._title}" if self._simulated else self._title,
+            f"SIMULATED {self.title}" if self.simulated else self.title,
             now,
             self._done_fraction(now),
             self.rows(now),
             list(self._notes),
-            self._console.size,
-            self._phases,
+            self.console.size,
+            self.phases,
         )
 
     def values(self, now: RunNow) -> dict[str, Any]:
@@ -190,7 +186,7 @@ class RunDisplay:
 
     def rows(self, now: RunNow) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""
-        unit, balance = self._unit.shown, now.balance
+        unit, balance = self.unit.shown, now.balance
         who = f" ({now.losses})" if now.losses.total else ""
         losses = f"{now.dropped_frames} frames dropped{who}, {now.lost_spots} spots lost"
         if now.before_record:
@@ -200,7 +196,7 @@ class RunDisplay:
             self._prediction(now),
             ("amplitude", _number(now.amplitude, ".3f", unit)),
             ("period", _number(now.period_s, ".5f", "s")),
-            *estimate_rows(now, self._stop_when),
+            *estimate_rows(now, self.stop_when),
             ("transverse", self._transverse(balance)),
             ("rest position", self._rest(balance)),
             ("camera", f"{self._rates.frames_hz:.1f} frames/s, {now.frames} in all, {_age(now)}"),
@@ -238,8 +234,8 @@ class RunDisplay:
     def _time_to_limit_s(self, now: RunNow) -> float:
         """Time in s until the longest duration of the run, which counts from the start of the record."""
         if now.before_record:
-            return self._longest_s
-        return max(self._longest_s - now.elapsed_s, 0.0)
+            return self.longest_s
+        return max(self.longest_s - now.elapsed_s, 0.0)
 
     def _forecast_of_end(self, now: RunNow) -> Forecast:
         """Time to the end of the run, by amplitude or time limit, whichever is first; NaN if unknown."""
@@ -253,7 +249,7 @@ class RunDisplay:
     def _prediction(self, now: RunNow) -> tuple[str, str]:
         """The row on the end of the run: which limit will end it, and the time left."""
         left_s, u_s = self._forecast_of_end(now)
-        unit = self._unit.shown
+        unit = self.unit.shown
         aim = "to the end" if math.isnan(self._final) else f"to {self._final:g} {unit}"
         if math.isnan(left_s):
             limit_s = self._time_to_limit_s(now)
@@ -266,7 +262,7 @@ class RunDisplay:
 
     def _predicted(self) -> Forecast:
         table = np.array(list(self._swings))
-        final = self._final * self._unit.shown_size
+        final = self._final * self.unit.shown_size
         crossing = forecast(table[:, 0], table[:, 1], table[:, 2], final)
         # the run ends at the last of `BELOW_IN_A_ROW` turning points below the limit, and the first of them
         # may come up to one half-cycle after the amplitude has passed the limit
@@ -278,7 +274,7 @@ class RunDisplay:
 
     def _numbers(self, balance: Balance | None) -> dict[str, Any]:
         found: dict[str, Any] = {
-            "amplitude_unit": self._unit.shown,
+            "amplitude_unit": self.unit.shown,
             "frames_hz": self._rates.frames_hz,
             "record_bytes_per_s": self._rates.bytes_per_s,
         }
@@ -292,14 +288,14 @@ class RunDisplay:
     def _done_fraction(self, now: RunNow) -> float:
         if now.before_record:
             return 0.0
-        of_time = min(now.elapsed_s / self._longest_s, 1.0)
+        of_time = min(now.elapsed_s / self.longest_s, 1.0)
         if not self._initial > self._final or math.isnan(now.amplitude):
             return of_time
         done = math.log(self._initial / max(now.amplitude, self._final))
         return max(of_time, min(1.0, done / math.log(self._initial / self._final)))
 
     def _plain_line(self, now: RunNow) -> str:
-        amplitude = "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self._unit.shown}  "
+        amplitude = "" if math.isnan(now.amplitude) else f"{now.amplitude:7.2f} {self.unit.shown}  "
         losses = f"{now.dropped_frames} dropped, {now.lost_spots} lost"
         tail = f"  {now.reason}" if now.reason else ""
         phase = "" if now.phase is Phase.MEASURING else f"{now.doing}  "

@@ -2,21 +2,24 @@
 
 import datetime
 import sys
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from processing.errors import ConfigurationError, DeviceError, RigError
+from processing.errors import ConfigurationError, DeviceError, RecordError, RigError
 from rig.analysis import (
     AnalysedRun,
     SessionResults,
     analyse_record,
     free_path,
     print_results,
+    read_results,
+    results_path,
     session_results,
     write_results,
 )
-from rig.devices import Devices, OrderSocket, SessionNews, devices_now
+from rig.devices import Devices, OrderSocket, SessionNews, safety_values
 from rig.instrument import check_materials, complete
 from rig.interruption import Terminated, reason_of
 from rig.measure.notices import Notices, PreflightWait, announced, check_waiting
@@ -24,10 +27,18 @@ from rig.measure.phases import NoGo
 from rig.measure.posterior import check_stop_when
 from rig.measure.run import measure_run, ready_for_frames
 from rig.measure.run_parts import RunPlan
-from rig.measure.session_file import RunState, SessionFile, end_noted, withdraw_unrecorded
+from rig.measure.session_file import (
+    RunState,
+    SessionFile,
+    close_earlier_runs,
+    end_noted,
+    withdraw_unrecorded,
+)
 from rig.measure.session_orders import Notes, await_acknowledgement, orders
 from rig.settings import Configuration, stored_configuration
 from rig.terminal import answer, failures, print_json_line, say
+
+_SEED_STEP_OF_RUNS = 1_000_003
 
 
 def measure_session(
@@ -46,21 +57,25 @@ def measure_session(
     Returns the exit status: 0 if every run ended regularly and was fitted, else 1. Raises ConfigurationError
     for an output folder that already contains a run.
     """
-    config = complete(config)
-    check_materials(config)
-    check_stop_when(config)
-    check_waiting(config)
+    config = checked(config)
     if output is not None:
         withdraw_unrecorded(output)
     folder, made = session_folder(config, source, output)
     try:
-        with announced(config.session, folder) as outcome:
-            waiting = waiting or PreflightWait(folder.name, config.preflight)
-            options = SessionOptions(outcome.notices, force, json_lines, waiting)
-            outcome.status = _make_session(config, source, folder, options)
+        stored = stored_configuration(config)
+        with closing(SessionFile.made(folder, source, config.session.runs, stored)) as file:
+            return finish_session(file, config, "rig run", waiting, force=force, json_lines=json_lines)
     finally:
         withdraw_unrecorded(folder, made)
-    return outcome.status
+
+
+def checked(config: Configuration) -> Configuration:
+    """The complete configuration of a session; raises ConfigurationError if it cannot be used."""
+    config = complete(config)
+    check_materials(config)
+    check_stop_when(config)
+    check_waiting(config)
+    return config
 
 
 class SessionOptions(NamedTuple):
@@ -76,14 +91,45 @@ class SessionOptions(NamedTuple):
     """Called with the reason of a no-go while the laser is dark; True: the run is tried again."""
 
 
-def _make_session(config: Configuration, source: Path, folder: Path, options: SessionOptions) -> int:
-    """Like `measure_session`, with a complete configuration, in the folder made for the session."""
-    with ExitStack() as closing:
-        with ready_for_frames(live=not config.on_demand), Devices(config, folder, "rig run") as devices:
-            file = SessionFile.made(folder, source, config.session.runs, stored_configuration(config))
-            closing.callback(file.close)
-            outcome = make_runs(config, source, file, devices, options)
-        return report(config, folder, outcome, options)
+def finish_session(
+    file: SessionFile,
+    config: Configuration,
+    task: str,
+    waiting: PreflightWait | None = None,
+    *,
+    force: bool,
+    json_lines: bool,
+) -> int:
+    """Make the missing runs of a new or a resumed session, fit them, and send a notice of its end.
+
+    Returns the exit status like `measure_session`.
+    """
+    waiting = waiting or PreflightWait(file.folder.name, config.preflight)
+
+    def finish(notices: Notices) -> int:
+        return _finish(file, config, task, SessionOptions(notices, force, json_lines, waiting))
+
+    return announced(config.session, file, finish)
+
+
+def _finish(file: SessionFile, config: Configuration, task: str, options: SessionOptions) -> int:
+    folder = file.folder
+    if file.state.entries:
+        close_earlier_runs(file)
+    if len(file.state.complete) >= file.state.runs_wanted:
+        say("no run is missing")
+        if (results := _whole_results(file)) is None:
+            # complete records are fitted without the rig, which may not even exist any more
+            records = [folder / entry.record for entry in file.state.complete]
+            return report(config, folder, SessionOutcome(records, failed=False, stopped=False), options)
+        faults = result_faults(results, config)
+        for why in faults:
+            say(why)
+        options.notices.failures.extend(faults)
+        return 1 if faults else 0
+    with ready_for_frames(live=not config.on_demand), Devices(config, folder, task) as devices:
+        outcome = make_runs(config, file, devices, options)
+    return report(config, folder, outcome, options)
 
 
 class SessionOutcome(NamedTuple):
@@ -94,120 +140,112 @@ class SessionOutcome(NamedTuple):
     stopped: bool
 
 
+@contextmanager
+def _ends_noted(file: SessionFile) -> Iterator[None]:
+    """Notes how a run has ended that an interrupt separates from its entry in session.json."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        for entry in file.state.entries:
+            if entry.state is RunState.RECORDING:
+                end_noted(file, entry)
+        raise
+
+
 def make_runs(
-    config: Configuration, source: Path, file: SessionFile, devices: Devices, options: SessionOptions
+    config: Configuration, file: SessionFile, devices: Devices, options: SessionOptions
 ) -> SessionOutcome:
     """Make the missing runs of a session.
 
     Meanwhile its order socket serves its state and takes orders. Raises `Terminated` after everything is
     closed and session.json is written.
     """
-    session_news, notes = SessionNews(), Notes(file.folder, config.session.operator)
-    with OrderSocket(
-        file.folder, session_news, orders(devices, notes), lambda: devices_now(devices)
-    ) as watched:
+    folder, session_news = file.folder, SessionNews()
+    notes = Notes(folder, config.session.operator)
+    socket = OrderSocket(folder, session_news, orders(devices, notes), lambda: safety_values(devices))
+    with socket as watched, _ends_noted(file):
         if watched.problem:
             say(watched.problem)
-        try:
-            return _make_runs(config, source, file, devices, options, session_news, notes)
-        except KeyboardInterrupt:
-            # the interrupt may come between the end of a run and its entry in session.json
-            for entry in file.state.entries:
-                if entry.state is RunState.RECORDING:
-                    end_noted(file, entry)
-            raise
+        records = [folder / entry.record for entry in file.state.complete]
+        failed = stopped = False
 
+        def say_failed(number: int, error: Exception) -> None:
+            say(f"run {number} failed: {error}", error=True)
+            options.notices.failures.append(f"run {number} failed: {error}")
 
-def _make_runs(
-    config: Configuration,
-    source: Path,
-    file: SessionFile,
-    devices: Devices,
-    options: SessionOptions,
-    session_news: SessionNews,
-    notes: Notes,
-) -> SessionOutcome:
-    folder = file.folder
-    records = [folder / entry.record for entry in file.state.complete]
-    failed = stopped = False
+        while len(records) < file.state.runs_wanted and not (failed or stopped):
+            number = file.state.next_number
+            record = folder / f"run-{number}.mcap"
+            file.note(number, record.name, RunState.RECORDING)
 
-    def say_failed(number: int, error: Exception) -> None:
-        say(f"run {number} failed: {error}", error=True)
-        options.notices.failures.append(f"run {number} failed: {error}")
+            def start_rejected(path: Path, reason: str, number: int = number) -> None:
+                file.note(number, path.name, RunState.REJECTED, reason)
 
-    while len(records) < file.state.runs_wanted and not (failed or stopped):
-        number = file.state.next_number
-        record = folder / f"run-{number}.mcap"
-        file.note(number, record.name, RunState.RECORDING)
-
-        def start_rejected(path: Path, reason: str, number: int = number) -> None:
-            file.note(number, path.name, RunState.REJECTED, reason)
-
-        plan = RunPlan(
-            _with_seed_of_run(config, number),
-            source,
-            record,
-            f"run {number}",
-            options.force,
-            options.json_lines,
-            is_last=len(records) + 1 >= file.state.runs_wanted,
-            start_rejected=start_rejected,
-            watchers=[options.notices],
-            session_news=session_news,
-            notes=notes,
-            waited=options.waiting.texts(),
-        )
-        try:
-            devices.lights_again = True
-            await_acknowledgement(devices, session_news, resumable=_has_record(file))
-            outcome = measure_run(plan, devices)
-        except (RigError, OSError) as error:
-            file.note(number, record.name, RunState.FAILED, str(error))
-            if not records:
-                raise
-            say_failed(number, error)
-            failed = True
-            break
-        except KeyboardInterrupt as interrupted:
-            # the interrupt came before the record; a run with a record holds by itself how it ended
-            if not record.exists():
-                file.note(number, record.name, RunState.STOPPED, reason_of(interrupted))
-            if isinstance(interrupted, Terminated):
-                _say_how_to_resume(reason_of(interrupted), file)
-            raise
-        if outcome.hangs:
-            # the entry stays: the record can be repaired only when no thread writes to it any more
-            off = "" if config.laser.kind == "none" else "the laser was told off, "
-            raise DeviceError(
-                f"{outcome.hangs}: {off}{record} stays as it is; "
-                f"remove the cause (a disk that hangs?), then rig run --resume {folder}"
+            plan = RunPlan(
+                with_other_seed(config, _SEED_STEP_OF_RUNS * (number - 1)),
+                Path(file.state.source),
+                record,
+                f"run {number}",
+                options.force,
+                options.json_lines,
+                is_last=len(records) + 1 >= file.state.runs_wanted,
+                start_rejected=start_rejected,
+                watchers=[options.notices],
+                session_news=session_news,
+                take_notes=notes.take,
+                waited=options.waiting.texts(),
             )
-        if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
-            devices.darken("preflight said no-go")
-            file.forget(record.name)
-            session_news.waits(f"no-go: {outcome.failure.failed_checks}")
-            # a person who asks for light during the wait gets it with the next try
-            devices.lights_again = True
-            if options.waiting(outcome.failure.failed_checks):
-                continue
-            devices.lights_again = False
-        reason, interrupt, stopped = outcome.last.reason, outcome.interrupt, outcome.stopped
-        state = RunState.FAILED if outcome.failure is not None else RunState.COMPLETE
-        # also if the user has ended the run before its record began
-        if stopped and (outcome.failure is None or not record.exists()):
-            state = RunState.STOPPED
-        file.note(number, record.name, state, str(outcome.failure or reason))
-        if outcome.failure is not None:
-            failed = True
-            say_failed(number, outcome.failure)
-        if record.exists():
-            records.append(record)
-        else:
-            failed = True
-        if isinstance(interrupt, Terminated):
-            _say_how_to_resume(reason, file)
-            raise interrupt
-    return SessionOutcome(records, failed, stopped)
+            try:
+                devices.lights_again = True
+                await_acknowledgement(devices, session_news, resumable=_has_record(file))
+                outcome = measure_run(plan, devices)
+            except (RigError, OSError) as error:
+                file.note(number, record.name, RunState.FAILED, str(error))
+                if not records:
+                    raise
+                say_failed(number, error)
+                failed = True
+                break
+            except KeyboardInterrupt as interrupted:
+                # the interrupt came before the record; a run with a record holds by itself how it ended
+                if not record.exists():
+                    file.note(number, record.name, RunState.STOPPED, reason_of(interrupted))
+                if isinstance(interrupted, Terminated):
+                    _say_how_to_resume(reason_of(interrupted), file)
+                raise
+            if outcome.hangs:
+                # the entry stays: the record can be repaired only when no thread writes to it any more
+                off = "" if config.laser.kind == "none" else "the laser was told off, "
+                raise DeviceError(
+                    f"{outcome.hangs}: {off}{record} stays as it is; "
+                    f"remove the cause (a disk that hangs?), then rig run --resume {folder}"
+                )
+            if isinstance(outcome.failure, NoGo) and outcome.interrupt is None:
+                devices.darken("preflight said no-go")
+                file.forget(record.name)
+                session_news.waits(f"no-go: {outcome.failure.failed_checks}")
+                # a person who asks for light during the wait gets it with the next try
+                devices.lights_again = True
+                if options.waiting(outcome.failure.failed_checks):
+                    continue
+                devices.lights_again = False
+            reason, interrupt, stopped = outcome.last.reason, outcome.interrupt, outcome.stopped
+            state = RunState.FAILED if outcome.failure is not None else RunState.COMPLETE
+            # also if the user has ended the run before its record began
+            if stopped and (outcome.failure is None or not record.exists()):
+                state = RunState.STOPPED
+            file.note(number, record.name, state, str(outcome.failure or reason))
+            if outcome.failure is not None:
+                failed = True
+                say_failed(number, outcome.failure)
+            if record.exists():
+                records.append(record)
+            else:
+                failed = True
+            if isinstance(interrupt, Terminated):
+                _say_how_to_resume(reason, file)
+                raise interrupt
+        return SessionOutcome(records, failed, stopped)
 
 
 def _say_how_to_resume(reason: str, file: SessionFile) -> None:
@@ -269,6 +307,27 @@ def result_faults(results: SessionResults, config: Configuration) -> list[str]:
     return found
 
 
+def _whole_results(file: SessionFile) -> SessionResults | None:
+    """The results if they can be read and contain every complete run, else None; makes a missing report."""
+    from rig.report import make_report
+
+    path = results_path(file.folder)
+    if not path.exists():
+        say("there are no results yet, they are made now")
+        return None
+    try:
+        results = read_results(path)
+    except RecordError as error:
+        say(str(error))
+        return None
+    if {entry.record for entry in file.state.complete} - {run.record for run in results.runs}:
+        # the program was ended before it fitted the last runs
+        return None
+    if not path.with_name(path.name.replace("results", "report", 1)).with_suffix(".html").exists():
+        say(f"report {make_report(path)}")
+    return results
+
+
 def simulate_record(config: Configuration, source: Path, record: Path) -> int:
     """Record one run of the simulated rig, without viewer and fits; returns the exit status."""
     if not config.simulated:
@@ -320,12 +379,13 @@ def session_folder(config: Configuration, source: Path, output: Path | None) -> 
     return folder, made
 
 
-def _with_seed_of_run(config: Configuration, number: int) -> Configuration:
-    """The configuration of the run `number`; each simulated run gets its own random numbers."""
-    if not config.simulated or number == 1:
+def with_other_seed(config: Configuration, more: int) -> Configuration:
+    """The configuration with a seed larger by `more`: each simulated run gets its own random numbers."""
+    if not config.simulated or not more:
         return config
-    seed = (config.simulation.seed + 1_000_003 * (number - 1)) % 2**63
-    return config.model_copy(update={"simulation": config.simulation.model_copy(update={"seed": seed})})
+    simulation = config.simulation
+    seed = (simulation.seed + more) % 2**63
+    return config.model_copy(update={"simulation": simulation.model_copy(update={"seed": seed})})
 
 
 def _wants_fit() -> bool:

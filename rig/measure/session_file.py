@@ -14,9 +14,12 @@ from typing import IO, Any, Self
 from pydantic import BaseModel
 
 from acquisition import atomic_write
+from acquisition.record import recovered_beside
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
+from acquisition.record.recover import recover
 from processing.errors import ConfigurationError, RecordError, RigError, require_schema
+from rig.terminal import say
 
 try:
     import fcntl
@@ -266,3 +269,36 @@ def end_noted(file: SessionFile, entry: RunEntry) -> str:
             how = "whole" if state is RunState.COMPLETE else f"{state}, its run is made again"
             return f"{entry.record} is {how}: {end.text}"
     return ""
+
+
+def close_earlier_runs(file: SessionFile) -> None:
+    """Save how runs have ended that a killed program made, and report truncated records."""
+    for entry in file.state.entries:
+        if entry.state is RunState.RECORDING:
+            _close_interrupted(file, entry)
+    for record in (file.folder / entry.record for entry in file.state.complete):
+        if record.exists():
+            # complete at the end of its run, but truncated since, e.g. by a failed copy
+            with RecordReader(record) as reader:
+                if reader.truncated:
+                    say(reader.cut_notice)
+    say(f"{file.folder}: {len(file.state.complete)} of {file.state.runs_wanted} runs are complete")
+
+
+def _close_interrupted(file: SessionFile, entry: RunEntry) -> None:
+    """Save how a run that was being recorded has ended; make a recovered copy of a truncated record."""
+    record = file.folder / entry.record
+    if end_text := end_noted(file, entry):
+        say(end_text)
+        return
+    name, reason = "", "the session was interrupted"
+    if record.exists():
+        try:
+            whole = recovered_beside(record)
+            if not whole.exists():
+                recover(record, whole)
+            name = whole.name
+            say(f"{entry.record} was cut short and stays as it is; {whole.name} is a whole copy")
+        except RecordError as error:
+            reason = f"{reason}; {error}"
+    file.note(entry.number, entry.record, RunState.INTERRUPTED, reason, name)

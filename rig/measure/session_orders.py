@@ -116,7 +116,7 @@ def relight(devices: Devices) -> str:
         return devices.light(asked=True, in_run=True) or "the laser is lit already"
     if not devices.lights_again:
         raise LightRefused("no run follows that would light the laser; start one")
-    devices.ask_for_light()
+    devices.permit.request_light()
     return "the next run lights the laser"
 
 
@@ -127,12 +127,12 @@ def await_acknowledgement(devices: Devices, session_news: SessionNews, *, resuma
     """
     ask_leave(devices)
     trip = devices.permit.latched
-    if (trip or devices.waits_for_asking) and session_news.watched and not at_terminal():
+    if (trip or devices.permit.needs_request) and session_news.watched and not at_terminal():
         what = "light is to be asked for" if trip is None else trip.text
         session_news.waits(f"{what}: the next run waits for a person")
-        while session_news.watched and (devices.permit.latched or devices.waits_for_asking):
+        while session_news.watched and (devices.permit.latched or devices.permit.needs_request):
             time.sleep(_CHECK_INTERVAL_S)
-    if devices.permit.latched or devices.waits_for_asking:
+    if devices.permit.latched or devices.permit.needs_request:
         what = "nobody has asked for light since the trip" if trip is None else f"{trip.text}, and nobody has"
         what += "" if trip is None else " acknowledged it"
         remedy = "rig run --resume measures the missing runs" if resumable else "start the session again"

@@ -9,19 +9,14 @@ from rig.view.values import LayoutName, Mode
 
 if TYPE_CHECKING:
     from rig.view.record_replay import analyse_replayed, replay_record
-    from rig.view.replay_comparison import parameter_changes
 
-_LAZY_MODULES = {
-    "parameter_changes": "replay_comparison",
-    "analyse_replayed": "record_replay",
-    "replay_record": "record_replay",
-}
-"""Names that are imported at their first use, each with its module."""
+_LAZY = ("analyse_replayed", "replay_record")
+"""Names that are imported at their first use."""
 
 
 if not TYPE_CHECKING:  # a type checker would take any name for one of this room
 
     def __getattr__(name: str) -> Any:
-        if name not in _LAZY_MODULES:
+        if name not in _LAZY:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.{_LAZY_MODULES[name]}"), name)
+        return getattr(import_module(f"{__name__}.record_replay"), name)

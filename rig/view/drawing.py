@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
@@ -57,6 +57,14 @@ _STATES_OF_EVENT: Final[dict[str, dict[str, str]]] = {
     EventKind.LASER_UNKNOWN: {"laser": "unknown"},
     EventKind.LASER_LIT: {"laser": "lit"},
 }
+
+
+def _scalar_columns(values: Floats) -> Any:
+    return rr.Scalars.columns(scalars=values)
+
+
+def _measurement_columns(values: Floats, u: Floats) -> Any:
+    return rr.Measurements.columns(values=values, variances=u**2)
 
 
 class RunLanes:
@@ -125,10 +133,10 @@ class Drawing:
         drawn_s, drawn_x, drawn_y = self._breaks.broken(entity, gap_s, time_s[chosen], x[chosen], y[chosen])
         single, unit = len(self.setup.runs) < 2, self.setup.unit
         colour = palette.GREY if single else palette.X_COLOUR
-        self._gather(run, layout.X, drawn_s, drawn_x, f"X / {unit}", colour)
+        self._curve(run, layout.X, f"X / {unit}", colour, drawn_s, drawn_x)
         if single:
             self._draw_transverse(run, drawn_s, drawn_x, drawn_y)
-        self._gather(run, layout.Y, drawn_s, drawn_y, f"Y / {unit}", palette.Y_COLOUR)
+        self._curve(run, layout.Y, f"Y / {unit}", palette.Y_COLOUR, drawn_s, drawn_y)
         colour = self._run_colour(run, palette.TRAJECTORY_COLOUR)
         self._lissajous.draw(run, drawn_s, drawn_x, drawn_y, colour)
         self._lissajous.follow(time_s, x, y)
@@ -137,9 +145,9 @@ class Drawing:
         """Draw the two parts of X: the fast mode, and the leakage of the slow mode."""
         parts = self._transverse_curves.setdefault(run, TransverseCurves()).samples(time_s, x, y)
         if parts is not None:
-            label = "slow mode's leakage"
-            self._gather(run, layout.LEAKAGE, parts.time_s, parts.leakage, label, palette.BLUE)
-            self._gather(run, layout.FAST, parts.time_s, parts.fast, "fast mode", palette.X_COLOUR)
+            time_s, fast, leakage = parts
+            self._curve(run, layout.LEAKAGE, "slow mode's leakage", palette.BLUE, time_s, leakage)
+            self._curve(run, layout.FAST, "fast mode", palette.X_COLOUR, time_s, fast)
 
     def reference(self, run: str, time_s: Floats, x_px: Floats, y_px: Floats) -> None:
         """Draw the reference spot (n,) relative to its first position; NaN where it was lost."""
@@ -158,7 +166,7 @@ class Drawing:
         x, y = x_px[chosen] - origin_x, y_px[chosen] - origin_y
         drawn_s, x, y = self._breaks.broken(entity, gap_s, time_s[chosen], x, y)
         for path, values, colour in (("x", x, palette.X_COLOUR), ("y", y, palette.Y_COLOUR)):
-            self._gather(run, f"{layout.REFERENCE}/{path}", drawn_s, values, f"{path} / px", colour)
+            self._curve(run, f"{layout.REFERENCE}/{path}", f"{path} / px", colour, drawn_s, values)
 
     def half_cycles(
         self, run: str, time_s: Floats, amplitudes: tuple[Floats, Floats], periods_s: tuple[Floats, Floats]
@@ -170,8 +178,8 @@ class Drawing:
         ):
             good = np.isfinite(value)
             if good.any():
-                label = f"{path} / {unit}"
-                self._gather_uncertain(run, path, time_s[good], value[good], u[good], label, colour)
+                columns = time_s[good], value[good], u[good]
+                self._curve(run, path, f"{path} / {unit}", colour, *columns, gap_periods=POINTS_GAP_PERIODS)
 
     def balance(self, run: str, time_s: float, numbers: Mapping[str, tuple[float, float]]) -> None:
         """Draw the balance at one moment (see `balance_numbers`), as curves and as a table."""
@@ -183,9 +191,9 @@ class Drawing:
         for name, (value, u) in numbers.items():
             shown, drawn = quantity(name, unit), balance_style(name)
             if np.isfinite(value):
-                pair = shown.factor * value, shown.factor * u
-                path = f"{layout.BALANCE_ROOT}/{drawn.entity}"
-                self._one_uncertain(run, path, time_s, pair, shown.label, drawn.colour, POINTS_GAP_PERIODS)
+                columns = time_s, shown.factor * value, shown.factor * u
+                path, label = f"{layout.BALANCE_ROOT}/{drawn.entity}", shown.label
+                self._curve(run, path, label, drawn.colour, *columns, gap_periods=POINTS_GAP_PERIODS)
         self.text(run, layout.BALANCE_TABLE, time_s, balance_table(numbers, unit))
 
     def estimates(self, run: str, time_s: float, numbers: Mapping[str, Estimate]) -> None:
@@ -198,12 +206,12 @@ class Drawing:
             value, u = (factor * one for one in numbers.get(key, Estimate(np.nan, np.nan)))
             if is_drawn(value, u):
                 path, colour = f"{layout.PARAMETERS_ROOT}/{key}", palette.SEQUENCE[number]
-                self._one_uncertain(run, path, time_s, (value, u), label, colour, np.inf)
+                self._curve(run, path, label, colour, time_s, value, u)
 
     def clock(self, run: str, time_s: float, drift_ppm: float, u_drift_ppm: float) -> None:
         """Draw the rate of the camera's clock against the computer's, minus 1."""
-        pair, label = (drift_ppm, u_drift_ppm), "camera's clock / ppm"
-        self._one_uncertain(run, layout.CLOCK, time_s, pair, label, palette.SKY_BLUE, np.inf)
+        label = "camera's clock / ppm"
+        self._curve(run, layout.CLOCK, label, palette.SKY_BLUE, time_s, drift_ppm, u_drift_ppm)
 
     def picture(
         self, run: str, time_s: float, jpeg: bytes, shape: tuple[int, int], spot_px: tuple[float, float]
@@ -218,11 +226,10 @@ class Drawing:
 
     def losses(self, run: str, time_s: float, counts: Mapping[str, int]) -> None:
         """Draw counts since the start of the run, by name."""
-        at = np.array([time_s])
         for index, (name, count) in enumerate(sorted(counts.items())):
             colour = palette.LOSSES[index % len(palette.LOSSES)]
             path, label = f"{layout.LOSSES_ROOT}/{name}", name.replace("_", " ")
-            self._gather(run, path, at, np.array([float(count)]), label, colour, steps=True)
+            self._curve(run, path, label, colour, time_s, float(count), steps=True)
 
     def event(self, run: str, time_s: float, event: Event) -> None:
         """Draw an event: a line of the log, and its changes of the lanes."""
@@ -237,63 +244,35 @@ class Drawing:
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self.stream.log(layout.entity(run, path), document)
 
-    def _one_uncertain(
+    def _curve(
         self,
         run: str,
         path: str,
-        time_s: float,
-        pair: tuple[float, float],
         label: str,
         colour: str,
-        gap_periods: float,
-    ) -> None:
-        at, value, u = (np.array([one]) for one in (time_s, *pair))
-        self._gather_uncertain(run, path, at, value, u, label, colour, gap_periods)
-
-    def _gather_uncertain(
-        self,
-        run: str,
-        path: str,
-        time_s: Floats,
-        value: Floats,
-        u: Floats,
-        label: str,
-        colour: str,
-        gap_periods: float = POINTS_GAP_PERIODS,
-    ) -> None:
-        """Gather values with a band of one standard uncertainty on either side."""
-        full = layout.entity(run, path)
-        if full not in self._named:
-            self._named.add(full)
-            style = rr.Measurements.from_fields(
-                names=f"{run} {label}".strip(),
-                colors=[palette.rgba(self._run_colour(run, colour))],
-                widths=[1.5],
-            )
-            self.stream.log(full, style, static=True)
-        self._gathered.measurements(
-            full, *self._breaks.broken(full, gap_periods * self.setup.period_s, time_s, value, u)
-        )
-
-    def _gather(
-        self,
-        run: str,
-        path: str,
-        time_s: Floats,
-        values: Floats,
-        label: str,
-        colour: str,
+        time_s: Floats | float,
+        value: Floats | float,
+        u: Floats | float | None = None,
+        *,
+        gap_periods: float = np.inf,
         steps: bool = False,
     ) -> None:
+        """Gather values (n,) of a curve, with `u` in a band of one standard uncertainty on either side."""
         full = layout.entity(run, path)
         if full not in self._named:
             self._named.add(full)
-            name = f"{run} {label}".strip()
-            colours = [palette.rgba(self._run_colour(run, colour))]
-            mode = rr.components.InterpolationMode.StepAfter if steps else None
-            style = rr.SeriesLines(colors=colours, names=name, widths=1.5, interpolation_mode=mode)
+            name, colours = f"{run} {label}".strip(), [palette.rgba(self._run_colour(run, colour))]
+            style: rr.AsComponents = rr.Measurements.from_fields(names=name, colors=colours, widths=[1.5])
+            if u is None:
+                mode = rr.components.InterpolationMode.StepAfter if steps else None
+                style = rr.SeriesLines(colors=colours, names=name, widths=1.5, interpolation_mode=mode)
             self.stream.log(full, style, static=True)
-        self._gathered.scalars(full, time_s, values)
+        drawn = self._breaks.broken(
+            full,
+            gap_periods * self.setup.period_s,
+            *(np.atleast_1d(one) for one in (time_s, value, u) if one is not None),
+        )
+        self._gathered.add(full, _scalar_columns if u is None else _measurement_columns, *drawn)
 
     def _run_colour(self, run: str, colour: str) -> str:
         """The colour of the run if several are overlaid, otherwise the colour of the quantity."""

@@ -156,15 +156,13 @@ class RecordDrawer:
 
     def _draw_half_cycles(self, swings: Sequence[HalfCycle]) -> None:
         size = self._reader.deflection_unit.shown_size
-        columns = (
-            [swing.amplitude / size for swing in swings],
-            [swing.u_amplitude / size for swing in swings],
-            [2.0 * swing.half_period_s for swing in swings],
-            [2.0 * swing.u_half_period_s for swing in swings],
-        )
-        amplitude, u_amplitude, period_s, u_period_s = (np.array(column) for column in columns)
+        rows = [
+            (one.amplitude / size, one.u_amplitude / size, 2.0 * one.half_period_s, 2.0 * one.u_half_period_s)
+            for one in swings
+        ]
+        columns = np.array(rows).reshape(-1, 4).T
         time_s = self._times_s(np.array([swing.turn_time_ns for swing in swings], dtype=np.int64))
-        self._drawing.half_cycles(self._run, time_s, (amplitude, u_amplitude), (period_s, u_period_s))
+        self._drawing.half_cycles(self._run, time_s, (columns[0], columns[1]), (columns[2], columns[3]))
 
     def _draw_balances(self, balances: Sequence[Balance]) -> None:
         for balance in balances:

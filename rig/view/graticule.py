@@ -49,15 +49,6 @@ def tick_label(value: float, step: float) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Label:
-    """Text at a point of the plane."""
-
-    x: float
-    y: float
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
 class Graticule:
     """Axes over [x_low, x_high] x [y_low, y_high] with titles, and the mapping into the plane.
 
@@ -121,8 +112,8 @@ class Graticule:
             axes.append(self._up(0.0))
         return grid, axes
 
-    def labels(self) -> list[Label]:
-        """Tick labels below and to the left, and the titles at the ends of the axes."""
+    def labels(self) -> list[tuple[float, float, str]]:
+        """Points (x, y) of the plane with tick labels below and to the left, and titles at the axes' ends."""
         width, height = self.size
         x_ticks, y_ticks = ticks(self.x_low, self.x_high), ticks(self.y_low, self.y_high)
         labels = [
@@ -139,9 +130,9 @@ class Graticule:
         labels.append(self._label(self.x_low, self.y_high, self.y_title, 0.17 * width, y_down * height))
         return labels
 
-    def _label(self, x: float, y: float, text: str, right: float, down: float) -> Label:
-        (across, along) = self.place(np.array([x]), np.array([y]))[0]
-        return Label(across + right, along + down, text)
+    def _label(self, x: float, y: float, text: str, right: float, down: float) -> tuple[float, float, str]:
+        across, along = self.place(np.array([x]), np.array([y]))[0]
+        return across + right, along + down, text
 
     def _across(self, y: float) -> Floats:
         return self.place(np.array([self.x_low, self.x_high]), np.array([y, y]))
@@ -196,13 +187,13 @@ def _step(values: Floats) -> float:
 def graticule_marks(graticule: Graticule) -> dict[str, rr.AsComponents]:
     """Grid, axes and labels of a graticule, by entity name."""
     grid, axes = graticule.lines()
-    labels = graticule.labels()
+    *places, texts = zip(*graticule.labels(), strict=True)
     return {
         "grid": rr.LineStrips2D(grid, colors=GRID_COLOUR, radii=rr.Radius.ui_points(0.3), draw_order=-20.0),
         "axes": rr.LineStrips2D(axes, colors=AXIS_COLOUR, radii=rr.Radius.ui_points(0.5), draw_order=-10.0),
         "labels": rr.Points2D(
-            [(label.x, label.y) for label in labels],
-            labels=[label.text for label in labels],
+            np.column_stack(places),
+            labels=texts,
             show_labels=True,
             colors=LABEL_COLOUR,
             radii=rr.Radius.ui_points(0.0),

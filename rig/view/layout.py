@@ -89,11 +89,8 @@ def until_now(seconds: float) -> rrb.TimeAxis:
 def blueprint(setup: Setup) -> rrb.Blueprint:
     """Layout of the panels for one run or several overlaid ones."""
     views = _Views(setup)
-    root = {
-        "balancing": views.balancing,
-        "measuring": views.measuring,
-        "analysing": views.analysing,
-    }[setup.layout]()
+    layouts = {"balancing": views.balancing, "measuring": views.measuring, "analysing": views.analysing}
+    root = layouts[setup.layout]()
     return rrb.Blueprint(
         root,
         rrb.BlueprintPanel(state="collapsed"),

@@ -1,13 +1,10 @@
 """`rig replay`: replays a record, compares the results with the recorded ones, and fits them."""
 
 import math
-import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Self
 
 from acquisition.record.events import Event
 from acquisition.record.reader import RecordReader
@@ -22,7 +19,7 @@ from rig.analysis import (
     session_results,
     write_results,
 )
-from rig.instrument import RunNow, configuration_attachments, recorded_configuration
+from rig.instrument import configuration_attachments, recorded_configuration
 from rig.interruption import Terminated
 from rig.settings import Configuration, KeyUseMonitor
 from rig.terminal import (
@@ -36,121 +33,39 @@ from rig.terminal import (
     quantity,
     say,
     signed,
-    terminal_columns,
 )
 from rig.view.replay import Replay, ReplayResult
-from rig.view.replay_comparison import ParameterDifference, ReplayDifferences, parameter_changes
-from rig.view.replay_player import HELP, MAX_FRAMES, Player
+from rig.view.replay_comparison import Differences, ParameterDifference, ReplayDifferences, parameter_changes
+from rig.view.replay_player import HELP, MAX_FRAMES, Player, ReplayLine
 from rig.view.scratch import ScratchHead, ScratchView
 from rig.view.values import Mode
 
-_PLAIN_INTERVAL_S = 5.0
-_LINE_INTERVAL_S = 0.1
-_ERASE = "\r\x1b[K"
 _MAX_ROUNDING_U = 0.01
 """Largest change, in standard uncertainties, that is attributed to rounding."""
 _EXACT, _ASYMPTOTIC = "fits.exact.", "fits.asymptotic."
 
 
-class ReplayLine:
-    """The progress of a replay: one line updated on a terminal, elsewhere a new line every few seconds.
-
-    On a terminal `help_text` is printed first.
-    """
-
-    def __init__(
-        self,
-        unit: str,
-        help_text: str = "",
-        *,
-        stream: IO[str] | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._stream = sys.stderr if stream is None else stream
-        self._terminal = self._stream.isatty()
-        self._unit = unit
-        self._help = help_text
-        self._clock = clock
-        self._shown_s = clock() if not self._terminal else -math.inf
-        self._shown = ""
-
-    def __enter__(self) -> Self:
-        if self._terminal and self._help:
-            self._stream.write(f"keys: {self._help}\n")
-            self._stream.flush()
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        if self._terminal and self._shown:
-            self._stream.write("\n")
-            self._stream.flush()
-
-    def show(
-        self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
-    ) -> None:
-        """Update the line."""
-        now_s = self._clock()
-        interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
-        # while paused or typing nothing is delayed, so that the effect of a key is shown immediately
-        moving = not paused and prompt is None and now.elapsed_s < length_s
-        if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
-            return
-        doing = "paused" if paused else "replaying"
-        text = prompt if prompt is None else f"go to (seconds from the start, Enter): {prompt}"
-        text = text or self._text(now, doing, length_s, remaining_s)
-        if not self._terminal:
-            self._shown_s = now_s
-            self._stream.write(f"{text}\n")
-            self._stream.flush()
-        elif text != self._shown:
-            self._shown_s, self._shown = now_s, text
-            self._stream.write(_ERASE + text)
-            self._stream.flush()
-
-    def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
-        columns = terminal_columns(self._stream)
-        part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
-        amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
-        clock = f"  clock {state.clock.text}" if state.clock.text else ""
-        left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
-        begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
-        half_cycles = f"  {state.half_cycles} half-cycles"
-        texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
-        # a wrapped line could not be overwritten, so parts are left out, the least important first
-        for place, _ in enumerate(texts):
-            if columns and len(begin) + sum(map(len, texts)) >= columns:
-                texts[place] = ""
-        return begin + "".join((texts[0], *texts[2:4], texts[1], texts[4]))
-
-
 def print_comparison(comparison: ReplayDifferences, *, partial: bool, retracked: bool = False) -> None:
     """Print one line if nothing differs, else a short table of spots and half-cycles."""
+    spots, half_cycles = comparison.spots, comparison.half_cycles
     if comparison.identical:
-        flagged = comparison.swings_flagged
+        flagged = comparison.flagged
         apart = f" ({flagged} flagged and not fitted)" if flagged else ""
         print_line(
-            f"{comparison.spots} spots and {comparison.swings_replayed} half-cycles{apart}, "
+            f"{comparison.frames} spots and {half_cycles.replayed} half-cycles{apart}, "
             "equal bit for bit to the recorded ones"
         )
         return
-    found = comparison
-    spots = (found.spots_found_recorded, found.spots_found_replayed, found.spots_changed)
-    swings = (found.swings_recorded, found.swings_replayed, found.swings_changed)
-    rows: list[list[str]] = []
-    for name, counts, once, change_u, where in (
-        ("spots", spots, found.spots_once, found.largest_spot_change_u, f"frame {found.largest_spot_frame}"),
-        (
-            "half-cycles",
-            swings,
-            found.swings_once,
-            found.largest_swing_change_u,
-            f"{found.largest_swing_s:.1f} s",
-        ),
-    ):
-        rows.append([name, *map(str, counts), _largest(change_u, where, once, counts[-1])])
+    rows = [
+        [name, *map(str, found[:3]), _largest(found, where)]
+        for name, found, where in (
+            ("spots", spots, f"frame {spots.largest_at:.0f}"),
+            ("half-cycles", half_cycles, f"{half_cycles.largest_at:.1f} s"),
+        )
+    ]
     head = ("", "recorded", "replayed", "changed", "largest change")
     print_tables([Table("comparison", "", head, rows, head, rows)])
-    if retracked and not found.spots_once and 0 < found.largest_spot_change_u < _MAX_ROUNDING_U:
+    if retracked and not spots.once and 0 < spots.largest_u < _MAX_ROUNDING_U:
         # each fit starts at the spot of the previous frame, which passes rounding errors on
         print_line(
             "the spots agree: pixels of a window are counted from another corner than those of the whole "
@@ -193,17 +108,11 @@ def _in_u(change: ParameterDifference) -> str:
     return "?" if math.isnan(change.change_u) else signed(change.change_u)
 
 
-def _largest(change_u: float, where: str, once: int, changed: int) -> str:
+def _largest(found: Differences, where: str) -> str:
     """The largest change of those present in both, and the number of those present in only one, in words."""
-    said = [f"{plain(change_u, 2)} u, {where}"] if change_u > 0 else []
-    said += [f"{once} in one of the two only"] if once else []
-    return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(max(seconds, 0.0)), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+    said = [f"{plain(found.largest_u, 2)} u, {where}"] if found.largest_u > 0 else []
+    said += [f"{found.once} in one of the two only"] if found.once else []
+    return "; ".join(said or ["only in uncertainties or flags"]) if found.changed else ""
 
 
 _KEY_INTERVAL_S = 0.2

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,35 +20,34 @@ _MAX_TIME_DIFFERENCE = 0.25
 """Largest time difference of two turning points that count as the same, as a fraction of a half-period."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReplayDifferences:
-    """Differences between replay and record, in units of the recorded standard uncertainties.
+class Differences(NamedTuple):
+    """Differences of spots, or of half-cycles, between replay and record.
 
-    A spot or half-cycle counts as changed if any bit differs, or if it exists in only one of the two.
-    `spots_once` and `swings_once` count those that exist in only one. `swings_flagged` counts the replayed
-    half-cycles that fits leave out. `largest_spot_frame` (a frame number) and `largest_swing_s` (time from
-    the record's first frame) locate the largest changes.
+    One counts as changed if any bit differs, or if it exists in only one of the two (`once`).
     """
 
-    spots: int
-    spots_found_recorded: int
-    spots_found_replayed: int
-    spots_changed: int
-    largest_spot_change_u: float
-    largest_spot_frame: int
-    swings_recorded: int
-    swings_replayed: int
-    swings_changed: int
-    largest_swing_change_u: float
-    largest_swing_s: float
-    swings_flagged: int = 0
-    spots_once: int = 0
-    swings_once: int = 0
+    recorded: int = 0
+    replayed: int = 0
+    changed: int = 0
+    once: int = 0
+    largest_u: float = 0.0
+    """Largest change in recorded standard uncertainties."""
+    largest_at: float = math.nan
+    """Where it is: the number of a spot's frame, or the time of a half-cycle in s from the first frame."""
+
+
+class ReplayDifferences(NamedTuple):
+    """Differences between replay and record of so many `frames`; fits leave out `flagged` half-cycles."""
+
+    frames: int
+    spots: Differences
+    half_cycles: Differences
+    flagged: int
 
     @property
     def identical(self) -> bool:
         """Whether everything is equal bit for bit."""
-        return self.spots_changed == 0 and self.swings_changed == 0
+        return self.spots.changed == 0 and self.half_cycles.changed == 0
 
 
 class ParameterDifference(NamedTuple):
@@ -71,21 +70,16 @@ class ReplayComparison:
 
     def __init__(self, start_ns: int) -> None:
         self._start_ns = start_ns
-        self._spots = 0
-        self._found = [0, 0]
-        self._changed = self._unpaired_spots = 0
-        self._largest: tuple[float, int] = (0.0, -1)
+        self._frames = 0
+        self._spots = Differences()
 
     def spots(self, rows: NDArray[Any], spots: Sequence[Spot]) -> None:
         """Add recorded spots (rows of the record's table) and the replayed spots of the same frames."""
         x_px = np.array([spot.x_px for spot in spots])
         y_px = np.array([spot.y_px for spot in spots])
         changed = ~(_same(rows["x_px"], x_px) & _same(rows["y_px"], y_px))
-        self._spots += len(spots)
-        self._found[0] += int(np.isfinite(rows["x_px"]).sum())
-        self._found[1] += int(np.isfinite(x_px).sum())
-        self._changed += int(changed.sum())
-        self._unpaired_spots += int((np.isfinite(rows["x_px"]) != np.isfinite(x_px)).sum())
+        recorded, replayed, before = np.isfinite(rows["x_px"]), np.isfinite(x_px), self._spots
+        largest_u, largest_at = before.largest_u, before.largest_at
         if changed.any():
             with np.errstate(invalid="ignore", divide="ignore"):
                 change_u = np.maximum(
@@ -94,8 +88,17 @@ class ReplayComparison:
                 )
             change_u = np.where(np.isfinite(change_u), change_u, 0.0)
             row = int(np.argmax(change_u))
-            if change_u[row] > self._largest[0]:
-                self._largest = (float(change_u[row]), int(rows["sequence"][row]))
+            if change_u[row] > largest_u:
+                largest_u, largest_at = float(change_u[row]), float(rows["sequence"][row])
+        self._frames += len(spots)
+        self._spots = Differences(
+            before.recorded + int(recorded.sum()),
+            before.replayed + int(replayed.sum()),
+            before.changed + int(changed.sum()),
+            before.once + int((recorded != replayed).sum()),
+            largest_u,
+            largest_at,
+        )
 
     def finish(
         self, recorded: Sequence[HalfCycle], replayed: Sequence[HalfCycle], *, from_start: bool, to_end: bool
@@ -114,28 +117,21 @@ class ReplayComparison:
             if (from_start or swing.turn_time_ns >= first_ns) and (to_end or swing.turn_time_ns <= last_ns)
         ]
         pairs = _pairs(wanted, replayed, max_difference_ns)
-        largest, largest_s = 0.0, math.nan
-        for old, new in pairs:
-            change = _swing_change_u(old, new)
-            if change > largest:
-                largest, largest_s = change, seconds(old.turn_time_ns - self._start_ns)
-        unpaired = len(wanted) + len(replayed) - 2 * len(pairs)
-        return ReplayDifferences(
-            spots=self._spots,
-            spots_found_recorded=self._found[0],
-            spots_found_replayed=self._found[1],
-            spots_changed=self._changed,
-            largest_spot_change_u=self._largest[0],
-            largest_spot_frame=self._largest[1],
-            swings_recorded=len(wanted),
-            swings_replayed=len(replayed),
-            swings_changed=sum(not _equal(old, new) for old, new in pairs) + unpaired,
-            largest_swing_change_u=largest,
-            largest_swing_s=largest_s,
-            swings_flagged=sum(swing.flags != 0 for swing in replayed),
-            spots_once=self._unpaired_spots,
-            swings_once=unpaired,
+        changes = [(_swing_change_u(old, new), old.turn_time_ns) for old, new in pairs]
+        # NaN is no change
+        large = (change for change in changes if change[0] > 0)
+        largest_u, at_ns = max(large, key=lambda change: change[0], default=(0.0, 0))
+        once = len(wanted) + len(replayed) - 2 * len(pairs)
+        half_cycles = Differences(
+            len(wanted),
+            len(replayed),
+            sum(not _equal(old, new) for old, new in pairs) + once,
+            once,
+            largest_u,
+            seconds(at_ns - self._start_ns) if largest_u > 0 else math.nan,
         )
+        flagged = sum(swing.flags != 0 for swing in replayed)
+        return ReplayDifferences(self._frames, self._spots, half_cycles, flagged)
 
 
 def parameter_changes(recorded: RunResults, replayed: RunResults) -> list[ParameterDifference]:

@@ -1,16 +1,17 @@
-"""Replays a record at a given speed, with pause, step and seek by keys of the terminal."""
+"""Replays a record at a given speed, with pause, step and seek by keys, and a line of its progress."""
 
 import math
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Final, Protocol
+from typing import IO, Final, Self
 
 from acquisition.record.events import Event
 from processing.spot import SpotFlag
 from processing.units import nanoseconds
 from rig.instrument import RecordContents, RunNow
-from rig.terminal import Keys
+from rig.terminal import Keys, terminal_columns
 from rig.view.replay import Replay, ReplayResult, ReplayStep
 from rig.view.scratch import ScratchView
 
@@ -24,13 +25,86 @@ MAX_FRAMES = {False: 10_000, True: 64}
 """Most frames between two checks of the keys: with recorded spots; with spots tracked again or shown."""
 
 
-class Display(Protocol):
-    """Shows the progress of a replay."""
+_PLAIN_INTERVAL_S = 5.0
+_LINE_INTERVAL_S = 0.1
+_ERASE = "\r\x1b[K"
+
+
+class ReplayLine:
+    """The progress of a replay: one line updated on a terminal, elsewhere a new line every few seconds.
+
+    On a terminal `help_text` is printed first.
+    """
+
+    def __init__(
+        self,
+        unit: str,
+        help_text: str = "",
+        *,
+        stream: IO[str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._stream = sys.stderr if stream is None else stream
+        self._terminal = self._stream.isatty()
+        self._unit = unit
+        self._help = help_text
+        self._clock = clock
+        self._shown_s = clock() if not self._terminal else -math.inf
+        self._shown = ""
+
+    def __enter__(self) -> Self:
+        if self._terminal and self._help:
+            self._stream.write(f"keys: {self._help}\n")
+            self._stream.flush()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self._terminal and self._shown:
+            self._stream.write("\n")
+            self._stream.flush()
 
     def show(
         self, now: RunNow, length_s: float, remaining_s: float, prompt: str | None, *, paused: bool
     ) -> None:
-        """Show state, length of the record, remaining time (NaN: unknown) and the typed text."""
+        """Update the line."""
+        now_s = self._clock()
+        interval_s = _LINE_INTERVAL_S if self._terminal else _PLAIN_INTERVAL_S
+        # while paused or typing nothing is delayed, so that the effect of a key is shown immediately
+        moving = not paused and prompt is None and now.elapsed_s < length_s
+        if (moving or not self._terminal) and now_s - self._shown_s < interval_s:
+            return
+        doing = "paused" if paused else "replaying"
+        text = prompt if prompt is None else f"go to (seconds from the start, Enter): {prompt}"
+        text = text or self._text(now, doing, length_s, remaining_s)
+        if not self._terminal:
+            self._shown_s = now_s
+            self._stream.write(f"{text}\n")
+            self._stream.flush()
+        elif text != self._shown:
+            self._shown_s, self._shown = now_s, text
+            self._stream.write(_ERASE + text)
+            self._stream.flush()
+
+    def _text(self, state: RunNow, doing: str, length_s: float, remaining_s: float) -> str:
+        columns = terminal_columns(self._stream)
+        part = 100 * state.elapsed_s / length_s if length_s > 0 else 100.0
+        amplitude = "" if math.isnan(state.amplitude) else f"  {state.amplitude:.2f} {self._unit}"
+        clock = f"  clock {state.clock.text}" if state.clock.text else ""
+        left = "" if math.isnan(remaining_s) else f"  about {_clock(remaining_s)} left"
+        begin = f"{doing}  {state.elapsed_s:.2f} of {length_s:.1f} s  {part:.0f} %"
+        half_cycles = f"  {state.half_cycles} half-cycles"
+        texts = [f"  {state.frames} frames", clock, half_cycles, amplitude, left]
+        # a wrapped line could not be overwritten, so parts are left out, the least important first
+        for place, _ in enumerate(texts):
+            if columns and len(begin) + sum(map(len, texts)) >= columns:
+                texts[place] = ""
+        return begin + "".join((texts[0], *texts[2:4], texts[1], texts[4]))
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(max(seconds, 0.0)), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
 class Player:
@@ -52,21 +126,21 @@ class Player:
         replay: Replay,
         speed: float,
         keys: Keys,
-        display: Display,
+        line: ReplayLine,
         *,
         retrack: bool = False,
         view: ScratchView | None = None,
-        events: list[Event] | None = None,
+        events: Sequence[Event] = (),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._replay = replay
         self._speed = speed
         self._keys = keys
-        self._display = display
+        self._line = line
         # a view is drawn in small pieces, as during the run
         self._max_frames = MAX_FRAMES[retrack or view is not None]
         self._view = view
-        self._events = sorted(events or [], key=lambda event: event.time_ns)
+        self._events = sorted(events, key=lambda event: event.time_ns)
         self._clock = clock
         self._typed: str | None = None
         self._target_s = -math.inf
@@ -227,4 +301,4 @@ class Player:
         known = gone_s > 0 and host_s > _MIN_TIMED_S and not self.paused
         remaining_s = (replay.length_s - position_s) * host_s / gone_s if known else math.nan
         now = replace(self._now, elapsed_s=position_s, clock=replay.clock)
-        self._display.show(now, replay.length_s, remaining_s, self._typed, paused=self.paused)
+        self._line.show(now, replay.length_s, remaining_s, self._typed, paused=self.paused)

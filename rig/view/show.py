@@ -3,10 +3,10 @@
 import os
 import time
 import uuid
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, nullcontext, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,6 +33,7 @@ _MAX_FLUSH_S = 5.0
 _LIVE_GATHER_S, _LIVE_GATHER_ROWS = 0.2, 2000
 _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S = 10.0, 8000, 10.0
 _NICE = 5
+_Identity = tuple[int, int]
 
 
 def show_records(
@@ -72,13 +73,11 @@ def show_records(
     processing.errors.ConfigurationError
         No screen for a window, or `rrd` exists already.
     """
-    from rig.view.rerun_program import ViewerProgram
-
     if paths and all(path.suffix == ".rrd" for path in paths):
         for path in paths:
             if not path.is_file():
                 raise RecordError(f"{path}: no such Rerun file")
-        with ViewerProgram(mode, ports, [str(path) for path in paths]) as program:
+        with _viewer(mode, ports, [str(path) for path in paths]) as program:
             program.wait()
         return
     if follow:
@@ -86,132 +85,111 @@ def show_records(
         with suppress(AttributeError, OSError):
             os.nice(_NICE)
     if rrd is not None:
-        if not follow or _await_record(paths[0], None):
-            write_rrd(paths, rrd, layout=layout, follow=follow)
-        return
-    import rerun as rr
-
+        _check_new(rrd)
     if not follow:
         _check(paths)
-    with ViewerProgram(mode, ports) as program:
-        is_watched = not follow or _await_record(paths[0], None, program)
-        while is_watched:
-            records = _Records(paths, layout, live=True, is_watched=lambda: program.is_open)
-            rejected = records.draw(rr.GrpcSink(program.url))
-            is_watched = follow and rejected and _await_record(paths[0], records.shown, program)
-        if not follow:
-            program.wait()
+    shown, attempt = None, 0
+    with _viewer(mode, ports) if rrd is None else nullcontext() as viewer:
+        while not follow or _await_record(paths[0], shown, viewer):
+            with _whole(rrd):
+                shown, rejected = _draw(paths, layout, rrd, viewer)
+            if not (follow and rejected):
+                break
+            attempt += 1
+            if rrd is not None:
+                rrd.rename(rrd.with_stem(f"{rrd.stem}-start-{attempt}"))
+        if viewer is not None and not follow:
+            viewer.wait()
 
 
-def write_rrd(
-    paths: Sequence[Path], rrd: Path, *, layout: LayoutName = "measuring", follow: bool = False
-) -> None:
-    """Draw records into one Rerun file, with constant memory. See `show_records`."""
-    _check_new(rrd)
-    if not follow:
-        _check(paths)
-    attempt = 0
-    while True:
-        records = _Records(paths, layout, live=False)
-        if not _draw_into(records, rrd) or not follow:
-            return
-        attempt += 1
-        rrd.rename(rrd.with_stem(f"{rrd.stem}-start-{attempt}"))
-        if not _await_record(paths[0], records.shown):
-            return
+def _viewer(mode: ShowMode, ports: tuple[int, int] | None, files: Sequence[str] = ()) -> "ViewerProgram":
+    # it imports what a Rerun file does not need
+    from rig.view.rerun_program import ViewerProgram
+
+    return ViewerProgram(mode, ports, files)
 
 
-def _draw_into(records: "_Records", rrd: Path) -> bool:
-    """Draw records into a file; returns whether the start of the last was rejected. Raises RecordError."""
-    import rerun as rr
-
+@contextmanager
+def _whole(rrd: Path | None) -> Iterator[None]:
+    """Raises RecordError if a Rerun file could not be written whole."""
     try:
-        rejected = records.draw(rr.FileSink(rrd))
+        yield
     except (RuntimeError, TimeoutError) as error:
+        if rrd is None:
+            raise
         why = str(error)
     else:
-        if rrd.exists():
-            return rejected
+        if rrd is None or rrd.exists():
+            return
         why = "it was removed while it was written"
     raise RecordError(f"the Rerun file {rrd} is not whole: {why}; make it again elsewhere")
 
 
-class _Records:
-    """Records to be drawn into one recording of Rerun; `shown` identifies the file of the first."""
+def _draw(
+    paths: Sequence[Path], name: LayoutName, rrd: Path | None, viewer: "ViewerProgram | None"
+) -> tuple[_Identity | None, bool]:
+    """Draw records into one recording of Rerun, in a viewer or else a file, with constant memory.
 
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        layout: LayoutName,
-        *,
-        live: bool,
-        is_watched: Callable[[], bool] = lambda: True,
-    ) -> None:
-        self._paths, self._layout, self._live, self._is_watched = paths, layout, live, is_watched
-        self._names = run_names(paths)
-        self.shown: tuple[int, int] | None = None
+    Returns the identity of the first record's file, and whether the start of the last was rejected.
+    """
+    import rerun as rr
 
-    def draw(self, sink: Any) -> bool:
-        """Draw all records into a sink of Rerun; returns whether the start of the last was rejected."""
-        import rerun as rr
+    from rig.view import layout
+    from rig.view.drawing import Drawing
+    from rig.view.follower import RecordDrawer, configuration_of
 
-        from rig.view import layout
-        from rig.view.drawing import Drawing
-        from rig.view.follower import RecordDrawer
-
-        with ExitStack() as stack:
-            readers = [stack.enter_context(_open_reader(path)) for path in self._paths]
-            self.shown = _identity(readers[0].files[0].file.fileno())
-            setup = setup_of(readers, self._names, self._layout)
-            stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=str(uuid.uuid4()))
-            stream.set_sinks(sink, default_blueprint=layout.blueprint(setup))
-            stream.send_recording_name(setup.title)
+    names = run_names(paths)
+    with ExitStack() as stack:
+        readers = [stack.enter_context(_open_reader(path)) for path in paths]
+        shown = _identity(readers[0].files[0].file.fileno())
+        setup = setup_of(readers, names, name)
+        stream = rr.RecordingStream(layout.APPLICATION_ID, recording_id=str(uuid.uuid4()))
+        sink = rr.FileSink(str(rrd)) if viewer is None else rr.GrpcSink(viewer.url)
+        stream.set_sinks(sink, default_blueprint=layout.blueprint(setup))
+        stream.send_recording_name(setup.title)
+        gather_s, rows, interval_s = _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S
+        if viewer is not None:
+            config = configuration_of(readers[0])
+            interval_s = 0.0 if config is None else config.view.image_interval_s
             gather_s, rows = _LIVE_GATHER_S, _LIVE_GATHER_ROWS
-            interval_s = _picture_interval_s(readers[0])
-            if not self._live:
-                gather_s, rows, interval_s = _FILE_GATHER_S, _FILE_GATHER_ROWS, _FILE_PICTURE_S
-            drawing = Drawing(stream, setup, gather_s=gather_s, gather_rows=rows)
-            followers = []
-            for reader, name in zip(readers, self._names, strict=True):
-                follower = RecordDrawer(reader, drawing, name, picture_interval_s=interval_s)
-                followers.append(follower)
-                if not self._draw_to_end(reader, follower, drawing):
-                    return False
-                if reader.truncated:
-                    say(reader.cut_notice)
-            self._draw_ends(followers, drawing)
-            with suppress(RuntimeError, TimeoutError) if self._live else nullcontext():
-                stream.flush(timeout_sec=_MAX_FLUSH_S)
-            end = end_of(readers[-1].events())
-            stream.disconnect()
-            return end is not None and end.kind == EventKind.REJECTED
+        drawing = Drawing(stream, setup, gather_s=gather_s, gather_rows=rows)
+        drawers = []
+        for reader, run in zip(readers, names, strict=True):
+            drawer = RecordDrawer(reader, drawing, run, picture_interval_s=interval_s)
+            drawers.append(drawer)
+            for _ in reader.follow(_LOOK_INTERVAL_S):
+                drawer.take()
+                if viewer is not None:
+                    drawing.send(now=True)
+                    # a stalled viewer is not waited for
+                    with suppress(RuntimeError, TimeoutError):
+                        stream.flush(timeout_sec=_MAX_FLUSH_S)
+                    if not viewer.is_open:
+                        return shown, False
+            drawer.finish()
+            if reader.truncated:
+                say(reader.cut_notice)
+        _draw_ends(paths, names, drawers, drawing)
+        with suppress(RuntimeError, TimeoutError) if viewer is not None else nullcontext():
+            stream.flush(timeout_sec=_MAX_FLUSH_S)
+        end = end_of(readers[-1].events())
+        stream.disconnect()
+        return shown, end is not None and end.kind == EventKind.REJECTED
 
-    def _draw_to_end(self, reader: RecordReader, follower: "RecordDrawer", drawing: "Drawing") -> bool:
-        """Draw a record to its end; returns False if the viewer was closed before."""
-        for _ in reader.follow(_LOOK_INTERVAL_S):
-            follower.take()
-            if self._live:
-                drawing.send(now=True)
-                # a stalled viewer is not waited for
-                with suppress(RuntimeError, TimeoutError):
-                    drawing.stream.flush(timeout_sec=_MAX_FLUSH_S)
-                if not self._is_watched():
-                    return False
-        follower.finish()
-        return True
 
-    def _draw_ends(self, followers: Sequence["RecordDrawer"], drawing: "Drawing") -> None:
-        """Draw what only complete records have: summaries, and their fits."""
-        from rig.view import layout
-        from rig.view.analysis import analysis_curves, draw_fits, report_text, run_analysis
+def _draw_ends(
+    paths: Sequence[Path], names: Sequence[str], drawers: Sequence["RecordDrawer"], drawing: "Drawing"
+) -> None:
+    """Draw what only complete records have: summaries, and their fits."""
+    from rig.view import layout
+    from rig.view.analysis import analysis_curves, draw_fits, report_text, run_analysis
 
-        if len(followers) > 1:
-            text = "\n".join(follower.summary for follower in followers)
-            drawing.text(self._names[0], layout.STATE, 0.0, text)
-        if self._layout == "analysing":
-            runs = {name: run_analysis(path) for path, name in zip(self._paths, self._names, strict=True)}
-            unit = drawing.setup.unit
-            draw_fits(drawing.stream, analysis_curves(runs), report_text(runs), self._names[0], unit)
+    if len(drawers) > 1:
+        text = "\n".join(drawer.summary for drawer in drawers)
+        drawing.text(names[0], layout.STATE, 0.0, text)
+    if drawing.setup.layout == "analysing":
+        runs = {name: run_analysis(path) for path, name in zip(paths, names, strict=True)}
+        draw_fits(drawing.stream, analysis_curves(runs), report_text(runs), names[0], drawing.setup.unit)
 
 
 def setup_of(readers: Sequence[RecordReader], names: Sequence[str], layout: LayoutName) -> Setup:
@@ -277,13 +255,6 @@ def _parameters(readers: Sequence[RecordReader], config: Configuration | None) -
     return DEFAULT_LAW.fit_names(calibrated=True, drag=config.fit.fits_drag)[:-2]
 
 
-def _picture_interval_s(reader: RecordReader) -> float:
-    from rig.view.follower import configuration_of
-
-    config = configuration_of(reader)
-    return 0.0 if config is None else config.view.image_interval_s
-
-
 def _check(paths: Sequence[Path]) -> None:
     """Raise RecordError for a record without spots, before anything is opened."""
     for path in paths:
@@ -302,7 +273,7 @@ def _check_new(rrd: Path) -> None:
         raise ConfigurationError(f"the Rerun file {rrd}: the folder {rrd.parent} {what}")
 
 
-def _identity(file: Path | int) -> tuple[int, int] | None:
+def _identity(file: Path | int) -> _Identity | None:
     """Device and inode of a file, which distinguish it from a later one at its path; None without a file."""
     try:
         state = os.stat(file)
@@ -311,14 +282,14 @@ def _identity(file: Path | int) -> tuple[int, int] | None:
     return state.st_dev, state.st_ino
 
 
-def _await_record(path: Path, shown: tuple[int, int] | None, program: "ViewerProgram | None" = None) -> bool:
+def _await_record(path: Path, shown: _Identity | None, viewer: "ViewerProgram | None") -> bool:
     """Wait for a record at this path other than the one that was shown.
 
     Returns False if the measuring program or the viewer has ended.
     """
     parent = os.getppid()
     while (found := _identity(path)) is None or found == shown:
-        if os.getppid() != parent or (program is not None and not program.is_open):
+        if os.getppid() != parent or (viewer is not None and not viewer.is_open):
             return False
         time.sleep(_LOOK_INTERVAL_S)
     return True

@@ -3,8 +3,9 @@
 import time
 from bisect import bisect_right, insort
 from collections import deque
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -19,14 +20,6 @@ _MAX_WAIT_S = 20.0
 """Time for which samples wait for the first balance of a run."""
 _MAX_BALANCE_AGE_S = 60.0
 """Largest time between a sample and the balance that separates it."""
-
-
-class TransverseMotion(NamedTuple):
-    """The two parts of X, the fast mode and the leakage of the slow mode, (n,) in the unit of the samples."""
-
-    time_s: Floats
-    fast: Floats
-    leakage: Floats
 
 
 class _Line(NamedTuple):
@@ -65,8 +58,11 @@ class TransverseCurves:
         if np.isfinite([line.angle_rad, line.rest_x, line.rest_y]).all():
             insort(self._lines, line)
 
-    def samples(self, time_s: Floats, x: Floats, y: Floats) -> TransverseMotion | None:
-        """Separate samples, and the waiting ones; None while no balance is known."""
+    def samples(self, time_s: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats] | None:
+        """Separate samples, and the waiting ones; None while no balance is known.
+
+        Returns times, the fast mode and the leakage of the slow mode, (n,) in the unit of the samples.
+        """
         if len(time_s):
             self._waiting.append((time_s, x, y))
         if not self._lines or not self._waiting:
@@ -81,7 +77,7 @@ class TransverseCurves:
         along = (x - line.rest_x) * sine + (y - line.rest_y) * cosine
         fast = (x - line.rest_x) * cosine - (y - line.rest_y) * sine
         known = np.abs(time_s - line.time_s) < _MAX_BALANCE_AGE_S
-        return TransverseMotion(time_s, np.where(known, fast, np.nan), np.where(known, along * sine, np.nan))
+        return time_s, np.where(known, fast, np.nan), np.where(known, along * sine, np.nan)
 
     def _line_at(self, time_s: float) -> _Line:
         """The line nearest to a time."""
@@ -129,71 +125,45 @@ class GapBreaker:
 
 
 class SendBuffer:
-    """Scalars, line strips and points that wait to be sent to one stream.
+    """Columns of values that wait to be sent to one stream, by the path of their entity.
 
-    They are sent after `limit_s` seconds of real time, or when there are `limit_rows` scalars.
+    They are sent after `limit_s` seconds of real time, or when there are `limit_rows` of them.
     """
 
     def __init__(self, stream: rr.RecordingStream, limit_s: float, limit_rows: int) -> None:
         self._stream = stream
-        self._limit_s = limit_s
-        self._limit_rows = limit_rows
-        self._scalars: dict[str, list[tuple[Floats, Floats]]] = {}
-        self._measurements: dict[str, list[tuple[Floats, Floats, Floats]]] = {}
-        self._strips: dict[str, tuple[list[float], list[Floats]]] = {}
-        self._points: dict[str, tuple[list[float], list[Floats]]] = {}
+        self._limit_s, self._limit_rows = limit_s, limit_rows
+        self._waiting: dict[str, tuple[Callable[..., Any], list[tuple[Any, ...]]]] = {}
         self._rows = 0
         self._sent_at = time.monotonic()
 
-    def scalars(self, path: str, times_s: Floats, values: Floats) -> None:
-        """Add values (n,) of the curve at the entity `path`."""
-        self._scalars.setdefault(path, []).append((times_s, values))
+    def add(self, path: str, columns: Callable[..., Any], times_s: Floats, *values: Any) -> None:
+        """Add values, one per time, which `columns` converts to Rerun's columns: arrays (n, ...) or lists."""
+        self._waiting.setdefault(path, (columns, []))[1].append((times_s, *values))
         self._rows += len(times_s)
-
-    def measurements(self, path: str, times_s: Floats, values: Floats, u: Floats) -> None:
-        """Add values (n,) with their standard uncertainties of the curve at the entity `path`."""
-        self._measurements.setdefault(path, []).append((times_s, values, u))
-        self._rows += len(times_s)
-
-    def strips(self, path: str, times_s: Floats, pieces: list[Floats]) -> None:
-        """Add line strips (n, 2), one per time."""
-        times, known = self._strips.setdefault(path, ([], []))
-        times.extend(times_s)
-        known.extend(pieces)
-
-    def points(self, path: str, times_s: Floats, points: list[Floats]) -> None:
-        """Add single points (2,), one per time."""
-        times, known = self._points.setdefault(path, ([], []))
-        times.extend(times_s)
-        known.extend(points)
 
     def send(self, *, now: bool = False) -> None:
         """Send everything if a limit is reached, or in any case if `now`."""
         waited_s = time.monotonic() - self._sent_at
         if not now and self._rows < self._limit_rows and waited_s < self._limit_s:
             return
-        self._sent_at = time.monotonic()
-        self._rows = 0
-        scalars, self._scalars = self._scalars, {}
-        measurements, self._measurements = self._measurements, {}
-        strips, self._strips = self._strips, {}
-        points, self._points = self._points, {}
-        for path, parts in scalars.items():
-            times_s, values = (np.concatenate(column) for column in zip(*parts, strict=True))
-            self._stream.send_columns(path, [_column(times_s)], rr.Scalars.columns(scalars=values))
-        for path, blocks in measurements.items():
-            times_s, values, u = (np.concatenate(column) for column in zip(*blocks, strict=True))
-            columns = rr.Measurements.columns(values=values, variances=u**2)
-            self._stream.send_columns(path, [_column(times_s)], columns)
-        for path, (times, pieces) in strips.items():
-            self._stream.send_columns(path, [_column(times)], rr.LineStrips2D.columns(strips=pieces))
-        for path, (times, known) in points.items():
-            self._stream.send_columns(path, [_column(times)], rr.Points2D.columns(positions=np.array(known)))
+        self._sent_at, self._rows = time.monotonic(), 0
+        waiting, self._waiting = self._waiting, {}
+        for path, (columns, blocks) in waiting.items():
+            times_s, *values = map(_joined, zip(*blocks, strict=True))
+            self._stream.send_columns(path, [rr.TimeColumn(TIMELINE, duration=times_s)], columns(*values))
 
 
-def _column(times_s: Floats | list[float]) -> rr.TimeColumn:
-    # Rerun converts a list of Python floats one by one, which takes ten times as long as an array.
-    return rr.TimeColumn(TIMELINE, duration=np.asarray(times_s, dtype=np.float64))
+def _joined(parts: Sequence[Any]) -> Any:
+    return list(chain(*parts)) if isinstance(parts[0], list) else np.concatenate(parts)
+
+
+def _strip_columns(strips: list[Floats]) -> Any:
+    return rr.LineStrips2D.columns(strips=strips)
+
+
+def _point_columns(points: Floats) -> Any:
+    return rr.Points2D.columns(positions=points)
 
 
 MAX_PIECE_POINTS = 25
@@ -280,8 +250,9 @@ class Lissajous:
         if not pieces:
             return
         for part in layout.TRAIL:
-            self._buffer.strips(layout.trail_entity(run, part), ends, pieces)
-        self._buffer.points(layout.trail_entity(run, layout.POSITION), ends, [piece[-1] for piece in pieces])
+            self._buffer.add(layout.trail_entity(run, part), _strip_columns, ends, pieces)
+        newest = np.array([piece[-1] for piece in pieces])
+        self._buffer.add(layout.trail_entity(run, layout.POSITION), _point_columns, ends, newest)
 
     def follow(self, time_s: Floats, x: Floats, y: Floats) -> None:
         """Adapt the range of the axes to the largest recent deflection."""

@@ -11,7 +11,7 @@ from processing.contact.laws import PAPER
 from processing.fit import FitResult, fit_exact
 from processing.swing import TurningPoints
 from rig.measure import FIRST_HALF_CYCLES
-from rig.measure.end_of_run import EndLimits, EndOfRun
+from rig.measure.end_of_run import EndOfRun
 from rig.measure.posterior_worker import next_fit_half_cycles
 from rig.settings.number_input import stop_conditions
 from tests.benchmarks.cases import each_seed
@@ -42,7 +42,7 @@ NOISE_ARCSEC = 0.005
 
 def stopped(points: TurningPoints, case: Stopping) -> FitResult | None:
     """The fit at which a run ends by its conditions, looked at as often as a session does."""
-    end = EndOfRun(EndLimits(0.0, 1e9, stop_conditions(case.when, drag=False)))
+    end = EndOfRun(0.0, 1e9, stop_conditions(case.when, drag=False))
     pendulum = paper_pair(case.flat)[1]
     count, near = FIRST_HALF_CYCLES, None
     while count <= len(points):

@@ -24,7 +24,7 @@ from acquisition.camera import CameraSettings
 from calibration.axes_fit import Axes
 from calibration.light_lever import Lever
 from processing.spot import SensorModel
-from rig.devices import OrderSocket, SessionNews
+from rig.devices import Devices, OrderSocket, SessionNews
 from rig.devices.frame_stream import FrameStream
 from rig.devices.session_devices import OpenCamera
 from rig.instrument.pipeline import Optics
@@ -140,10 +140,17 @@ def real_time(case: Case, duration_s: float, company: Company, *, viewed: bool) 
         config = config.model_copy(update={"lever": lever})
         run = MeasurementRun(
             RunParts(
-                plan=RunPlan(config, Path(), Path(folder) / "run.mcap", "run 1", session_news=company.news),
+                plan=RunPlan(
+                    config,
+                    Path(),
+                    Path(folder) / "run.mcap",
+                    "run 1",
+                    session_news=company.news or SessionNews(),
+                ),
                 camera=opened,
                 optics=optics,
                 stream=FrameStream(camera, CameraSettings()),
+                devices=Devices(config),
                 watchers=company.watchers,
             )
         )

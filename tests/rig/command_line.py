@@ -18,6 +18,7 @@ from rig.analysis import contact_verdicts
 from rig.cli import main
 from rig.report import html, session_report
 from rig.report.drawing import png, svg
+from rig.settings import Configuration, load_configuration
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SAMPLES = Path(__file__).resolve().parent / "data" / "samples"
@@ -32,6 +33,12 @@ QUICK: dict[str, str] = {**SMALL, "instrument.kind": '"tomlinson"', "session.max
 """A whole session, from frames to results and report, without the fit of a contact: an eighth of its work."""
 
 
+AT_ONCE: dict[str, str] = {
+    "start.way": '"at once"',
+    "preflight.when": '"never"',
+    "simulation.release.way": '"let go"',
+}
+"""A session that records from the first frame on."""
 WITHOUT_FIGURES = """
 from tests.rig.command_line import figures_are_drawn, main
 with figures_are_drawn(False):
@@ -43,6 +50,11 @@ with figures_are_drawn(False):
 def set_words(values: dict[str, str]) -> list[str]:
     """Options that set these keys of the configuration."""
     return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+
+
+def configured(values: dict[str, str], source: Path = CONFIGS / "demo.toml") -> Configuration:
+    """The configuration in a file with these keys set."""
+    return load_configuration(source, [f"{key}={value}" for key, value in values.items()])
 
 
 @dataclass(frozen=True)

@@ -112,13 +112,13 @@ class RunNumbers:
         self._unit.set_text("" if value is None else following.unit)
         self._left.set_text(words.time_left(state))
         self._done.set_value(round(float(state.get("done") or 0.0), 3))
-        self._brakes.set_visibility(following.devices.controller is not None)
+        self._brakes.set_visibility(following.safety.controller is not None)
         self._brakes.set_text("Brake off" if self._brake_is_on else "Brake")
         return is_blind
 
     @property
     def _brake_is_on(self) -> bool:
-        status = self._desk.following.devices.status
+        status = self._desk.following.safety.status
         return status is not None and status.brake_on
 
     async def _stop(self) -> None:

@@ -14,7 +14,7 @@ from calibration import Axes, Shutter, relate_clocks
 from processing.errors import DataError
 from processing.spot import FixedLight, Spot, SpotFlag, fixed_light
 from processing.units import seconds
-from rig.control import DevicesNow, LaserNow
+from rig.control import LaserReport, SafetyNow
 from rig.devices import STAYS_LIT, WIRE_IT, wrong_rate
 from rig.instrument import beam_quality
 from rig.measure.preflight.rest_checks import (
@@ -212,15 +212,17 @@ def air(
     return judged("environment", ok, ("out of range", "wait, or widen the limits"), words, limit)
 
 
-def controller(now: DevicesNow, wanted: bool) -> Verdict:
+def controller(now: SafetyNow, wanted: bool) -> Verdict:
     """Check that the controller answers and its interlock is closed."""
     if not wanted:
         return Verdict("controller", True, measured="none is configured", limit="answers", made=False)
     wrong = "it does not answer, or its interlock is open", "see rig doctor; close the cover"
-    return judged("controller", now.interlock_closed, wrong, now.text, "answers, interlock closed")
+    return judged(
+        "controller", now.controller_interlock_closed, wrong, now.devices_text, "answers, interlock closed"
+    )
 
 
-def laser(now: LaserNow | None, goes_dark_by_itself: bool) -> Verdict:
+def laser(now: LaserReport | None, goes_dark_by_itself: bool) -> Verdict:
     """Check that the laser is on; warns if only this program can switch it off."""
     if now is None:
         return Verdict("laser", True, measured="none is configured", limit="lit", made=False)

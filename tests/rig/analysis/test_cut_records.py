@@ -10,7 +10,7 @@ from acquisition.record.recover import recover
 from rig.commands.fitting import fit_records
 from rig.measure import resume_session
 from rig.view.record_replay import replay_record
-from rig.view.show import write_rrd
+from rig.view.show import show_records
 from tests.rig.view.replay_record import make_record
 
 
@@ -26,7 +26,7 @@ def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
 READERS: dict[str, Callable[[Path, Path], object]] = {
     "replay": lambda record, folder: replay_record(record, None, retrack=False, overrides=[]),
     "fit": lambda record, folder: fit_records([record], folder / "fit", []),
-    "view": lambda record, folder: write_rrd([record], folder / "view.rrd"),
+    "view": lambda record, folder: show_records([record], rrd=folder / "view.rrd"),
 }
 
 

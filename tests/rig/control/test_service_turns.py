@@ -343,7 +343,7 @@ def test_a_reset_board_is_opened_again_and_stays_dark(
     with pytest.raises(LightRefused, match="until a person asks for light"):
         asked().result(0)
     assert board.outputs()["laser"][0] == 0
-    permit.ask()
+    permit.request_light()
     asked().result(0)
     assert board.outputs()["laser"][0] == 1
 

@@ -1,7 +1,7 @@
 """States of laser and controller are values on the way to preflight and desk; their texts decide nothing."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,7 @@ import pytest
 
 from rig.control import (
     ControlState,
-    DevicesNow,
-    LaserNow,
+    LaserReport,
     LatchedTrip,
     Light,
     SafetyNow,
@@ -30,39 +29,42 @@ def status(**changed: Any) -> ControllerStatus:
     return ControllerStatus(**{**known, "errors_waiting": 0, **changed})
 
 
-def opened(**changed: Any) -> DevicesNow:
-    return DevicesNow(None, ControlState.OPEN, status(**changed))
+def opened(**changed: Any) -> SafetyNow:
+    return SafetyNow(controller=ControlState.OPEN, status=status(**changed))
 
 
 @pytest.mark.parametrize("words", ["interlock closed", "THE INTERLOCK IS OPEN", ""])
 def test_preflight_judges_the_interlock_whatever_its_words(
     monkeypatch: pytest.MonkeyPatch, words: str
 ) -> None:
-    monkeypatch.setattr(DevicesNow, "text", words)
+    monkeypatch.setattr(SafetyNow, "devices_text", words)
     assert frame_checks.controller(opened(), wanted=True).ok
     assert not frame_checks.controller(opened(interlock_closed=False), wanted=True).ok
-    assert not frame_checks.controller(DevicesNow(None, ControlState.LOST), wanted=True).ok
+    assert not frame_checks.controller(SafetyNow(controller=ControlState.LOST), wanted=True).ok
     assert frame_checks.controller(opened(), wanted=True).measured == words
 
 
-@pytest.mark.parametrize("laser", [None, LaserNow(Light.ON, power_w=5e-4), LaserNow(Light.INTERLOCK_OPEN)])
-def test_a_desk_gets_the_same_values(tmp_path: Path, laser: LaserNow | None) -> None:
-    now = DevicesNow(laser, ControlState.OPEN, status(brake_on=True, latch=Latch(3, Trip.WATCHDOG, lit=True)))
+@pytest.mark.parametrize(
+    "laser", [None, LaserReport(Light.ON, power_w=5e-4), LaserReport(Light.INTERLOCK_OPEN)]
+)
+def test_a_desk_gets_the_same_values(tmp_path: Path, laser: LaserReport | None) -> None:
     following = Following(tmp_path)
     trip = LatchedTrip(5, TripCause.INTERLOCK, "the interlock of the laser opened", lit=True)
-    safety = SafetyNow(trip, trip.text, Light.OFF, 0.1)
-    following.news = json.loads(json.dumps(plain_values({"devices": asdict(now), "safety": asdict(safety)})))
-    assert following.devices == now
+    now = status(brake_on=True, latch=Latch(3, Trip.WATCHDOG, lit=True))
+    safety = SafetyNow(trip, trip.text, Light.OFF, 0.1, laser=laser, controller=ControlState.OPEN, status=now)
+    following.news = json.loads(json.dumps(plain_values({"safety": asdict(safety)})))
     assert following.safety == safety
     following.news = {}
-    assert (following.devices, following.safety) == (DevicesNow(), SafetyNow())
+    assert following.safety == SafetyNow()
 
 
 def test_what_people_read_of_them() -> None:
-    assert LaserNow(Light.ON, set_w=5e-4).text == "on, 0.5 mW"
-    assert LaserNow(Light.ON, power_w=4.9937e-4, current_a=0.05).text == "on, 0.499 mW, 50 mA"
-    assert LaserNow(Light.CONTROLLER_SILENT).text == "the controller does not answer"
-    assert DevicesNow(LaserNow(Light.INTERLOCK_OPEN)).text == "laser off, its interlock is open"
-    assert DevicesNow(None, ControlState.LOST).text == "lost"
-    lit = DevicesNow(LaserNow(Light.ON), ControlState.OPEN, status(magnet_on=True, interlock_closed=False))
-    assert lit.text == "laser on, magnet, INTERLOCK OPEN"
+    assert LaserReport(Light.ON, set_w=5e-4).text == "on, 0.5 mW"
+    assert LaserReport(Light.ON, power_w=4.9937e-4, current_a=0.05).text == "on, 0.499 mW, 50 mA"
+    assert LaserReport(Light.CONTROLLER_SILENT).text == "the controller does not answer"
+    assert (
+        SafetyNow(laser=LaserReport(Light.INTERLOCK_OPEN)).devices_text == "laser off, its interlock is open"
+    )
+    assert SafetyNow(controller=ControlState.LOST).devices_text == "lost"
+    lit = replace(opened(magnet_on=True, interlock_closed=False), laser=LaserReport(Light.ON))
+    assert lit.devices_text == "laser on, magnet, INTERLOCK OPEN"

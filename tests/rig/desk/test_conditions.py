@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("nicegui", reason="rig desk is not installed: pip install '.[desk]'")
 
 from acquisition.record.events import EventKind
-from rig.control import ControlState, DevicesNow, LatchedTrip, Light, Loop, SafetyNow, TripCause
+from rig.control import ControlState, LatchedTrip, Light, Loop, SafetyNow, TripCause
 from rig.desk.alarm_list import AlarmKey
 from rig.desk.alarming import Seen, conditions, happened
 from rig.instrument import Phase
@@ -48,7 +48,7 @@ def dark(trip: LatchedTrip) -> Seen:
         (Seen(safety=replace(LIT, light=Light.DISAGREES)), {AlarmKey.LIGHT_DISAGREES}),
         (Seen(safety=replace(LIT, light_age_s=2.5), lit_by="the live picture"), {AlarmKey.LASER_UNKNOWN}),
         (Seen(safety=replace(LIT, light_age_s=2.5)), set()),
-        (Seen(devices=DevicesNow(controller=ControlState.LOST)), {AlarmKey.CONTROLLER}),
+        (Seen(controller=ControlState.LOST), {AlarmKey.CONTROLLER}),
         (replace(told(), news_age_s=2.1), {AlarmKey.SESSION_FROZEN}),
         # a busy machine: the news are late, the session lives
         (replace(told(), news_age_s=4.0, beat_age_s=0.3), set()),

@@ -18,7 +18,7 @@ from acquisition.camera import Frame
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DeviceError
 from processing.spot import Spot
-from rig.control import ControlState, DevicesNow, LaserNow, Light
+from rig.control import ControlState, LaserReport, Light, SafetyNow
 from rig.desk.alarm_bar import sentence
 from rig.desk.alarm_list import AlarmKey
 from rig.devices import OrderSocket, SessionNews
@@ -167,8 +167,8 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
 ) -> None:
     _, page = shown
     taken = []
-    lit = DevicesNow(LaserNow(Light.ON), ControlState.OPEN, status())
-    now = {"devices": asdict(lit)}
+    lit = SafetyNow(laser=LaserReport(Light.ON), controller=ControlState.OPEN, status=status())
+    now = {"safety": asdict(lit)}
     session_news = news()
     empty = np.zeros(0)
     none = Deflections(np.zeros(0, np.int64), empty, empty, empty, empty, DeflectionUnit.PX)
@@ -177,7 +177,7 @@ def test_a_session_is_shown_before_its_record_begins_and_cries_are_seen_and_hear
         if value == "off":
             raise DeviceError("the brake: does not answer; see its cable")
         taken.append("on")
-        now["devices"] = asdict(replace(lit, status=status(brake_on=True)))
+        now["safety"] = asdict(replace(lit, status=status(brake_on=True)))
         return "the brake is on"
 
     folder = desk_output / "of-another"

@@ -53,28 +53,20 @@ def test_a_trip_is_acknowledged_by_its_number_and_that_is_kept(
     trip, latch, *refused, last = lines
     assert {line["what"] for line in refused} == {"refused"}
     assert (trip["what"], trip["cause"], trip["lit"]) == ("trip", "INTERLOCK", False)
-    assert (latch["what"], latch["cause"], latch["number"], latch["lit"]) == (
-        "latch",
-        "INTERLOCK",
-        1,
-        False,
-    )
-    assert (last["what"], last["operator"], last["by"], last["task"]) == (
-        "acknowledge",
-        "Ada",
-        "terminal",
-        "rig run",
-    )
+    assert [latch[key] for key in ("what", "cause", "number", "lit")] == ["latch", "INTERLOCK", 1, False]
+    said = [last[key] for key in ("what", "operator", "by", "task")]
+    assert said == ["acknowledge", "Ada", "terminal", "rig run"]
     assert last["why"] == "trip 1 (INTERLOCK): the interlock of the controller opened"
     assert last["utc"].endswith("+00:00")
     assert check_log(tmp_path, devices.state) == []
 
 
-def test_an_interlock_is_not_acknowledged_while_it_is_open(
+def test_an_interlock_is_not_acknowledged_while_it_is_open_or_its_controller_silent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    closed = True
+    closed, pulled = True, False
     monkeypatch.setattr(SimulatedBoard, "interlock_closed", lambda _: closed)
+    monkeypatch.setattr(SimulatedBoard, "unplugged", lambda _: pulled)
     config = load_configuration(
         CONFIGS / "live.toml", ("camera.driver=simulated", "laser.kind=controller", "laser.max_power_w=0.001")
     )
@@ -92,27 +84,16 @@ def test_an_interlock_is_not_acknowledged_while_it_is_open(
         with pytest.raises(DeviceError, match="trip 7 cannot be acknowledged: latched is trip 1"):
             devices.acknowledge(7, "test")
         assert devices.acknowledge(1, "test").endswith("the interlock of the controller opened: acknowledged")
-    assert [line["what"] for line in lines_of(tmp_path)] == ["trip", "latch", "acknowledge"]
-
-
-def test_nothing_is_acknowledged_while_the_controller_is_silent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    closed, pulled = False, False
-    monkeypatch.setattr(SimulatedBoard, "interlock_closed", lambda _: closed)
-    monkeypatch.setattr(SimulatedBoard, "unplugged", lambda _: pulled)
-    config = load_configuration(
-        CONFIGS / "live.toml", ("camera.driver=simulated", "laser.kind=controller", "laser.max_power_w=0.001")
-    )
-    with Devices(config, tmp_path) as devices:
+        closed = False
         until(lambda: bool(devices.permit.latched))
-        control = devices.required_control("this test")
         pulled = True
         until(lambda: control.snapshot.status is None)
         with pytest.raises(
             DeviceError, match="the controller does not answer, so its cause may still be present"
         ):
-            devices.acknowledge(1, "test")
+            devices.acknowledge(2, "test")
+    said = [line["what"] for line in lines_of(tmp_path)]
+    assert said == ["trip", "latch", "acknowledge", "trip", "latch"]
 
 
 def test_a_log_that_leads_elsewhere_is_not_followed(
@@ -197,6 +178,6 @@ def test_who_watches_is_told_what_the_next_run_waits_for(tmp_path: Path) -> None
     until(lambda: "waits for a person" in session_news.news()["state"].get("progress", ""))
     assert "trip 1 (INTERLOCK)" in session_news.news()["state"]["progress"]
     devices.acknowledge(1, "the desk")
-    devices.ask_for_light()
+    devices.permit.request_light()
     waiting.join(30.0)
     assert not waiting.is_alive()

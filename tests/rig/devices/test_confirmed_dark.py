@@ -8,19 +8,15 @@ from typing import Any
 import pytest
 
 from rig.devices import Devices, laser
-from rig.settings import Configuration, validate_configuration
+from rig.settings import Configuration
 from tests.rig.control.wires import FirmwareBoard
+from tests.rig.devices.test_wiring import of_parts
 
 CONFIRMED = "laser off, confirmed by the controller"
 
 
 def of_board(board: FirmwareBoard) -> Configuration:
-    tree: dict[str, Any] = {
-        "camera": {"driver": "simulated"},
-        "laser": {"kind": "controller", "max_power_w": 0.001, "power_w": 0.0005},
-        "controller": {"kind": "serial", "port": board.port, "watchdog_s": 5.0},
-    }
-    return validate_configuration(tree, "test")
+    return of_parts(board, {"kind": "controller"}, watchdog_s=5.0)
 
 
 def late(board: FirmwareBoard) -> Callable[[], None]:

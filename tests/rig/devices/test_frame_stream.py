@@ -24,9 +24,9 @@ from acquisition.simulation.settings import SimulationSettings
 from processing.errors import DeviceError
 from rig.devices.frame_stream import FrameStream
 from rig.measure.session import simulate_record
-from rig.settings import load_configuration
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend, wait_until
 from tests.acquisition.cameras.usb3vision.device import VisionDevice
+from tests.rig.command_line import configured
 
 RATE_HZ = 100.0
 
@@ -242,7 +242,7 @@ def test_a_run_goes_on_after_unplugging_with_the_gap_in_its_record(tmp_path: Pat
         "session.max_duration_s": 5.0,
     }
     record = tmp_path / "run.mcap"
-    config = load_configuration(demo, [f"{key}={value}" for key, value in words.items()])
+    config = configured(words, demo)
     assert simulate_record(config, demo, record) == 0
     with RecordReader(record) as reader:
         kinds = [event.kind for event in reader.events()]

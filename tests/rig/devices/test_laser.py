@@ -14,11 +14,13 @@ from typing import Any
 import pytest
 
 from processing.errors import DeviceError
-from rig.control import ControlService, LaserNow, Light, LightRefused
+from rig.control import ControlService, LaserReport, Light, LightRefused
 from rig.control.service import ControlSnapshot
 from rig.devices.session_devices import Devices
 from rig.measure.preflight import frame_checks
 from rig.settings import Configuration, validate_configuration
+from tests.benchmarks.safety_lasers import TRIALS, measured
+from tests.benchmarks.safety_sequences import run_sequences
 from tests.rig.control.instruments import FakeObis, Instrument
 from tests.rig.control.lasers.pairs import FAMILIES
 from tests.rig.control.test_ending import ENDED_WITHIN_S, command
@@ -49,12 +51,17 @@ def test_lit_in_a_session_and_dark_after_it(family: tuple[str, Instrument]) -> N
         assert "stays lit when this program is killed" in devices.light()
         assert instrument.on
         assert instrument.set_value == pytest.approx(0.02)
-        now = devices.laser_now()
+        now = devices.laser_report()
         assert now is not None
         assert now.on
-        assert devices.now().text == "laser on"
+        assert devices.safety().devices_text == "laser on"
         # lit already: nothing is done to it
         assert devices.light() == ""
+    assert not instrument.on
+    # also where the first command to switch it off is lost
+    with Devices(configuration(kind, instrument.port, laser={"timeout_s": 0.2})) as devices:
+        devices.light()
+        instrument.deaf_to_off = 1
     assert not instrument.on
 
 
@@ -72,14 +79,6 @@ def test_dark_after_an_error(family: tuple[str, Instrument]) -> None:
     assert not instrument.on
 
 
-def test_dark_although_the_first_off_is_lost(family: tuple[str, Instrument]) -> None:
-    kind, instrument = family
-    with Devices(configuration(kind, instrument.port, laser={"timeout_s": 0.2})) as devices:
-        devices.light()
-        instrument.deaf_to_off = 1
-    assert not instrument.on
-
-
 def test_an_open_interlock_lights_nothing(family: tuple[str, Instrument]) -> None:
     kind, instrument = family
     instrument.interlock_closed = False
@@ -87,7 +86,7 @@ def test_an_open_interlock_lights_nothing(family: tuple[str, Instrument]) -> Non
         until(lambda: devices.permit.latched is not None)
         with pytest.raises(LightRefused, match="the interlock of the laser opened"):
             devices.light()
-        now = devices.laser_now()
+        now = devices.laser_report()
         assert now is not None
         assert now.light is Light.INTERLOCK_OPEN
     assert instrument.highest_lit == 0.0
@@ -104,13 +103,8 @@ def test_too_much_light_is_acknowledged_only_when_it_is_gone() -> None:
             with pytest.raises(DeviceError, match="cannot be acknowledged: 50 mW measured, 30 mW allowed"):
                 devices.acknowledge(1, "test")
             instrument.measures = None
-            until(
-                lambda: (
-                    devices.laser is not None
-                    and (s := devices.laser.snapshot.state) is not None
-                    and not s.excess
-                )
-            )
+            laser = devices.laser
+            until(lambda: laser and (state := laser.snapshot.state) and not state.excess)
             assert "acknowledged" in devices.acknowledge(1, "test")
             assert not instrument.on
     finally:
@@ -258,13 +252,30 @@ def test_without_the_relay_sigterm_darkens_it_and_sigkill_does_not(
 
 def test_preflight_says_how_the_laser_stands() -> None:
     assert frame_checks.laser(None, True).ok
-    dark = frame_checks.laser(LaserNow(Light.OFF), True)
+    dark = frame_checks.laser(LaserReport(Light.OFF), True)
     assert not dark.ok
     assert dark.remedy
-    well = frame_checks.laser(LaserNow(Light.ON, 0.5e-3), True)
+    well = frame_checks.laser(LaserReport(Light.ON, 0.5e-3), True)
     assert well.ok
     assert not well.remedy
-    warning = frame_checks.laser(LaserNow(Light.ON, 0.5e-3), False)
+    warning = frame_checks.laser(LaserReport(Light.ON, 0.5e-3), False)
     assert warning.ok
     assert "killed" in warning.reason
     assert "relay" in warning.remedy
+
+
+def test_nothing_is_lit_without_leave() -> None:
+    """The first of the thousand that the benchmark makes."""
+    found = run_sequences(40, 30)
+    assert found["violations"] == []
+    assert found["lit"] > 20
+    assert found["acknowledged"] > 5
+
+
+def test_lasers_of_their_own_go_dark_and_wait_for_a_person(tmp_path: Path) -> None:
+    rows = [measured(*trial, tmp_path) for trial in TRIALS]
+    assert [row for row in rows if row.violation or row.relit] == []
+    # as documented: without the relay nothing darkens a laser whose program was killed
+    lit = {row.fault for row in rows if row.dark_s is None}
+    assert lit == {"program killed, interlock not wired"}
+    assert max(row.dark_s for row in rows if row.dark_s is not None) < 2.5

@@ -94,38 +94,24 @@ def test_a_frame_is_kept_only_when_somebody_has_asked(told: SessionNews, line: O
     assert line.picture(picture.number) is None
 
 
-def test_a_frame_is_told_with_the_spot_of_its_reference(told: SessionNews, line: OrderConnection) -> None:
-    line.picture()
-    frames, found = block(1)
-    below = SPOT._replace(y_px=5.0, x_px=float("nan"))
-    told.look(frames, found._replace(references=[SPOT, below]))
-    picture = line.picture()
-    assert picture is not None
-    assert picture.reference is not None
-    assert picture.reference.y_px == 5.0
-    assert np.isnan(picture.reference.x_px)
-
-
 def test_what_is_seen_before_the_record_is_told_until_the_record_tells_it(
     told: SessionNews, line: OrderConnection
 ) -> None:
     frames, found = block(1)
     line.picture()
-    told.look(frames, found)
-    assert line.picture() is not None
-    assert line.news()["path"]["y"] == [1.0] * 16
-    told.look(frames, found, recorded=True)
-    assert line.news()["path"]["y"] == []
-
-
-def test_a_frame_that_can_be_written_to_is_copied(told: SessionNews, line: OrderConnection) -> None:
-    line.picture()
-    frames, found = block(2)
-    told.look(frames, found)
+    below = SPOT._replace(y_px=5.0, x_px=float("nan"))
+    told.look(frames, found._replace(references=[SPOT, below]))
+    # one that can be written to is copied
     frames[-1].image[:] = 99
     picture = line.picture()
     assert picture is not None
-    assert picture.image.max() == 2
+    assert picture.image.max() == 1
+    assert picture.reference is not None
+    assert picture.reference.y_px == 5.0
+    assert np.isnan(picture.reference.x_px)
+    assert line.news()["path"]["y"] == [1.0] * 16
+    told.look(frames, found, recorded=True)
+    assert line.news()["path"]["y"] == []
 
 
 def test_who_is_connected_is_not_answered_after_its_end(told: SessionNews, tmp_path: Path) -> None:
@@ -150,25 +136,25 @@ def test_orders(line: OrderConnection) -> None:
         line.order("fly")
 
 
-@pytest.mark.parametrize("key", [b"", b"another"])
-def test_without_the_key_nothing_is_told_and_nothing_done(line: OrderConnection, key: bytes) -> None:
+def connected(line: OrderConnection) -> Connection:
+    """A connection to the session's port without any proof."""
     stated = json.loads((line.folder / ORDERS_NAME).read_text())
     made = socket.create_connection((LOOPBACK, stated["port"]), timeout=5)
     made.settimeout(None)
-    with Connection(made.detach()) as connection, pytest.raises((AuthenticationError, EOFError, OSError)):
+    return Connection(made.detach())
+
+
+@pytest.mark.parametrize("key", [b"", b"another"])
+def test_without_the_key_nothing_is_told_and_nothing_done(line: OrderConnection, key: bytes) -> None:
+    with connected(line) as connection, pytest.raises((AuthenticationError, EOFError, OSError)):
         deliver_challenge(connection, key)
     # an order without any proof is taken for a wrong one
-    made = socket.create_connection((LOOPBACK, stated["port"]), timeout=5)
-    made.settimeout(None)
-    with Connection(made.detach()) as connection:
+    with connected(line) as connection:
         connection.send(("stop", ""))
         with pytest.raises((EOFError, OSError)):
             connection.recv()
-
-
-def test_who_stops_while_proving_the_key_holds_nobody_up(line: OrderConnection) -> None:
-    stated = json.loads((line.folder / ORDERS_NAME).read_text())
-    with socket.create_connection((LOOPBACK, stated["port"]), timeout=5):
+    # who stops while proving it holds nobody up
+    with connected(line):
         assert line.order("stop") == "stopping"
 
 
@@ -188,9 +174,7 @@ def test_of_a_killed_session_only_the_file_is_left(told: SessionNews, tmp_path: 
     with OrderSocket(tmp_path / "runs", told, {}):
         assert list(running_sessions(tmp_path)) == [tmp_path / "runs"]
     assert list(running_sessions(tmp_path)) == []
-
-
-def test_a_session_that_nobody_can_watch_is_measured_all_the_same(told: SessionNews, tmp_path: Path) -> None:
+    # one that nobody can watch is measured all the same
     with OrderSocket(tmp_path / "missing", told, {}) as watched:
         assert "nobody can watch" in watched.problem
 

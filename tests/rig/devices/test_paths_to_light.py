@@ -26,8 +26,8 @@ from rig.instrument import complete
 from rig.measure import measure_session, preflight_rig, record_plainly, resume_session
 from rig.measure.session_orders import Notes, orders
 from rig.prepare.balancing import BalanceView, measure
-from rig.settings import Configuration, load_configuration
-from tests.rig.command_line import CONFIGS, QUICK
+from rig.settings import Configuration
+from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, configured
 from tests.rig.control.instruments import FakeCobolt
 from tests.rig.devices.test_laser import configuration
 from tests.waiting import until
@@ -98,16 +98,14 @@ def test_the_command_that_lights_is_in_one_place() -> None:
 def config(tmp_path: Path) -> Configuration:
     quiet = {
         **QUICK,
-        "start.way": '"at once"',
-        "preflight.when": '"never"',
-        "simulation.release.way": '"let go"',
+        **AT_ONCE,
         "session.max_duration_s": "2",
         "session.output": json.dumps(str(tmp_path / "runs")),
         "balance.seconds": "9.1",
         # a machine that stands still for half a second is no trip of its own
         "controller.watchdog_s": "5",
     }
-    return load_configuration(LIVE, [f"{key}={value}" for key, value in quiet.items()])
+    return configured(quiet, LIVE)
 
 
 class Lit:
@@ -538,6 +536,6 @@ def test_a_control_thread_that_hangs_is_unknown_and_not_lit(
         safety = devices.safety()
         assert (safety.light, safety.interlock) == ("unknown, nothing was heard for more than 2 s", "unknown")
         assert safety.light_age_s > 2.0
-        assert "laser on" not in devices.now().text
+        assert "laser on" not in devices.safety().devices_text
         assert devices.darkness().startswith("unknown")
         monkeypatch.undo()

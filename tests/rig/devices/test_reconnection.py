@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-from acquisition.camera import CameraInfo, CameraLost, CameraSettings, Frame, FrameTimeout
+from acquisition.camera import Camera, CameraInfo, CameraLost, CameraSettings, Frame, FrameTimeout
 from acquisition.cameras.files.camera import FilesCamera
 from acquisition.cameras.files.frame_source import FilesSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
@@ -45,15 +45,22 @@ class Unnoticing(Usb3VisionCamera):
             raise FrameTimeout(f"no frame within {timeout_s:g} s") from None
 
 
+def plugged(
+    driver: type[Usb3VisionCamera] = Usb3VisionCamera, asked: CameraSettings = ASKED
+) -> tuple["Run", VisionDevice]:
+    """A run with a device that can be unplugged, in which another program has left its settings."""
+    device = VisionDevice()
+    camera = driver(backend=InProcessBackend(device))
+    camera.open()
+    camera.configure(ASKED)
+    return Run(camera, asked), device
+
+
 class Run:
     """A stream at default settings, and what came out of it."""
 
-    def __init__(self, driver: type[Usb3VisionCamera], asked: CameraSettings = ASKED) -> None:
-        self.device = VisionDevice()
-        self.camera = driver(backend=InProcessBackend(self.device))
-        self.camera.open()
-        # what another program has left in the camera
-        self.camera.configure(ASKED)
+    def __init__(self, camera: Camera, asked: CameraSettings = ASKED) -> None:
+        self.camera = camera
         self.stream = FrameStream(self.camera, asked, applied=self.camera.configure(asked))
         self.stream.start_camera()
         assert self.stream.begin() is not None
@@ -76,13 +83,13 @@ class Run:
 
 @pytest.mark.parametrize("driver", [Usb3VisionCamera, Unnoticing])
 def test_a_run_goes_on_when_its_camera_comes_back(driver: type[Usb3VisionCamera]) -> None:
-    run = Run(driver)
+    run, device = plugged(driver)
     run.until(lambda: len(run.frames) > 20)
-    run.device.unplug()
+    device.unplug()
     run.until(lambda: "camera lost" in run.kinds)
     before = len(run.frames)
     delivered = run.camera.status.delivered
-    run.device.plug()
+    device.plug()
     run.until(lambda: "camera back" in run.kinds and len(run.frames) > before + 20)
     run.close()
     assert run.stream.failure is None
@@ -98,13 +105,13 @@ def test_one_that_has_lost_its_power_makes_the_same_images_again_or_ends_the_run
     refused: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing was asked for, so that the camera kept what it had, which it has no more."""
-    run = Run(Usb3VisionCamera, CameraSettings())
+    run, device = plugged(asked=CameraSettings())
     run.until(lambda: len(run.frames) > 20)
-    run.device.unplug()
+    device.unplug()
     run.until(lambda: "camera lost" in run.kinds)
     fresh = VisionDevice()
     for place in (layout.WIDTH, layout.HEIGHT, layout.EXPOSURE_TICKS):
-        run.device.poke(place, fresh.peek(place))
+        device.poke(place, fresh.peek(place))
     configure = run.camera.configure
 
     def configured(settings: CameraSettings) -> CameraSettings:
@@ -114,7 +121,7 @@ def test_one_that_has_lost_its_power_makes_the_same_images_again_or_ends_the_run
 
     monkeypatch.setattr(run.camera, "configure", configured)
     before = len(run.frames)
-    run.device.plug()
+    device.plug()
     if refused:
         run.until(lambda: run.stream.failure is not None)
     else:
@@ -133,9 +140,9 @@ def test_one_that_has_lost_its_power_makes_the_same_images_again_or_ends_the_run
 
 def test_a_run_goes_on_when_its_camera_resets_itself_on_the_bus() -> None:
     """Ids and clock begin again and nothing is plugged in: a few frames are discarded, and counted."""
-    run = Run(Usb3VisionCamera)
+    run, device = plugged()
     run.until(lambda: len(run.frames) > 100)
-    run.device.reset()
+    device.reset()
     run.until(lambda: "camera back" in run.kinds)
     before = len(run.frames)
     run.until(lambda: len(run.frames) > before + 50)
@@ -159,14 +166,14 @@ def test_a_run_goes_on_when_its_camera_resets_itself_on_the_bus() -> None:
 
 
 def test_frames_with_an_error_status_alone_are_said_with_their_reason_and_survived() -> None:
-    run = Run(Usb3VisionCamera)
+    run, device = plugged()
     run.until(lambda: len(run.frames) > 50)
-    run.device.faults.units = lambda kind, block, data: [
+    device.faults.units = lambda kind, block, data: [
         data[:16] + struct.pack("<H", 0xA001) + data[18:] if kind == "trailer" else data
     ]
     run.until(lambda: "camera silent" in run.kinds)
     before = len(run.frames)
-    run.device.faults.units = lambda kind, block, data: [data]
+    device.faults.units = lambda kind, block, data: [data]
     run.until(lambda: len(run.frames) > before + 20)
     run.close()
     assert run.stream.failure is None
@@ -192,7 +199,7 @@ def test_one_that_is_there_and_stays_silent_is_opened_again_once() -> None:
                 raise FrameTimeout(f"no frame within {timeout_s:g} s")
             return super().read(timeout_s)
 
-    run = Run(Silent)
+    run, _ = plugged(Silent)
     run.until(lambda: len(run.frames) > 20)
     assert isinstance(run.camera, Silent)
     run.camera.is_silent = True
@@ -205,10 +212,10 @@ def test_one_that_is_there_and_stays_silent_is_opened_again_once() -> None:
 
 
 def test_one_that_does_not_come_back_is_named() -> None:
-    run = Run(Usb3VisionCamera)
+    run, device = plugged()
     run.stream._reconnect_s = 1.0
     run.until(lambda: len(run.frames) > 20)
-    run.device.unplug()
+    device.unplug()
     run.until(lambda: run.stream.drained)
     run.close()
     assert isinstance(run.stream.failure, DeviceError)
@@ -273,33 +280,18 @@ def test_an_emulated_camera_of_pylon_is_opened_again(monkeypatch: pytest.MonkeyP
                 raise CameraLost("pylon camera: is no longer connected; plug it in again")
             return super().read(timeout_s)
 
-    camera = Pulled()
-    asked = CameraSettings(width_px=64, height_px=48, frame_rate_hz=100.0)
+    camera, asked = Pulled(), CameraSettings(width_px=64, height_px=48, frame_rate_hz=100.0)
     camera.open()
-    camera.configure(asked)
-    stream = FrameStream(camera, asked)
-    stream.start_camera()
-    assert stream.begin() is not None
-    frames: list[Frame] = []
-    kinds: list[str] = []
-
-    def until(reached: Callable[[], bool]) -> None:
-        deadline_s = time.monotonic() + WITHIN_S
-        while not reached():
-            assert time.monotonic() < deadline_s, (kinds, stream.ended)
-            frames.extend(stream.take(64, 0.1))
-            kinds.extend(kind for kind, _ in stream.take_events())
-
-    until(lambda: len(frames) > 20)
+    run = Run(camera, asked)
+    run.until(lambda: len(run.frames) > 20)
     camera.is_pulled = True
-    until(lambda: "camera lost" in kinds)
-    before = len(frames)
+    run.until(lambda: "camera lost" in run.kinds)
+    before = len(run.frames)
     camera.is_pulled = False
-    until(lambda: "camera back" in kinds and len(frames) > before + 20)
-    stream.close()
-    camera.close()
-    assert stream.failure is None
-    numbers = [frame.sequence for frame in frames]
+    run.until(lambda: "camera back" in run.kinds and len(run.frames) > before + 20)
+    run.close()
+    assert run.stream.failure is None
+    numbers = [frame.sequence for frame in run.frames]
     assert numbers == sorted(set(numbers))
     assert camera.status.reconnects == 1
-    assert numbers[-1] + 1 - len(numbers) == stream.losses.total
+    assert numbers[-1] + 1 - len(numbers) == run.stream.losses.total

@@ -197,11 +197,11 @@ def test_the_printed_line_is_one_that_runs(tmp_path: Path) -> None:
     assert "confirmed" not in done.stderr
 
 
-def of_parts(board: FirmwareBoard, laser: dict[str, Any]) -> Configuration:
+def of_parts(board: FirmwareBoard, laser: dict[str, Any], **controller: float) -> Configuration:
     tree = {
         "camera": {"driver": "simulated"},
         "laser": {"max_power_w": 0.001, "power_w": 0.0005, **laser},
-        "controller": {"kind": "serial", "port": board.port},
+        "controller": {"kind": "serial", "port": board.port, **controller},
     }
     return validate_configuration(tree, "test").remember_file(
         Path("my rig.toml"), ["laser.kind=x", "session.runs=2"]

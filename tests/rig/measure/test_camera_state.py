@@ -10,10 +10,10 @@ from acquisition.camera import CameraSettings
 from acquisition.cameras.usb3vision.camera import Usb3VisionCamera
 from acquisition.record.reader import RecordReader
 from rig.devices.frame_stream import FrameStream
-from rig.devices.session_devices import OpenCamera
+from rig.devices.session_devices import Devices, OpenCamera
 from rig.instrument import optics_of
 from rig.measure.run import MeasurementRun
-from rig.measure.run_parts import RunParts, RunPlan
+from rig.measure.run_parts import RunOutcome, RunParts, RunPlan
 from rig.settings import Configuration
 from tests.acquisition.cameras.usb3vision import description as layout
 from tests.acquisition.cameras.usb3vision.backend import InProcessBackend
@@ -32,20 +32,26 @@ class CannotStop(Usb3VisionCamera):
         raise OSError("it does not answer")
 
 
-def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) -> None:
-    camera = CannotStop(backend=InProcessBackend(VisionDevice(frames_inside=100_000)))
-    info = camera.open()
-    asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0)
-    opened = OpenCamera(camera, info, (), camera.configure(asked), 0)
-    path = tmp_path / "run.mcap"
-    parts = RunParts(
-        plan=RunPlan(ONE_SECOND, Path(), path, "run 1"),
-        camera=opened,
-        optics=optics_of(ONE_SECOND, 255),
-        stream=FrameStream(camera, asked),
-    )
-    outcome = MeasurementRun(parts).execute()
+def recorded(camera: Usb3VisionCamera, record: Path) -> RunOutcome:
+    """A run of a second."""
+    asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0, gain_db=-6.0)
+    opened = OpenCamera(camera, camera.open(), (), camera.configure(asked), 100_000)
+    outcome = MeasurementRun(
+        RunParts(
+            plan=RunPlan(ONE_SECOND, Path(), record, "run 1"),
+            camera=opened,
+            optics=optics_of(ONE_SECOND, 255),
+            stream=FrameStream(camera, asked, time_shift_ns=opened.time_shift_ns),
+            devices=Devices(ONE_SECOND),
+        )
+    ).execute()
     assert outcome.failure is None
+    return outcome
+
+
+def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    outcome = recorded(CannotStop(backend=InProcessBackend(VisionDevice(frames_inside=100_000))), path)
     assert outcome.last.reason == "time limit of 1 s reached"
     with RecordReader(path) as reader:
         said = [(event.kind, event.text) for event in reader.events()]
@@ -57,22 +63,9 @@ def test_a_camera_that_cannot_stop_is_an_event_of_a_regular_run(tmp_path: Path) 
 def test_features_and_temperature_are_in_the_record(tmp_path: Path) -> None:
     device = VisionDevice(frames_inside=100_000)
     device.poke(layout.TEMPERATURE, struct.pack("<f", 41.5))
-    camera = Usb3VisionCamera(backend=InProcessBackend(device))
-    info = camera.open()
-    asked = CameraSettings(exposure_us=200.0, width_px=64, height_px=64, frame_rate_hz=100.0, gain_db=-6.0)
-    opened = OpenCamera(camera, info, (), camera.configure(asked), 100_000)
-    record = tmp_path / "run.mcap"
-    run = MeasurementRun(
-        RunParts(
-            plan=RunPlan(ONE_SECOND, Path(), record, "run 1"),
-            camera=opened,
-            optics=optics_of(ONE_SECOND, 255),
-            stream=FrameStream(camera, asked, time_shift_ns=opened.time_shift_ns),
-        )
-    )
-    outcome = run.execute()
+    camera, record = Usb3VisionCamera(backend=InProcessBackend(device)), tmp_path / "run.mcap"
+    recorded(camera, record)
     camera.close()
-    assert outcome.failure is None
     with RecordReader(record) as reader:
         at = {
             when: json.loads(reader.attachments[f"camera-features-{when}.json"]) for when in ("start", "end")

@@ -13,8 +13,7 @@ from rig.analysis import analyse_record
 from rig.measure import measure_session
 from rig.measure.phases import PhasesBeforeRecord
 from rig.measure.session import simulate_record
-from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, QUICK
+from tests.rig.command_line import CONFIGS, QUICK, configured
 
 pytestmark = pytest.mark.slow
 DAY_NS = 86_400_000_000_000
@@ -30,7 +29,7 @@ def test_wrong_times_steps_and_a_short_counter_cost_one_frame(tmp_path: Path) ->
         "faults.clock_steps_at_s": "5",
         "faults.clock_bits": "32",
     }
-    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in words.items()])
+    config = configured(words)
     measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
     record = tmp_path / "out" / "run-1.mcap"
     with RecordReader(record) as reader:
@@ -69,7 +68,7 @@ def test_a_record_has_the_time_of_day_at_which_it_begins(
 
     monkeypatch.setattr(PhasesBeforeRecord, "_check", set_back)
     words = {**QUICK, "simulation.real_time": "true", "session.max_duration_s": "1"}
-    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in words.items()])
+    config = configured(words)
     # fits and report are of no interest here
     record = tmp_path / "run-1.mcap"
     simulate_record(config, CONFIGS / "demo.toml", record)

@@ -22,15 +22,13 @@ from rig.control import SafetyState, Stage, light_permit
 from rig.control.simulated import SimulatedBoard
 from rig.devices import NoSession, OrderConnection, lit_devices
 from rig.devices.audit import check_log
-from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
+from tests.rig.command_line import AT_ONCE, CONFIGS, QUICK, rig, set_words
 
 pytestmark = pytest.mark.timeout(300)
 
 LIVE = {
     **QUICK,
-    "start.way": '"at once"',
-    "preflight.when": '"never"',
-    "simulation.release.way": '"let go"',
+    **AT_ONCE,
     "session.max_duration_s": "5",
     "controller.watchdog_s": "5",
 }

@@ -62,7 +62,7 @@ def test_a_session_killed_before_its_record_began_is_in_nobodys_way(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_resume_says_its_configuration_and_takes_another(tmp_path: Path) -> None:
+def test_resume_says_its_configuration_and_takes_another_and_what_is_set(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT).returncode == 0
     tree = json.loads((out / "session.json").read_text())
@@ -88,16 +88,10 @@ def test_resume_says_its_configuration_and_takes_another(tmp_path: Path) -> None
         "SIMULATED run 1",
         f"SIMULATED run {number}",
     ]
-
-
-@pytest.mark.slow
-def test_resume_takes_what_is_set(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert rig("run", CONFIGS / "demo.toml", "-o", out, *SHORT).returncode == 0
+    # and what is set
     done = rig("run", "--resume", out, "--set", "session.runs=x")
-    assert done.returncode == 2
-    assert done.stderr == "rig: --set session.runs = 'x': should be a whole number\n"
-    changed = {"session.runs": "2", "session.max_duration_s": "3", "session.sample": "mine"}
+    assert (done.returncode, done.stderr) == (2, "rig: --set session.runs = 'x': should be a whole number\n")
+    changed = {"session.runs": "3", "session.max_duration_s": "3", "session.sample": "mine"}
     done = rig("run", "--resume", out, *set_words(changed))
     assert "which states session.max_duration_s = 3.0 (was" in done.stderr
     assert "time limit of 3 s reached" in done.stderr

@@ -23,8 +23,13 @@ def test_libraries_are_left_out_of_searches_while_a_camera_is_live() -> None:
         assert gc.get_freeze_count() > 0.9 * libraries
         assert len(gc.get_objects()) < 0.1 * libraries
         assert sys.getswitchinterval() < usual_turn_s
+    with pytest.raises(ValueError, match="ended"), ready_for_frames(live=True):
+        raise ValueError("ended")
     assert gc.get_freeze_count() == 0
     assert sys.getswitchinterval() == usual_turn_s
+    # frames on demand pay for no search
+    with ready_for_frames(live=False):
+        assert gc.get_freeze_count() == 0
 
 
 def test_the_search_is_over_before_a_controller_waits_for_heartbeats(
@@ -38,16 +43,3 @@ def test_the_search_is_over_before_a_controller_waits_for_heartbeats(
     monkeypatch.setattr(session, "Devices", opened)
     assert "libraries are left out: True" in rig("run", CONFIGS / "live.toml", "-o", tmp_path / "out").stderr
     assert gc.get_freeze_count() == 0
-
-
-def test_frames_on_demand_pay_for_no_search() -> None:
-    with ready_for_frames(live=False):
-        assert gc.get_freeze_count() == 0
-
-
-def test_all_is_as_before_after_an_error() -> None:
-    usual_turn_s = sys.getswitchinterval()
-    with pytest.raises(ValueError, match="ended"), ready_for_frames(live=True):
-        raise ValueError("ended")
-    assert gc.get_freeze_count() == 0
-    assert sys.getswitchinterval() == usual_turn_s

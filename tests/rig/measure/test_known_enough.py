@@ -1,20 +1,23 @@
-"""Runs that end by what they know, and what the screen says of it."""
+"""Runs that end by what they know, what the screen says of it, and who ended a run."""
 
 import json
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from acquisition.record.reader import RecordReader
-from processing.errors import ConfigurationError
+from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
+from rig.devices import FrameStream
 from rig.instrument import RunNow
-from rig.measure.end_of_run import CONSECUTIVE_FITS, EndLimits, EndOfRun
+from rig.measure.end_of_run import CONSECUTIVE_FITS, EndOfRun, StopRequest
 from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
-from rig.view.show import write_rrd
-from tests.rig.command_line import CONFIGS, SMALL
+from rig.terminal import BY_USER
+from rig.view.show import show_records
+from tests.rig.command_line import CONFIGS, SMALL, configured
 from tests.rig.view.rrd_contents import column
 
 WHEN = (StopCondition("c", 0.03), StopCondition("b", 0.01))
@@ -22,7 +25,7 @@ KNOWN = {"c": Estimate(1e-8, 2.5e-10), "b": Estimate(37e-4, 0.2e-4)}
 
 
 def test_a_run_ends_once_all_conditions_hold() -> None:
-    end = EndOfRun(EndLimits(0.0, 1e3, WHEN))
+    end = EndOfRun(0.0, 1e3, WHEN)
     assert end.reason([], 1.0) is None
     assert end.reason([], 1.0, {}) is None
     assert end.reason([], 1.0, {**KNOWN, "b": Estimate(37e-4, 1e-4)}) is None
@@ -31,12 +34,12 @@ def test_a_run_ends_once_all_conditions_hold() -> None:
     assert end.reason([], 1.0, dict(KNOWN)) == (
         "known well enough: u(c)/c = 0.025 < 0.03, u(b)/b = 0.00541 < 0.01"
     )
-    assert EndOfRun(EndLimits(0.0, 1e3)).reason([], 1.0, KNOWN) is None
+    assert EndOfRun(0.0, 1e3).reason([], 1.0, KNOWN) is None
 
 
 def test_a_lucky_dip_does_not_end_a_run() -> None:
     """One fit is asked about with every block of frames, and counts once; one that fails begins anew."""
-    end = EndOfRun(EndLimits(0.0, 1e3, WHEN))
+    end = EndOfRun(0.0, 1e3, WHEN)
     unlucky = {**KNOWN, "c": Estimate(1e-8, 4e-10)}
     for _ in range(20):
         assert end.reason([], 1.0, KNOWN) is None
@@ -62,7 +65,7 @@ def test_a_session_ends_by_what_it_knows_and_says_so(tmp_path: Path) -> None:
         "session.stop_when": '["u(p)/p < 0.9"]',
     }
     source, folder = CONFIGS / "demo.toml", tmp_path / "out"
-    config = load_configuration(source, [f"{key}={value}" for key, value in wanted.items()])
+    config = configured(wanted, source)
     assert measure_session(config, source, folder) == 0
     (run,) = json.loads((folder / "results.json").read_text())["runs"]
     assert run["ended"].startswith("known well enough: u(p)/p = 0.")
@@ -71,7 +74,7 @@ def test_a_session_ends_by_what_it_knows_and_says_so(tmp_path: Path) -> None:
     assert 46 <= run["half_cycles"] <= 48
     with RecordReader(folder / "run-1.mcap") as reader:
         assert reader.events()[-1].text == run["ended"]
-    write_rrd([folder / "run-1.mcap"], folder / "run-1.rrd")
+    show_records([folder / "run-1.mcap"], rrd=folder / "run-1.rrd")
     _, shown = column(folder / "run-1.rrd", "/parameters/period0_s", "Measurements:values")
     assert shown[0][0] == pytest.approx(4.071, rel=0.02)
 
@@ -97,3 +100,23 @@ def test_a_rig_that_fits_no_contact_is_told_before_it_measures(
     ):
         measure_session(config, source, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+class Stream:
+    """A camera's stream that takes note of the end."""
+
+    stopped = 0
+
+    def request_stop(self) -> None:
+        self.stopped += 1
+
+
+def test_only_the_first_who_asks_ends_the_run() -> None:
+    stream = Stream()
+    stop = StopRequest(cast(FrameStream, stream))
+    assert stop.because("final amplitude reached")
+    # Ctrl-C just after the end, and in the same words
+    assert not stop.because(BY_USER)
+    assert not stop.because("final amplitude reached")
+    stop.failed(DataError("the record cannot be read"))
+    assert (stop.reason, stream.stopped) == ("final amplitude reached", 1)

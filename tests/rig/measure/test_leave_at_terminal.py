@@ -6,16 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.rig.command_line import CONFIGS, SMALL, set_words
+from tests.rig.command_line import AT_ONCE, CONFIGS, SMALL, set_words
 from tests.rig.pseudo_terminal import Terminal
 
 pytestmark = pytest.mark.timeout(300)
 
 WAITING = {
     **SMALL,
-    "start.way": '"at once"',
-    "preflight.when": '"never"',
-    "simulation.release.way": '"let go"',
+    **AT_ONCE,
     "session.max_duration_s": "60",
     "laser.when_dark": '"wait"',
     "faults.interlock_opens_at_s": "3",

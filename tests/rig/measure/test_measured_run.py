@@ -1,6 +1,8 @@
 """Half-cycles of a run that goes on: measured again as its final analysis does, in bounded memory."""
 
+from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from rig.analysis import evidence_of, settled_swings
 from rig.analysis.air import OPEN_DRAG
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.turning_plane import follow_plane
-from rig.measure.posterior_worker import MeasuredRun
+from rig.measure.posterior_worker import MeasuredRun, fitted_points
 from rig.settings import FitSettings
 from tests.processing.fit.decays import paper_pair
 from tests.processing.fit.driven import driven_path
@@ -120,3 +122,27 @@ def test_deflections_are_let_go_where_there_are_many_and_the_fit_stays() -> None
         value, u = whole.estimate(name)
         assert bounded.estimate(name).standard_uncertainty == pytest.approx(u, rel=0.1), name
         assert bounded.estimate(name).value == pytest.approx(value, abs=0.25 * u), name
+
+
+def test_a_fit_is_drawn_at_its_half_cycles_and_leaves_their_scatter() -> None:
+    swings, samples = measured()
+    run = MeasuredRun()
+    run.take(swings[:120], samples)
+    fit_of = how(swings[:120], samples)
+    stand, fit = run.fitted(fit_of)
+    points = fit_of.points(stand)
+    drawn = fitted_points(stand, points, fit, PENDULUM)
+    assert [one.turn_time_ns for one in drawn] == [swing.turn_time_ns for swing in stand if not swing.flags]
+    fitted, left = np.array([(one.amplitude_rad, one.amplitude_residual) for one in drawn]).T
+    left_of_period = np.array([one.period_residual for one in drawn[1:-1]])
+    again = fitted + left * points.u_amplitude
+    np.testing.assert_allclose(again, points.amplitude, rtol=1e-12)
+    assert all(later < earlier for earlier, later in pairwise(fitted)), "a free decay"
+    assert np.isnan([drawn[0].period_s, drawn[-1].period_s]).all()
+    # the ground moves it more than the reading of a turning point is uncertain, by less than tens of u
+    for residuals in (left, left_of_period):
+        assert 0.5 < np.std(residuals) < 30.0
+        assert abs(np.mean(residuals)) < np.std(residuals)
+    # a long run is thinned
+    many = [replace(swing, index=k) for k, swing in enumerate(stand * 6)]
+    assert 0 < len(fitted_points(many, fit_of.points(many), fit, PENDULUM)) <= 300

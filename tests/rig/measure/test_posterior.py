@@ -14,8 +14,8 @@ from acquisition.record.writer import RecordWriter
 from processing.fit import fit_exact
 from processing.swing import HalfCycle, TurningPoints, turning_points
 from rig.instrument import configuration_attachments, pendulum_on_ball
-from rig.measure import FIRST_HALF_CYCLES, LivePosterior, Posterior
-from rig.measure.posterior_worker import next_fit_half_cycles
+from rig.measure.posterior import LivePosterior
+from rig.measure.posterior_worker import FIRST_HALF_CYCLES, Posterior, next_fit_half_cycles
 from rig.settings import load_configuration
 from tests.processing.fit.decays import decay, paper_pair
 from tests.rig.command_line import CONFIGS

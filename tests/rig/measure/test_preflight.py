@@ -14,7 +14,7 @@ from calibration.pointing import stability
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import Spot, SpotFlag
 from processing.units import ARCSEC_RAD
-from rig.control import ControlState, DevicesNow, LaserNow, Light
+from rig.control import ControlState, LaserReport, Light, SafetyNow
 from rig.measure.preflight import TrialFrames, frame_checks, rest_checks
 from rig.settings import PendulumSettings
 from rig.settings.sections import PreflightSettings
@@ -116,7 +116,7 @@ def test_what_was_not_checked_and_what_is_a_warning_is_not_called_go() -> None:
     verdicts = [
         *rest_checks.stillness(SWINGING, LIMITS),
         frame_checks.spot_found(spots(100), LIMITS),
-        frame_checks.laser(LaserNow(Light.ON, 0.5e-3), goes_dark_by_itself=False),
+        frame_checks.laser(LaserReport(Light.ON, 0.5e-3), goes_dark_by_itself=False),
         frame_checks.disk(1, 5000.0, 500.0, 3600.0),
     ]
     text = StringIO()
@@ -299,8 +299,8 @@ def test_air_and_controller() -> None:
     assert_no(frame_checks.air(nothing, True, dry, optional=True))
     assert_go(frame_checks.air((20.0, math.nan, 1e5), True, LIMITS))
     assert_go(frame_checks.controller(opened(), True))
-    assert_no(frame_checks.controller(DevicesNow(controller=ControlState.LOST), True))
-    assert_go(frame_checks.controller(DevicesNow(), False))
+    assert_no(frame_checks.controller(SafetyNow(controller=ControlState.LOST), True))
+    assert_go(frame_checks.controller(SafetyNow(), False))
 
 
 def test_what_stands_against_a_run_is_one_line() -> None:

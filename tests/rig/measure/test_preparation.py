@@ -49,9 +49,14 @@ def holds_spots(path: Path) -> bool:
         return False
 
 
-def test_a_release_by_hand_is_caught_from_before_it_happens(tmp_path: Path) -> None:
-    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *words())
-    assert "RELEASE BY HAND NOW" in done.stderr
+def test_a_release_by_hand_is_caught_from_before_it_happens_and_json_lines_say_all(tmp_path: Path) -> None:
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", "--json", *words())
+    # nothing else is on stdout
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert {"state", "event", "preflight", "results"} <= {line["kind"] for line in lines}
+    states = [line for line in lines if line["kind"] == "state"]
+    assert any(line["instruction"] == "release by hand now" for line in states)
+    assert states[-1]["reason"].startswith("time limit")
     with RecordReader(tmp_path / "out" / "run-1.mcap") as reader:
         spots = reader.spots()
         swings = [swing for swing in reader.swings() if swing.flags == 0]
@@ -88,14 +93,10 @@ def test_a_no_go_stops_before_anything_is_recorded_and_force_passes_over_it(tmp_
 
 def test_starts_that_are_not_accepted_are_kept_apart(tmp_path: Path) -> None:
     # of a pendulum that nobody brakes and that swings too far for ever, one attempt can be made
-    done = rig(
-        "run",
-        CONFIGS / "demo.toml",
-        "-o",
-        tmp_path / "out",
-        *words(simulation__release__amplitude_arcsec="80", start__attempts="1"),
-    )
+    too_far = words(simulation__release__amplitude_arcsec="80", start__attempts="1")
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *too_far)
     assert done.returncode == 1
+    assert "RELEASE BY HAND NOW" in done.stderr
     assert "first amplitude 8" in done.stderr
     assert "no start of 1 was accepted" in done.stderr
     aside = tmp_path / "out" / "run-1-start-1.mcap"
@@ -106,25 +107,10 @@ def test_starts_that_are_not_accepted_are_kept_apart(tmp_path: Path) -> None:
 
 
 def test_waiting_for_rest_ends_at_its_limit_with_the_reason(tmp_path: Path) -> None:
-    done = rig(
-        "run",
-        CONFIGS / "demo.toml",
-        "-o",
-        tmp_path / "out",
-        *words(simulation__release__at_s="0", phases__rest_window_s="4.5", phases__rest_max_s="8"),
-    )
+    still_swings = words(simulation__release__at_s="0", phases__rest_window_s="4.5", phases__rest_max_s="8")
+    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *still_swings)
     assert done.returncode == 1
     assert "rest: not reached within 8 s (spread 12" in done.stderr
-
-
-def test_json_lines_say_all_and_nothing_else_is_on_stdout(tmp_path: Path) -> None:
-    done = rig("run", CONFIGS / "demo.toml", "-o", tmp_path / "out", "--json", *words())
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
-    kinds = {line["kind"] for line in lines}
-    assert {"state", "event", "preflight", "results"} <= kinds
-    states = [line for line in lines if line["kind"] == "state"]
-    assert any(line["instruction"] == "release by hand now" for line in states)
-    assert states[-1]["reason"].startswith("time limit")
 
 
 @pytest.mark.slow

@@ -66,14 +66,25 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_every_frame_has_both_spots(recorded: Path) -> None:
+def test_every_frame_has_both_spots_as_they_were_seen_and_a_session_says_what_is_taken_off(
+    recorded: Path,
+) -> None:
     with RecordReader(recorded) as reader:
         reference, spots = reader.table(REFERENCE.topic), reader.table(SPOT.topic)
+        config = recorded_configuration(reader)
+        said = [event.text for event in reader.events()]
+        first = reader.deflections(next(reader.spot_blocks()))
     assert np.array_equal(reference["sequence"], spots["sequence"])
     assert np.array_equal(reference["time_ns"], spots["time_ns"])
     assert np.all(np.abs(reference["y_px"] - 684.0) < 3.0)
     assert np.all(spots["y_px"] < ROW)
     assert np.all(reference["u_y_px"] < 0.05)
+    assert said.count(BEAM_CORRECTED) == 1
+    deflector, count = optics_of(config, full_scale_dn=255.0).deflector((720, 160)), len(first.times_ns)
+    rows = [
+        Spot(*row, *[0] * (len(Spot._fields) - 4)) for row in spots[list(Spot._fields[:4])][:count].tolist()
+    ]
+    assert first.y == pytest.approx(deflector(spots["time_ns"][:count], rows).y, rel=1e-9)
 
 
 def scatter(swings: Sequence[HalfCycle]) -> tuple[float, float]:
@@ -139,15 +150,22 @@ def blocks_of(reader: RecordReader, config: Configuration, lost: range = range(0
     return found
 
 
+def corrected(
+    blocks: Sequence[Block], config: Configuration, *, threaded: bool = False
+) -> tuple[list[Block], BeamCorrection]:
+    """The blocks less the beam's motion so far."""
+    optics = optics_of(config, full_scale_dn=255.0)
+    assert optics.reference_gain is not None
+    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, threaded=threaded)
+    return [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks], less
+
+
 @pytest.mark.parametrize("threaded", [False, True])
 def test_live_half_cycles_are_less_the_beams_motion_so_far(recorded: Path, threaded: bool) -> None:
     with RecordReader(recorded) as reader:
         config, raw = recorded_configuration(reader), scatter(reader.swings())
         blocks = blocks_of(reader, config)
-    optics = optics_of(config, full_scale_dn=255.0)
-    assert optics.reference_gain is not None
-    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, threaded=threaded)
-    shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
+    shown, less = corrected(blocks, config, threaded=threaded)
     swings = [swing for block in shown for swing in block.swings] + less.finish()
     assert scatter(swings)[0] < 0.5 * raw[0]
     # the picture's spot is where it is seen
@@ -160,10 +178,7 @@ def test_a_live_fit_reads_the_record_less_the_beams_motion_as_a_run_shows_it(rec
         config = recorded_configuration(reader)
         blocks = blocks_of(reader, config)
         read = list(FollowedMotion(reader, config).unread())
-    optics = optics_of(config, full_scale_dn=255.0)
-    assert optics.reference_gain is not None
-    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, threaded=False)
-    shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
+    shown, _ = corrected(blocks, config)
     y, u_y = (np.concatenate([getattr(one.deflections, name) for one in shown]) for name in ("y", "u_y"))
     assert np.array_equal(np.concatenate([deflections.y for _, deflections in read]), y)
     assert np.array_equal(np.concatenate([deflections.u_y for _, deflections in read]), u_y)
@@ -177,10 +192,7 @@ def test_a_reference_that_is_lost_is_said_and_moves_nothing_at_once(recorded: Pa
     with RecordReader(recorded) as reader:
         config = recorded_configuration(reader)
         blocks = blocks_of(reader, config, lost=range(1000, 1200))
-    optics = optics_of(config, full_scale_dn=255.0)
-    assert optics.reference_gain is not None
-    less = BeamCorrection(optics.deflector((720, 160)), optics.reference_gain, threaded=False)
-    shown = [less.shown(block.deflections.times_ns.tolist(), block) for block in blocks]
+    shown, less = corrected(blocks, config)
     assert [one.split(":")[0] for one in less.take_news()[1:]] == [
         "reference spot lost",
         "reference spot found",
@@ -191,21 +203,6 @@ def test_a_reference_that_is_lost_is_said_and_moves_nothing_at_once(recorded: Pa
     assert np.ptp(taken[1000:1200]) < 1e-3 * np.std(taken)
     u = np.concatenate([one.deflections.u_y for one in shown])
     assert u[1199] > 2 * u[999]
-
-
-def test_a_session_says_that_live_numbers_are_less_and_records_what_was_seen(recorded: Path) -> None:
-    with RecordReader(recorded) as reader:
-        config = recorded_configuration(reader)
-        said = [event.text for event in reader.events()]
-        spots = reader.table(SPOT.topic)
-        first = reader.deflections(next(reader.spot_blocks()))
-    assert said.count(BEAM_CORRECTED) == 1
-    deflector = optics_of(config, full_scale_dn=255.0).deflector((720, 160))
-    count = len(first.times_ns)
-    rows = [
-        Spot(*row, *[0] * (len(Spot._fields) - 4)) for row in spots[list(Spot._fields[:4])][:count].tolist()
-    ]
-    assert first.y == pytest.approx(deflector(spots["time_ns"][:count], rows).y, rel=1e-9)
 
 
 def test_a_gain_that_is_not_stated_is_found_from_the_run(recorded: Path) -> None:

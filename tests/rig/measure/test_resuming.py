@@ -20,7 +20,6 @@ from rig.analysis import read_results
 from rig.devices import Devices
 from rig.interruption import Terminated
 from rig.measure import measure_session, measure_sessions, resume_session
-from rig.measure import resuming as resuming_module
 from rig.measure import session as session_module
 from rig.measure.run_parts import RunOutcome, RunPlan
 from rig.settings import load_configuration
@@ -131,7 +130,7 @@ def test_a_run_that_was_made_after_the_last_results_is_fitted(
     state["runs_wanted"] = 3
     (out / "session.json").write_text(json.dumps(state))
     with monkeypatch.context() as killed:
-        killed.setattr(resuming_module, "report", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        killed.setattr(session_module, "report", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             resume_session(out)
     resume_session(out)

@@ -22,9 +22,8 @@ from rig.instrument import Phase, RunNow, piece_contents
 from rig.measure import measure_session
 from rig.measure.run import MeasurementRun
 from rig.measure.run_parts import RunOutcome
-from rig.settings import load_configuration
 from rig.terminal import plain_values
-from tests.rig.command_line import CONFIGS, SMALL
+from tests.rig.command_line import CONFIGS, SMALL, configured
 
 
 def read_again(record: Path) -> RunNow:
@@ -50,7 +49,7 @@ def test_a_record_says_how_its_session_stood(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(MeasurementRun, "execute", kept)
     # without a limit that holds the fits are made all the same, and waited for: the run repeats exactly
     stated = {**SMALL, "session.max_duration_s": "88", "session.stop_when": '["u(b)/b < 1e-9"]'}
-    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in stated.items()])
+    config = configured(stated)
     measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
     record = tmp_path / "out" / "run-1.mcap"
     # who reads the record sees what the screen has shown; that it is closed it cannot say

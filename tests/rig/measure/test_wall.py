@@ -11,17 +11,17 @@ from acquisition.record.reader import RecordReader
 from processing.balance import BalanceEstimator
 from processing.swing import TurningPointDetector
 from rig.instrument import ObserverGuard
-from rig.measure import LivePosterior, measure_session, readings, recording
+from rig.measure import measure_session, readings
+from rig.measure.posterior import LivePosterior
 from rig.measure.screen import RunDisplay
-from rig.settings import load_configuration
-from tests.rig.command_line import CONFIGS, SMALL
+from tests.rig.command_line import CONFIGS, SMALL, configured
 
 WATCHERS = {
     "watcher RunDisplay": (RunDisplay, "take"),
     "the display": (RunDisplay, "show"),
     "the live fit": (LivePosterior, "take"),
     "the estimate of the balance": (BalanceEstimator, "update"),
-    "the watch for steps": (recording.StepEvents, "take"),
+    "the watch for steps": (readings.StepEvents, "take"),
     "the camera's temperature": (readings.TemperatureWatch, "take"),
 }
 
@@ -30,7 +30,7 @@ def measured(tmp_path: Path) -> tuple[list[Any], Any]:
     """Events of a run of twenty seconds, and how the session ended."""
     stated = {**SMALL, "session.max_duration_s": "20", "preflight.when": '"never"'}
     stated |= {"session.stop_when": '["u(b)/b < 1e-9"]'}
-    config = load_configuration(CONFIGS / "demo.toml", [f"{key}={value}" for key, value in stated.items()])
+    config = configured(stated)
     ended = None
     with contextlib.suppress(SystemExit, ValueError):
         ended = measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")

@@ -80,5 +80,5 @@ def test_the_map_takes_away_what_hot_pixels_do_and_a_replay_repeats_it(
         while replay.advance(np.inf, 1000) is not None:
             pass
         found = replay.finish()
-    assert found.comparison.largest_spot_change_u < 1e-3
+    assert found.comparison.spots.largest_u < 1e-3
     assert found.beam.model is not None

@@ -19,10 +19,9 @@ from rig.control import (
     Controller,
     ControllerSettings,
     ControlService,
-    DevicesNow,
     EnvironmentService,
     EnvironmentSettings,
-    LaserNow,
+    LaserReport,
     Light,
     SafetyNow,
     SeismometerLines,
@@ -41,7 +40,7 @@ from rig.measure.run_parts import RunParts, RunPlan
 from rig.measure.session import measure_session, session_folder
 from rig.prepare.balancing import BalanceView, measure
 from rig.settings import Configuration, load_configuration
-from rig.view.show import write_rrd
+from rig.view.show import show_records
 from tests.rig.command_line import CONFIGS, SMALL
 from tests.rig.control.instruments import FakeObis, FakeThorlabs
 from tests.rig.known_rig import known
@@ -61,7 +60,7 @@ def measure_one_session(folder: Path) -> None:
     config = configuration(session__max_duration_s=2, view__file="true")
     measure_session(config, DEMO, folder / "out")
     # as the viewer's own process does
-    write_rrd([folder / "out" / "run-1.mcap"], folder / "again.rrd")
+    show_records([folder / "out" / "run-1.mcap"], rrd=folder / "again.rrd")
     session_folder(config.model_copy(update={"session": _in(config, folder)}), DEMO, None)
 
 
@@ -85,11 +84,8 @@ class _Stubs:
     witness = None
     permit = SimpleNamespace(latched=None)
 
-    def now(self) -> DevicesNow:
-        return DevicesNow()
-
-    def laser_now(self) -> LaserNow:
-        return LaserNow(Light.ON)
+    def laser_report(self) -> LaserReport:
+        return LaserReport(Light.ON)
 
     def safety(self) -> SafetyNow:
         return SafetyNow(light=Light.ON)

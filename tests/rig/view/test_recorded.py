@@ -18,7 +18,7 @@ from processing.errors import ConfigurationError, RecordError
 from processing.spot import Spot, SpotFlag
 from processing.swing import HalfCycle
 from processing.units import ARCSEC_RAD
-from rig.view.show import run_names, setup_of, show_records, write_rrd
+from rig.view.show import run_names, setup_of, show_records
 from tests.rig.view import scene as view_scene
 from tests.rig.view.rrd_contents import column, entities, measured, scalars
 
@@ -70,7 +70,7 @@ def make_record(
 
 def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     rrd = tmp_path / "shown.rrd"
-    write_rrd([make_record(tmp_path / "run.mcap")], rrd)
+    show_records([make_record(tmp_path / "run.mcap")], rrd=rrd)
     times_s, x = scalars(rrd, "/deflection/x")
     expected, _ = view_scene.trajectory(np.delete(np.arange(1001), 200) / 100, np.random.default_rng(3))
     expected[LOST_ROW] = np.nan
@@ -91,6 +91,10 @@ def test_a_record_is_drawn_from_its_start(tmp_path: Path) -> None:
     # of a frame half as large; the cross' arms are symmetric about the spot, half a pixel further in Rerun's
     # coordinates
     assert np.mean(np.array(crosses[0]).reshape(-1, 2), axis=0) == pytest.approx([210.5, 80.5], abs=1e-3)
+    # the lost spot breaks the trajectory
+    _, strips = column(rrd, "/lissajous/equal/trajectory/recent", "LineStrips2D:strips")
+    assert sum(len(strip[0]) - 1 for strip in strips) == 1000 - 1 - 2
+    assert np.isfinite(np.concatenate([np.array(strip[0]) for strip in strips])).all()
 
 
 def test_what_is_drawn_of_a_record_does_not_depend_on_how_much_was_there_at_first(tmp_path: Path) -> None:
@@ -115,7 +119,7 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
         writer.write_spots([0], [0], [0], [spot], at)
         for kind in ("start", "trip", *lost_light, *warnings):
             writer.write_event(0, kind, "happened")
-    write_rrd([path], rrd)
+    show_records([path], rrd=rrd)
     texts = [text for (text,) in column(rrd, "/events", "TextLog:text")[1]]
     levels = [level for (level,) in column(rrd, "/events", "TextLog:level")[1]]
     found = dict(zip(texts, levels, strict=True))
@@ -125,19 +129,10 @@ def test_a_failing_record_is_a_warning_as_in_the_records_own_log(tmp_path: Path)
     assert found == warned | {"trip: happened": "CRITICAL", **alarms}
 
 
-def test_a_lost_spot_breaks_the_trajectory(tmp_path: Path) -> None:
-    rrd = tmp_path / "shown.rrd"
-    write_rrd([make_record(tmp_path / "run.mcap")], rrd)
-    _, strips = column(rrd, "/lissajous/equal/trajectory/recent", "LineStrips2D:strips")
-    points = sum(len(strip[0]) - 1 for strip in strips)
-    assert points == 1000 - 1 - 2
-    assert np.isfinite(np.concatenate([np.array(strip[0]) for strip in strips])).all()
-
-
 def test_records_are_laid_over_each_other(tmp_path: Path) -> None:
     rrd = tmp_path / "shown.rrd"
     paths = [make_record(tmp_path / "run-1.mcap"), make_record(tmp_path / "run-2.mcap", start_s=100.0)]
-    write_rrd(paths, rrd)
+    show_records(paths, rrd=rrd)
     assert scalars(rrd, "/run-1/deflection/y")[0][0] == 0.0
     assert scalars(rrd, "/run-2/deflection/y")[0][0] == 0.0
     assert {
@@ -146,17 +141,14 @@ def test_records_are_laid_over_each_other(tmp_path: Path) -> None:
     } <= entities(rrd)
 
 
-def test_a_record_without_calibration_is_shown_in_px(tmp_path: Path) -> None:
+def test_a_record_without_calibration_is_shown_in_px_and_not_laid_over_another(tmp_path: Path) -> None:
     rrd = tmp_path / "shown.rrd"
-    write_rrd([make_record(tmp_path / "run.mcap", unit="px")], rrd)
+    show_records([make_record(tmp_path / "run.mcap", unit="px")], rrd=rrd)
     assert np.nanmax(scalars(rrd, "/deflection/y")[1]) == pytest.approx(120.0, rel=0.01)
-
-
-def test_px_and_arcsec_do_not_mix(tmp_path: Path) -> None:
-    paths = [make_record(tmp_path / "a.mcap"), make_record(tmp_path / "b.mcap", unit="px")]
+    paths = [make_record(tmp_path / "a.mcap"), tmp_path / "run.mcap"]
     with pytest.raises(RecordError, match="cannot be overlaid"):
-        write_rrd(paths, tmp_path / "shown.rrd")
-    assert not (tmp_path / "shown.rrd").exists()
+        show_records(paths, rrd=tmp_path / "both.rrd")
+    assert not (tmp_path / "both.rrd").exists()
 
 
 def test_a_record_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
@@ -164,7 +156,7 @@ def test_a_record_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
     rrd = tmp_path / "shown.rrd"
-    write_rrd([path], rrd)
+    show_records([path], rrd=rrd)
     assert 1000 < len(scalars(rrd, "/deflection/x")[0]) < 30_000
 
 
@@ -183,11 +175,16 @@ def test_bad_files_are_named_and_nothing_is_written(
     assert set(tmp_path.iterdir()) == before
 
 
-def test_an_existing_rerun_file_is_not_overwritten(tmp_path: Path) -> None:
-    rrd = tmp_path / "shown.rrd"
+def test_a_rerun_file_that_exists_or_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    record, rrd = make_record(tmp_path / "run.mcap"), tmp_path / "shown.rrd"
     rrd.write_bytes(b"kept")
-    with pytest.raises(ConfigurationError, match="exists already"):
-        show_records([make_record(tmp_path / "run.mcap")], rrd=rrd)
+    for path, said in (
+        (rrd, "exists already"),
+        (tmp_path / "missing" / "a.rrd", "is not there"),
+        (tmp_path, "a folder"),
+    ):
+        with pytest.raises(ConfigurationError, match=said):
+            show_records([record], rrd=path)
     assert rrd.read_bytes() == b"kept"
 
 
@@ -196,13 +193,7 @@ def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path) -> None:
     rrd = tmp_path / "shown.rrd"
     rrd.symlink_to("/dev/full")
     with pytest.raises(RecordError, match=r"shown\.rrd is not whole: .*No space left"):
-        write_rrd([make_record(tmp_path / "run.mcap")], rrd)
-
-
-@pytest.mark.parametrize("where", ["missing/shown.rrd", "."])
-def test_a_rerun_file_that_cannot_be_made_is_refused(tmp_path: Path, where: str) -> None:
-    with pytest.raises(ConfigurationError, match=r"missing is not there|is a folder"):
-        write_rrd([make_record(tmp_path / "run.mcap")], tmp_path / where)
+        show_records([make_record(tmp_path / "run.mcap")], rrd=rrd)
 
 
 def test_without_a_screen_nothing_opens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

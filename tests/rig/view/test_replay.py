@@ -19,10 +19,10 @@ from rig.analysis.result_rows import ResultRow
 from rig.instrument.provenance import recorded_configuration
 from rig.instrument.run_now import RunNow
 from rig.terminal.quantities import KeyParser, Keys
-from rig.view.record_replay import ReplayLine, replay_record, speed_of
+from rig.view.record_replay import replay_record, speed_of
 from rig.view.replay import Replay
 from rig.view.replay_comparison import parameter_changes
-from rig.view.replay_player import Player
+from rig.view.replay_player import Player, ReplayLine
 from tests.rig.view.replay_record import GAP_FRAME, LOST_FRAME, RATE_HZ, make_record
 
 SECONDS = 100.0
@@ -83,8 +83,8 @@ def test_every_pace_gives_the_record_bit_for_bit(record: Path, speed: float) -> 
         _, script = played(replay, speed, {})
         result = replay.finish()
     assert result.comparison.identical
-    assert result.comparison.spots == FRAMES
-    assert result.comparison.swings_recorded == result.comparison.swings_replayed >= 25
+    assert result.comparison.frames == FRAMES
+    assert result.comparison.half_cycles.recorded == result.comparison.half_cycles.replayed >= 25
     assert script.now_s == pytest.approx(SECONDS / speed, abs=0.6)
     last = script.shown[-1][1]
     assert (last.frames, last.dropped_frames, last.lost_spots) == (FRAMES, 1, 1)
@@ -116,10 +116,10 @@ def test_a_part_begins_and_ends_where_it_is_told(record: Path) -> None:
     assert sum(map(len, result.deflections)) == 30 * RATE_HZ + 1 - 1
     assert result.dropped_frames == 1
     comparison = result.comparison
-    assert (comparison.spots, comparison.spots_changed) == (30 * RATE_HZ, 0)
+    assert (comparison.frames, comparison.spots.changed) == (30 * RATE_HZ, 0)
     # the same turning points, found by a pipeline that began later: within some of their uncertainties
-    assert comparison.swings_replayed == comparison.swings_recorded >= 12
-    assert comparison.largest_swing_change_u < 8.0
+    assert comparison.half_cycles.replayed == comparison.half_cycles.recorded >= 12
+    assert comparison.half_cycles.largest_u < 8.0
 
 
 def test_what_is_analysed_is_what_the_record_says_itself(

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from acquisition.record.reader import RecordReader
+from acquisition.record.topics import REFERENCE
 from rig.interruption import LOOPBACK, start_python
-from rig.view import RunningView, replay_record
-from rig.view.show import write_rrd
+from rig.view import RunningView, replay_record, show_records
 from tests.rig.command_line import CONFIGS, rig, set_words
-from tests.rig.view.rrd_contents import column, contents, scalars
+from tests.rig.view.rrd_contents import column, contents, entities, scalars
 from tests.rig.view.test_recorded import make_record
 from tests.waiting import until
 
@@ -48,13 +48,15 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_is_shown_live_is_what_is_shown_afterwards(live: Path, tmp_path: Path) -> None:
-    write_rrd([live / "run-1.mcap"], tmp_path / "again.rrd")
+    show_records([live / "run-1.mcap"], rrd=tmp_path / "again.rrd")
     first, again = contents(live / "run-1.rrd"), contents(tmp_path / "again.rrd")
     assert first.keys() == again.keys()
     differing = {key for key in first if first[key] != again[key]}
     assert differing == {("/__properties", "RecordingInfo:start_time")}
     (last_state,) = column(live / "run-1.rrd", "/state", "TextDocument:text")[1][-1]
     assert last_state.startswith("**done**: time limit of")
+    # a rig without a reference spot has no such curve
+    assert not [path for path in entities(live / "run-1.rrd") if "reference" in path]
 
 
 def test_a_replay_shows_the_same_curves(live: Path, tmp_path: Path) -> None:
@@ -70,7 +72,7 @@ def test_a_replay_shows_the_same_curves(live: Path, tmp_path: Path) -> None:
 IMPATIENT = """
 from rig.cli import main
 from rig.view import scratch
-scratch._SHOW_END_S = scratch._WRITE_END_S = 2.0
+scratch._MAX_SHOW_END_S = scratch._MAX_WRITE_END_S = 2.0
 main()
 """
 """`rig`, which waits for less long for what draws its last."""
@@ -210,3 +212,30 @@ def listening(pid: int) -> set[str]:
             if fields[3] == "0A" and fields[9] in sockets:
                 found.add(fields[1])
     return found
+
+
+BRIEF = {"session.max_duration_s": "12", "instrument.kind": '"tomlinson"'}
+VAULT = Path(__file__).parents[3] / "configs" / "vault.toml"
+
+
+@pytest.fixture(scope="module")
+def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("vault")
+    done = rig("run", VAULT, "-o", "out", *set_words(BRIEF), cwd=folder)
+    assert (folder / "out" / "run-1.rrd").exists(), done.stderr
+    return folder / "out"
+
+
+def test_live_and_recorded_curves_are_the_positions_of_the_record(vault: Path, tmp_path: Path) -> None:
+    show_records([vault / "run-1.mcap"], rrd=tmp_path / "again.rrd")
+    with RecordReader(vault / "run-1.mcap") as reader:
+        spots = reader.table(REFERENCE.topic)
+    for axis in ("x", "y"):
+        times_s, values = scalars(tmp_path / "again.rrd", f"/reference/{axis}")
+        rows = np.searchsorted(spots["time_ns"], spots["time_ns"][0] + np.rint(1e9 * times_s) - 1_000_000)
+        expected = spots[f"{axis}_px"] - spots[f"{axis}_px"][0]
+        assert values == pytest.approx(expected[rows], abs=1e-9)
+        assert len(values) == pytest.approx(10 * times_s[-1], abs=2)
+        live = scalars(vault / "run-1.rrd", f"/reference/{axis}")
+        assert np.array_equal(live[1], values)
+        assert live[0] == pytest.approx(times_s)

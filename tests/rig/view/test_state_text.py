@@ -18,7 +18,7 @@ from processing.deflections import Deflections
 from processing.spot import Spot
 from rig.instrument import complete, configuration_attachments
 from rig.settings import load_configuration
-from rig.view.show import write_rrd
+from rig.view.show import show_records
 from tests.rig.view.replay_record import CONFIG, EPOCH_NS
 from tests.rig.view.rrd_contents import column
 
@@ -45,22 +45,19 @@ def state_of(
         writer.write(HEALTHY)
         for name, (value, u) in (estimates or {}).items():
             writer.write(RecordedEstimate(0, 80, value, u, name))
-    write_rrd([folder / "run.mcap"], folder / "run.rrd")
+    show_records([folder / "run.mcap"], rrd=folder / "run.rrd")
     ((text,),) = column(folder / "run.rrd", "/state", "TextDocument:text")[1][-2:-1]
     return str(text)
 
 
-def test_the_state_says_how_the_session_keeps_up(tmp_path: Path) -> None:
+def test_the_state_says_how_the_session_keeps_up_and_why_panels_are_empty(tmp_path: Path) -> None:
     text = state_of(tmp_path)
     assert text.startswith("**measuring**\n\nlook at the laser\n\n- state of ")
     assert "- frames were 12 ms old when they were processed\n" in text
     assert "- camera's clock +31.204 ± 0.052 ppm against the computer's, stepped once by +0.13 s\n" in text
     assert "- lost: 3 by the bus, 1 by this computer\n" in text
     assert "- beam: one Gaussian\n" in text
-
-
-def test_every_empty_panel_has_a_reason(tmp_path: Path) -> None:
-    text = state_of(tmp_path)
+    # every empty panel has a reason
     assert "amplitude and period are empty until a half-cycle" in text
     assert "the balance is empty until" in text
     assert "enough half-cycles for a first fit" in text

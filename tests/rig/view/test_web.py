@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.terminal import palette
-from rig.view.show import write_rrd
+from rig.view.show import show_records
 from tests.rig.view.headless_browser import HeadlessBrowser, headless_browser, wait_for_picture
 from tests.rig.view.headless_viewer import pixels_of
 from tests.rig.view.replay_record import make_record
@@ -32,7 +32,7 @@ def browser() -> Iterator[HeadlessBrowser]:
 def test_a_page_shows_records_and_rerun_files(browser: HeadlessBrowser, tmp_path: Path, kind: str) -> None:
     record, shown = make_record(tmp_path / "run.mcap", 60.0), tmp_path / f"run.{kind}"
     if kind == "rrd":
-        write_rrd([record], shown)
+        show_records([record], rrd=shown)
     with subprocess.Popen(
         [sys.executable, "-m", "rig", "view", str(shown), "--view", "web"],
         stdout=subprocess.PIPE,

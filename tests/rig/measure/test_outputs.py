@@ -1,4 +1,4 @@
-"""A terminal or a pipe that nobody reads holds up neither frames nor the end; POSIX only."""
+"""A terminal or pipe that is closed, or that nobody reads, holds up neither frames nor the end."""
 
 import fcntl
 import json
@@ -9,19 +9,20 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from acquisition.record.events import EventKind, end_of
 from acquisition.record.reader import RecordReader
-from rig.devices import FrameStream
+from rig.devices import FrameStream, SessionNews
 from rig.interruption import _may_block
-from rig.measure import plain_record
-from tests.rig.command_line import CONFIGS, QUICK, SMALL, rig, set_words
+from rig.measure import measure_session, plain_record, screen
+from tests.rig.command_line import CONFIGS, QUICK, SMALL, configured, rig, set_words
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="pipes and signals of POSIX")]
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and signals of POSIX")
 WITHIN_S = 120.0
 
 
@@ -35,6 +36,7 @@ def waiting(out: int) -> int:
     return int.from_bytes(fcntl.ioctl(out, termios.FIONREAD, b"\0\0\0\0"), sys.byteorder)
 
 
+@pytest.mark.slow
 def test_a_second_signal_ends_a_session_whose_output_nobody_reads(tmp_path: Path) -> None:
     out, into = unread_pipe()
     words = set_words({**QUICK, "session.max_duration_s": "1e6", "session.final_amplitude_arcsec": "0.001"})
@@ -77,6 +79,7 @@ def test_what_may_block_is_no_file(tmp_path: Path) -> None:
     os.close(into)
 
 
+@pytest.mark.slow
 def test_an_unread_terminal_does_not_hold_a_preflight_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,3 +103,50 @@ def test_an_unread_terminal_does_not_hold_a_preflight_up(
     kinds = [json.loads(line)["kind"] for line in done.stdout.splitlines()]
     assert set(kinds[:-1]) == {"state"}
     assert kinds[-1] == "preflight"
+
+
+NOHUP = (
+    "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
+    "os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+)
+
+
+@pytest.mark.slow
+def test_a_session_without_anybody_to_read_its_output_is_complete(tmp_path: Path) -> None:
+    out, into = os.pipe()
+    words = ["-m", "rig", "run", CONFIGS / "demo.toml", "-o", tmp_path / "out", *set_words(QUICK)]
+    process = subprocess.Popen(
+        [sys.executable, "-c", NOHUP, *words],
+        stdin=subprocess.DEVNULL,
+        stdout=into,
+        stderr=into,
+    )
+    os.close(into)
+    # whoever read it goes away: every further line is an error
+    os.close(out)
+    process.wait(250)
+    (entry,) = json.loads((tmp_path / "out" / "session.json").read_text())["entries"]
+    assert entry["state"] == "complete"
+    assert (tmp_path / "out" / "results.json").exists()
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_who_watches_is_told_on_when_the_terminal_was_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    phases: list[str] = []
+    usual = SessionNews.state
+
+    def state(news: SessionNews, values: Mapping[str, Any], rows: Sequence[tuple[str, str]]) -> None:
+        phases.append(values["phase"])
+        usual(news, values, rows)
+
+    def closed(*_: object, **__: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(SessionNews, "state", state)
+    monkeypatch.setattr(screen, "say", closed)
+    values = {**QUICK, "session.max_duration_s": "3"}
+    config = configured(values)
+    measure_session(config, CONFIGS / "demo.toml", tmp_path / "out")
+    assert phases[-1] == "done"

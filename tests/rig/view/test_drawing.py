@@ -1,0 +1,129 @@
+"""What is drawn into Rerun: breaks of curves, axes that follow the trajectory, lanes by kinds of events."""
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from acquisition.record.events import Event, EventKind
+from processing.spot import SpotFlag
+from rig.view import layout
+from rig.view.drawing import RunLanes
+from rig.view.graticule import PLANE_REACH
+from tests.rig.view.rrd_contents import column, measured, scalars
+from tests.rig.view.scene import drawing_into
+
+
+def test_a_curve_does_not_cross_what_was_not_measured(tmp_path: Path) -> None:
+    path = tmp_path / "gaps.rrd"
+    time_s = np.concatenate([np.arange(0, 5, 0.02), np.arange(30, 35, 0.02)])
+    flags = np.zeros(len(time_s), dtype=np.int64)
+    with drawing_into(path, period_s=4.0) as drawing:
+        for part in (slice(0, 400), slice(400, None)):
+            drawing.samples("", time_s[part], np.sin(time_s[part]), np.cos(time_s[part]), flags[part])
+        for at_s in (17.0, 21.0, 953.0, 957.0):
+            drawing.balance("", at_s, {"period_ratio": (3.0, 0.1)})
+    at, x = scalars(path, "/deflection/x")
+    assert at[np.isnan(x)].tolist() == [0.5 * (time_s[249] + time_s[250])]
+    assert np.isfinite(x).sum() == len(time_s)
+    at, ratio, _ = measured(path, "/balance/period_ratio")
+    assert at[np.isnan(ratio)] == pytest.approx([487.0])
+
+
+def test_samples_are_thinned_whatever_the_model_of_the_beam(tmp_path: Path) -> None:
+    """A flag that every spot of a run has would have every sample drawn."""
+    path = tmp_path / "run.rrd"
+    with drawing_into(path) as drawing:
+        time_s = np.arange(500) / 500
+        drawing.samples("", time_s, np.sin(time_s), np.cos(time_s), np.full(500, SpotFlag.LEARNED))
+    assert len(scalars(path, "/deflection/x")[0]) == 100
+
+
+PERIOD_S = 4.0
+
+
+def reaches(rrd: Path) -> tuple[np.ndarray, np.ndarray]:
+    """When the axes were drawn again, and how far they reached from then on."""
+    times_s, scales = column(rrd, "/lissajous/equal/trajectory", "Transform3D:scale")
+    return times_s, np.array([PLANE_REACH / scale[0][0] for scale in scales])
+
+
+def decay(amplitude: float) -> np.ndarray:
+    time_s = np.arange(0, 200, 0.02)
+    return amplitude * np.exp(-time_s / 60.0) * np.cos(2 * np.pi * time_s / PERIOD_S)
+
+
+def draw(rrd: Path, block: int, amplitude: float, y: np.ndarray) -> None:
+    time_s = 0.02 * np.arange(len(y))
+    with drawing_into(rrd, amplitude=amplitude, period_s=PERIOD_S) as drawing:
+        for first in range(0, len(time_s), block):
+            part = slice(first, first + block)
+            none = np.zeros(len(time_s[part]), dtype=np.int64)
+            drawing.samples("", time_s[part], 0 * y[part], y[part], none)
+
+
+@pytest.mark.parametrize("block", [8, 1024])
+def test_axes_step_down_with_the_amplitude_whatever_the_blocks(tmp_path: Path, block: int) -> None:
+    rrd = tmp_path / "decay.rrd"
+    draw(rrd, block, 120.0, decay(120.0))
+    times_s, reach = reaches(rrd)
+    np.testing.assert_allclose(reach, [150.0, 100.0, 70.0, 50.0, 30.0, 20.0, 15.0, 10.0, 7.0][: len(reach)])
+    assert len(reach) >= 8
+    # each step comes when two periods stay within nine tenths of it: a half-cycle and a block later
+    expected_s = 60.0 * np.log(120.0 / (0.9 * reach[1:]))
+    late_s = times_s[1:] - expected_s
+    assert np.all(late_s > -block * 0.02 - PERIOD_S)
+    assert np.all(late_s < 2.5 * PERIOD_S + 2 * block * 0.02)
+
+
+def test_axes_hold_a_trajectory_that_rests_far_from_zero(tmp_path: Path) -> None:
+    rrd = tmp_path / "rest.rrd"
+    draw(rrd, 64, 20.0, 40.0 + decay(20.0))
+    _, reach = reaches(rrd)
+    # drawn for 20 arcsec at first; what swings from 20 to 60, and rests at 40, needs more
+    np.testing.assert_allclose(reach, [30.0, 70.0, 50.0], rtol=1e-6)
+
+
+def test_axes_grow_with_a_release(tmp_path: Path) -> None:
+    rrd = tmp_path / "release.rrd"
+    time_s = np.arange(0, 40, 0.02)
+    y = np.where(time_s < 20, 0.1, 100 * np.cos(2 * np.pi * (time_s - 20) / PERIOD_S))
+    draw(rrd, 50, 120.0, y)
+    times_s, reach = reaches(rrd)
+    assert reach.min() < 1.0
+    assert reach[-1] == pytest.approx(150.0)
+    assert times_s[-1] == pytest.approx(20.0, abs=0.1)
+
+
+class Stream:
+    """Keeps which entity was drawn with what."""
+
+    def __init__(self) -> None:
+        self.drawn: list[tuple[str, object]] = []
+
+    def log(self, entity: str, thing: object, **_: Any) -> None:
+        self.drawn.append((entity, thing))
+
+
+@pytest.mark.parametrize(
+    ("kind", "lanes"),
+    [
+        (EventKind.START, {"run", "spot", "frames"}),
+        (EventKind.LASER_DARK, {"laser"}),
+        ("", set()),
+        ("unknown", set()),
+    ],
+)
+def test_a_lane_changes_with_the_kind_of_an_event(kind: str, lanes: set[str]) -> None:
+    stream = Stream()
+    RunLanes(cast(rr.RecordingStream, stream)).draw("run 1", kind)
+    changed = {entity for entity, thing in stream.drawn if isinstance(thing, rr.StateChange)}
+    assert changed == {layout.entity("run 1", lane) for lane in lanes}
+
+
+def test_a_line_that_reads_like_an_event_changes_no_lane() -> None:
+    stream = Stream()
+    RunLanes(cast(rr.RecordingStream, stream)).draw("", Event(0, EventKind.STOP, "time limit").line)
+    assert stream.drawn == []
