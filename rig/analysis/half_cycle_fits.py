@@ -24,7 +24,7 @@ from rig.analysis.contact_verdicts import rig_quantities, with_contact
 from rig.analysis.decay_values import decay_rows, values_of_points
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import PositionErrors, StoredTurningPoints
+from rig.analysis.run_values import PositionErrors, StoredTurningPoints
 from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import FollowedPlane, follow_plane

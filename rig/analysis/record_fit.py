@@ -12,7 +12,6 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
-from processing.fit import FitMethod
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
 from rig.analysis.air import air_doubts, recorded_surroundings
@@ -23,7 +22,8 @@ from rig.analysis.passing_deflections import (
     without_beam_motion,
     without_fixed_light,
 )
-from rig.analysis.run_conditions import Beam, run_clock, run_conditions
+from rig.analysis.run_conditions import run_clock, run_conditions
+from rig.analysis.run_values import Beam
 from rig.analysis.seismometer import recorded_witness
 from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
@@ -58,7 +58,7 @@ def analyse_record(
         optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
         watched.refuse_read()
         blocks = _RecordedDeflections(reader)
-        run = analyse_run(
+        return analyse_run(
             reader,
             watched.config,
             reader.swings(),
@@ -67,8 +67,8 @@ def analyse_record(
             blocks.beam,
             lambda frames: blocks.following - frames,
             witness=witness,
+            watched=watched,
         )
-        return replace(run, watched=watched)
 
 
 class _RecordedDeflections:
@@ -101,6 +101,7 @@ def analyse_run(
     dropped: Callable[[int], int],
     *,
     witness: SeismometerRecord | None = None,
+    watched: KeyUseMonitor | None = None,
 ) -> AnalysedRun:
     """Results of half-cycles and deflections of a record, as recorded or by a replay.
 
@@ -131,15 +132,16 @@ def analyse_run(
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.warnings, *doubts, *reader.doubts(), *air_doubts(surroundings)]
     end = end_of(reader.events())
-    frames, judged = deflections.frames, Beam.of(beam, noise_is_known=config.sensor is not None)
-    dropped_frames, exact = dropped(frames), run.fits.get(FitMethod.EXACT)
+    judged = Beam.of(beam, noise_is_known=config.sensor is not None)
     if pulled is not None and judged.poor_fit_frames:
         judged = replace(judged, likely_cause=pulled.verdict.reason, remedy=pulled.verdict.remedy)
-    of_contact = config.instrument.description().report == "contact"
-    return replace(
+    verdicts = [] if pulled is None else [pulled.verdict]
+    if config.instrument.description().report == "contact":
+        verdicts += run_balance_verdicts(balance_of_run(run.decay_balances, run.plane), config.balance)
+    run = replace(
         run,
-        frames=frames,
-        dropped_frames=dropped_frames,
+        frames=deflections.frames,
+        dropped_frames=dropped(deflections.frames),
         simulated=RecordedCamera.from_metadata(reader.metadata).simulated,
         losses=reader.losses(),
         beam=judged,
@@ -150,23 +152,7 @@ def analyse_run(
         inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},
         surroundings=surroundings,
         clock=clock,
-        conditions=run_conditions(
-            reader,
-            frames,
-            deflections.lost_spots,
-            dropped_frames,
-            config.preflight,
-            None if exact is None else exact.ground,
-            run.half_cycles,
-            judged,
-            clock,
-            (
-                *([] if pulled is None else [pulled.verdict]),
-                *(
-                    run_balance_verdicts(balance_of_run(run.decay_balances, run.plane), config.balance)
-                    if of_contact
-                    else ()
-                ),
-            ),
-        ),
+        watched=watched,
     )
+    conditions = run_conditions(reader, run, deflections.lost_spots, config.preflight, verdicts)
+    return replace(run, conditions=conditions)

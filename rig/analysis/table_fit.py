@@ -33,16 +33,9 @@ from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import DECAY, amplitude_damping, decay_rows, decay_values
 from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import (
-    EnvelopeResults,
-    RunResults,
-    Series,
-    SessionResults,
-    StoredTurningPoints,
-    TableDecay,
-    TableUnit,
-)
+from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults
 from rig.analysis.results_file import relative_record
+from rig.analysis.run_values import StoredTurningPoints, TableDecay, TableUnit
 from rig.analysis.seismometer_file import FIRST_UTC_S, FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun, instrument_series
 from rig.analysis.turning_plane import FollowedPlane, follow_plane

@@ -18,7 +18,7 @@ from processing.fit.seismometer import SeismometerVerdict
 from rig.analysis import AnalysedTable, analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
-from rig.analysis.seismometer import witness_sentences
+from rig.analysis.run_remarks import witness_sentences
 from rig.analysis.seismometer_file import FitStart, SeismometerSource
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.archive.session_rows import results_row
