@@ -64,11 +64,11 @@ def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
     return tuple(law for law in LAWS.values() if law is DEFAULT_LAW or {law.name, "all"} & set(names))
 
 
-def compared_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws | None:
-    """Fit the laws to the turning points of a fitted run; None where it has no fit."""
+def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
+    """The run with these laws fitted to its turning points and compared; unchanged where it has no fit."""
     exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
-        return None
+        return run
     like = dict(zip(exact.names, exact.values.tolist(), strict=True))
     made = [law.of(run.points, pendulum, like) if isinstance(law, StatedLaw) else law for law in laws]
     compared = compare_laws(run.points, pendulum, made, like=exact)
@@ -79,7 +79,7 @@ def compared_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> Compared
         verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
     classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
     if not classes:
-        return ComparedLaws(_law_fits(compared, {}), verdict, free)
+        return replace(run, laws=ComparedLaws(_law_fits(compared, {}), verdict, free))
     predicted = {
         trial.law.name: predicted_harmonics(classes, trial.fit, pendulum)
         for trial in compared.trials
@@ -87,12 +87,8 @@ def compared_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> Compared
     }
     chances = waveform_chances(classes, predicted)
     verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
-    return ComparedLaws(_law_fits(compared, chances), verdict, free, _waveform_classes(classes, predicted))
-
-
-def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
-    """The run with these laws compared."""
-    return replace(run, laws=compared_laws(run, laws))
+    waveform = _waveform_classes(classes, predicted)
+    return replace(run, laws=ComparedLaws(_law_fits(compared, chances), verdict, free, waveform))
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:

@@ -43,7 +43,14 @@ from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis.air import limit_sentence
 from rig.analysis.contact_results import Correlation, Fit
-from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row, result_rows, withheld
+from rig.analysis.result_rows import (
+    SURFACE_ENERGY,
+    ResultRow,
+    plain_row,
+    result_rows,
+    rows_of_others,
+    withheld,
+)
 from rig.analysis.series import AnalysedRun
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
@@ -163,22 +170,13 @@ def with_contact(
     adhesion, spots = "", tuple[ResultRow, ...]()
     if rig is not None and rig.contact_radius_m is None and sees_c:
         adhesion, spots = _adhesion(name, exact.estimate("c").value, pendulum, rows)
-    # a quantity that the data do not determine has no value by any method
-    left_open = {row.quantity for row in rows if not row.determined}
-    others = [
-        plain_row(key, found, name, method)
-        for method, fit in fits.items()
-        if method != FitMethod.EXACT
-        for key, found in fit.estimates().items()
-        if key not in left_open
-    ]
     return replace(
         run,
         fits={method: fit_results(fit, stated) for method, fit in fits.items()},
         pendulum=pendulum,
         adhesion=adhesion,
         drag=drag,
-        table=(*rows, *spots, *others, *run.table),
+        table=(*rows, *spots, *rows_of_others(name, fits, rows), *run.table),
         budget=withheld(tables, rows),
         work_per_cycle=tuple(
             _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)
