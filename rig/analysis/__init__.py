@@ -15,7 +15,6 @@ from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, name
 from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
 from rig.analysis.results_file import (
     RESULTS_NAME,
-    decoded,
     encoded,
     free_path,
     read_results,

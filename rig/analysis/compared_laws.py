@@ -197,16 +197,15 @@ _FEWEST_POINTS = 3
 class Curves:
     """Model values at the turning points of a run, in rad and s; NaN where a model has none.
 
-    `period_rad` and `period_time_s` are the amplitudes and times at which a full period was measured,
-    `period_s` and `u_period_s` the measured periods; `asymptotic_period_s` and `exact_period_s` are those of
-    the models there, `smooth_s` those of a smooth curve without a model.
+    `period_rad` are the amplitudes at which a full period was measured, `period_s` and `u_period_s` the
+    measured periods; `asymptotic_period_s` and `exact_period_s` are those of the models there, `smooth_s`
+    those of a smooth curve without a model.
     """
 
     asymptotic_rad: Floats
     exact_rad: Floats
     exact_time_s: Floats
     period_rad: Floats
-    period_time_s: Floats
     period_s: Floats
     u_period_s: Floats
     asymptotic_period_s: Floats
@@ -230,7 +229,6 @@ def curves_of(run: RunResults) -> Curves | None:
         exact_rad=exact_rad,
         exact_time_s=exact_time_s,
         period_rad=amplitude,
-        period_time_s=points.time_s[at],
         period_s=periods.period_s,
         u_period_s=periods.u_period_s,
         asymptotic_period_s=period(amplitude, asymptotic, pendulum, printed_curvature=printed),

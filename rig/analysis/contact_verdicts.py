@@ -62,13 +62,18 @@ TABLE4_AMPLITUDE_ARCSEC = 3.1
 
 
 def rig_quantities(
-    config: Configuration, fast_ratio: float = 0.0, rest_rad: float = 0.0, u_clock: float = 0.0
+    config: Configuration,
+    fast_ratio: float = 0.0,
+    rest_rad: float = 0.0,
+    u_clock: float = 0.0,
+    **of_run: InputQuantity,
 ) -> RigQuantities | None:
     """The apparatus with its standard uncertainties; None without [pendulum].
 
     `fast_ratio` is the fast mode's amplitude over the slow one's, `rest_rad` the mean tilt at rest from the
     lever's reference (see `RigQuantities`), `u_clock` the relative uncertainty of the second by the run
-    itself, which counts where it is larger than the calibration's.
+    itself, which counts where it is larger than the calibration's. `of_run` are inputs of the run itself, by
+    name.
     """
     pendulum, lever = config.pendulum, config.lever
     if pendulum is None:
@@ -104,6 +109,7 @@ def rig_quantities(
         rest_rad=rest_rad,
         balls=balls(config),
         row_time_s=InputQuantity(shutter.row_time_s, shutter.u_row_time_s),
+        **of_run,
     )
 
 

@@ -149,11 +149,17 @@ def decay_values(
 
 
 def _decay_values(points: TurningPoints, summary: DecaySummary, unit_size: float) -> DecayValues:
+    damping = None
+    try:
+        found = fit_damping(points.time_s, points.amplitude / unit_size, points.u_amplitude / unit_size)
+        damping = amplitude_damping(found, 1.0 / summary.period_s.value)
+    except DataError:
+        pass
     return DecayValues(
         Estimate(summary.period_s.value, summary.period_s.u),
         Estimate(summary.decrement.value, summary.decrement.u),
         summary.quality_factor,
-        _damping(points, summary, unit_size),
+        damping,
     )
 
 
@@ -182,14 +188,6 @@ def _with_change(found: Any, other: Any) -> Any:
             changed["curve"] = tuple(map(_with_change, found.curve, other.curve))
         return replace(found, **changed)
     return found
-
-
-def _damping(points: TurningPoints, summary: DecaySummary, unit_size: float) -> AmplitudeDamping | None:
-    try:
-        found = fit_damping(points.time_s, points.amplitude / unit_size, points.u_amplitude / unit_size)
-    except DataError:
-        return None
-    return amplitude_damping(found, 1.0 / summary.period_s.value)
 
 
 INSTRUMENT: Final = "instrument"

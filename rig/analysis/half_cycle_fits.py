@@ -21,13 +21,11 @@ from processing.swing import HalfCycle, TurningPoints
 from rig.analysis.air import OPEN_DRAG, assumed_drifts, evidence_of, known_drag
 from rig.analysis.contact_fits import fit_decay, settled_swings
 from rig.analysis.contact_verdicts import rig_quantities, with_contact
-from rig.analysis.decay_values import decay_rows, values_of_points
 from rig.analysis.other_instruments import reduce_run
-from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.run_values import PositionErrors, StoredTurningPoints
 from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
-from rig.analysis.turning_plane import FollowedPlane, follow_plane
+from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import pendulum_on_ball
 from rig.settings import Configuration
 
@@ -45,35 +43,30 @@ time in ns on the run's clock."""
 
 def analyse_swings(
     path: Path,
-    swings: Sequence[HalfCycle],
+    followed: FollowedPlane,
     config: Configuration,
-    deflections: PassingDeflections,
     air: AmbientConditions,
     u_clock: float = 0.0,
     witness: TimedSeismometer | None = None,
     *,
     u_common_rad: float = 0.0,
-    followed: FollowedPlane | None = None,
 ) -> AnalysedRun:
-    """Results of the half-cycles of one run, or of one decay of a table, for its kind of pendulum.
+    """Results of one run, or of one decay of a table, for its kind of pendulum; without rows of the decay.
 
-    `path` is their file, `deflections` those in which they were detected, `air` its ambient conditions,
-    `u_clock` the relative standard uncertainty of the second of its times, `witness` an auxiliary
-    seismometer. `u_common_rad` is the standard uncertainty of an error that all amplitudes share. Where the
-    plane of swing turns, half-cycles are those in it; `followed` is that plane where it is known already.
+    `path` is their file, `followed` has them in their plane of swing, with their deflections, `air` are the
+    ambient conditions, `u_clock` the relative standard uncertainty of the second of the times, `witness` an
+    auxiliary seismometer. `u_common_rad` is the standard uncertainty of an error that all amplitudes share.
     """
-    unit, kind = deflections.unit, config.instrument.description()
-    followed = followed or follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
-    if kind.report != "contact" and unit is DeflectionUnit.RAD:
+    deflections, unit = followed.deflections, followed.deflections.unit
+    if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
         return _reduced(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
-    swings, deflections = followed.swings, followed.deflections
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
     drag, of_air = OPEN_DRAG, None
-    detected = points_in_true_time(swings, clock_rate)
+    detected = points_in_true_time(followed.swings, clock_rate)
     if pendulum is not None and len(detected) > 1:
         drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
     believed = assumed_drifts(config, air)
-    settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
+    settled = settled_swings(followed.swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
     fits: Mapping[str, FitResult] = {}
     of_ground, problem = None, followed.problem
@@ -102,22 +95,15 @@ def analyse_swings(
         if of_rows.seen:
             warnings.append(of_rows.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
-    rig = rig_quantities(config, ratio, rest_rad, u_clock)
-    if rig is not None:
-        drifting = {} if config.fit.drifts else dict[str, Any](believed)
-        rig = replace(
-            rig,
-            common_amplitude_rad=InputQuantity(0.0, u_common_rad),
-            plane_of_swing_rad=InputQuantity(0.0, followed.u_rad),
-            **drifting,
-        )
+    inputs = {
+        "common_amplitude_rad": InputQuantity(0.0, u_common_rad),
+        "plane_of_swing_rad": InputQuantity(0.0, followed.u_rad),
+        **({} if config.fit.drifts else believed),
+    }
     if of_ground is not None and witness is not None:
         of_ground = replace(of_ground, source=witness[0].name, understood=witness[0].understood)
-    values = values_of_points(points, unit.shown_size, _u_second(config, u_clock))
     run = AnalysedRun(
         **_head(path, points, unit),
-        table=decay_rows(points, values, unit.shown, unit.shown_size, path.stem),
-        damping=None if values is None else values.damping,
         measured_again_on=settled.motion,
         position_errors=errors,
         problem=across or problem,
@@ -127,10 +113,8 @@ def analyse_swings(
         witness=of_ground,
         notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
         fitted=fits,
-        rig=rig,
+        rig=rig_quantities(config, ratio, rest_rad, u_clock, **inputs),
         harmonics=settled.harmonics,
-        decay_balances=followed.balances,
-        plane=followed.plane,
     )
     if not fits or pendulum is None:
         return run
@@ -160,16 +144,12 @@ def _reduced(
     reduction = reduce_run(config.instrument, followed, air, errors, clock_rate, path.stem)
     return AnalysedRun(
         **_head(path, reduction.points, unit),
-        table=(
-            *reduction.rows,
-            *decay_rows(reduction.points, None, unit.shown, unit.shown_size, path.stem),
-        ),
+        table=tuple(reduction.rows),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
         instrument=reduction.values,
         turning_points=StoredTurningPoints.of(reduction.points, reduction.swings, unit, clock_rate),
         reduction=reduction,
-        plane=followed.plane,
     )
 
 
@@ -186,7 +166,7 @@ def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -
             # named by its relative value, so that binned pixels of one sensor share it, too
             SharedError(f"pixel pitch {u_pitch:.6g}", scale=u_pitch),
         ]
-    found.append(SharedError(f"clock {clock_rate_of(config)!r}", clock=_u_second(config, u_clock)))
+    found.append(SharedError(f"clock {clock_rate_of(config)!r}", clock=u_second(config, u_clock)))
     return [error for error in found if error.scale or error.clock or np.any(error.amplitude_rad)]
 
 
@@ -216,7 +196,7 @@ def clock_rate_of(config: Configuration) -> float:
     return config.timebase.camera_rate if config.timebase is not None else 1.0
 
 
-def _u_second(config: Configuration, u_clock: float) -> float:
+def u_second(config: Configuration, u_clock: float) -> float:
     """Relative standard uncertainty of a second: the larger of the calibration's and the run's own."""
     return u_clock if config.timebase is None else max(config.timebase.u_camera_rate, u_clock)
 

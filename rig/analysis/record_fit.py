@@ -15,7 +15,8 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
 from rig.analysis.air import air_doubts, recorded_surroundings
-from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
+from rig.analysis.decay_values import decay_rows, values_of_points
+from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings, u_second
 from rig.analysis.passing_deflections import (
     ChangedDeflections,
     PassingDeflections,
@@ -27,6 +28,7 @@ from rig.analysis.run_values import Beam
 from rig.analysis.seismometer import recorded_witness
 from rig.analysis.seismometer_file import FitStart, SeismometerRecord
 from rig.analysis.series import AnalysedRun
+from rig.analysis.turning_plane import follow_plane
 from rig.instrument import (
     inputs_sha256,
     judge_calibration,
@@ -127,7 +129,9 @@ def analyse_run(
             witness,
             lambda ns: FitStart(ns - deflections.first_ns, ns + reader.epoch_offset_ns),
         )
-    run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, beside)
+    kind = config.instrument.description()
+    followed = follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
+    run = analyse_swings(reader.path, followed, config, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.warnings, *doubts, *reader.doubts(), *air_doubts(surroundings)]
@@ -136,10 +140,15 @@ def analyse_run(
     if pulled is not None and judged.poor_fit_frames:
         judged = replace(judged, likely_cause=pulled.verdict.reason, remedy=pulled.verdict.remedy)
     verdicts = [] if pulled is None else [pulled.verdict]
-    if config.instrument.description().report == "contact":
-        verdicts += run_balance_verdicts(balance_of_run(run.decay_balances, run.plane), config.balance)
+    if kind.report == "contact":
+        verdicts += run_balance_verdicts(balance_of_run(followed.balances, followed.plane), config.balance)
+    points, values = run.points, None
+    if run.reduction is None:
+        values = values_of_points(points, unit.shown_size, u_second(config, u_clock))
     run = replace(
         run,
+        table=(*run.table, *decay_rows(points, values, unit.shown, unit.shown_size, reader.path.stem)),
+        damping=None if values is None else values.damping,
         frames=deflections.frames,
         dropped_frames=dropped(deflections.frames),
         simulated=RecordedCamera.from_metadata(reader.metadata).simulated,
