@@ -182,7 +182,7 @@ def with_contact(
         pendulum=pendulum,
         adhesion=adhesion,
         drag=drag,
-        table=(*rows, *spots, *rows_of_others(name, fits, rows), *run.table),
+        table=(*rows, *spots, *rows_of_others(name, fits, rows)),
         budget=withheld(tables, rows),
         work_per_cycle=tuple(
             _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)
