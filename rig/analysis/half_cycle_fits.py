@@ -1,7 +1,7 @@
 """From half-cycles to the results of a run: its fits and verdicts, or the values of another pendulum."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,15 +15,15 @@ from processing.ambient import AmbientConditions
 from processing.decay_summary import mean_period
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, RecordError
-from processing.fit import FitResult, InputQuantity, Seismogram, points_in_true_time, row_delay
+from processing.fit import FitResult, InputQuantity, points_in_true_time, row_delay
 from processing.instruments import SharedError
-from processing.swing import HalfCycle, TurningPoints
+from processing.swing import TurningPoints
 from rig.analysis.air import OPEN_DRAG, assumed_drifts, evidence_of, known_drag
 from rig.analysis.contact_fits import fit_decay, settled_swings
 from rig.analysis.contact_verdicts import rig_quantities, with_contact
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.run_values import PositionErrors, StoredTurningPoints
-from rig.analysis.seismometer_file import FitStart, SeismometerRecord
+from rig.analysis.seismometer_file import TimedSeismometer
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import pendulum_on_ball
@@ -35,10 +35,6 @@ _MUCH: Final = 100.0
 """Largest ratio that is shown as a number."""
 _FEWEST: Final = 4
 """Fewest half-cycles that have a period and a decrement (`processing/decay_summary.py`)."""
-
-TimedSeismometer = tuple[SeismometerRecord, Callable[[int], FitStart]]
-"""A seismometer's record, and a function that gives the first fitted turning point on its clocks, from its
-time in ns on the run's clock."""
 
 
 def analyse_swings(
@@ -68,6 +64,7 @@ def analyse_swings(
     believed = assumed_drifts(config, air)
     settled = settled_swings(followed.swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
+    first_ns = next((swing.turn_time_ns for swing in settled.swings if not swing.flags), None)
     fits: Mapping[str, FitResult] = {}
     of_ground, problem = None, followed.problem
     if not problem and unit is not DeflectionUnit.RAD:
@@ -82,7 +79,7 @@ def analyse_swings(
                 drag=drag.fitted,
                 evidence=evidence_of(drag, settled.harmonics),
                 drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
-                witness=_witness_beside(settled.swings, witness),
+                witness=None if witness is None or first_ns is None else witness.beside(first_ns),
             )
     except DataError as error:
         problem = str(error)
@@ -101,7 +98,8 @@ def analyse_swings(
         **({} if config.fit.drifts else believed),
     }
     if of_ground is not None and witness is not None:
-        of_ground = replace(of_ground, source=witness[0].name, understood=witness[0].understood)
+        record = witness.record
+        of_ground = replace(of_ground, source=record.name, understood=record.understood)
     run = AnalysedRun(
         **_head(path, points, unit),
         measured_again_on=settled.motion,
@@ -119,17 +117,6 @@ def analyse_swings(
     if not fits or pendulum is None:
         return run
     return with_contact(run, pendulum, followed.amplitude_errors(points), of_air, stated=config.pendulum)
-
-
-def _witness_beside(
-    swings: Sequence[HalfCycle], witness: TimedSeismometer | None
-) -> tuple[Seismogram, bool] | None:
-    """A seismometer on the clock of the turning points of these half-cycles, and whether that is known."""
-    first_ns = next((swing.turn_time_ns for swing in swings if not swing.flags), None)
-    if witness is None or first_ns is None:
-        return None
-    record, start_at = witness
-    return record.seismogram(start_at(first_ns))
 
 
 def _reduced(

@@ -16,7 +16,7 @@ from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
 from rig.analysis.air import air_doubts, recorded_surroundings
 from rig.analysis.decay_values import decay_rows, values_of_points
-from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings, u_second
+from rig.analysis.half_cycle_fits import analyse_swings, u_second
 from rig.analysis.passing_deflections import (
     ChangedDeflections,
     PassingDeflections,
@@ -26,7 +26,7 @@ from rig.analysis.passing_deflections import (
 from rig.analysis.run_conditions import run_clock, run_conditions
 from rig.analysis.run_values import Beam
 from rig.analysis.seismometer import recorded_witness
-from rig.analysis.seismometer_file import FitStart, SeismometerRecord
+from rig.analysis.seismometer_file import SeismometerRecord, TimedSeismometer
 from rig.analysis.series import AnalysedRun
 from rig.analysis.turning_plane import follow_plane
 from rig.instrument import (
@@ -120,17 +120,12 @@ def analyse_run(
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
-    own = recorded_witness(reader, config) if witness is None else None
-    beside: TimedSeismometer | None = None
-    if own is not None:
-        beside = own, FitStart
-    elif witness is not None:
-        beside = (
-            witness,
-            lambda ns: FitStart(ns - deflections.first_ns, ns + reader.epoch_offset_ns),
-        )
     kind = config.instrument.description()
     followed = follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
+    own = recorded_witness(reader, config) if witness is None else None
+    beside = None if own is None else TimedSeismometer(own)
+    if witness is not None:
+        beside = TimedSeismometer(witness, -deflections.first_ns, reader.epoch_offset_ns)
     run = analyse_swings(reader.path, followed, config, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)

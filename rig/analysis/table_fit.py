@@ -31,12 +31,12 @@ from processing.units import ARCSEC_RAD, seconds
 from rig.analysis.air import air_doubts, stated_surroundings, table_surroundings
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import amplitude_damping, decay_rows, decay_values
-from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
+from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import EnvelopeResults, RunResults, SessionResults
 from rig.analysis.results_file import relative_record
 from rig.analysis.run_values import StoredTurningPoints, TableDecay, TableUnit
-from rig.analysis.seismometer_file import FIRST_UTC_S, FitStart, SeismometerRecord
+from rig.analysis.seismometer_file import FIRST_UTC_S, SeismometerRecord, TimedSeismometer
 from rig.analysis.series import AnalysedRun, instrument_series
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.intake import (
@@ -246,10 +246,10 @@ def _analyse(
     sha256 = cached_sha256_of_path(path)
     run = AnalysedRun(path=path, record=relative_record(path, Path.cwd()), sha256=sha256, problem=problem)
     if config is not None and not problem:
-        zero_ns, absolute = trajectory.first_ns, seconds(trajectory.first_ns) > FIRST_UTC_S
-        beside: TimedSeismometer | None = None
+        zero_ns, beside = trajectory.first_ns, None
         if witness is not None:
-            beside = witness, lambda ns: FitStart(ns + zero_ns, ns + zero_ns if absolute else None)
+            utc_ns = zero_ns if seconds(zero_ns) > FIRST_UTC_S else None
+            beside = TimedSeismometer(witness, zero_ns, utc_ns)
         run = analyse_swings(
             path,
             followed,
