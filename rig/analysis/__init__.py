@@ -1,35 +1,20 @@
-"""From a record or a table to results: laws of the contact, other instruments, verdicts, results.json."""
+"""From a record or a table to results: laws of the contact, other instruments, verdicts, results.json.
 
-from rig.analysis.air import (
-    evidence_of,
-    expected_drag,
-    known_drag,
-    recorded_surroundings,
-    stated_surroundings,
-)
-from rig.analysis.compared_laws import Curves, ModelCurve, chosen_laws, curves_of, model_curves, with_laws
-from rig.analysis.contact_fits import loss_of, settled_swings
+What analyses is imported at its first use: a command that only reads results.json loads no fit, no
+configuration and no reader of tables.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, ModelFreeMoments
-from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, with_contact
 from rig.analysis.decay_values import INSTRUMENT, InstrumentResults, InstrumentSeries
 from rig.analysis.encoding import JsonObject
 from rig.analysis.fit_tables import law_table, moments_table, parameter_table, quality_table, waveform_table
-from rig.analysis.half_cycle_fits import clock_rate_of
-from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.record_fit import analyse_record, analyse_run
 from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, RowsByName, named, plain_row
-from rig.analysis.results import (
-    AveragedCurves,
-    PositionErrors,
-    RunResults,
-    Series,
-    SessionResults,
-    StoredTurningPoints,
-    TableDecay,
-)
+from rig.analysis.results import AveragedCurves, RunResults, Series, SessionResults
 from rig.analysis.results_file import (
     RESULTS_NAME,
-    decoded,
     encoded,
     free_path,
     read_results,
@@ -47,9 +32,69 @@ from rig.analysis.run_remarks import (
     remarks,
     whole_result,
 )
-from rig.analysis.screen import TableOptions, fit_envelope_table, fit_several, fit_trajectory, print_results
-from rig.analysis.seismometer import sample_times
-from rig.analysis.seismometer_file import SeismometerSource
-from rig.analysis.series import AnalysedRun, combined_series, refuse_copies, refuse_unread, session_results
-from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory
-from rig.analysis.turning_plane import PlaneBalances, follow_plane
+from rig.analysis.run_values import PositionErrors, StoredTurningPoints, TableDecay
+
+if TYPE_CHECKING:
+    from rig.analysis.air import (
+        evidence_of,
+        expected_drag,
+        known_drag,
+        recorded_surroundings,
+        stated_surroundings,
+    )
+    from rig.analysis.compared_laws import (
+        Curves,
+        ModelCurve,
+        chosen_laws,
+        curves_of,
+        model_curves,
+        with_laws,
+    )
+    from rig.analysis.contact_fits import loss_of, settled_swings
+    from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, with_contact
+    from rig.analysis.half_cycle_fits import clock_rate_of
+    from rig.analysis.passing_deflections import PassingDeflections
+    from rig.analysis.record_fit import analyse_record, analyse_run
+    from rig.analysis.screen import (
+        TableOptions,
+        fit_envelope_table,
+        fit_several,
+        fit_trajectory,
+        print_results,
+    )
+    from rig.analysis.seismometer import sample_times
+    from rig.analysis.seismometer_file import SeismometerSource
+    from rig.analysis.series import (
+        AnalysedRun,
+        combined_series,
+        refuse_copies,
+        refuse_unread,
+        session_results,
+    )
+    from rig.analysis.table_fit import AnalysedTable, analyse_table, analyse_trajectory
+    from rig.analysis.turning_plane import PlaneBalances, follow_plane
+else:
+    _LAZY = {
+        name: module
+        for module, names in {
+            "air": "evidence_of expected_drag known_drag recorded_surroundings stated_surroundings",
+            "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
+            "contact_fits": "loss_of settled_swings",
+            "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC base_motion with_contact",
+            "half_cycle_fits": "clock_rate_of",
+            "passing_deflections": "PassingDeflections",
+            "record_fit": "analyse_record analyse_run",
+            "screen": "TableOptions fit_envelope_table fit_several fit_trajectory print_results",
+            "seismometer": "sample_times",
+            "seismometer_file": "SeismometerSource",
+            "series": "AnalysedRun combined_series refuse_copies refuse_unread session_results",
+            "table_fit": "AnalysedTable analyse_table analyse_trajectory",
+            "turning_plane": "PlaneBalances follow_plane",
+        }.items()
+        for name in names.split()
+    }
+
+    def __getattr__(name: str) -> Any:
+        if name not in _LAZY:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)

@@ -64,11 +64,11 @@ def chosen_laws(names: Sequence[str]) -> tuple[Law, ...]:
     return tuple(law for law in LAWS.values() if law is DEFAULT_LAW or {law.name, "all"} & set(names))
 
 
-def compared_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> ComparedLaws | None:
-    """Fit the laws to the turning points of a fitted run; None where it has no fit."""
+def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
+    """The run with these laws fitted to its turning points and compared; unchanged where it has no fit."""
     exact, pendulum = run.fitted.get(FitMethod.EXACT), run.pendulum
     if exact is None or pendulum is None:
-        return None
+        return run
     like = dict(zip(exact.names, exact.values.tolist(), strict=True))
     made = [law.of(run.points, pendulum, like) if isinstance(law, StatedLaw) else law for law in laws]
     compared = compare_laws(run.points, pendulum, made, like=exact)
@@ -79,7 +79,7 @@ def compared_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> Compared
         verdict = compared.text(_remedy(free, remaining[0], remaining[1]))
     classes = [] if run.harmonics is None else harmonic_classes(run.harmonics)
     if not classes:
-        return ComparedLaws(_law_fits(compared, {}), verdict, free)
+        return replace(run, laws=ComparedLaws(_law_fits(compared, {}), verdict, free))
     predicted = {
         trial.law.name: predicted_harmonics(classes, trial.fit, pendulum)
         for trial in compared.trials
@@ -87,12 +87,8 @@ def compared_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> Compared
     }
     chances = waveform_chances(classes, predicted)
     verdict = f"{verdict}; {_waveform_verdict(classes, chances)}"
-    return ComparedLaws(_law_fits(compared, chances), verdict, free, _waveform_classes(classes, predicted))
-
-
-def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
-    """The run with these laws compared."""
-    return replace(run, laws=compared_laws(run, laws))
+    waveform = _waveform_classes(classes, predicted)
+    return replace(run, laws=ComparedLaws(_law_fits(compared, chances), verdict, free, waveform))
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
@@ -201,16 +197,15 @@ _FEWEST_POINTS = 3
 class Curves:
     """Model values at the turning points of a run, in rad and s; NaN where a model has none.
 
-    `period_rad` and `period_time_s` are the amplitudes and times at which a full period was measured,
-    `period_s` and `u_period_s` the measured periods; `asymptotic_period_s` and `exact_period_s` are those of
-    the models there, `smooth_s` those of a smooth curve without a model.
+    `period_rad` are the amplitudes at which a full period was measured, `period_s` and `u_period_s` the
+    measured periods; `asymptotic_period_s` and `exact_period_s` are those of the models there, `smooth_s`
+    those of a smooth curve without a model.
     """
 
     asymptotic_rad: Floats
     exact_rad: Floats
     exact_time_s: Floats
     period_rad: Floats
-    period_time_s: Floats
     period_s: Floats
     u_period_s: Floats
     asymptotic_period_s: Floats
@@ -234,7 +229,6 @@ def curves_of(run: RunResults) -> Curves | None:
         exact_rad=exact_rad,
         exact_time_s=exact_time_s,
         period_rad=amplitude,
-        period_time_s=points.time_s[at],
         period_s=periods.period_s,
         u_period_s=periods.u_period_s,
         asymptotic_period_s=period(amplitude, asymptotic, pendulum, printed_curvature=printed),

@@ -43,7 +43,14 @@ from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
 from rig.analysis.air import limit_sentence
 from rig.analysis.contact_results import Correlation, Fit
-from rig.analysis.result_rows import SURFACE_ENERGY, ResultRow, plain_row, result_rows, withheld
+from rig.analysis.result_rows import (
+    SURFACE_ENERGY,
+    ResultRow,
+    plain_row,
+    result_rows,
+    rows_of_others,
+    withheld,
+)
 from rig.analysis.series import AnalysedRun
 from rig.instrument import balls, material, shutter_of
 from rig.settings import Configuration, PendulumSettings, TimebaseSettings
@@ -55,13 +62,18 @@ TABLE4_AMPLITUDE_ARCSEC = 3.1
 
 
 def rig_quantities(
-    config: Configuration, fast_ratio: float = 0.0, rest_rad: float = 0.0, u_clock: float = 0.0
+    config: Configuration,
+    fast_ratio: float = 0.0,
+    rest_rad: float = 0.0,
+    u_clock: float = 0.0,
+    **of_run: InputQuantity,
 ) -> RigQuantities | None:
     """The apparatus with its standard uncertainties; None without [pendulum].
 
     `fast_ratio` is the fast mode's amplitude over the slow one's, `rest_rad` the mean tilt at rest from the
     lever's reference (see `RigQuantities`), `u_clock` the relative uncertainty of the second by the run
-    itself, which counts where it is larger than the calibration's.
+    itself, which counts where it is larger than the calibration's. `of_run` are inputs of the run itself, by
+    name.
     """
     pendulum, lever = config.pendulum, config.lever
     if pendulum is None:
@@ -97,6 +109,7 @@ def rig_quantities(
         rest_rad=rest_rad,
         balls=balls(config),
         row_time_s=InputQuantity(shutter.row_time_s, shutter.u_row_time_s),
+        **of_run,
     )
 
 
@@ -164,22 +177,13 @@ def with_contact(
     adhesion, spots = "", tuple[ResultRow, ...]()
     if rig is not None and rig.contact_radius_m is None and sees_c:
         adhesion, spots = _adhesion(name, exact.estimate("c").value, pendulum, rows)
-    # a quantity that the data do not determine has no value by any method
-    left_open = {row.quantity for row in rows if not row.determined}
-    others = [
-        plain_row(key, found, name, method)
-        for method, fit in fits.items()
-        if method != FitMethod.EXACT
-        for key, found in fit.estimates().items()
-        if key not in left_open
-    ]
     return replace(
         run,
         fits={method: fit_results(fit, stated) for method, fit in fits.items()},
         pendulum=pendulum,
         adhesion=adhesion,
         drag=drag,
-        table=(*rows, *spots, *others, *run.table),
+        table=(*rows, *spots, *rows_of_others(name, fits, rows)),
         budget=withheld(tables, rows),
         work_per_cycle=tuple(
             _work(amplitude, exact, pendulum, rig, sees_c=sees_c) for amplitude in _shown_amplitudes(points)

@@ -12,6 +12,7 @@ from processing.decay_summary import DecaySummary, summarise_decay
 from processing.errors import DataError
 from processing.estimate import NOT_DETERMINED, Estimate
 from processing.instruments import Check
+from processing.number_text import with_uncertainty
 from processing.quantity import OWN, PART, PER, Quantity
 from processing.swing import TurningPoints
 from rig.analysis.encoding import Floats
@@ -19,6 +20,8 @@ from rig.analysis.result_rows import ResultRow, plain_row
 
 _SHOWN = 9
 """Number of amplitudes at which the curve is stored, which is smooth."""
+_SURE = 3.0
+"""Standard uncertainties below zero from which on a part is surely negative."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +49,25 @@ class AmplitudeDamping:
     needed: tuple[str, ...] = ()
     chi2_per_dof: float = float("nan")
     curve: Annotated[tuple[DampingAt, ...], PART] = ()
+
+    def lines(self, unit: str) -> list[str]:
+        """Lines on the parts with their probabilities, and on the time constants at both ends."""
+        units = {"constant": f" {unit}/s", "linear": " /s", "quadratic": f" /({unit} s)"}
+        said = []
+        for name, probability in zip(PARTS, self.probabilities, strict=True):
+            value, u = getattr(self, name)
+            part = f"{with_uncertainty(value, u)}{units[name]}"
+            said.append(f"damping, {name} part {part}, needed with probability {probability:.2g}")
+            if value < -_SURE * u:
+                said.append(
+                    f"a negative {name} part fits the decay but is not friction: something else changes"
+                )
+        for where in (self.curve[0], self.curve[-1]) if self.curve else ():
+            quality = where.quality_factor
+            more = "" if quality is None else f", quality factor {with_uncertainty(*quality)}"
+            tau = with_uncertainty(*where.time_constant_s)
+            said.append(f"time constant {tau} s at {where.amplitude:.4g} {unit}{more}")
+        return said
 
 
 def amplitude_damping(
@@ -127,11 +149,17 @@ def decay_values(
 
 
 def _decay_values(points: TurningPoints, summary: DecaySummary, unit_size: float) -> DecayValues:
+    damping = None
+    try:
+        found = fit_damping(points.time_s, points.amplitude / unit_size, points.u_amplitude / unit_size)
+        damping = amplitude_damping(found, 1.0 / summary.period_s.value)
+    except DataError:
+        pass
     return DecayValues(
         Estimate(summary.period_s.value, summary.period_s.u),
         Estimate(summary.decrement.value, summary.decrement.u),
         summary.quality_factor,
-        _damping(points, summary, unit_size),
+        damping,
     )
 
 
@@ -160,14 +188,6 @@ def _with_change(found: Any, other: Any) -> Any:
             changed["curve"] = tuple(map(_with_change, found.curve, other.curve))
         return replace(found, **changed)
     return found
-
-
-def _damping(points: TurningPoints, summary: DecaySummary, unit_size: float) -> AmplitudeDamping | None:
-    try:
-        found = fit_damping(points.time_s, points.amplitude / unit_size, points.u_amplitude / unit_size)
-    except DataError:
-        return None
-    return amplitude_damping(found, 1.0 / summary.period_s.value)
 
 
 INSTRUMENT: Final = "instrument"

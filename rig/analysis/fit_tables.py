@@ -17,17 +17,13 @@ from rig.terminal import Cell, Table, TableRow, decimals, plain, quantity
 
 
 def parameter_table(run: RunResults, *, full: bool = True) -> Table:
-    """The table of results of one run; if `full`, also with the other fits and the half-cycles' own u.
-
-    A quantity that is not determined has no value by any method.
-    """
+    """The table of results of one run; if `full`, also with the other fits and the half-cycles' own u."""
     others = [method for method in _in_order(run.fits) if method != FitMethod.EXACT] if full else []
+    by_others = {(row.fit, row.quantity): Estimate(*row) for row in run.table if row.fit in others}
     named = (*DEFAULT_LAW.names(drag=True), SURFACE_ENERGY)
     lines = []
     for row in (row for row in run.contact if full or row.quantity in named):
-        found = [
-            run.fits[method].estimate(row.quantity) if row.determined else NOT_DETERMINED for method in others
-        ]
+        found = [by_others.get((method, row.quantity), NOT_DETERMINED) for method in others]
         numbers = [row.value, row.u, row.u_total, row.lower, row.upper]
         cells: list[Cell] = [
             row.quantity,

@@ -1,7 +1,7 @@
 """From half-cycles to the results of a run: its fits and verdicts, or the values of another pendulum."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,19 +15,17 @@ from processing.ambient import AmbientConditions
 from processing.decay_summary import mean_period
 from processing.deflections import DeflectionUnit
 from processing.errors import DataError, RecordError
-from processing.fit import FitResult, InputQuantity, Seismogram, points_in_true_time, row_delay
+from processing.fit import FitResult, InputQuantity, points_in_true_time, row_delay
 from processing.instruments import SharedError
-from processing.swing import HalfCycle, TurningPoints
+from processing.swing import TurningPoints
 from rig.analysis.air import OPEN_DRAG, assumed_drifts, evidence_of, known_drag
 from rig.analysis.contact_fits import fit_decay, settled_swings
 from rig.analysis.contact_verdicts import rig_quantities, with_contact
-from rig.analysis.decay_values import decay_rows, values_of_points
 from rig.analysis.other_instruments import reduce_run
-from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import PositionErrors, StoredTurningPoints
-from rig.analysis.seismometer_file import FitStart, SeismometerRecord
+from rig.analysis.run_values import PositionErrors, StoredTurningPoints
+from rig.analysis.seismometer_file import TimedSeismometer
 from rig.analysis.series import AnalysedRun
-from rig.analysis.turning_plane import FollowedPlane, follow_plane
+from rig.analysis.turning_plane import FollowedPlane
 from rig.instrument import pendulum_on_ball
 from rig.settings import Configuration
 
@@ -38,43 +36,35 @@ _MUCH: Final = 100.0
 _FEWEST: Final = 4
 """Fewest half-cycles that have a period and a decrement (`processing/decay_summary.py`)."""
 
-TimedSeismometer = tuple[SeismometerRecord, Callable[[int], FitStart]]
-"""A seismometer's record, and a function that gives the first fitted turning point on its clocks, from its
-time in ns on the run's clock."""
-
 
 def analyse_swings(
     path: Path,
-    swings: Sequence[HalfCycle],
+    followed: FollowedPlane,
     config: Configuration,
-    deflections: PassingDeflections,
     air: AmbientConditions,
     u_clock: float = 0.0,
     witness: TimedSeismometer | None = None,
     *,
     u_common_rad: float = 0.0,
-    followed: FollowedPlane | None = None,
 ) -> AnalysedRun:
-    """Results of the half-cycles of one run, or of one decay of a table, for its kind of pendulum.
+    """Results of one run, or of one decay of a table, for its kind of pendulum; without rows of the decay.
 
-    `path` is their file, `deflections` those in which they were detected, `air` its ambient conditions,
-    `u_clock` the relative standard uncertainty of the second of its times, `witness` an auxiliary
-    seismometer. `u_common_rad` is the standard uncertainty of an error that all amplitudes share. Where the
-    plane of swing turns, half-cycles are those in it; `followed` is that plane where it is known already.
+    `path` is their file, `followed` has them in their plane of swing, with their deflections, `air` are the
+    ambient conditions, `u_clock` the relative standard uncertainty of the second of the times, `witness` an
+    auxiliary seismometer. `u_common_rad` is the standard uncertainty of an error that all amplitudes share.
     """
-    unit, kind = deflections.unit, config.instrument.description()
-    followed = followed or follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
-    if kind.report != "contact" and unit is DeflectionUnit.RAD:
+    deflections, unit = followed.deflections, followed.deflections.unit
+    if config.instrument.description().report != "contact" and unit is DeflectionUnit.RAD:
         return _reduced(path, followed, config, air, _shared_errors(config, u_clock, u_common_rad))
-    swings, deflections = followed.swings, followed.deflections
     pendulum, clock_rate = pendulum_on_ball(config), clock_rate_of(config)
     drag, of_air = OPEN_DRAG, None
-    detected = points_in_true_time(swings, clock_rate)
+    detected = points_in_true_time(followed.swings, clock_rate)
     if pendulum is not None and len(detected) > 1:
         drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
     believed = assumed_drifts(config, air)
-    settled = settled_swings(swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
+    settled = settled_swings(followed.swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
     points = points_in_true_time(settled.swings, clock_rate)
+    first_ns = next((swing.turn_time_ns for swing in settled.swings if not swing.flags), None)
     fits: Mapping[str, FitResult] = {}
     of_ground, problem = None, followed.problem
     if not problem and unit is not DeflectionUnit.RAD:
@@ -89,7 +79,7 @@ def analyse_swings(
                 drag=drag.fitted,
                 evidence=evidence_of(drag, settled.harmonics),
                 drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
-                witness=_witness_beside(settled.swings, witness),
+                witness=None if witness is None or first_ns is None else witness.beside(first_ns),
             )
     except DataError as error:
         problem = str(error)
@@ -102,22 +92,16 @@ def analyse_swings(
         if of_rows.seen:
             warnings.append(of_rows.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
     rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
-    rig = rig_quantities(config, ratio, rest_rad, u_clock)
-    if rig is not None:
-        drifting = {} if config.fit.drifts else dict[str, Any](believed)
-        rig = replace(
-            rig,
-            common_amplitude_rad=InputQuantity(0.0, u_common_rad),
-            plane_of_swing_rad=InputQuantity(0.0, followed.u_rad),
-            **drifting,
-        )
+    inputs = {
+        "common_amplitude_rad": InputQuantity(0.0, u_common_rad),
+        "plane_of_swing_rad": InputQuantity(0.0, followed.u_rad),
+        **({} if config.fit.drifts else believed),
+    }
     if of_ground is not None and witness is not None:
-        of_ground = replace(of_ground, source=witness[0].name, understood=witness[0].understood)
-    values = values_of_points(points, unit.shown_size, _u_second(config, u_clock))
+        record = witness.record
+        of_ground = replace(of_ground, source=record.name, understood=record.understood)
     run = AnalysedRun(
         **_head(path, points, unit),
-        table=decay_rows(points, values, unit.shown, unit.shown_size, path.stem),
-        damping=None if values is None else values.damping,
         measured_again_on=settled.motion,
         position_errors=errors,
         problem=across or problem,
@@ -127,25 +111,12 @@ def analyse_swings(
         witness=of_ground,
         notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
         fitted=fits,
-        rig=rig,
+        rig=rig_quantities(config, ratio, rest_rad, u_clock, **inputs),
         harmonics=settled.harmonics,
-        decay_balances=followed.balances,
-        plane=followed.plane,
     )
     if not fits or pendulum is None:
         return run
     return with_contact(run, pendulum, followed.amplitude_errors(points), of_air, stated=config.pendulum)
-
-
-def _witness_beside(
-    swings: Sequence[HalfCycle], witness: TimedSeismometer | None
-) -> tuple[Seismogram, bool] | None:
-    """A seismometer on the clock of the turning points of these half-cycles, and whether that is known."""
-    first_ns = next((swing.turn_time_ns for swing in swings if not swing.flags), None)
-    if witness is None or first_ns is None:
-        return None
-    record, start_at = witness
-    return record.seismogram(start_at(first_ns))
 
 
 def _reduced(
@@ -160,16 +131,12 @@ def _reduced(
     reduction = reduce_run(config.instrument, followed, air, errors, clock_rate, path.stem)
     return AnalysedRun(
         **_head(path, reduction.points, unit),
-        table=(
-            *reduction.rows,
-            *decay_rows(reduction.points, None, unit.shown, unit.shown_size, path.stem),
-        ),
+        table=tuple(reduction.rows),
         problem=reduction.problem,
         settings=config.instrument.model_dump(mode="json"),
         instrument=reduction.values,
         turning_points=StoredTurningPoints.of(reduction.points, reduction.swings, unit, clock_rate),
         reduction=reduction,
-        plane=followed.plane,
     )
 
 
@@ -186,7 +153,7 @@ def _shared_errors(config: Configuration, u_clock: float, u_common_rad: float) -
             # named by its relative value, so that binned pixels of one sensor share it, too
             SharedError(f"pixel pitch {u_pitch:.6g}", scale=u_pitch),
         ]
-    found.append(SharedError(f"clock {clock_rate_of(config)!r}", clock=_u_second(config, u_clock)))
+    found.append(SharedError(f"clock {clock_rate_of(config)!r}", clock=u_second(config, u_clock)))
     return [error for error in found if error.scale or error.clock or np.any(error.amplitude_rad)]
 
 
@@ -216,7 +183,7 @@ def clock_rate_of(config: Configuration) -> float:
     return config.timebase.camera_rate if config.timebase is not None else 1.0
 
 
-def _u_second(config: Configuration, u_clock: float) -> float:
+def u_second(config: Configuration, u_clock: float) -> float:
     """Relative standard uncertainty of a second: the larger of the calibration's and the run's own."""
     return u_clock if config.timebase is None else max(config.timebase.u_camera_rate, u_clock)
 

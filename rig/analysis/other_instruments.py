@@ -87,6 +87,11 @@ class Reduction:
             if value is not None
         ]
 
+    def check(self, name: str, value: float, limits: Limits, unit: str) -> None:
+        """Compare a value with the limits of the standard."""
+        self.checks.append(check(name, Estimate(value, 0.0), limits, unit))
+        self.lines.append(self.checks[-1].text)
+
     @property
     def values(self) -> InstrumentResults:
         """The part of results.json other than the rows."""
@@ -253,7 +258,7 @@ def reduce_run(
         The name of the run in its rows.
     """
     report = Reduction(settings, run, followed.swings)
-    description, lines, swings = report.description, report.lines, report.swings
+    description, swings = report.description, report.swings
     problems = [followed.problem] if followed.problem else []
     if description.turning_plane or followed.is_turned:
         _swing_plane(followed, report)
@@ -261,10 +266,9 @@ def reduce_run(
     if len(deflections):
         if len(swings) > 1:
             swings = refined_turning_points(deflections.times_ns, deflections.y, deflections.u_y, swings)
-        swings, inferred = _with_inferred(swings, deflections, lines)
-        report.add(inferred_half_cycles=inferred)
+        swings = _with_inferred(report, swings, deflections)
         if description.report == "hardness":
-            swings = _from_the_release(swings, deflections, lines)
+            swings = _from_the_release(report, swings, deflections)
     report.swings, report.points = swings, points_in_true_time(swings, clock_rate)
     report.errors = [*errors, *_errors_of_plane(followed, report.points)]
     try:
@@ -274,7 +278,7 @@ def reduce_run(
     except DataError as error:
         problems.append(str(error))
         _range_and_period(report)
-    report.checks = [*_check_air(description, air, lines), *_check_mass(settings, lines)]
+    _check_conditions(report, air)
     report.problem = "; ".join(dict.fromkeys(problems))
     return report
 
@@ -316,66 +320,55 @@ def _errors_of_plane(followed: FollowedPlane, points: TurningPoints) -> list[Sha
 
 
 def _with_inferred(
-    swings: Sequence[HalfCycle], deflections: Deflections, lines: list[str]
-) -> tuple[Sequence[HalfCycle], int | None]:
-    """Half-cycles with those whose turning point lay off the sensor, and the number of these or None."""
+    report: Reduction, swings: Sequence[HalfCycle], deflections: Deflections
+) -> Sequence[HalfCycle]:
+    """Half-cycles with those whose turning point lay off the sensor; a row has the number of these."""
     off = inferred_swings(deflections.times_ns, deflections.y, deflections.u_y)
     if not off:
-        return swings, None
-    joined = joined_swings(swings, off)
-    kept = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in joined)
-    lines.append(
-        f"{kept} of {len(joined)} turning points lay off the sensor, inferred from the crossings' speeds"
+        return swings
+    whole = joined_swings(swings, off)
+    kept = sum(bool(swing.flags & HalfCycleFlag.INFERRED) for swing in whole)
+    report.lines.append(
+        f"{kept} of {len(whole)} turning points lay off the sensor, inferred from the crossings' speeds"
     )
-    return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in joined], kept
+    report.add(inferred_half_cycles=kept)
+    return [replace(swing, flags=swing.flags & ~int(HalfCycleFlag.INFERRED)) for swing in whole]
 
 
 def _from_the_release(
-    swings: Sequence[HalfCycle], deflections: Deflections, lines: list[str]
+    report: Reduction, swings: Sequence[HalfCycle], deflections: Deflections
 ) -> Sequence[HalfCycle]:
     """Half-cycles with the release as the first turning point, where it was recorded; a line says which."""
     found = with_release(deflections.times_ns, deflections.y, deflections.u_y, swings)
     if found is not None:
         at_s, u_s = seconds(found[0].turn_time_ns - deflections.times_ns[0]), found[0].u_turn_time_s
         angle = with_uncertainty(found[0].amplitude / DEGREE_RAD, found[0].u_amplitude / DEGREE_RAD)
-        lines.append(
+        report.lines.append(
             f"released {with_uncertainty(float(at_s), u_s)} s after the first sample, at {angle} degrees"
         )
         return found
     if any(swing.flags & HalfCycleFlag.START for swing in swings):
-        lines.append(
+        report.lines.append(
             "the release itself is disturbed or was not recorded: the first swing is that from the first "
             "turning point seen"
         )
     return swings
 
 
-def _check_air(description: Description, air: AmbientConditions, lines: list[str]) -> tuple[Check, ...]:
-    wanted = (
+def _check_conditions(report: Reduction, air: AmbientConditions) -> None:
+    """Check air and stated mass of the pendulum against the standard, where it limits them."""
+    description, settings = report.description, report.settings
+    for name, value, limits, unit in (
         ("temperature", air.temperature_c, description.temperature_c, "°C"),
         ("humidity", air.humidity_percent, description.humidity_percent, "%"),
-    )
-    found = []
-    for name, value, limits, unit in wanted:
-        if limits is None:
-            continue
-        if math.isnan(value):
-            lines.append(
+    ):
+        if limits is not None and math.isnan(value):
+            report.lines.append(
                 f"{name} is not known; the standard wants {limits.value:g} ± {limits.tolerance:g} {unit}"
             )
-            continue
-        item = check(name, Estimate(value, 0.0), limits, unit)
-        found.append(item)
-        lines.append(item.text)
-    return tuple(found)
-
-
-def _check_mass(settings: InstrumentSettings, lines: list[str]) -> tuple[Check, ...]:
-    """The stated mass of the pendulum against the standard's, where the standard limits it."""
+        elif limits is not None:
+            report.check(name, value, limits, unit)
     standard = INSTRUMENTS[settings.kind]
-    if settings.mass_kg is None or standard.mass_kg is None or standard.mass_tolerance_kg is None:
-        return ()
-    limits = Limits(standard.mass_kg, standard.mass_tolerance_kg)
-    item = check("mass of the pendulum", Estimate(settings.mass_kg, 0.0), limits, "kg")
-    lines.append(item.text)
-    return (item,)
+    if not (settings.mass_kg is None or standard.mass_kg is None or standard.mass_tolerance_kg is None):
+        limits = Limits(standard.mass_kg, standard.mass_tolerance_kg)
+        report.check("mass of the pendulum", settings.mass_kg, limits, "kg")

@@ -12,21 +12,23 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import DEFLECTION_FIELDS
 from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
-from processing.fit import FitMethod
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
 from rig.analysis.air import air_doubts, recorded_surroundings
-from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
+from rig.analysis.decay_values import decay_rows, values_of_points
+from rig.analysis.half_cycle_fits import analyse_swings, u_second
 from rig.analysis.passing_deflections import (
     ChangedDeflections,
     PassingDeflections,
     without_beam_motion,
     without_fixed_light,
 )
-from rig.analysis.run_conditions import Beam, run_clock, run_conditions
+from rig.analysis.run_conditions import run_clock, run_conditions
+from rig.analysis.run_values import Beam
 from rig.analysis.seismometer import recorded_witness
-from rig.analysis.seismometer_file import FitStart, SeismometerRecord
+from rig.analysis.seismometer_file import SeismometerRecord, TimedSeismometer
 from rig.analysis.series import AnalysedRun
+from rig.analysis.turning_plane import follow_plane
 from rig.instrument import (
     inputs_sha256,
     judge_calibration,
@@ -58,7 +60,7 @@ def analyse_record(
         optics_of(watched.config, full_scale_dn=1.0).deflector((1, 1))(np.zeros(0, np.int64), [])
         watched.refuse_read()
         blocks = _RecordedDeflections(reader)
-        run = analyse_run(
+        return analyse_run(
             reader,
             watched.config,
             reader.swings(),
@@ -67,8 +69,8 @@ def analyse_record(
             blocks.beam,
             lambda frames: blocks.following - frames,
             witness=witness,
+            watched=watched,
         )
-        return replace(run, watched=watched)
 
 
 class _RecordedDeflections:
@@ -101,6 +103,7 @@ def analyse_run(
     dropped: Callable[[int], int],
     *,
     witness: SeismometerRecord | None = None,
+    watched: KeyUseMonitor | None = None,
 ) -> AnalysedRun:
     """Results of half-cycles and deflections of a record, as recorded or by a replay.
 
@@ -117,29 +120,32 @@ def analyse_run(
     clock = run_clock(reader, config)
     u_clock = 0.0 if clock is None else clock.u_rate
 
+    kind = config.instrument.description()
+    followed = follow_plane(swings, deflections, config.axes, along_line=kind.turning_plane)
     own = recorded_witness(reader, config) if witness is None else None
-    beside: TimedSeismometer | None = None
-    if own is not None:
-        beside = own, FitStart
-    elif witness is not None:
-        beside = (
-            witness,
-            lambda ns: FitStart(ns - deflections.first_ns, ns + reader.epoch_offset_ns),
-        )
-    run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, beside)
+    beside = None if own is None else TimedSeismometer(own)
+    if witness is not None:
+        beside = TimedSeismometer(witness, -deflections.first_ns, reader.epoch_offset_ns)
+    run = analyse_swings(reader.path, followed, config, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
     warnings = [*run.warnings, *doubts, *reader.doubts(), *air_doubts(surroundings)]
     end = end_of(reader.events())
-    frames, judged = deflections.frames, Beam.of(beam, noise_is_known=config.sensor is not None)
-    dropped_frames, exact = dropped(frames), run.fits.get(FitMethod.EXACT)
+    judged = Beam.of(beam, noise_is_known=config.sensor is not None)
     if pulled is not None and judged.poor_fit_frames:
         judged = replace(judged, likely_cause=pulled.verdict.reason, remedy=pulled.verdict.remedy)
-    of_contact = config.instrument.description().report == "contact"
-    return replace(
+    verdicts = [] if pulled is None else [pulled.verdict]
+    if kind.report == "contact":
+        verdicts += run_balance_verdicts(balance_of_run(followed.balances, followed.plane), config.balance)
+    points, values = run.points, None
+    if run.reduction is None:
+        values = values_of_points(points, unit.shown_size, u_second(config, u_clock))
+    run = replace(
         run,
-        frames=frames,
-        dropped_frames=dropped_frames,
+        table=(*run.table, *decay_rows(points, values, unit.shown, unit.shown_size, reader.path.stem)),
+        damping=None if values is None else values.damping,
+        frames=deflections.frames,
+        dropped_frames=dropped(deflections.frames),
         simulated=RecordedCamera.from_metadata(reader.metadata).simulated,
         losses=reader.losses(),
         beam=judged,
@@ -150,23 +156,7 @@ def analyse_run(
         inputs_sha256={**inputs_sha256(reader), **run.inputs_sha256},
         surroundings=surroundings,
         clock=clock,
-        conditions=run_conditions(
-            reader,
-            frames,
-            deflections.lost_spots,
-            dropped_frames,
-            config.preflight,
-            None if exact is None else exact.ground,
-            run.half_cycles,
-            judged,
-            clock,
-            (
-                *([] if pulled is None else [pulled.verdict]),
-                *(
-                    run_balance_verdicts(balance_of_run(run.decay_balances, run.plane), config.balance)
-                    if of_contact
-                    else ()
-                ),
-            ),
-        ),
+        watched=watched,
     )
+    conditions = run_conditions(reader, run, deflections.lost_spots, config.preflight, verdicts)
+    return replace(run, conditions=conditions)

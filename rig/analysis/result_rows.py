@@ -154,6 +154,23 @@ def result_rows(
     return _with_apparatus(run, rows, budget, pendulum)
 
 
+def rows_of_others(
+    run: str, fits: Mapping[str, FitResult], rows: Sequence[ResultRow]
+) -> tuple[ResultRow, ...]:
+    """The rows of a run's fits besides the exact one, which has `rows`.
+
+    A quantity that the data do not determine has no value by any method.
+    """
+    left_open = {row.quantity for row in rows if not row.determined}
+    return tuple(
+        plain_row(key, found, run, method)
+        for method, fit in fits.items()
+        if method != FitMethod.EXACT
+        for key, found in fit.estimates().items()
+        if key not in left_open
+    )
+
+
 def series_rows(
     combined: Mapping[str, CombinedValue], budget: Mapping[str, Budget], pendulum: PendulumOnBall
 ) -> tuple[ResultRow, ...]:

@@ -6,162 +6,29 @@
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from enum import StrEnum
 from math import isfinite, nan
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-import numpy as np
-
 from acquisition.frames.losses import FrameLosses
 from processing.ambient import AmbientConditions
 from processing.contact import PendulumOnBall
-from processing.deflections import DeflectionUnit
 from processing.estimate import Estimate
 from processing.fit import Budget, Drag, SeismometerUse, Work
-from processing.position_map import PositionMap
-from processing.quantity import IN_UNIT, STATED, Quantity
+from processing.quantity import STATED, Quantity
 from processing.series import CombinedValue, Disagreement
-from processing.swing import HalfCycle, KnownMotion, TurningPoints
-from processing.units import seconds
+from processing.swing import KnownMotion, TurningPoints
 from rig.analysis.contact_results import ComparedLaws, Fit
 from rig.analysis.decay_values import AmplitudeDamping, InstrumentResults, InstrumentSeries
-from rig.analysis.encoding import Entries, Floats, Integers, JsonObject, MergedField
+from rig.analysis.encoding import Entries, JsonObject, MergedField
 from rig.analysis.result_rows import ResultRow, RowsByName
-from rig.analysis.run_conditions import Beam, RunClock
+from rig.analysis.run_values import Beam, PositionErrors, RunClock, StoredTurningPoints, TableDecay
 from rig.terminal import Verdict
 
 SCHEMA = 1
 _RECORD_NAME = re.compile(r"run-(\d+)(-recovered)?\.mcap")
 _Run = TypeVar("_Run")
 _IN_AMPLITUDE_UNIT = Quantity("", "in `amplitude_unit`", unit=STATED + "amplitude_unit")
-
-
-class TableUnit(StrEnum):
-    """Unit of a table's amplitudes where it is no angle."""
-
-    OWN = "own"
-    """The `amplitude_unit` of the results."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StoredTurningPoints:
-    """The turning points that were fitted, and the half-cycles that were left out.
-
-    Times are in true seconds from `first_ns`, the record's time of the first turning point. Amplitudes are
-    in `unit`; for a table without an angle, in its `amplitude_unit`. `left_out_flags` are those of
-    `processing.swing.HalfCycleFlag`.
-    """
-
-    first_ns: int = 0
-    unit: DeflectionUnit | TableUnit = DeflectionUnit.RAD
-    index: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    time_s: Floats = field(default_factory=lambda: np.empty(0))
-    u_time_s: Floats = field(default_factory=lambda: np.empty(0))
-    amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
-    u_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
-    left_out_time_s: Floats = field(default_factory=lambda: np.empty(0))
-    left_out_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
-    left_out_flags: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-
-    def __post_init__(self) -> None:
-        fitted = (self.index, self.time_s, self.u_time_s, self.amplitude, self.u_amplitude)
-        left_out = (self.left_out_time_s, self.left_out_amplitude, self.left_out_flags)
-        if len(set(map(len, fitted))) > 1 or len(set(map(len, left_out))) > 1:
-            raise ValueError("columns of equal length")
-
-    @classmethod
-    def of(
-        cls,
-        points: TurningPoints,
-        swings: Sequence[HalfCycle],
-        unit: DeflectionUnit | TableUnit,
-        clock_rate: float,
-    ) -> "StoredTurningPoints":
-        """The `points` of `swings`, and the half-cycles left out; `clock_rate` is true seconds a second."""
-        first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), None)
-        if first_ns is None:
-            first_ns = swings[0].turn_time_ns if swings else 0
-        left_out = [swing for swing in swings if swing.flags]
-        return cls(
-            first_ns=first_ns,
-            unit=unit,
-            **{column.name: getattr(points, column.name) for column in fields(points)},
-            left_out_time_s=np.array(
-                [seconds(swing.turn_time_ns - first_ns) * clock_rate for swing in left_out]
-            ),
-            left_out_amplitude=np.array([swing.amplitude for swing in left_out]),
-            left_out_flags=np.array([swing.flags for swing in left_out], dtype=np.int64),
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PositionErrors:
-    """Fixed-pattern position errors of the sensor, by the run itself; they were subtracted before the fits.
-
-    `place` are true deflections along the slow axis, `error` the excess of the measured ones there, `u_error`
-    its standard uncertainty apart from a constant and a scale, which no swing shows; all in `unit`.
-    `correlation_length` is the distance over which the error changes, `significance` the score for it in
-    standard deviations, from `cycles` whole cycles. `noise_scale` is the scatter of the remainder over the
-    uncertainties of the samples.
-    """
-
-    unit: DeflectionUnit = DeflectionUnit.RAD
-    place: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
-    error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
-    u_error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
-    correlation_length: Annotated[float, IN_UNIT] = float("nan")
-    significance: float = float("nan")
-    cycles: int = 0
-    noise_scale: float = float("nan")
-
-    def __post_init__(self) -> None:
-        if len({len(self.place), len(self.error), len(self.u_error)}) > 1:
-            raise ValueError("columns of equal length")
-
-    @classmethod
-    def of(cls, found: PositionMap, unit: DeflectionUnit) -> "PositionErrors":
-        """The errors at the knots of the map."""
-        place = found.splines.centres[1:-1]
-        return cls(
-            unit=unit,
-            place=place,
-            error=found.error(place),
-            u_error=found.u_error(place),
-            correlation_length=found.correlation_length,
-            significance=found.significance,
-            cycles=found.cycles,
-            noise_scale=found.noise_scale,
-        )
-
-    @property
-    def rms(self) -> float:
-        """Rms of the error about its mean, in `unit`."""
-        return float(np.std(self.error))
-
-    @property
-    def text(self) -> str:
-        """One line for the notes."""
-        size, unit = self.unit.shown_size, self.unit.shown
-        return (
-            f"errors of position that are fixed on the sensor, {self.rms / size:.2g} {unit} r.m.s. over "
-            f"{self.correlation_length / size:.2g} {unit}, were found in {self.cycles} cycles and subtracted "
-            "before the fits; the budget has a line for what remains"
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TableDecay:
-    """Place of a decay in a table: times of its first and last turning point, from the table's first row.
-
-    `run` is the name of its run, if the file contains several. `session` are sample, its history, operator
-    and notes by the configuration.
-    """
-
-    began_s: float = nan
-    ended_s: float = nan
-    run: str = ""
-    session: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)

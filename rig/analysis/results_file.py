@@ -13,7 +13,6 @@ from acquisition import atomic_write
 from processing.errors import RecordError, place_in_words, require_schema
 from rig.analysis.encoding import Codec, JsonObject, file_schema
 from rig.analysis.results import SCHEMA, EnvelopeResults, RunResults, SessionResults
-from rig.settings import expected_text
 from rig.terminal import plain_values, written
 
 RESULTS_NAME = "results.json"
@@ -104,6 +103,9 @@ def _one_line(fault: ErrorDetails) -> str:
     key = place_in_words(tuple(part for part in fault["loc"] if isinstance(part, int) or "(" not in part))
     if fault["type"] in ("missing", "missing_argument"):
         return f"{key} is missing"
+    # not at import: the models of the configuration cost more than the reading
+    from rig.settings import expected_text
+
     shown = json.dumps(fault["input"], default=str)
     return f"{key} is {shown if len(shown) <= 40 else shown[:37] + '...'}, not {expected_text(fault)}"
 

@@ -2,10 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from math import nan
-from typing import Annotated, Self
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,114 +13,14 @@ from acquisition.record.reader import RecordReader
 from acquisition.record.topics import CLOCK, ENVIRONMENT, RecordedClockStep
 from calibration import relate_clocks
 from processing.errors import DataError
-from processing.fit import Ground
-from processing.quantity import Quantity
-from processing.spot import LONGEST_CHOICE_FRAMES, BeamUse, SpotFlag, SpotModel
+from processing.fit import FitMethod, Ground
+from processing.spot import SpotFlag
 from processing.units import seconds
-from rig.instrument import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED, rate_text
+from rig.analysis.results import RunResults
+from rig.analysis.run_values import Beam, RunClock
+from rig.instrument import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED
 from rig.settings import Configuration, PreflightSettings
 from rig.terminal import Verdict, percent
-
-_EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
-"""Flags that name the model of a spot and no fault of it."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Beam:
-    """The beam of a run, by the models and flags of its spots.
-
-    `model` is the model in use at the end, `since_frame` the number of the first frame fitted with it,
-    `changes` how often the model changed after the first choice. `flags` are the numbers of spots with each
-    flag, without zeros. POOR_FIT is judged on the `judged_frames` spots after `choosing_frames`, from which
-    the profile was learned; `poor_fit_frames` of them have it, and `likely_cause` is the most likely reason.
-    """
-
-    model: str = ""
-    since_frame: int = -1
-    changes: int = 0
-    flags: Mapping[str, int] = field(default_factory=dict)
-    choosing_frames: int = 0
-    judged_frames: int = 0
-    poor_fit_frames: int = 0
-    poor_fit_fraction: float = nan
-    likely_cause: str = ""
-    remedy: str = ""
-
-    @classmethod
-    def of(cls, use: BeamUse, *, noise_is_known: bool) -> Self:
-        """The beam by counts of flags; `noise_is_known` is whether the sensor's noise is stated."""
-        cause, remedy = _cause(use, noise_is_known=noise_is_known) if use.poor_frames else ("", "")
-        return cls(
-            model=use.model or "",
-            since_frame=use.since_frame,
-            changes=use.changes,
-            flags={flag.name or "": count for flag, count in use.flags.items() if count},
-            choosing_frames=use.choosing_frames,
-            judged_frames=use.judged_frames,
-            poor_fit_frames=use.poor_frames,
-            poor_fit_fraction=use.poor_frames / use.judged_frames if use.judged_frames else nan,
-            likely_cause=cause,
-            remedy=remedy,
-        )
-
-    @property
-    def sentence(self) -> str:
-        """`Beam: learned profile since frame 147; POOR_FIT 147 (before it was learned).`"""
-        if not self.model:
-            return "Beam: no spot was found."
-        only_at_first = self.choosing_frames > 0 and not self.poor_fit_frames
-        flagged = [
-            f"{name} {count}" + (" (while it was learned)" if name == "POOR_FIT" and only_at_first else "")
-            for name, count in self.flags.items()
-            if not SpotFlag[name] & _EASED
-        ]
-        changed = f", after {self.changes} changes" if self.changes else ""
-        flags = f"spots with {', '.join(flagged)}" if flagged else "no spot is flagged as faulty"
-        return f"Beam: {self.model} since frame {self.since_frame}{changed}; {flags}."
-
-    def verdict(self, most: float) -> Verdict:
-        """A warning where more than the fraction `most` of the judged spots have the flag POOR_FIT."""
-        why = f"the model does not fit it, and uncertainties are only widened for that: {self.likely_cause}"
-        part = percent(self.poor_fit_frames / max(self.judged_frames, 1))
-        measured = f"{self.model or 'no spot'}, POOR_FIT in {self.poor_fit_frames} of {self.judged_frames}"
-        good = not self.poor_fit_fraction > most
-        found = _judged("beam", good, why, self.remedy, f"{measured} ({part})", f"{100 * most:g} %")
-        return replace(found, ok=True)
-
-
-def _judged(name: str, ok: bool, reason: str, remedy: str, measured: str, limit: str) -> Verdict:
-    """A condition, with reason and remedy where it is not met."""
-    return Verdict(name, ok, "" if ok else reason, "" if ok else remedy, measured=measured, limit=limit)
-
-
-def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
-    """The most likely reason of POOR_FIT, and its remedy."""
-    half = 0.5 * use.poor_frames
-    if use.poor_with[SpotFlag.EDGE] > half:
-        return "the edge of the sensor cuts the spot", "move the spot to the middle: rig camera align"
-    if use.poor_with[SpotFlag.CUT] > half:
-        return "something cuts the spot", "centre the beam in lens, mirrors and window; free its path"
-    if use.poor_with[SpotFlag.SATURATED] > half:
-        return (
-            "it is saturated, and only its flanks are fitted",
-            "lower the exposure (exposure_us) or the laser's power",
-        )
-    if use.changes:
-        return "it changed during the run", "let the laser warm up; fix the optics; look for what moved"
-    if use.model is SpotModel.LEARNED:
-        return (
-            "it changes with position (something cuts it, dust or fringes on the window) or with time",
-            "free the beam's path, clean the window; then rig camera align",
-        )
-    if use.judged_frames < LONGEST_CHOICE_FRAMES:
-        return "the run was too short to learn its profile", "measure longer, or clean the optics"
-    if not noise_is_known:
-        return "the noise of the sensor is assumed, not measured", "rig calibrate sensor"
-    return (
-        "no constant profile fits it: it flickers, or the sensor's noise is not as stated",
-        "let the laser warm up, shield the beam from air; rig calibrate sensor",
-    )
-
 
 _MOST_FRAMES = 20_000
 """Most frames to which the rate of the clock is fitted: more would not make it better known."""
@@ -132,34 +30,6 @@ _MOST_STEP_S = 1e-3
 """Largest uncertainty of a step that is no fault: turning points are timed to some 0.1 ms."""
 _LIMIT = f"steps known to {_MOST_STEP_S:g} s"
 _FIELDS = ("sequence", "device_time_ns", "host_time_ns")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunClock:
-    """The clock of a run.
-
-    `drift_ppm` is the camera's rate against the computer's, less 1; NaN if unknown. `u_rate` is the relative
-    uncertainty of the run's second, as in the budget: that of the calibration or, without one, of the assumed
-    ideal rate; it includes `u_steps_s`, that of all steps together. `steps` were subtracted from the times,
-    the largest is `largest_step_s`.
-    """
-
-    drift_ppm: Annotated[float, Quantity("clock drift", "rate of the camera's clock against the computer's")]
-    u_drift_ppm: float
-    u_rate: Annotated[float, Quantity("u(clock)", "standard uncertainty of the run's second, relative")]
-    steps: int = 0
-    largest_step_s: Annotated[float, Quantity("step", "largest step of the camera's clock")] = 0.0
-    u_steps_s: float = 0.0
-    synchronised: bool = False
-
-    @property
-    def text(self) -> str:
-        """The clock in one line."""
-        known = math.isfinite(self.drift_ppm)
-        rate = rate_text(self.drift_ppm, self.u_drift_ppm) if known else "rate unknown"
-        times = "once" if self.steps == 1 else f"{self.steps} times, at most"
-        stepped = f", stepped {times} by {self.largest_step_s:+.4g} s" if self.steps else ""
-        return f"{rate}, second within {1e6 * self.u_rate:.2g} ppm{stepped}"
 
 
 def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
@@ -210,16 +80,6 @@ def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float)
     return math.hypot(off, u_seen) if contradicted else u_known
 
 
-def clock_verdict(clock: RunClock) -> Verdict:
-    """Verdict on the steps that were taken off: a warning if known to `_MOST_STEP_S`, else a fault."""
-    if not clock.steps:
-        return Verdict("camera's clock", True, measured=clock.text, limit=_LIMIT)
-    known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
-    remedy = "network clock, supply, cable of the camera; rig calibrate clock"
-    ok = clock.u_steps_s <= _MOST_STEP_S
-    return Verdict("camera's clock", ok, known, remedy, measured=clock.text, limit=_LIMIT)
-
-
 _MOST_KELVIN = 1.0
 """Largest change of the air's temperature in a run: the paper's arm, 1 m of steel, grows by 12 um, 2 arcsec,
 with each kelvin."""
@@ -239,39 +99,36 @@ _STEPS = {
 
 def run_conditions(
     reader: RecordReader,
-    frames: int,
+    run: RunResults,
     lost_spots: int,
-    dropped_frames: int,
     limits: PreflightSettings,
-    ground: Ground | None = None,
-    half_cycles: int = 0,
-    beam: Beam | None = None,
-    clock: RunClock | None = None,
-    balance: Sequence[Verdict] = (),
+    others: Sequence[Verdict] = (),
 ) -> tuple[Verdict, ...]:
-    """One verdict for each condition of a run.
+    """One verdict for each condition of a run with its fits, before `others`.
 
     A dropped frame costs as much as a lost spot: the limit of both is that of the preflight for lost spots.
     """
+    frames, dropped, most = run.frames, run.dropped_frames, limits.max_lost_fraction
+    exact = run.fits.get(FitMethod.EXACT)
+    remedy = "find out where they were lost: camera, bus or computer"
     return (
         _end(end_of(reader.events())),
-        _fraction("lost spots", lost_spots, frames, limits.max_lost_fraction, "see laser, beam and exposure"),
-        _fraction(
-            "dropped frames",
-            dropped_frames,
-            frames + dropped_frames,
-            limits.max_lost_fraction,
-            "find out where they were lost: camera, bus or computer",
-        ),
-        *([] if beam is None else [beam.verdict(limits.max_poor_fit_fraction)]),
-        *([] if beam is None else [_saturation(beam, frames, limits.max_saturated_fraction)]),
+        _fraction("lost spots", lost_spots, frames, most, "see laser, beam and exposure"),
+        _fraction("dropped frames", dropped, frames + dropped, most, remedy),
+        *([] if run.beam is None else [_beam(run.beam, limits.max_poor_fit_fraction)]),
+        *([] if run.beam is None else [_saturation(run.beam, frames, limits.max_saturated_fraction)]),
         *_steps(reader.events()),
-        *([] if clock is None else [clock_verdict(clock)]),
+        *([] if run.clock is None else [_clock(run.clock)]),
         *_watching(reader.events()),
         *_temperature(reader),
-        *_ground(ground, half_cycles),
-        *balance,
+        *_ground(None if exact is None else exact.ground, run.half_cycles),
+        *others,
     )
+
+
+def _judged(name: str, ok: bool, reason: str, remedy: str, measured: str, limit: str) -> Verdict:
+    """A condition, with reason and remedy where it is not met."""
+    return Verdict(name, ok, "" if ok else reason, "" if ok else remedy, measured=measured, limit=limit)
 
 
 def _end(end: Event | None) -> Verdict:
@@ -289,6 +146,16 @@ def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdi
     part = count / of if of else 0.0
     measured = f"{count} of {of} ({percent(part)})"
     return _judged(name, part <= most, "too many", remedy, measured, f"{100 * most:g} %")
+
+
+def _beam(beam: Beam, most: float) -> Verdict:
+    """A warning where more than the fraction `most` of the judged spots have the flag POOR_FIT."""
+    why = f"the model does not fit it, and uncertainties are only widened for that: {beam.likely_cause}"
+    part = percent(beam.poor_fit_frames / max(beam.judged_frames, 1))
+    measured = f"{beam.model or 'no spot'}, POOR_FIT in {beam.poor_fit_frames} of {beam.judged_frames}"
+    good = not beam.poor_fit_fraction > most
+    found = _judged("beam", good, why, beam.remedy, f"{measured} ({part})", f"{100 * most:g} %")
+    return replace(found, ok=True)
 
 
 def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
@@ -316,6 +183,16 @@ def _steps(events: Sequence[Event]) -> list[Verdict]:
         )
         for kind, (name, reason, remedy) in _STEPS.items()
     ]  # fmt: skip
+
+
+def _clock(clock: RunClock) -> Verdict:
+    """Verdict on the steps that were taken off: a warning if known to `_MOST_STEP_S`, else a fault."""
+    if not clock.steps:
+        return Verdict("camera's clock", True, measured=clock.text, limit=_LIMIT)
+    known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
+    remedy = "network clock, supply, cable of the camera; rig calibrate clock"
+    ok = clock.u_steps_s <= _MOST_STEP_S
+    return Verdict("camera's clock", ok, known, remedy, measured=clock.text, limit=_LIMIT)
 
 
 def _watching(events: Sequence[Event]) -> list[Verdict]:

@@ -2,20 +2,28 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
-from math import isfinite
+from math import isfinite, pi
 from typing import Final, NamedTuple
 
 from processing.contact import DRAG
 from processing.contact.laws import DEFAULT_LAW
-from processing.damping import PARTS
 from processing.estimate import Determinacy, Estimate
-from processing.fit import WAVEFORM, BaseMotion, Budget, Drag, DragFinding, FitMethod, Ground
+from processing.fit import (
+    WAVEFORM,
+    BaseMotion,
+    Budget,
+    Drag,
+    DragFinding,
+    FitMethod,
+    Ground,
+    Response,
+    SeismometerUse,
+)
 from rig.analysis.contact_results import Correlation
-from rig.analysis.decay_values import DECAY, AmplitudeDamping
+from rig.analysis.decay_values import DECAY
 from rig.analysis.result_rows import ENERGIES, SURFACE_ENERGY, ResultRow, named
 from rig.analysis.results import RunResults, Series
-from rig.analysis.seismometer import witness_sentences
-from rig.terminal import SOURCES, plain, quantity, signed_percent, with_uncertainty
+from rig.terminal import SOURCES, percent, plain, quantity, signed_percent, with_uncertainty
 
 _LARGE = 0.25
 """Share of the variance above which a source is named; the largest one always is."""
@@ -291,6 +299,66 @@ def _ground_cost(ground: Ground) -> str:
     )
 
 
+CLOCK_SET = "clock set while it was recorded,"
+"""Beginning of a line on how a seismometer was read."""
+_NAMED_FACTOR = 1.05
+"""Factor by which an uncertainty is smaller, above which it is named."""
+
+
+def witness_sentences(use: SeismometerUse) -> list[str]:
+    """Sentences on the use of a seismometer, or its refusal, and on samples that were left out."""
+    lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
+    return [*_use_sentences(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
+
+
+def _use_sentences(use: SeismometerUse) -> list[str]:
+    if not use.used:
+        gain = use.gain_of_prediction
+        judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
+        reason = f": {use.reason}" if use.reason else ""
+        sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
+        said = f"Witness of the ground {use.verdict}{reason}{judged}{sought}."
+        return [f"{said} The results are the same as without it."]
+    before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
+    explained = (
+        f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
+        f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
+    )
+    if use.spectra is not None and isfinite(use.spectra.coherence_near):
+        explained += (
+            f" (squared coherence within a tenth of it {use.spectra.coherence_near:.4g}, over "
+            f"{use.spectra.stretches} stretches)"
+        )
+    responses = "; ".join(map(_response_text, use.responses))
+    lines = [f"Witness of the ground: {explained}. Its response: {responses}."]
+    saved = ", ".join(
+        f"{plain(factor, 3)} ({quantity(name).symbol})"
+        for name, factor in use.saved.items()
+        if factor > _NAMED_FACTOR
+    )
+    if saved:
+        lines.append(f"The witness reduces the uncertainties by factors of {saved}.")
+    found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
+    lines.append(
+        f"Clock of the witness: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
+        f"{with_uncertainty(*use.clock_drift)} s/s."
+    )
+    if use.missing_half_cycles:
+        lines.append(
+            f"{use.missing_half_cycles} half-swings have no witness; their drive is treated as unknown."
+        )
+    return lines
+
+
+def _response_text(response: Response) -> str:
+    degrees = 180 / pi
+    slope = ", changing within the band" if response.with_slope else ""
+    return (
+        f"{response.name} {with_uncertainty(response.gain, response.u_gain)} rad/s² per unit at "
+        f"{with_uncertainty(degrees * response.phase_rad, degrees * response.u_phase_rad)}°{slope}"
+    )
+
+
 def _waveform_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
     """Sentence on the information gain by the waveform; empty where it is small."""
     gained = {name: one for name, one in worth.get(WAVEFORM, {}).items() if one > _MUCH}
@@ -351,27 +419,5 @@ def decay_lines(results: RunResults) -> list[str]:
         f"{said.get(row.quantity, row.shown.symbol)} {row.text} {row.shown.unit}".rstrip() for row in rows
     ]
     if results.damping is not None:
-        lines += damping_lines(results.damping, results.amplitude_unit or "")
+        lines += results.damping.lines(results.amplitude_unit or "")
     return lines
-
-
-_SURE = 3.0
-
-
-def damping_lines(results: AmplitudeDamping, unit: str) -> list[str]:
-    """Lines on the parts of a damping with their probabilities, and on the time constants at both ends."""
-    units = {"constant": f" {unit}/s", "linear": " /s", "quadratic": f" /({unit} s)"}
-    said = []
-    for name, probability in zip(PARTS, results.probabilities, strict=True):
-        part = with_uncertainty(*getattr(results, name))
-        said.append(f"damping, {name} part {part}{units[name]}, needed with probability {probability:.2g}")
-        value, u = getattr(results, name)
-        if value < -_SURE * u:
-            said.append(f"a negative {name} part fits the decay but is not friction: something else changes")
-    if results.curve:
-        for where in (results.curve[0], results.curve[-1]):
-            quality = where.quality_factor
-            more = "" if quality is None else f", quality factor {with_uncertainty(*quality)}"
-            tau = with_uncertainty(*where.time_constant_s)
-            said.append(f"time constant {tau} s at {where.amplitude:.4g} {unit}{more}")
-    return said

@@ -16,9 +16,10 @@ from processing.units import seconds
 from rig.analysis.compared_laws import chosen_laws
 from rig.analysis.decay_values import DECAY
 from rig.analysis.fit_tables import combined_table, law_table, parameter_table, quality_table, waveform_table
-from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults, TableDecay
+from rig.analysis.results import EnvelopeResults, RunResults, Series, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, encoded, relative_record, write_results
-from rig.analysis.run_remarks import RemarkLevel, damping_lines, decay_lines, remark_rows
+from rig.analysis.run_remarks import RemarkLevel, decay_lines, remark_rows
+from rig.analysis.run_values import TableDecay
 from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.table_fit import (
     AnalysedDecay,
@@ -217,7 +218,7 @@ def fit_envelope_table(
     print_line(f"  time constant of the amplitude {with_uncertainty(found.tau_s, found.u_tau_s)} s")
     print_line(f"  time constant of the power {of_power} s")
     if results.damping is not None:
-        for line in damping_lines(results.damping, unit.strip() if kind != "power" else "sqrt(power)"):
+        for line in results.damping.lines(unit.strip() if kind != "power" else "sqrt(power)"):
             print_line(f"  {line}")
     if results.quality_factor is not None:
         print_line(f"  quality factor {with_uncertainty(*results.quality_factor)}")
@@ -280,7 +281,7 @@ def _print_decay(number: int, decay: AnalysedDecay) -> None:
     elif "quality_factor" in rows:
         lines.append(f"quality factor {rows['quality_factor'].text}")
     if results.damping is not None:
-        lines += damping_lines(results.damping, results.amplitude_unit or "")
+        lines += results.damping.lines(results.amplitude_unit or "")
     if summary.period_s.chi2_per_dof < _TOO_QUIET and summary.decrement.chi2_per_dof < _TOO_QUIET:
         lines.append(
             "the half-cycles scatter far less than the estimated noise of a sample implies (with few samples "

@@ -1,7 +1,6 @@
-"""The auxiliary seismometer in a record, the times of its samples, and sentences on its use."""
+"""The auxiliary seismometer in a record, and the times of its samples."""
 
 from itertools import pairwise
-from math import isfinite, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -9,10 +8,9 @@ import numpy as np
 from acquisition.record.reader import RecordReader
 from acquisition.record.topics import WITNESS
 from processing.arrays import Floats, Ints
-from processing.fit import Response, SeismometerUse
+from rig.analysis.run_remarks import CLOCK_SET
 from rig.analysis.seismometer_file import SeismometerRecord
 from rig.settings import Configuration
-from rig.terminal import percent, plain, quantity, with_uncertainty
 
 _VALUES = ("first", "second", "third")
 _FEWEST = 3
@@ -28,7 +26,6 @@ _RUN, _FALLS = 200, 0.2
 """Samples compared after a step, and least fall of lateness, over the time, while a backlog is read."""
 _WAITED, _MOST_TURNS = 5.0, 30
 """Lateness of a line that had waited, in distances of the earliest from the usual arrivals, and most fits."""
-CLOCK_SET = "clock set while it was recorded,"
 
 
 def recorded_witness(reader: RecordReader, config: Configuration) -> SeismometerRecord | None:
@@ -155,61 +152,3 @@ def _falls(late_s: Floats, own_s: Floats) -> bool:
     first, later = slice(0, reach), slice(reach, 2 * reach)
     fell = float(np.median(late_s[first]) - np.median(late_s[later]))
     return fell > _FALLS * float(np.median(own_s[later]) - np.median(own_s[first]))
-
-
-_NAMED_FACTOR = 1.05
-"""Factor by which an uncertainty is smaller, above which it is named."""
-
-
-def witness_sentences(use: SeismometerUse) -> list[str]:
-    """Sentences on the use of a seismometer, or its refusal, and on samples that were left out."""
-    lost = [line for line in use.understood if line.startswith(("left out", "missing", CLOCK_SET))]
-    return [*_use_sentences(use), *([f"Of the witness {use.source}: {'; '.join(lost)}."] if lost else [])]
-
-
-def _use_sentences(use: SeismometerUse) -> list[str]:
-    if not use.used:
-        gain = use.gain_of_prediction
-        judged = f" (gain of prediction {gain:+.3g})" if isfinite(gain) else ""
-        reason = f": {use.reason}" if use.reason else ""
-        sought = f"; {use.offsets_tried} offsets of its clock were tried" if use.offsets_tried else ""
-        said = f"Witness of the ground {use.verdict}{reason}{judged}{sought}."
-        return [f"{said} The results are the same as without it."]
-    before, left = use.ground_alone_rad_per_s2_rthz, use.ground_left_rad_per_s2_rthz
-    explained = (
-        f"it explains {percent(use.explained, 4)} of the drive at the pendulum's frequency, which falls from "
-        f"{with_uncertainty(*before)} to {with_uncertainty(*left)} rad/s²/√Hz"
-    )
-    if use.spectra is not None and isfinite(use.spectra.coherence_near):
-        explained += (
-            f" (squared coherence within a tenth of it {use.spectra.coherence_near:.4g}, over "
-            f"{use.spectra.stretches} stretches)"
-        )
-    responses = "; ".join(map(_response_text, use.responses))
-    lines = [f"Witness of the ground: {explained}. Its response: {responses}."]
-    saved = ", ".join(
-        f"{plain(factor, 3)} ({quantity(name).symbol})"
-        for name, factor in use.saved.items()
-        if factor > _NAMED_FACTOR
-    )
-    if saved:
-        lines.append(f"The witness reduces the uncertainties by factors of {saved}.")
-    found = f"{use.offset_s:+.5g} s, the best of {use.offsets_tried}, and " if use.offsets_tried else ""
-    lines.append(
-        f"Clock of the witness: {found}{with_uncertainty(*use.delay_s)} s to be added to its times, drift "
-        f"{with_uncertainty(*use.clock_drift)} s/s."
-    )
-    if use.missing_half_cycles:
-        lines.append(
-            f"{use.missing_half_cycles} half-swings have no witness; their drive is treated as unknown."
-        )
-    return lines
-
-
-def _response_text(response: Response) -> str:
-    degrees = 180 / pi
-    slope = ", changing within the band" if response.with_slope else ""
-    return (
-        f"{response.name} {with_uncertainty(response.gain, response.u_gain)} rad/s² per unit at "
-        f"{with_uncertainty(degrees * response.phase_rad, degrees * response.u_phase_rad)}°{slope}"
-    )

@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from io import BytesIO
 from pathlib import Path
 from re import compile as pattern
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -86,25 +86,34 @@ class SeismometerRecord:
     offset_stated: bool = False
     understood: tuple[str, ...] = ()
 
-    def seismogram(self, begin: "FitStart") -> tuple[Seismogram, bool]:
-        """The samples on the clock of turning points, and whether it is known to a fraction of a period."""
+    def seismogram(self, begin_ns: int, begin_utc_ns: int | None = None) -> tuple[Seismogram, bool]:
+        """The samples on the clock of turning points, and whether it is known to a fraction of a period.
+
+        `begin_ns` is the time of the first fitted turning point on the clock of the run's file,
+        `begin_utc_ns` that since 1970, None where it is not known.
+        """
         known = self.offset_stated
-        if not self.absolute or (self.offset_stated and begin.utc_ns is None):
-            zero_ns = begin.in_file_ns
-        elif begin.utc_ns is not None:
-            zero_ns, known = begin.utc_ns, True
+        if not self.absolute or (self.offset_stated and begin_utc_ns is None):
+            zero_ns = begin_ns
+        elif begin_utc_ns is not None:
+            zero_ns, known = begin_utc_ns, True
         else:
             # the two clocks are unrelated
             zero_ns, known = self.first_ns, False
         return Seismogram(seconds(self.times_ns + (self.first_ns - zero_ns)), self.value, self.names), known
 
 
-@dataclass(frozen=True, slots=True)
-class FitStart:
-    """Time of the first fitted turning point, on the clock of its file and, if known, in ns since 1970."""
+class TimedSeismometer(NamedTuple):
+    """A seismometer's record, and what is added to a run's times in ns for those of `seismogram`."""
 
-    in_file_ns: int
-    utc_ns: int | None = None
+    record: SeismometerRecord
+    to_file_ns: int = 0
+    to_utc_ns: int | None = None
+
+    def beside(self, first_ns: int) -> tuple[Seismogram, bool]:
+        """The samples on the clock of turning points whose first fitted one is at `first_ns`; see there."""
+        utc_ns = None if self.to_utc_ns is None else first_ns + self.to_utc_ns
+        return self.record.seismogram(first_ns + self.to_file_ns, utc_ns)
 
 
 def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> SeismometerRecord:

@@ -9,7 +9,6 @@ import numpy as np
 
 from acquisition.record.digest import sha256_of
 from processing.arrays import Floats
-from processing.balance import Balance, PlaneOfSwing
 from processing.contact import PendulumOnBall
 from processing.errors import ConfigurationError, DataError
 from processing.fit import (
@@ -255,7 +254,6 @@ class AnalysedRun(RunResults):
 
     `path` is the file that was analysed, `fitted` are the fits whose numbers are in the results. `reduction`
     is None unless another pendulum than that of the contact's laws, `rig` is None without [pendulum].
-    `decay_balances` are those of its decay, `plane` is the turning plane of swing, None where unknown.
     `watched` is the configuration with its overrides.
     """
 
@@ -264,8 +262,6 @@ class AnalysedRun(RunResults):
     rig: RigQuantities | None = None
     reduction: Reduction | None = None
     harmonics: SwingHarmonics | None = None
-    decay_balances: Sequence[Balance] = ()
-    plane: PlaneOfSwing | None = None
     watched: KeyUseMonitor | None = None
 
 

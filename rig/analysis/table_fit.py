@@ -30,20 +30,13 @@ from processing.swing import (
 from processing.units import ARCSEC_RAD, seconds
 from rig.analysis.air import air_doubts, stated_surroundings, table_surroundings
 from rig.analysis.compared_laws import with_laws
-from rig.analysis.decay_values import DECAY, amplitude_damping, decay_rows, decay_values
-from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
+from rig.analysis.decay_values import amplitude_damping, decay_rows, decay_values
+from rig.analysis.half_cycle_fits import analyse_swings
 from rig.analysis.passing_deflections import PassingDeflections
-from rig.analysis.results import (
-    EnvelopeResults,
-    RunResults,
-    Series,
-    SessionResults,
-    StoredTurningPoints,
-    TableDecay,
-    TableUnit,
-)
+from rig.analysis.results import EnvelopeResults, RunResults, SessionResults
 from rig.analysis.results_file import relative_record
-from rig.analysis.seismometer_file import FIRST_UTC_S, FitStart, SeismometerRecord
+from rig.analysis.run_values import StoredTurningPoints, TableDecay, TableUnit
+from rig.analysis.seismometer_file import FIRST_UTC_S, SeismometerRecord, TimedSeismometer
 from rig.analysis.series import AnalysedRun, instrument_series
 from rig.analysis.turning_plane import FollowedPlane, follow_plane
 from rig.intake import (
@@ -153,21 +146,18 @@ def analyse_trajectory(
     judge_time_unit(path, trajectory, usable)
     both = _both_deflections(trajectory.times_ns, across, deflection, scatter)
     decays = [_analyse(path, part, trajectory, both, scatter, config, laws, witness) for part in usable]
+    runs = tuple(decay.results for decay in decays)
+    # decays of one run are numbered by the run's number if it has one, else by place
+    numbers = [int(trajectory.run)] * len(runs) if trajectory.run.isdecimal() else ()
     results = SessionResults(
         trajectory=path.as_posix(),
         unit=trajectory.unit,
         understood=trajectory.understood,
-        runs=tuple(decay.results for decay in decays),
-        series=_series(decays, trajectory.run),
+        runs=runs,
+        series=instrument_series(runs, numbers),
     )
     passed_over = [part for part in parts if part not in usable]
     return AnalysedTable(trajectory, noise / scale, decays, passed_over, results)
-
-
-def _series(decays: Sequence[AnalysedDecay], run: str) -> Series | None:
-    """The series of the decays of one run, numbered by the run's number if it has one, else by place."""
-    runs = [decay.results for decay in decays]
-    return instrument_series(runs, [int(run)] * len(runs) if run.isdecimal() else ())
 
 
 def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionResults | None:
@@ -175,19 +165,18 @@ def series_of_runs(path: Path, tables: Mapping[str, AnalysedTable]) -> SessionRe
 
     The numbers in `reference_runs` are the names of the runs where all are numbers, else their places.
     """
-    names = list(tables)
-    by_name = all(name.isdecimal() for name in names)
-    runs: list[AnalysedRun] = []
-    numbers: list[int] = []
-    for place, (name, table) in enumerate(tables.items(), start=1):
-        runs += [decay.results for decay in table.decays]
-        numbers += [int(name) if by_name else place] * len(table.decays)
-    series = instrument_series(runs, numbers)
+    by_name = all(name.isdecimal() for name in tables)
+    numbered = [
+        (int(name) if by_name else place, decay.results)
+        for place, (name, table) in enumerate(tables.items(), start=1)
+        for decay in table.decays
+    ]
+    runs = tuple(run for _, run in numbered)
+    series = instrument_series(runs, [number for number, _ in numbered])
     if series is None:
         return None
     first = next(iter(tables.values())).results
-    decays = tuple(decay for table in tables.values() for decay in table.results.runs)
-    return replace(first, trajectory=path.as_posix(), runs=decays, series=series)
+    return replace(first, trajectory=path.as_posix(), runs=runs, series=series)
 
 
 def analyse_envelope(
@@ -248,9 +237,8 @@ def _analyse(
         trajectory.times_ns < swings[-1].turn_time_ns + edge_ns
     )
     passing = PassingDeflections([deflections[inside]], DeflectionUnit.RAD)
-    followed = follow_plane(swings, passing, None, along_line=True)
-    followed = _without_fast_mode(followed)
-    as_detected, swings = swings, followed.swings
+    followed = _without_fast_mode(follow_plane(swings, passing, None, along_line=True))
+    swings = followed.swings
     deflection = np.concatenate([block.y for block in followed.deflections])
     points = turning_points(swings)
     summary = summarise_decay(points)
@@ -258,20 +246,17 @@ def _analyse(
     sha256 = cached_sha256(path)
     run = AnalysedRun(path=path, record=relative_record(path, Path.cwd()), sha256=sha256, problem=problem)
     if config is not None and not problem:
-        zero_ns, absolute = trajectory.first_ns, seconds(trajectory.first_ns) > FIRST_UTC_S
-        beside: TimedSeismometer | None = None
+        zero_ns, beside = trajectory.first_ns, None
         if witness is not None:
-            beside = witness, lambda ns: FitStart(ns + zero_ns, ns + zero_ns if absolute else None)
-        air = stated_surroundings(config)
+            utc_ns = zero_ns if seconds(zero_ns) > FIRST_UTC_S else None
+            beside = TimedSeismometer(witness, zero_ns, utc_ns)
         run = analyse_swings(
             path,
-            as_detected,
+            followed,
             config,
-            passing,
-            air,
+            stated_surroundings(config),
             witness=beside,
             u_common_rad=u_common,
-            followed=followed,
         )
         run = with_laws(run, laws) if laws else run
     unflagged = [swing.turn_time_ns for swing in swings if not swing.flags]
@@ -282,7 +267,6 @@ def _analyse(
         trajectory.times_ns[inside][free], deflection[free], summary.period_s.value
     )
     decay = decay_values(points, summary, scale, u_common=u_common)
-    name = run.table[0].run if run.table else path.stem
     warnings = [
         *run.warnings,
         *filter(None, [_direction_warning(trajectory, inside, run, followed)]),
@@ -312,10 +296,7 @@ def _analyse(
         notes += _taken_as_exact(config) if run.budget else []
     results = replace(
         run,
-        table=(
-            *(row for row in run.table if row.fit != DECAY),
-            *decay_rows(points, decay, trajectory.unit, scale, name),
-        ),
+        table=(*run.table, *decay_rows(points, decay, trajectory.unit, scale, path.stem)),
         frames=int(np.count_nonzero(inside)),
         half_cycles=run.half_cycles or summary.half_cycles,
         amplitude_unit=trajectory.unit,

@@ -54,8 +54,7 @@ class FollowedPlane:
             return None
         times = {swing.index: swing.turn_time_ns for swing in self.swings}
         times_ns = np.array([times.get(int(index), 0) for index in points.index], dtype=np.int64)
-        across = _motion_across(self.balances, self.plane, along_line=self.along_line)
-        return _errors(self.plane, times_ns, points.amplitude, across, self.axes, along_line=self.along_line)
+        return self._errors(self.plane, times_ns, points.amplitude)
 
     @property
     def u_rad(self) -> float:
@@ -71,20 +70,60 @@ class FollowedPlane:
         if self.plane is None or not self.is_turned:
             return ""
         ends = np.array([self.plane.start_ns, self.plane.last_ns], dtype=np.int64)
-        by_rad = float(np.diff(self.plane.direction_rad(ends))[0])
-        rate = with_uncertainty(
-            self.plane.mean_rate() * _PER_MIN, self.plane.u_mean_rate() * _PER_MIN, signed=True
-        )
+        first, last = self.plane.direction_rad(ends) / DEGREE_RAD
+        rate = f"({_rate_text(self.plane)} deg/min in the mean)"
         if self.along_line:
-            first, last = self.plane.direction_rad(ends) / DEGREE_RAD
             return (
                 f"the swing lies {first:+.2f} degrees from the direction of all positions at first, and "
-                f"{last:+.2f} at last ({rate} deg/min in the mean): amplitudes are those along the swing"
+                f"{last:+.2f} at last {rate}: amplitudes are those along the swing"
             ).replace("-", "−")
         return (
-            f"the plane of swing turned by {by_rad / DEGREE_RAD:+.2f} degrees during the run "
-            f"({rate} deg/min in the mean): the deflections were turned back before the fit"
+            f"the plane of swing turned by {last - first:+.2f} degrees during the run "
+            f"{rate}: the deflections were turned back before the fit"
         ).replace("-", "−")
+
+    def matters(self, plane: PlaneOfSwing) -> bool:
+        """Whether half-cycles in this plane, with their uncertainties, change a fit by more than `MATTERS`.
+
+        If amplitudes change by e_i, no parameter of a least-squares fit changes by more than
+        sqrt(sum (e_i/u_i)^2) of its standard uncertainties.
+        """
+        good = [swing for swing in self.swings if not swing.flags]
+        times_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)
+        amplitude, u = np.array([(swing.amplitude, swing.u_amplitude) for swing in good]).T
+        angle = self.angle_rad(plane, times_ns)
+        shifts = amplitude * (1.0 - np.cos(angle) + self._motion_across(plane) * np.abs(np.sin(angle)))
+        moved2 = shifts**2 + np.sum(self._errors(plane, times_ns, amplitude) ** 2, axis=1)
+        return bool(math.sqrt(float(np.sum(moved2 / u**2))) > MATTERS)
+
+    def angle_rad(self, plane: PlaneOfSwing, times_ns: NDArray[np.int64]) -> Floats:
+        """Angles (n,) by which deflections in this plane are turned back."""
+        return plane.direction_rad(times_ns) if self.along_line else plane.turned_rad(times_ns)
+
+    def _errors(self, plane: PlaneOfSwing, times_ns: NDArray[np.int64], amplitude: Floats) -> Floats:
+        """Errors of amplitudes (n, terms), each by one standard uncertainty of the plane's curve or the axes.
+
+        An angle that is wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it. Where
+        the angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta).
+        """
+        of_curve = plane.u_direction(times_ns) if self.along_line else plane.u_turned(times_ns)
+        half = 0.5 * np.linalg.norm(of_curve, axis=1)
+        angle = self.angle_rad(plane, times_ns)
+        of_axes = self.axes.u_non_orthogonality_rad * np.sin(angle) * np.cos(angle)
+        columns = [of_curve * np.hypot(self._motion_across(plane), half)[:, None], of_axes[:, None]]
+        return np.asarray(amplitude[:, None] * np.column_stack(columns))
+
+    def _motion_across(self, plane: PlaneOfSwing) -> float:
+        """Motion across the target axis over that along it: by the tilt of the line, and by the fast mode."""
+        start = np.array([plane.start_ns], dtype=np.int64)
+        tilt = 0.0 if self.along_line else math.remainder(float(plane.direction_rad(start)[0]), math.pi)
+        first = [one.transverse_ratio for one in self.balances if one.time_ns >= plane.first_ns][:_FIRST]
+        fast = float(np.median(first)) if first else 0.0
+        return math.hypot(min(abs(tilt), 1.0), min(fast, 1.0))
+
+
+def _rate_text(plane: PlaneOfSwing) -> str:
+    return with_uncertainty(plane.mean_rate() * _PER_MIN, plane.u_mean_rate() * _PER_MIN, signed=True)
 
 
 class PlaneBalances:
@@ -138,9 +177,7 @@ def follow_plane(
 
     Notes
     -----
-    If amplitudes change by e_i, no parameter of a least-squares fit changes by more than
-    sqrt(sum (e_i/u_i)^2) of its standard uncertainties. A rotation that stays below `MATTERS` in this sense,
-    with its uncertainty, is neglected.
+    A rotation that does not matter (`FollowedPlane.matters`) is neglected.
     """
     axes = axes or _SQUARE
     good = [swing for swing in swings if not swing.flags]
@@ -152,70 +189,18 @@ def follow_plane(
     balances = [one for one in balances if good[0].turn_time_ns <= one.time_ns <= good[-1].turn_time_ns]
     found = FollowedPlane(swings, deflections, balances, along_line=along_line, axes=axes)
     plane = plane_of_swing(balances, good[0].turn_time_ns, good[-1].turn_time_ns)
-    if plane is None or not _matters(plane, good, balances, axes, along_line=along_line):
+    if plane is None or not found.matters(plane):
         return replace(found, plane=plane)
     if plane.doubt:
-        rate = with_uncertainty(plane.mean_rate() * _PER_MIN, plane.u_mean_rate() * _PER_MIN, signed=True)
         problem = (
-            f"withheld: the plane of swing turns ({rate} deg/min in the mean) and {plane.doubt}, so that "
-            "amplitudes are not known; let the pendulum settle before the release (rig balance)"
+            f"withheld: the plane of swing turns ({_rate_text(plane)} deg/min in the mean) and "
+            f"{plane.doubt}, so that amplitudes are not known; let the pendulum settle before the release "
+            "(rig balance)"
         )
         return replace(found, plane=plane, problem=problem.replace("-", "−"))
-    angle_rad = plane.direction_rad if along_line else plane.turned_rad
-    back = PassingDeflections(
-        ChangedDeflections(
-            deflections, lambda block: rotate(block, angle_rad(block.times_ns), _oblique_rad(axes))
-        ),
-        deflections.unit,
-    )
+
+    def turned(block: Deflections) -> Deflections:
+        return rotate(block, found.angle_rad(plane, block.times_ns), _oblique_rad(axes))
+
+    back = PassingDeflections(ChangedDeflections(deflections, turned), deflections.unit)
     return replace(found, swings=swings_of_blocks(back), deflections=back, plane=plane, is_turned=True)
-
-
-def _matters(
-    plane: PlaneOfSwing,
-    good: Sequence[HalfCycle],
-    balances: Sequence[Balance],
-    axes: Axes,
-    *,
-    along_line: bool,
-) -> bool:
-    times_ns = np.array([swing.turn_time_ns for swing in good], dtype=np.int64)
-    amplitude = np.array([swing.amplitude for swing in good])
-    u = np.array([swing.u_amplitude for swing in good])
-    across = _motion_across(balances, plane, along_line=along_line)
-    angle = plane.direction_rad(times_ns) if along_line else plane.turned_rad(times_ns)
-    shifts = amplitude * (1.0 - np.cos(angle) + across * np.abs(np.sin(angle)))
-    errors = _errors(plane, times_ns, amplitude, across, axes, along_line=along_line)
-    moved2 = shifts**2 + np.sum(errors**2, axis=1)
-    return bool(math.sqrt(float(np.sum(moved2 / u**2))) > MATTERS)
-
-
-def _errors(
-    plane: PlaneOfSwing,
-    times_ns: NDArray[np.int64],
-    amplitude: Floats,
-    across: float,
-    axes: Axes,
-    *,
-    along_line: bool,
-) -> Floats:
-    """Errors of amplitudes (n, terms), each by one standard uncertainty of the plane's curve or of the axes.
-
-    An angle that is wrong by d takes d^2/2 off an amplitude, and adds d times the motion across it. Where the
-    angle between the axes is wrong by e, turning by theta adds e sin(theta) cos(theta).
-    """
-    of_curve = plane.u_direction(times_ns) if along_line else plane.u_turned(times_ns)
-    half = 0.5 * np.linalg.norm(of_curve, axis=1)
-    angle = plane.direction_rad(times_ns) if along_line else plane.turned_rad(times_ns)
-    of_axes = axes.u_non_orthogonality_rad * np.sin(angle) * np.cos(angle)
-    columns = [of_curve * np.hypot(across, half)[:, None], of_axes[:, None]]
-    return np.asarray(amplitude[:, None] * np.column_stack(columns))
-
-
-def _motion_across(balances: Sequence[Balance], plane: PlaneOfSwing, *, along_line: bool) -> float:
-    """Motion across the target axis over that along it: by the tilt of the line, and by the fast mode."""
-    start = np.array([plane.start_ns], dtype=np.int64)
-    tilt = 0.0 if along_line else math.remainder(float(plane.direction_rad(start)[0]), math.pi)
-    first = [one.transverse_ratio for one in balances if one.time_ns >= plane.first_ns][:_FIRST]
-    fast = float(np.median(first)) if first else 0.0
-    return math.hypot(min(abs(tilt), 1.0), min(fast, 1.0))

@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
 
 from processing.ambient import AmbientConditions
 from processing.number_text import with_uncertainty
-from processing.quantity import Quantity, quantities_of
+from processing.quantity import DecayQuantities, InstrumentQuantities, Quantity, quantities_of
 from processing.units import ARCSEC_RAD, unit_of_name
 from rig.terminal import palette
 
@@ -71,8 +71,7 @@ def quantity(key: str, unit: str = "arcsec") -> QuantityDisplay:
 
 def declaration(key: str) -> Quantity | None:
     """Declaration of the quantity with this key; None for an unknown key."""
-    known = {**quantities_of(AmbientConditions), **quantities_of(PlottedQuantities)}
-    return known[key] if key in known else _balance_quantities().get(key) or _fit_quantities().get(key)
+    return _declarations().get(key)
 
 
 def unit_of(key: str) -> str:
@@ -82,22 +81,17 @@ def unit_of(key: str) -> str:
 
 
 @cache
-def _balance_quantities() -> Mapping[str, Quantity]:
-    """Declared quantities of the balance; imported here, because its compiled functions load slowly."""
+def _declarations() -> Mapping[str, Quantity]:
+    """All declared quantities by key; imported here, because compiled functions load slowly."""
     from processing.balance import Balance
-
-    return quantities_of(Balance)
-
-
-@cache
-def _fit_quantities() -> Mapping[str, Quantity]:
-    """Declared quantities of the fits; imported here, so that the viewer without fits starts fast."""
     from processing.fit import DerivedQuantity, FitQuality, Work
-    from processing.quantity import DecayQuantities, InstrumentQuantities
 
-    parameters = {key: parameter.quantity for key, parameter in law_parameters().items()}
     kinds = (InstrumentQuantities, DerivedQuantity, FitQuality, Work, DecayQuantities)
-    return {name: one for kind in kinds for name, one in quantities_of(kind).items()} | parameters
+    found = {name: one for kind in kinds for name, one in quantities_of(kind).items()}
+    found |= {key: parameter.quantity for key, parameter in law_parameters().items()}
+    for kind in (Balance, AmbientConditions, PlottedQuantities):
+        found |= quantities_of(kind)
+    return found
 
 
 @cache

@@ -193,7 +193,7 @@ def replay_record(
                 say("the page has all of it and stays until q or Ctrl-C; the results follow then")
                 _stay(keys)
         partial = replay.partial or replay.was_restarted or player.ended_by_user
-        run = replace(_analysed(reader, config, result), watched=key_monitor)
+        run = _analysed(reader, config, result, key_monitor)
         if partial:
             part = f"replayed from {replay.pipeline_start_s:.2f} s to {replay.position_s:.2f} s of the record"
             # a part has another end than the record
@@ -236,7 +236,9 @@ def analyse_replayed(record: Path, *, retrack: bool, overrides: Sequence[str] = 
         return _analysed(reader, config, replay.finish())
 
 
-def _analysed(reader: RecordReader, config: Configuration, result: ReplayResult) -> AnalysedRun:
+def _analysed(
+    reader: RecordReader, config: Configuration, result: ReplayResult, watched: KeyUseMonitor | None = None
+) -> AnalysedRun:
     return analyse_run(
         reader,
         config,
@@ -245,6 +247,7 @@ def _analysed(reader: RecordReader, config: Configuration, result: ReplayResult)
         config.deflection_unit,
         result.beam,
         lambda _: result.dropped_frames,
+        watched=watched,
     )
 
 

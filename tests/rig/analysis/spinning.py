@@ -19,6 +19,7 @@ from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.results import RunResults
 from rig.analysis.series import AnalysedRun
 from rig.analysis.table_fit import analyse_table
+from rig.analysis.turning_plane import follow_plane
 from rig.instrument import complete
 from rig.intake.table import TableColumns
 from rig.settings import Configuration, load_configuration
@@ -104,7 +105,8 @@ def analysed(seen: Deflections, config: Configuration, file: Path) -> AnalysedRu
     """The results of a record with these deflections; `file` stands for the record."""
     file.touch()
     swings, passing = passed(seen)
-    return analyse_swings(file, swings, config, passing, AmbientConditions())
+    followed = follow_plane(swings, passing, config.axes)
+    return analyse_swings(file, followed, config, AmbientConditions())
 
 
 class Held(NamedTuple):

@@ -7,7 +7,8 @@ import pytest
 
 from processing.spot import BeamUse, SpotFlag
 from rig.analysis.results_file import read_results
-from rig.analysis.run_conditions import Beam
+from rig.analysis.run_conditions import _beam
+from rig.analysis.run_values import Beam
 from rig.settings import PreflightSettings
 
 MOST = PreflightSettings().max_poor_fit_fraction
@@ -23,7 +24,7 @@ def beam(*stretches: tuple[int, int], noise_is_known: bool = True) -> Beam:
 
 def test_an_ordinary_run_with_a_learned_profile_is_no_warning() -> None:
     found = beam((147, POOR), (3000, LEARNED), (20, LEARNED | POOR), (1000, LEARNED))
-    verdict = found.verdict(MOST)
+    verdict = _beam(found, MOST)
     assert verdict.ok
     assert not verdict.remedy
     assert found.sentence == "Beam: learned profile since frame 147; spots with POOR_FIT 167."
@@ -45,7 +46,7 @@ def test_an_ordinary_run_with_a_learned_profile_is_no_warning() -> None:
 def test_bad_fits_are_a_warning_with_cause_and_remedy(
     stretches: list[tuple[int, int]], known: bool, cause: str
 ) -> None:
-    verdict = beam(*stretches, noise_is_known=known).verdict(MOST)
+    verdict = _beam(beam(*stretches, noise_is_known=known), MOST)
     assert verdict.ok  # the numbers stand, with widened uncertainties
     assert cause in verdict.reason
     assert verdict.remedy

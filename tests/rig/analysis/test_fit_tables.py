@@ -42,6 +42,7 @@ _RUN = RunResults(
         ResultRow(quantity="b", value=3.5e-3, u=1e-5, u_total=1e-5, lower=3.48e-3, upper=3.52e-3),
         ResultRow(quantity="c", verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=6.1e-8),
         ResultRow(quantity=SURFACE_ENERGY, verdict=Determinacy.UPPER_BOUND, lower=0.0, upper=0.183),
+        ResultRow(quantity="b", fit="asymptotic", value=3.7e-3, u=1e-5, u_total=1e-5),
     ),
 )
 

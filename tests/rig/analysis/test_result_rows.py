@@ -21,7 +21,7 @@ from processing.fit import (
 from processing.series import CombinedValue
 from rig.analysis import RunResults, Series, SessionResults, analyse_record, encoded
 from rig.analysis.fit_tables import parameter_table
-from rig.analysis.result_rows import ResultRow, result_rows, series_rows, withheld
+from rig.analysis.result_rows import ResultRow, result_rows, rows_of_others, series_rows, withheld
 from rig.report.tables import budget_table
 from rig.terminal import latex_table
 from tests.processing.fit.decays import decay, paper_pair
@@ -116,6 +116,9 @@ def test_a_bound_stays_one_and_so_does_that_of_what_follows(long_fit: FitResult)
         rel=0.02,
     )
     assert rows["contact_radius_m"].determined
+    by_others = rows_of_others("run-1", {"exact": long_fit, "asymptotic": long_fit}, [*rows.values()])
+    assert {row.quantity for row in by_others} == {*long_fit.names} - {"c"}, "no value by any method"
+    assert {row.fit for row in by_others} == {"asymptotic"}
 
 
 @pytest.mark.parametrize(

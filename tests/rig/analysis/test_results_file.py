@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,20 @@ def test_what_is_read_is_written_the_same(measured_series: Path, tmp_path: Path)
     found = read_results(measured_series)
     write_results(tmp_path / "results.json", found)
     assert (tmp_path / "results.json").read_text() == (measured_series / "results.json").read_text()
+
+
+def test_reading_results_loads_nothing_that_analyses(measured_series: Path) -> None:
+    """`rig record info` took more than a second of processor time, most of it for this."""
+    code = (
+        "import sys, rig.analysis as face; from pathlib import Path; "
+        f"run = face.read_results(Path({str(measured_series)!r})).runs[0]; "
+        "assert face.whole_result(run).text; print(*sys.modules); "
+        "assert all(getattr(face, name) for name in face._LAZY)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert {"rig.settings", "rig.instrument", "rig.intake", "calibration"}.isdisjoint(loaded)
+    assert {"rig.analysis.record_fit", "rig.analysis.series", "matplotlib"}.isdisjoint(loaded)
 
 
 def test_the_fitted_turning_points_are_stored(measured_series: Path) -> None:

@@ -7,7 +7,9 @@ import pytest
 
 from acquisition.record.reader import RecordReader
 from processing.fit import Ground
-from rig.analysis.run_conditions import Beam, run_conditions
+from rig.analysis import Fit, RunResults
+from rig.analysis.run_conditions import run_conditions
+from rig.analysis.run_values import Beam
 from rig.settings import PreflightSettings
 from tests.rig.command_line import CONFIGS, QUICK, rig, set_words
 
@@ -25,7 +27,8 @@ def test_losses_are_held_against_the_limits_of_the_preflight(
     frames: int, lost: int, dropped: int, against: set[str], measured_series: Path
 ) -> None:
     with RecordReader(measured_series / "run-1.mcap") as reader:
-        found = run_conditions(reader, frames, lost, dropped, PreflightSettings())
+        run = RunResults(record="run-1.mcap", frames=frames, dropped_frames=dropped)
+        found = run_conditions(reader, run, lost, PreflightSettings())
     assert {verdict.name for verdict in found if not verdict.ok} == against
     assert {"light", "rest position", "ambient light"} <= {verdict.name for verdict in found}
 
@@ -34,7 +37,8 @@ def test_spots_at_full_scale_are_warned_of(measured_series: Path) -> None:
     with RecordReader(measured_series / "run-1.mcap") as reader:
         for saturated, warned in ((10, False), (11, True)):
             beam = Beam(model="upright", flags={"SATURATED": saturated})
-            found = run_conditions(reader, 1000, 0, 0, PreflightSettings(), beam=beam)
+            run = RunResults(record="run-1.mcap", frames=1000, beam=beam)
+            found = run_conditions(reader, run, 0, PreflightSettings())
             (verdict,) = (verdict for verdict in found if verdict.name == "saturation")
             assert (verdict.ok, "exposure_us" in verdict.remedy) == (True, warned)
 
@@ -62,7 +66,9 @@ def test_a_ground_that_leaves_too_little_to_fit_is_a_condition(measured_series: 
     with RecordReader(measured_series / "run-1.mcap") as reader:
         for left_out, ok in ((10, True), (30, False)):
             ground = Ground(left_out_half_cycles=left_out, widening={"b": 3.0, "c": 12.0})
-            found = run_conditions(reader, 1000, 0, 0, PreflightSettings(), ground, half_cycles=100)
+            fits = {"exact": Fit(ground=ground)}
+            run = RunResults(record="run-1.mcap", frames=1000, half_cycles=100, fits=fits)
+            found = run_conditions(reader, run, 0, PreflightSettings())
             (verdict,) = (verdict for verdict in found if verdict.name == "ground")
             assert verdict.ok is ok
             assert "uncertainties × 12" in verdict.measured

@@ -18,8 +18,8 @@ from processing.fit.seismometer import SeismometerVerdict
 from rig.analysis import AnalysedTable, analyse_record, session_results
 from rig.analysis.results import RunResults, SessionResults
 from rig.analysis.results_file import RESULTS_NAME, decoded, encoded, write_results
-from rig.analysis.seismometer import witness_sentences
-from rig.analysis.seismometer_file import FitStart, SeismometerSource
+from rig.analysis.run_remarks import witness_sentences
+from rig.analysis.seismometer_file import SeismometerSource
 from rig.analysis.table_fit import TableColumns, analyse_table
 from rig.archive.session_rows import results_row
 from rig.report import make_table_report
@@ -159,22 +159,22 @@ def test_a_record_with_a_witness_of_another_year_says_that_it_does_not_cover_the
 
 
 def test_times_are_put_on_the_clock_of_the_turning_points(tmp_path: Path) -> None:
-    begin = FitStart(in_file_ns=3_000_000_000, utc_ns=1_500_000_005_000_000_000)
+    begin = 3_000_000_000, 1_500_000_005_000_000_000
     times = np.arange(10.0)
     relative = SeismometerSource(csv(tmp_path / "a.csv", "time_s,z", 2 + times, times)).read()
-    witness, known = relative.seismogram(begin)
+    witness, known = relative.seismogram(*begin)
     assert witness.time_s[0] == pytest.approx(-1.0)
     assert not known
     stated = replace(SeismometerSource(tmp_path / "a.csv"), offset_s=0.25).read()
-    witness, known = stated.seismogram(begin)
+    witness, known = stated.seismogram(*begin)
     assert witness.time_s[0] == pytest.approx(-0.75)
     assert known
     in_ns = [f"{1_500_000_000_000_000_000 + 100_000_000 * k},{k}" for k in range(10)]
     (tmp_path / "b.csv").write_text("\n".join(["time_ns,z", *in_ns]))
-    witness, known = SeismometerSource(tmp_path / "b.csv").read().seismogram(begin)
+    witness, known = SeismometerSource(tmp_path / "b.csv").read().seismogram(*begin)
     assert witness.time_s[0] == pytest.approx(-5.0, abs=1e-6)
     assert known
-    assert not SeismometerSource(tmp_path / "b.csv").read().seismogram(FitStart(0))[1]
+    assert not SeismometerSource(tmp_path / "b.csv").read().seismogram(0)[1]
 
 
 def test_a_column_that_is_not_there_is_said(decay: Path) -> None:

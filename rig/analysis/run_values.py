@@ -1,0 +1,265 @@
+"""Parts of a run's results that are no rows: turning points, position errors, beam and clock.
+
+Field names are keys of results.json; see `rig.analysis.results`.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from enum import StrEnum
+from math import nan
+from typing import Annotated, Self
+
+import numpy as np
+
+from processing.deflections import DeflectionUnit
+from processing.position_map import PositionMap
+from processing.quantity import IN_UNIT, Quantity
+from processing.spot import LONGEST_CHOICE_FRAMES, BeamUse, SpotFlag, SpotModel
+from processing.swing import HalfCycle, TurningPoints
+from processing.units import seconds
+from rig.analysis.encoding import Floats, Integers
+
+
+class TableUnit(StrEnum):
+    """Unit of a table's amplitudes where it is no angle."""
+
+    OWN = "own"
+    """The `amplitude_unit` of the results."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredTurningPoints:
+    """The turning points that were fitted, and the half-cycles that were left out.
+
+    Times are in true seconds from `first_ns`, the record's time of the first turning point. Amplitudes are
+    in `unit`; for a table without an angle, in its `amplitude_unit`. `left_out_flags` are those of
+    `processing.swing.HalfCycleFlag`.
+    """
+
+    first_ns: int = 0
+    unit: DeflectionUnit | TableUnit = DeflectionUnit.RAD
+    index: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    time_s: Floats = field(default_factory=lambda: np.empty(0))
+    u_time_s: Floats = field(default_factory=lambda: np.empty(0))
+    amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    u_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    left_out_time_s: Floats = field(default_factory=lambda: np.empty(0))
+    left_out_amplitude: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    left_out_flags: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        fitted = (self.index, self.time_s, self.u_time_s, self.amplitude, self.u_amplitude)
+        left_out = (self.left_out_time_s, self.left_out_amplitude, self.left_out_flags)
+        if len(set(map(len, fitted))) > 1 or len(set(map(len, left_out))) > 1:
+            raise ValueError("columns of equal length")
+
+    @classmethod
+    def of(
+        cls,
+        points: TurningPoints,
+        swings: Sequence[HalfCycle],
+        unit: DeflectionUnit | TableUnit,
+        clock_rate: float,
+    ) -> "StoredTurningPoints":
+        """The `points` of `swings`, and the half-cycles left out; `clock_rate` is true seconds a second."""
+        first_ns = next((swing.turn_time_ns for swing in swings if swing.flags == 0), None)
+        if first_ns is None:
+            first_ns = swings[0].turn_time_ns if swings else 0
+        left_out = [swing for swing in swings if swing.flags]
+        return cls(
+            first_ns=first_ns,
+            unit=unit,
+            **{column.name: getattr(points, column.name) for column in fields(points)},
+            left_out_time_s=np.array(
+                [seconds(swing.turn_time_ns - first_ns) * clock_rate for swing in left_out]
+            ),
+            left_out_amplitude=np.array([swing.amplitude for swing in left_out]),
+            left_out_flags=np.array([swing.flags for swing in left_out], dtype=np.int64),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PositionErrors:
+    """Fixed-pattern position errors of the sensor, by the run itself; they were subtracted before the fits.
+
+    `place` are true deflections along the slow axis, `error` the excess of the measured ones there, `u_error`
+    its standard uncertainty apart from a constant and a scale, which no swing shows; all in `unit`.
+    `correlation_length` is the distance over which the error changes, `significance` the score for it in
+    standard deviations, from `cycles` whole cycles. `noise_scale` is the scatter of the remainder over the
+    uncertainties of the samples.
+    """
+
+    unit: DeflectionUnit = DeflectionUnit.RAD
+    place: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    u_error: Annotated[Floats, IN_UNIT] = field(default_factory=lambda: np.empty(0))
+    correlation_length: Annotated[float, IN_UNIT] = float("nan")
+    significance: float = float("nan")
+    cycles: int = 0
+    noise_scale: float = float("nan")
+
+    def __post_init__(self) -> None:
+        if len({len(self.place), len(self.error), len(self.u_error)}) > 1:
+            raise ValueError("columns of equal length")
+
+    @classmethod
+    def of(cls, found: PositionMap, unit: DeflectionUnit) -> "PositionErrors":
+        """The errors at the knots of the map."""
+        place = found.splines.centres[1:-1]
+        return cls(
+            unit=unit,
+            place=place,
+            error=found.error(place),
+            u_error=found.u_error(place),
+            correlation_length=found.correlation_length,
+            significance=found.significance,
+            cycles=found.cycles,
+            noise_scale=found.noise_scale,
+        )
+
+    @property
+    def rms(self) -> float:
+        """Rms of the error about its mean, in `unit`."""
+        return float(np.std(self.error))
+
+    @property
+    def text(self) -> str:
+        """One line for the notes."""
+        size, unit = self.unit.shown_size, self.unit.shown
+        return (
+            f"errors of position that are fixed on the sensor, {self.rms / size:.2g} {unit} r.m.s. over "
+            f"{self.correlation_length / size:.2g} {unit}, were found in {self.cycles} cycles and subtracted "
+            "before the fits; the budget has a line for what remains"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableDecay:
+    """Place of a decay in a table: times of its first and last turning point, from the table's first row.
+
+    `run` is the name of its run, if the file contains several. `session` are sample, its history, operator
+    and notes by the configuration.
+    """
+
+    began_s: float = nan
+    ended_s: float = nan
+    run: str = ""
+    session: Mapping[str, str] = field(default_factory=dict)
+
+
+_EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
+"""Flags that name the model of a spot and no fault of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beam:
+    """The beam of a run, by the models and flags of its spots.
+
+    `model` is the model in use at the end, `since_frame` the number of the first frame fitted with it,
+    `changes` how often the model changed after the first choice. `flags` are the numbers of spots with each
+    flag, without zeros. POOR_FIT is judged on the `judged_frames` spots after `choosing_frames`, from which
+    the profile was learned; `poor_fit_frames` of them have it, and `likely_cause` is the most likely reason.
+    """
+
+    model: str = ""
+    since_frame: int = -1
+    changes: int = 0
+    flags: Mapping[str, int] = field(default_factory=dict)
+    choosing_frames: int = 0
+    judged_frames: int = 0
+    poor_fit_frames: int = 0
+    poor_fit_fraction: float = nan
+    likely_cause: str = ""
+    remedy: str = ""
+
+    @classmethod
+    def of(cls, use: BeamUse, *, noise_is_known: bool) -> Self:
+        """The beam by counts of flags; `noise_is_known` is whether the sensor's noise is stated."""
+        cause, remedy = _cause(use, noise_is_known=noise_is_known) if use.poor_frames else ("", "")
+        return cls(
+            model=use.model or "",
+            since_frame=use.since_frame,
+            changes=use.changes,
+            flags={flag.name or "": count for flag, count in use.flags.items() if count},
+            choosing_frames=use.choosing_frames,
+            judged_frames=use.judged_frames,
+            poor_fit_frames=use.poor_frames,
+            poor_fit_fraction=use.poor_frames / use.judged_frames if use.judged_frames else nan,
+            likely_cause=cause,
+            remedy=remedy,
+        )
+
+    @property
+    def sentence(self) -> str:
+        """`Beam: learned profile since frame 147; POOR_FIT 147 (before it was learned).`"""
+        if not self.model:
+            return "Beam: no spot was found."
+        only_at_first = self.choosing_frames > 0 and not self.poor_fit_frames
+        flagged = [
+            f"{name} {count}" + (" (while it was learned)" if name == "POOR_FIT" and only_at_first else "")
+            for name, count in self.flags.items()
+            if not SpotFlag[name] & _EASED
+        ]
+        changed = f", after {self.changes} changes" if self.changes else ""
+        flags = f"spots with {', '.join(flagged)}" if flagged else "no spot is flagged as faulty"
+        return f"Beam: {self.model} since frame {self.since_frame}{changed}; {flags}."
+
+
+def _cause(use: BeamUse, *, noise_is_known: bool) -> tuple[str, str]:
+    """The most likely reason of POOR_FIT, and its remedy."""
+    half = 0.5 * use.poor_frames
+    if use.poor_with[SpotFlag.EDGE] > half:
+        return "the edge of the sensor cuts the spot", "move the spot to the middle: rig camera align"
+    if use.poor_with[SpotFlag.CUT] > half:
+        return "something cuts the spot", "centre the beam in lens, mirrors and window; free its path"
+    if use.poor_with[SpotFlag.SATURATED] > half:
+        return (
+            "it is saturated, and only its flanks are fitted",
+            "lower the exposure (exposure_us) or the laser's power",
+        )
+    if use.changes:
+        return "it changed during the run", "let the laser warm up; fix the optics; look for what moved"
+    if use.model is SpotModel.LEARNED:
+        return (
+            "it changes with position (something cuts it, dust or fringes on the window) or with time",
+            "free the beam's path, clean the window; then rig camera align",
+        )
+    if use.judged_frames < LONGEST_CHOICE_FRAMES:
+        return "the run was too short to learn its profile", "measure longer, or clean the optics"
+    if not noise_is_known:
+        return "the noise of the sensor is assumed, not measured", "rig calibrate sensor"
+    return (
+        "no constant profile fits it: it flickers, or the sensor's noise is not as stated",
+        "let the laser warm up, shield the beam from air; rig calibrate sensor",
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunClock:
+    """The clock of a run.
+
+    `drift_ppm` is the camera's rate against the computer's, less 1; NaN if unknown. `u_rate` is the relative
+    uncertainty of the run's second, as in the budget: that of the calibration or, without one, of the assumed
+    ideal rate; it includes `u_steps_s`, that of all steps together. `steps` were subtracted from the times,
+    the largest is `largest_step_s`.
+    """
+
+    drift_ppm: Annotated[float, Quantity("clock drift", "rate of the camera's clock against the computer's")]
+    u_drift_ppm: float
+    u_rate: Annotated[float, Quantity("u(clock)", "standard uncertainty of the run's second, relative")]
+    steps: int = 0
+    largest_step_s: Annotated[float, Quantity("step", "largest step of the camera's clock")] = 0.0
+    u_steps_s: float = 0.0
+    synchronised: bool = False
+
+    @property
+    def text(self) -> str:
+        """The clock in one line."""
+        from rig.instrument import rate_text
+
+        known = math.isfinite(self.drift_ppm)
+        rate = rate_text(self.drift_ppm, self.u_drift_ppm) if known else "rate unknown"
+        times = "once" if self.steps == 1 else f"{self.steps} times, at most"
+        stepped = f", stepped {times} by {self.largest_step_s:+.4g} s" if self.steps else ""
+        return f"{rate}, second within {1e6 * self.u_rate:.2g} ppm{stepped}"
