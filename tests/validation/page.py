@@ -13,8 +13,8 @@ _HEAD = """# Validation
 How far the numbers of this program can be trusted. Each row is a claim, tested by means that share nothing
 with the code: certified values, a standard, published data, another program, or a simulation without a
 formula of the analysis. **Bold** falls short of its limit. A share of cases has as its limit three binomial
-standard deviations about 68 %, if nothing else is said. `docs/validation.json` keeps the numbers, each with the
-commit that it was measured on.
+standard deviations about 68 %, if nothing else is said. `docs/validation.json` keeps the numbers, each
+with the commit that it was measured on.
 
     make validation                         # rows that this commit has no number of; about two hours
     make validation ARGS="--quick"          # rows that take seconds
