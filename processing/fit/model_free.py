@@ -1,5 +1,7 @@
-"""The contact's moments from one decay without any law, those of fitted laws in the same terms, and how far a
-law lies from a decay (its discrepancy)."""
+"""The contact's moments from one decay without any law, as splines, and a law's discrepancy from a decay.
+
+Moments of fitted laws are described by the same splines, so that both can be compared.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,7 +25,7 @@ from processing.swing import TurningPoints
 _HELD_U = 1e-4
 """Relative uncertainty of a drag that is held fixed."""
 _MARGIN = 1.1
-"""Factor by which the angles shown stay inside both ends of the amplitudes."""
+"""Factor by which the angles of `ModelFreeFit.moments` stay inside the range of the amplitudes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,20 +76,17 @@ class ModelFreeFit:
         )
 
     def moments_of_law(self, fit: FitResult, phi_rad: Floats) -> FreeMoments:
-        """Moments of a fitted law in the splines' terms: those of splines with the law's turning points.
-
-        The uncertainties are 0.
-        """
+        """Moments of a fitted law, as the splines that fit its own turning points; uncertainties are 0."""
         law, columns = ExactModel.of(self.points, self.pendulum, fit)
         amplitude, time_s, _, _ = law.curve(columns)
-        swung = replace(law.points, amplitude=amplitude * law.reference, time_s=time_s)
-        reached = int(np.count_nonzero(np.isfinite(time_s)))
+        predicted = replace(law.points, amplitude=amplitude * law.reference, time_s=time_s)
+        count = int(np.count_nonzero(np.isfinite(time_s)))
         drag = self.fit.has_drag
-        # the drag is the law's, so that the splines hold its friction alone
+        # the drag is held at the law's value, so that the splines describe the law's friction alone
         known_s = fit.estimate(DRAG.key).value if fit.has_drag else 0.0
         known_s *= _drag_ratio(fit, self.fit.estimate("period0_s").value)
         held = Evidence(drag_s=_exactly(known_s)) if drag else NO_EVIDENCE
-        model = ExactModel(swung.first(reached), self.pendulum, law=self.fit.law, drag=drag, evidence=held)
+        model = ExactModel(predicted.first(count), self.pendulum, law=self.fit.law, drag=drag, evidence=held)
         start = next(chain(start_near(model, self.fit), starts_of(model)))
         model = model.linearised_at(start)
         solution = solve(model, start, lower=model.lower, upper=model.upper)
@@ -115,10 +114,10 @@ def _uncertainty(basis: Floats, covariance: Floats) -> Floats:
 def fit_model_free(
     points: TurningPoints, pendulum: PendulumOnBall, *, like: FitResult | None = None
 ) -> ModelFreeFit:
-    """Friction and elastic moment of one decay as splines, with the drive of the ground that they leave.
+    """Friction and elastic moment of one decay as splines, fitted with the drive of the ground.
 
-    `like` is an exact fit of these points: the splines have its evidence, and its drag if it has both.
-    Without evidence splines would take a drag for friction, so that none is fitted then.
+    `like` is an exact fit of these points, whose evidence is used for the splines as well. A drag is fitted
+    if `like` has a drag and evidence: without evidence the splines would take the drag for friction.
 
     Raises
     ------
@@ -140,10 +139,10 @@ _SPACING = 0.4
 _REACH = 2.0
 """Distance in ln A over which errors are correlated: a wrong exponent or a missing term bends slowly."""
 _SIZES_TRIED = 10.0 ** np.arange(-5.0, 0.51, 0.25)
-"""Relative errors that are tried, of losses and harmonics; those of durations are times `_DURATION_SHARE`."""
+"""Relative errors of losses and harmonics that are tried; for durations times `_DURATION_SHARE`."""
 _DURATION_SHARE = 1e-3
 _STEPS = np.arange(0.0, -3.01, -0.25)
-"""Decimal logarithms of the drives that are tried, over the likeliest one of the law without errors."""
+"""Decimal logarithms of the drives that are tried, relative to the likeliest one for a law without errors."""
 _DIAGONAL = 1e-9
 """Added to the diagonal of a correlation matrix, so that rounding leaves it a root."""
 
@@ -162,7 +161,7 @@ class _Sizes(NamedTuple):
 def with_discrepancy(at: LinearisedFit, fit: FitResult | None = None) -> FitResult:
     """The fit with uncertainties that contain its law's discrepancy from the data.
 
-    `fit` is the fit that receives the term, where it has terms that `at.fit` has not.
+    `fit` is the fit that receives the term; None: `at.fit`. It may have terms that `at.fit` does not have.
     """
     fit = at.fit if fit is None else fit
     misfit, by = _discrepancy(at)
@@ -219,7 +218,7 @@ def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
         return DiscrepancySize(against_law=max(against, 0.0)), None
     loss, duration, waveform = best.averaged.tolist()
     misfit = DiscrepancySize(loss=loss, duration=duration, waveform=waveform, against_law=float(against))
-    # the effect of errors of these sizes on the values, which were fitted with the law's own weights
+    # the values were fitted with the drive of the law alone, so that the effect of the errors is, too
     here = driven(own.step)
     assert here is not None
     here = here.in_scatter(at.scale)
@@ -240,7 +239,7 @@ class _HatFunctions:
         self.count = count
 
     def __call__(self, amplitude: Floats, _: Floats | None = None) -> Floats:
-        """Values (n, m) of m independent unit errors."""
+        """Values (n, m) of the m functions, with independent coefficients of standard deviation 1."""
         x = np.clip(np.log(amplitude), self._at[0], self._at[-1])
         width = self._at[1] - self._at[0]
         hats = np.maximum(0.0, 1.0 - np.abs(x[:, None] - self._at) / width)
@@ -267,7 +266,7 @@ def _by_harmonics(at: LinearisedFit, nodes: _HatFunctions) -> Floats:
 
 
 def _scaled(here: DrivenRows, judge: Callable[[RestrictedLikelihood], _Sizes], tolerance: float) -> _Sizes:
-    """Sizes by `judge`, for turning points that scatter as much as their residuals with these sizes do."""
+    """Sizes by `judge`, at the scale of the turning points' scatter that their residuals then have."""
     scale2 = 1.0
     for _ in range(3):
         rows = here.in_scatter(sqrt(scale2))

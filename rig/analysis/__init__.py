@@ -8,7 +8,7 @@ from rig.analysis.air import (
     stated_surroundings,
 )
 from rig.analysis.compared_laws import Curves, ModelCurve, chosen_laws, curves_of, model_curves, with_laws
-from rig.analysis.contact_fits import loss_of, settled_swings
+from rig.analysis.contact_fits import loss_of, refined_half_cycles
 from rig.analysis.contact_results import ComparedLaws, Correlation, Fit, ModelFreeMoments
 from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, with_contact
 from rig.analysis.decay_values import INSTRUMENT, InstrumentResults, InstrumentSeries

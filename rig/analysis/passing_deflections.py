@@ -12,7 +12,7 @@ from processing.arrays import Floats, Ints
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.reference_gain import gain_in_swings
+from processing.reference_gain import gain_while_swinging
 from processing.reference_spot import (
     CorrectedPositions,
     ReferenceVerdict,
@@ -318,7 +318,7 @@ def _fitted_gain(
     times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
 ) -> Estimate | None:
     try:
-        return gain_in_swings(times_ns, spot_px, u_spot_px, reference_px, u_px)
+        return gain_while_swinging(times_ns, spot_px, u_spot_px, reference_px, u_px)
     except DataError:
         return None
 

@@ -15,7 +15,7 @@ from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import FitMethod
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
-from rig.analysis.air import air_doubts, recorded_surroundings
+from rig.analysis.air import ambient_warnings, recorded_surroundings
 from rig.analysis.half_cycle_fits import TimedSeismometer, analyse_swings
 from rig.analysis.passing_deflections import (
     ChangedDeflections,
@@ -129,7 +129,7 @@ def analyse_run(
     run = analyse_swings(reader.path, swings, config, deflections, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    warnings = [*run.warnings, *doubts, *reader.doubts(), *air_doubts(surroundings)]
+    warnings = [*run.warnings, *doubts, *reader.doubts(), *ambient_warnings(surroundings)]
     end = end_of(reader.events())
     frames, judged = deflections.frames, Beam.of(beam, noise_is_known=config.sensor is not None)
     dropped_frames, exact = dropped(frames), run.fits.get(FitMethod.EXACT)

@@ -23,8 +23,8 @@ from rig.instrument import U_FREE_RUNNING, U_QUARTZ, U_SYNCHRONISED, rate_text
 from rig.presentation import Verdict, percent
 from rig.settings import Configuration, PreflightSettings
 
-_EASED = SpotFlag.MULTIPLE | SpotFlag.LEARNED
-"""Flags that name the model of a spot and no fault of it."""
+_MODEL_FLAGS = SpotFlag.MULTIPLE | SpotFlag.LEARNED
+"""Flags that name the model of a spot and are no fault."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,8 +33,9 @@ class Beam:
 
     `model` is the model in use at the end, `since_frame` the number of the first frame fitted with it,
     `changes` how often the model changed after the first choice. `flags` are the numbers of spots with each
-    flag, without zeros. POOR_FIT is judged on the `judged_frames` spots after `choosing_frames`, from which
-    the profile was learned; `poor_fit_frames` of them have it, and `likely_cause` is the most likely reason.
+    flag, without zeros. The profile is learned from the first `choosing_frames` spots. POOR_FIT is judged on
+    the `judged_frames` spots after them: `poor_fit_frames` have it, most likely for the reason
+    `likely_cause`.
     """
 
     model: str = ""
@@ -67,14 +68,14 @@ class Beam:
 
     @property
     def sentence(self) -> str:
-        """`Beam: learned profile since frame 147; POOR_FIT 147 (before it was learned).`"""
+        """`Beam: learned profile since frame 147; spots with POOR_FIT 147 (while it was learned).`"""
         if not self.model:
             return "Beam: no spot was found."
         only_at_first = self.choosing_frames > 0 and not self.poor_fit_frames
         flagged = [
             f"{name} {count}" + (" (while it was learned)" if name == "POOR_FIT" and only_at_first else "")
             for name, count in self.flags.items()
-            if not SpotFlag[name] & _EASED
+            if not SpotFlag[name] & _MODEL_FLAGS
         ]
         changed = f", after {self.changes} changes" if self.changes else ""
         flags = f"spots with {', '.join(flagged)}" if flagged else "no spot is flagged as faulty"
@@ -86,11 +87,11 @@ class Beam:
         part = percent(self.poor_fit_frames / max(self.judged_frames, 1))
         measured = f"{self.model or 'no spot'}, POOR_FIT in {self.poor_fit_frames} of {self.judged_frames}"
         good = not self.poor_fit_fraction > most
-        found = _judged("beam", good, why, self.remedy, f"{measured} ({part})", f"{100 * most:g} %")
+        found = _condition("beam", good, why, self.remedy, f"{measured} ({part})", f"{100 * most:g} %")
         return replace(found, ok=True)
 
 
-def _judged(name: str, ok: bool, reason: str, remedy: str, measured: str, limit: str) -> Verdict:
+def _condition(name: str, ok: bool, reason: str, remedy: str, measured: str, limit: str) -> Verdict:
     """A condition, with reason and remedy where it is not met."""
     return Verdict(name, ok, "" if ok else reason, "" if ok else remedy, measured=measured, limit=limit)
 
@@ -139,9 +140,9 @@ class RunClock:
     """The clock of a run.
 
     `drift_ppm` is the camera's rate against the computer's, less 1; NaN if unknown. `u_rate` is the relative
-    uncertainty of the run's second, as in the budget: that of the calibration or, without one, of the assumed
-    ideal rate; it includes `u_steps_s`, that of all steps together. `steps` were subtracted from the times,
-    the largest is `largest_step_s`.
+    uncertainty of the run's second, as in the budget: by the calibration or, without one, by the deviation
+    from the assumed ideal rate. It includes `u_steps_s`, the uncertainty of all steps together. `steps` is
+    the number of steps that were subtracted from the times, `largest_step_s` the largest.
     """
 
     drift_ppm: Annotated[float, Quantity("clock drift", "rate of the camera's clock against the computer's")]
@@ -199,19 +200,19 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
 def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float) -> float:
     """Relative standard uncertainty of the rate with which the run's times were computed.
 
-    A calibrated rate that the run contradicts, and an assumed one, have their deviation from the run's own
-    rate as uncertainty.
+    It is that of the calibration; for a calibrated rate that the run contradicts, and for an assumed rate, it
+    is the deviation from the run's own rate.
     """
-    u_seen = math.hypot(u_rate, u_host, U_QUARTZ)
+    u_measured = math.hypot(u_rate, u_host, U_QUARTZ)
     if config.timebase is None:
-        return _U_UNKNOWN if math.isnan(u_rate) else math.hypot(rate - 1.0, u_seen)
-    off, u_known = rate - config.timebase.camera_rate, config.timebase.u_camera_rate
-    contradicted = math.isfinite(u_rate) and abs(off) > 3.0 * math.hypot(u_known, u_seen)
-    return math.hypot(off, u_seen) if contradicted else u_known
+        return _U_UNKNOWN if math.isnan(u_rate) else math.hypot(rate - 1.0, u_measured)
+    deviation, u_known = rate - config.timebase.camera_rate, config.timebase.u_camera_rate
+    contradicted = math.isfinite(u_rate) and abs(deviation) > 3.0 * math.hypot(u_known, u_measured)
+    return math.hypot(deviation, u_measured) if contradicted else u_known
 
 
 def clock_verdict(clock: RunClock) -> Verdict:
-    """Verdict on the steps that were taken off: a warning if known to `_MOST_STEP_S`, else a fault."""
+    """Verdict on the steps that were subtracted: a warning if known to `_MOST_STEP_S`, else a fault."""
     if not clock.steps:
         return Verdict("camera's clock", True, measured=clock.text, limit=_LIMIT)
     known = f"it was taken off its times, known to {clock.u_steps_s:.1g} s"
@@ -225,7 +226,7 @@ _MOST_KELVIN = 1.0
 with each kelvin."""
 _MOST_LEFT_OUT = 0.2
 """Largest share of half-cycles that the ground moves too much to be fitted."""
-_STEPS = {
+_FORBIDDEN_EVENTS = {
     EventKind.LASER_DARK: (
         "light",
         "nothing confirmed that the laser was lit",
@@ -265,9 +266,9 @@ def run_conditions(
         ),
         *([] if beam is None else [beam.verdict(limits.max_poor_fit_fraction)]),
         *([] if beam is None else [_saturation(beam, frames, limits.max_saturated_fraction)]),
-        *_steps(reader.events()),
+        *_forbidden_events(reader.events()),
         *([] if clock is None else [clock_verdict(clock)]),
-        *_watching(reader.events()),
+        *_watcher_failures(reader.events()),
         *_temperature(reader),
         *_ground(ground, half_cycles),
         *balance,
@@ -285,10 +286,10 @@ def _end(end: Event | None) -> Verdict:
     return Verdict("end", True, early, measured=end.text, limit="its own")
 
 
-def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdict:
-    part = count / of if of else 0.0
-    measured = f"{count} of {of} ({percent(part)})"
-    return _judged(name, part <= most, "too many", remedy, measured, f"{100 * most:g} %")
+def _fraction(name: str, count: int, total: int, most: float, remedy: str) -> Verdict:
+    part = count / total if total else 0.0
+    measured = f"{count} of {total} ({percent(part)})"
+    return _condition(name, part <= most, "too many", remedy, measured, f"{100 * most:g} %")
 
 
 def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
@@ -303,22 +304,22 @@ def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
     return replace(found, ok=True, reason="" if found.ok else "pixels at full scale are lost to the fit")
 
 
-def _steps(events: Sequence[Event]) -> list[Verdict]:
+def _forbidden_events(events: Sequence[Event]) -> list[Verdict]:
     unlit = EventKind.LASER_DARK
     events = [one._replace(kind=unlit) if one.kind == EventKind.LASER_UNKNOWN else one for one in events]
     happened = Counter(event.kind for event in events)
     texts = {event.kind: event.text for event in reversed(events)}
     times = {0: "never", 1: "once"}
     return [
-        _judged(
+        _condition(
             name, not happened[kind], f"{reason}: {texts.get(kind, '')}", remedy,
             times.get(happened[kind], f"{happened[kind]} times"), "never",
         )
-        for kind, (name, reason, remedy) in _STEPS.items()
+        for kind, (name, reason, remedy) in _FORBIDDEN_EVENTS.items()
     ]  # fmt: skip
 
 
-def _watching(events: Sequence[Event]) -> list[Verdict]:
+def _watcher_failures(events: Sequence[Event]) -> list[Verdict]:
     """A warning where a part that only watches the run failed, which leaves the record whole."""
     texts = [event.text for event in events if event.kind == EventKind.WATCHER_FAILED]
     if not texts:
@@ -335,7 +336,7 @@ def _temperature(reader: RecordReader) -> list[Verdict]:
     measured = f"{np.min(read_c):.2f} to {np.max(read_c):.2f} °C"
     reason, remedy = "it changed during the run", "wait until the room is steady; shield the rig"
     ok = float(np.ptp(read_c)) <= _MOST_KELVIN
-    return [_judged("temperature", ok, reason, remedy, measured, f"within {_MOST_KELVIN:g} K")]
+    return [_condition("temperature", ok, reason, remedy, measured, f"within {_MOST_KELVIN:g} K")]
 
 
 def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
@@ -348,4 +349,4 @@ def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
     remedy = "measure at a quieter time or place; end at a larger amplitude"
     measured = f"{percent(part)} of the half-cycles left out, uncertainties × {widest:.2g}"
     limit = f"{100 * _MOST_LEFT_OUT:g} % left out"
-    return [_judged("ground", part <= _MOST_LEFT_OUT, reason, remedy, measured, limit)]
+    return [_condition("ground", part <= _MOST_LEFT_OUT, reason, remedy, measured, limit)]

@@ -82,8 +82,8 @@ class SafetyNow:
     to_be_asked: bool = False
 
     @classmethod
-    def told(cls, values: Mapping[str, Any]) -> "SafetyNow":
-        """The state from the plain values of a session's answer, in which infinite ages are null."""
+    def from_news(cls, values: Mapping[str, Any]) -> "SafetyNow":
+        """The state from the plain values of a session's news, in which infinite ages are null."""
         known = {key: value for key, value in values.items() if value is not None}
         return _adapter().validate_python(known)
 

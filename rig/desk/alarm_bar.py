@@ -56,8 +56,8 @@ class AlarmBar:
         present = [row for row in rows if not row.earlier]
         earlier = [row for row in rows if row.earlier]
         counted = [(str(state), sum(row.state is state for row in present)) for state in AlarmState]
-        told = [f"{count} {words}" for words, count in (*counted, ("from before", len(earlier))) if count]
-        self._counts.set_text(f"Alarms: {', '.join(told) or 'none'}")
+        counts = [f"{count} {words}" for words, count in (*counted, ("from before", len(earlier))) if count]
+        self._counts.set_text(f"Alarms: {', '.join(counts) or 'none'}")
         for row in present:
             self._row(row)
         if earlier:
@@ -97,5 +97,5 @@ def sentence(text: str) -> str:
 def _times(row: AlarmRow) -> str:
     """Since when it is as it is."""
     cleared_s = row.cleared_s if row.state is AlarmState.CLEARED else None
-    told = (("since", row.raised_s), ("cleared", cleared_s), ("seen", row.acknowledged_s))
-    return ", ".join(f"{word} {clock(at)}" for word, at in told if at is not None)
+    times = (("since", row.raised_s), ("cleared", cleared_s), ("seen", row.acknowledged_s))
+    return ", ".join(f"{word} {clock(at)}" for word, at in times if at is not None)

@@ -161,7 +161,7 @@ class Following:
     @property
     def safety(self) -> SafetyNow:
         """The safety state as the running session has told it."""
-        return SafetyNow.told(self.news.get("safety") or {})
+        return SafetyNow.from_news(self.news.get("safety") or {})
 
     def look_now(self, folder: Path | None = None) -> None:
         """Look for a session at once; `folder`: one that was just started in another place."""

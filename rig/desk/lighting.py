@@ -130,10 +130,10 @@ class Lighting:
             return str(error)
         return ""
 
-    def _holder_dark(self, told: Collection[Path]) -> bool:
+    def _holder_dark(self, ordered: Collection[Path]) -> bool:
         """Also the program that has the rig and works in another folder; whether it has heard."""
         folder = self._desk.rig.folder_of_holder
-        return folder is not None and folder not in told and _order_dark(folder)
+        return folder is not None and folder not in ordered and _order_dark(folder)
 
     def acknowledge(self, number: int) -> str:
         """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be. May wait.
@@ -240,17 +240,17 @@ class Safety:
             return own
         following = self._following
         if following.running and following.news:
-            told, heard_s = following.safety, following.heard_s
+            state, heard_s = following.safety, following.heard_s
         elif (of_command := self._of_command) is not None:
-            told, heard_s = of_command
+            state, heard_s = of_command
         else:
             return SafetyNow(trip=self._rig.trip)
         since_s = time.monotonic() - heard_s
         return replace(
-            told,
-            trip=told.trip or (None if self.unfiled is not None else self._rig.trip),
-            light_age_s=told.light_age_s + since_s,
-            interlock_age_s=told.interlock_age_s + since_s,
+            state,
+            trip=state.trip or (None if self.unfiled is not None else self._rig.trip),
+            light_age_s=state.light_age_s + since_s,
+            interlock_age_s=state.interlock_age_s + since_s,
         )
 
     @property
@@ -292,7 +292,7 @@ class Safety:
                     self._of_command = None
                     continue
                 with OrderConnection(folder) as line:
-                    self._of_command = SafetyNow.told(line.news()["safety"]), time.monotonic()
+                    self._of_command = SafetyNow.from_news(line.news()["safety"]), time.monotonic()
             except SessionBusy:
                 # what it said last grows older
                 continue

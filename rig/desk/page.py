@@ -51,9 +51,9 @@ def build_page(desk: Desk, off_port: int) -> None:
         state.set_text(_state(desk))
         crying = over_all.refresh()
         shown = json.dumps(lamps(desk.safety, _recording(desk)))
-        told = json.dumps([_told(row) for row in crying])
+        alarms = json.dumps([_alarm_values(row) for row in crying])
         of_session = json.dumps(_session_age(desk))
-        ui.run_javascript(f"window.rigSafety({shown}, {told}); window.rigAlarms({told}, {of_session});")
+        ui.run_javascript(f"window.rigSafety({shown}, {alarms}); window.rigAlarms({alarms}, {of_session});")
 
     refresh()
     ui.timer(_LOOK_S, refresh)
@@ -128,7 +128,7 @@ def _taken(trip: LatchedTrip) -> str:
     return sentence(trip.why if trip.cause is TripCause.PERSON else trip.text)
 
 
-def _told(row: AlarmRow) -> dict[str, str]:
+def _alarm_values(row: AlarmRow) -> dict[str, str]:
     """As the browser is told of it; one that comes again has another name."""
     name = f"{row.key}@{row.raised_s:.2f}"
     return {"name": name, "title": row.key, "text": f"{row.cause}\n{row.key.remedy}"}
@@ -204,7 +204,7 @@ _BARS = """
 
 def build_head(off_port: int) -> None:
     """Add it to the page that is being built; `off_port` is the server of LIGHT OFF beside the event loop."""
-    told = {
+    script_values = {
         "offPort": off_port,
         "dark": DARK,
         "staleS": STALE_S,
@@ -215,5 +215,5 @@ def build_head(off_port: int) -> None:
         "".join((_STATIC / name).read_text("utf-8") for name in names) for names in (_STYLES, _SCRIPTS)
     )
     ui.add_css(styles)
-    ui.add_head_html(f"<script>window.rigDesk = {json.dumps(told)};\n{scripts}</script>")
+    ui.add_head_html(f"<script>window.rigDesk = {json.dumps(script_values)};\n{scripts}</script>")
     ui.add_body_html(_BARS)

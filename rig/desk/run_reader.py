@@ -108,16 +108,16 @@ class RecordFollower:
                 return
             self._start_ns = int(reader.rows(SPOT.topic, piece[SPOT.topic][:1])["time_ns"][0])
         start_ns, size = self._start_ns, reader.deflection_unit.shown_size
-        told = piece_contents(reader, piece, start_ns, start_ns)
-        if told.balances and self.config is not None:
-            self.balance = _told(self.config, told.balances[-1])
+        new = piece_contents(reader, piece, start_ns, start_ns)
+        if new.balances and self.config is not None:
+            self.balance = _balance_values(self.config, new.balances[-1])
         with self._lock:
             if SPOT.topic in piece:
                 deflections = reader.deflections(reader.rows(SPOT.topic, piece[SPOT.topic]))
                 self._path.append(deflections)
                 while deflections.times_ns[-1] - self._path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     self._path.popleft()
-            for swing in told.swings:
+            for swing in new.swings:
                 if not swing.flags:
                     at_s = round(seconds(swing.turn_time_ns - start_ns), 3)
                     self._swings["amplitude"].append((at_s, round(swing.amplitude / size, _DIGITS)))
@@ -128,15 +128,15 @@ class RecordFollower:
                 # those of an earlier fit are forgotten
                 last_ns = points[-1].time_ns
                 self._fitted = [one for one in (*self._fitted, *points) if one.time_ns == last_ns]
-            for event in told.events:
-                told_of = {
+            for event in new.events:
+                event_values = {
                     "elapsed_s": seconds(event.time_ns - start_ns),
                     "kind": event.kind,
                     "level": event.level,
                     "text": event.text,
                     "at": clock(seconds(event.time_ns + reader.epoch_offset_ns)),
                 }
-                self._events.append(told_of)
+                self._events.append(event_values)
 
 
 def clock(at_s: float) -> str:
@@ -165,7 +165,7 @@ def _drawn(points: Sequence[RecordedFittedPoint], start_ns: int) -> dict[str, li
     }
 
 
-def _told(config: Configuration, balance: Balance) -> dict[str, Any]:
+def _balance_values(config: Configuration, balance: Balance) -> dict[str, Any]:
     return {
         "next_step": advice_for(config, balance).next_step or None,
         "against": balance_failures(balance, config.balance),

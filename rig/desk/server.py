@@ -107,8 +107,8 @@ class Guard:
         parts = (part.strip().partition("=") for part in cookies.split(";"))
         return any(self._is_key(value) for name, _, value in parts if name == self._cookie)
 
-    def _is_key(self, told: str) -> bool:
-        return hmac.compare_digest(told.encode(), self._key.encode())
+    def _is_key(self, stated: str) -> bool:
+        return hmac.compare_digest(stated.encode(), self._key.encode())
 
     def _with_policy(self, send: Send) -> Send:
         policy = self._policy

@@ -90,7 +90,7 @@ _PICTURE_PX = (1200, 900)
 _PREFIX = "align"
 
 
-class _Wish(NamedTuple):
+class _SettingRequest(NamedTuple):
     """Settings of the camera that a key requests."""
 
     settings: CameraSettings
@@ -118,11 +118,11 @@ def align_camera(
     camera
         Open, configured and stopped; it is stopped again afterwards and keeps what the keys have set.
     applied
-        Settings that the camera has read back.
+        Settings that hold in the camera, as read back.
     folder
         Folder for the pictures that the key `s` saves, align-1.png and so on; none is overwritten.
     reference
-        Tracker of the reference's spot, and the row from which on frames are the reference's.
+        Tracker of the reference spot, and the first row of the frame that belongs to the reference.
     reference_px
         Position (x, y) at which the spot should rest; default: the middle of the frame.
     view
@@ -144,7 +144,7 @@ def align_camera(
     with terminal, AligningScreen(console, HELP if terminal.available else "Ctrl-C ends") as screen:
         going = True
         while going:
-            going, wish = False, None
+            going, request = False, None
             for *_, frame in watch_latest(camera, 1, end_s):
                 look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied, reference)
                 if view is not None:
@@ -159,34 +159,36 @@ def align_camera(
                         saved.append(_save(look, folder, _ZOOMS[zoom]))
                         note = f"{saved[-1]} saved"
                     else:
-                        wish = _wish_of(key, applied) or wish
+                        request = _request_of_key(key, applied) or request
                 screen.show(look, _ZOOMS[zoom], note)
                 answer(picture=tuple(look.lines()), beam=look.beam_line)  # the last one stays
-                if wish is not None:
+                if request is not None:
                     break
-            if wish is not None:
+            if request is not None:
                 # the camera was stopped to be configured, and starts again in the next round
-                applied, note = _configured(camera, applied, wish)
+                applied, note = _configured(camera, applied, request)
                 going = True
     return saved
 
 
-def _wish_of(key: str, applied: CameraSettings) -> _Wish | None:
+def _request_of_key(key: str, applied: CameraSettings) -> _SettingRequest | None:
     if key in "eE" and applied.exposure_us is not None:
         wanted_us = applied.exposure_us * (_EXPOSURE_STEP if key == "E" else 1 / _EXPOSURE_STEP)
-        return _Wish(CameraSettings(exposure_us=wanted_us), "exposure")
+        return _SettingRequest(CameraSettings(exposure_us=wanted_us), "exposure")
     if key in "gG" and applied.gain_db is not None:
         wanted_db = applied.gain_db + (_GAIN_STEP_DB if key == "G" else -_GAIN_STEP_DB)
-        return _Wish(CameraSettings(gain_db=wanted_db), "gain")
+        return _SettingRequest(CameraSettings(gain_db=wanted_db), "gain")
     return None
 
 
-def _configured(camera: Camera, before: CameraSettings, wish: _Wish) -> tuple[CameraSettings, str]:
+def _configured(
+    camera: Camera, before: CameraSettings, request: _SettingRequest
+) -> tuple[CameraSettings, str]:
     try:
-        applied = camera.configure(wish.settings)
+        applied = camera.configure(request.settings)
     except DeviceError as error:
-        return before, f"{wish.note}: {error}"
-    return applied, "" if applied != before else f"the {wish.note} is at the camera's limit"
+        return before, f"{request.note}: {error}"
+    return applied, "" if applied != before else f"the {request.note} is at the camera's limit"
 
 
 def _save(look: AlignmentFrame, folder: Path, zoom: float) -> Path:
@@ -195,6 +197,6 @@ def _save(look: AlignmentFrame, folder: Path, zoom: float) -> Path:
         number += 1
     done, png = cv2.imencode(".png", annotated_picture(look, *_PICTURE_PX, zoom)[..., ::-1])
     if not done:
-        raise ConfigurationError(f"{path}: can't be written as PNG")
+        raise ConfigurationError(f"{path}: cannot be written as PNG")
     atomic_write.write_new(path, png.tobytes())
     return path

@@ -162,7 +162,7 @@ def _cells(
         units[k] = units[k] or behind
     numbers = (cell for column in columns for cell in column if not is_moment(cell))
     form = number_format(numbers, decimal, str(path))
-    columns = [[cell if is_moment(cell) else form.plain(cell) for cell in column] for column in columns]
+    columns = [[cell if is_moment(cell) else form.python_text(cell) for cell in column] for column in columns]
     rows = list(zip(*columns, strict=True))
     lines = [number for number, _ in body]
     return Cells(names, units, rows, lines, left_out, _blocks(lines, left_out), separator, form)

@@ -261,7 +261,7 @@ def _sessions(config: Configuration) -> Iterator[Path]:
 def _session_state(config: Configuration) -> SafetyNow | None:
     for folder in _sessions(config):
         with suppress(NoSession, KeyError, ValueError), OrderConnection(folder) as line:
-            return SafetyNow.told(line.news()["safety"])
+            return SafetyNow.from_news(line.news()["safety"])
     return None
 
 

@@ -35,7 +35,7 @@ from processing.fit import (
     with_discrepancy,
 )
 from processing.spot import Spot
-from processing.swing import HalfCycle, HarmonicsWatch, TurningPoints, turning_points
+from processing.swing import HalfCycle, HarmonicsMeasurement, TurningPoints, turning_points
 from rig.analysis import (
     PassingDeflections,
     PlaneBalances,
@@ -57,9 +57,9 @@ from rig.instrument import (
 from rig.settings import Configuration
 
 FIRST_HALF_CYCLES = 40
-"""Half-cycles before the first fit: with fewer, u of b and c exceeds b and c for every pair of the paper."""
+"""Half-cycles before the first fit. With fewer, b and c are less than their u for every pair of the paper."""
 _GROWTH = 1.04
-"""Growth of the number of half-cycles from fit to fit: u falls by a tenth where it falls fastest."""
+"""Growth of the number of half-cycles from fit to fit; an uncertainty then falls by a tenth at most."""
 _MAX_CORE_FRACTION = 0.02
 """Largest fraction of the time of a core that fits may take."""
 _LOOK_INTERVAL_S = 0.5
@@ -117,7 +117,7 @@ def fitted_points(
 
 MOST_SAMPLES = 1 << 22
 """Largest number of deflections that are kept, 160 MB: 2.3 hours of 500 frames/s."""
-_BEFORE = 4
+_KEPT_BEFORE = 4
 """Half-cycles kept before the first one that is refined: neighbours are fitted together."""
 
 
@@ -185,9 +185,9 @@ class MeasuredRun:
 
     def _fix_older_half(self, swings: Sequence[HalfCycle]) -> None:
         half = len(self._refinable) // 2
-        if half < _BEFORE:
+        if half < _KEPT_BEFORE:
             return
-        from_ns = self._refinable[half - _BEFORE].turn_time_ns
+        from_ns = self._refinable[half - _KEPT_BEFORE].turn_time_ns
         self._refinable = self._refinable[half:]
         self._fixed = [one for one in swings if one.index < self._refinable[0].index]
         self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]
@@ -206,7 +206,7 @@ class FollowedMotion:
         if optics.reference_gain is not None:
             deflector = optics.deflector(frame_shape(reader))
             self._beam_correction = BeamCorrection(deflector, optics.reference_gain, threaded=False)
-        # rows of frames of which only one of the two spots is flushed yet
+        # rows of frames for which only one of the two spots has been flushed so far
         self._spots, self._references = (reader.rows(kind.topic, ()) for kind in (SPOT, REFERENCE))
 
     def unread(self) -> Iterator[tuple[Sequence[HalfCycle], Deflections]]:
@@ -253,10 +253,10 @@ class FollowedRun:
         self._pendulum, self._clock_rate = pendulum, clock_rate_of(config)
         self._motion = FollowedMotion(reader, config)
         self._run = MeasuredRun(axes=config.axes)
-        self._waveform = HarmonicsWatch()
+        self._waveform = HarmonicsMeasurement()
         self._swings: list[HalfCycle] = []
         self._taken = 0
-        self._untaken: list[Deflections] = []
+        self._new_deflections: list[Deflections] = []
 
     @property
     def half_cycles(self) -> int:
@@ -269,23 +269,23 @@ class FollowedRun:
             self._waveform.update(deflections)
             self._waveform.add(swings)
             if len(deflections):
-                self._untaken.append(deflections)
+                self._new_deflections.append(deflections)
                 if not self._swings:
-                    # keep only what half-cycles need that are found late: the pendulum may not swing yet
+                    # the pendulum may not swing yet: only deflections that a first half-cycle needs are kept
                     early_ns = int(deflections.times_ns[-1]) - _EARLY_NS
-                    while int(self._untaken[0].times_ns[-1]) < early_ns:
-                        self._untaken.pop(0)
+                    while int(self._new_deflections[0].times_ns[-1]) < early_ns:
+                        self._new_deflections.pop(0)
             self._swings += [swing for swing in swings if not swing.flags]
 
     def fitted(self) -> Posterior:
         """The fit that the final analysis would make of these half-cycles; no estimates without a fit."""
         config, pendulum = self._config, self._pendulum
-        self._run.take(self._swings[self._taken :], joined(self._untaken, DeflectionUnit.RAD))
-        self._taken, self._untaken = len(self._swings), []
+        self._run.take(self._swings[self._taken :], joined(self._new_deflections, DeflectionUnit.RAD))
+        self._taken, self._new_deflections = len(self._swings), []
         with suppress(DataError):
             period_s = mean_period(points_in_true_time(self._swings, self._clock_rate))
             drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
-            evidence = evidence_of(drag, self._waveform.found())
+            evidence = evidence_of(drag, self._waveform.harmonics())
             how = DecayFit(pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit))
             swings, fit = self._run.fitted(how)
             points = fitted_points(swings, how.points(swings), fit, pendulum)

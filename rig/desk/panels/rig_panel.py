@@ -210,7 +210,7 @@ def aligner_of(desk: Desk) -> Aligner:
 
 def _lamps(verdicts: Sequence[Verdict]) -> str:
     """A lamp for each; what is to be done stands below."""
-    shown, told = [], []
+    shown, remedies = [], []
     for one in verdicts:
         kind = "no" if not one.ok else "caution" if one.remedy else "go"
         # a beam's verdict is a sentence; it is among the figures
@@ -218,8 +218,8 @@ def _lamps(verdicts: Sequence[Verdict]) -> str:
         shown.append(f"<span class='{kind}'>{html.escape(f'{one.name} {words}')}</span>")
         if one.remedy:
             why = "; ".join(filter(None, (one.reason, one.remedy)))
-            told.append(f"<div class='{kind}'>{html.escape(f'{one.name}: {why}')}</div>")
-    return f"<div class='lamps'>{''.join(shown)}</div>{''.join(told)}"
+            remedies.append(f"<div class='{kind}'>{html.escape(f'{one.name}: {why}')}</div>")
+    return f"<div class='lamps'>{''.join(shown)}</div>{''.join(remedies)}"
 
 
 def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:
