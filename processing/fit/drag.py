@@ -266,11 +266,11 @@ def with_boundary_layer_drag(fit: FitResult, found: BoundaryLayerDrag) -> FitRes
     if not found.seen:
         return replace(fit, steeper=found)
     percent = float(f"{100 * found.relative_shift_b:.3g}")
-    said = (
+    warning = (
         f"a drag with the 3/2 power of the speed is in the data (chance without: {plain(found.p_value, 1)}); "
         f"with it b changes by {percent:+g} %, which its uncertainty covers"
     )
-    return fit.with_term(BOUNDARY_LAYER, np.array(found.shift)[:, None], said, steeper=found)
+    return fit.with_term(BOUNDARY_LAYER, np.array(found.shift)[:, None], warning, steeper=found)
 
 
 def _share(steeper_s: float, drag_s: float) -> float:

@@ -155,13 +155,13 @@ class LawComparison:
         excluded = [trial.law.name for trial in self.trials if trial.law.name not in names]
         without = f"; excluded: {', '.join(excluded)}" if excluded else ""
         if len(names) > 1:
-            said = f"this decay cannot tell {' and '.join(names)} apart; {remedy}"
+            conclusion = f"this decay cannot tell {' and '.join(names)} apart; {remedy}"
         else:
-            said = f"of these laws, {names[0]} describes this decay best"
+            conclusion = f"of these laws, {names[0]} describes this decay best"
         if self.describes:
-            return said + without
+            return conclusion + without
         doubt = "but the residuals are not noise: something else moves the spot, or no law is right"
-        return f"{said}{without}; {doubt}"
+        return f"{conclusion}{without}; {doubt}"
 
 
 def compare_laws(

@@ -179,9 +179,11 @@ class BeamMotionCorrection:
     def text(self) -> str:
         """Verdict on the reference spot, in one line."""
         lost = int(np.count_nonzero(next(iter(self.found.values())).fallen_back))
-        said = ", ".join(f"{name[0]} {one.verdict}{self._gain(one)}" for name, one in self.found.items())
+        gains_text = ", ".join(
+            f"{name[0]} {one.verdict}{self._gain(one)}" for name, one in self.found.items()
+        )
         fallen = f"; {lost} frames without it are unchanged" if lost else ""
-        return f"reference spot: {said}{fallen}"
+        return f"reference spot: {gains_text}{fallen}"
 
     def _gain(self, one: CorrectedPositions) -> str:
         if self._stated is not None or not np.isfinite(one.gain.value):

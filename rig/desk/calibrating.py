@@ -143,7 +143,7 @@ class Calibrating:
             return ""
         kind, path, job = self._recording
         if job.status is None:
-            return f"{path} is recorded{f': {job.said[-1]}' if job.said else ''}"
+            return f"{path} is recorded{f': {job.output[-1]}' if job.output else ''}"
         self._recording = None
         if job.ending:
             self.problems[kind] = "the recording was stopped"

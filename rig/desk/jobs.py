@@ -35,8 +35,8 @@ def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
 class Job:
     """A command that ends with the desk, because its pipes do; it answers in JSON lines.
 
-    `lines` are the last objects it has printed, `said` its other words. `ending`: it was asked to end, and
-    will in a moment. `uses_camera`: while it runs nothing else has the camera, and LIGHT OFF ends it.
+    `lines` are the last JSON objects that it printed, `output` its other lines. `ending` is True once it was
+    asked to end. While a command that `uses_camera` runs, no other has the camera, and LIGHT OFF ends it.
     """
 
     def __init__(self, words: list[str], *, uses_camera: bool) -> None:
@@ -48,7 +48,7 @@ class Job:
         self.ending = False
         self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
         self.newest: dict[str, dict[str, Any]] = {}
-        self.said: deque[str] = deque(maxlen=_LAST_LINES)
+        self.output: deque[str] = deque(maxlen=_LAST_LINES)
         self._readers = [
             threading.Thread(target=target, name=f"job-{words[0]}", daemon=True)
             for target in (self._read, self._listen)
@@ -68,7 +68,7 @@ class Job:
     @property
     def problem(self) -> str:
         """What it has said last, as the reason of its failure."""
-        return self.said[-1].removeprefix("rig: ") if self.said else f"ended with status {self.status}"
+        return self.output[-1].removeprefix("rig: ") if self.output else f"ended with status {self.status}"
 
     def wait(self, limit_s: float | None = None) -> bool:
         """Whether it ends within the limit; what it has printed is read by then."""
@@ -100,7 +100,7 @@ class Job:
                 try:
                     found = json.loads(line)
                 except ValueError:
-                    self.said.append(line.rstrip())
+                    self.output.append(line.rstrip())
                     continue
                 if isinstance(found, dict):
                     self.lines.append(found)
@@ -113,7 +113,7 @@ class Job:
         assert self._process.stderr is not None
         with self._process.stderr as lines:
             for line in lines:
-                self.said.append(line.rstrip())
+                self.output.append(line.rstrip())
 
 
 class Jobs(dict[str, Job]):
@@ -156,7 +156,7 @@ class Balancing:
         job = self._desk.jobs.get(_NAME)
         if job is not None:
             return balance_dialogue(
-                list(job.lines), list(job.said), running=job.running, failed=bool(job.status)
+                list(job.lines), list(job.output), running=job.running, failed=bool(job.status)
             )
         news = self._desk.following.news
         path = news.get("path") or {"x": [], "y": []}

@@ -66,16 +66,16 @@ class Lighting:
         """
         with self._pressing:
             first = self._pressed.get(press) if press else None
-            said: Future[list[str]] = first or Future()
-            self._pressed[press] = said
+            reply: Future[list[str]] = first or Future()
+            self._pressed[press] = reply
             while len(self._pressed) > _PRESSES_KEPT:
                 self._pressed.pop(next(iter(self._pressed)))
         if first is None:
             try:
-                said.set_result(self._off())
+                reply.set_result(self._off())
             except Exception as error:
-                said.set_exception(error)
-        return said.result(2.0 * _HEARD_WITHIN_S)
+                reply.set_exception(error)
+        return reply.result(2.0 * _HEARD_WITHIN_S)
 
     def _off(self) -> list[str]:
         desk = self._desk
@@ -335,6 +335,6 @@ def _last(confirmed: ConfirmedState | None) -> Mapping[str, object]:
     """`off, confirmed 05:48:36 by board and camera`; light that was on may be off by now."""
     if confirmed is None:
         return {}
-    said = f"{confirmed.state}, confirmed {clock(confirmed.at_s)} by {confirmed.by}"
-    text = f"unknown; {said}" if confirmed.state is Light.ON else said
+    known = f"{confirmed.state}, confirmed {clock(confirmed.at_s)} by {confirmed.by}"
+    text = f"unknown; {known}" if confirmed.state is Light.ON else known
     return {"last": text, "last_age_s": round(time.time() - confirmed.at_s, 1)}

@@ -209,18 +209,18 @@ def _light_off(desk: Desk) -> FastAPI:
     async def dark(request: Request) -> Response:
         press = urllib.parse.unquote(request.url.query)
         loop = asyncio.get_running_loop()
-        said: asyncio.Future[str] = loop.create_future()
+        reply: asyncio.Future[str] = loop.create_future()
 
         def off() -> None:
             problems = ["the desk has failed: turn the key switch"]
             try:
                 problems = desk.lighting.off(press)
             finally:
-                loop.call_soon_threadsafe(said.set_result, "; ".join(problems))
+                loop.call_soon_threadsafe(reply.set_result, "; ".join(problems))
 
         # a thread of its own: those of a pool may all be waiting
         threading.Thread(target=off, name="light off", daemon=True).start()
-        return PlainTextResponse(await said)
+        return PlainTextResponse(await reply)
 
     return app
 

@@ -166,8 +166,8 @@ def apart(do: Callable[..., object], *given: object) -> Handler:
     """A handler that does it in a thread, since it may wait, and shows the words that it returns."""
 
     async def done() -> None:
-        if isinstance(said := await run.io_bound(do, *given), str):
-            ui.notify(said)
+        if isinstance(reply := await run.io_bound(do, *given), str):
+            ui.notify(reply)
 
     return done
 

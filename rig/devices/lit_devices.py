@@ -340,8 +340,8 @@ class LitDevices:
             why, interrupted = confirmed_dark(off, command, begun_s + within_s)
             interrupt = interrupt or interrupted
             if why:
-                said = f"the {who} does not confirm that it is off ({why})"
-                return f"THE LASER MAY BE LIT: {said}; go and check", interrupt
+                doubt = f"the {who} does not confirm that it is off ({why})"
+                return f"THE LASER MAY BE LIT: {doubt}; go and check", interrupt
         self.compare()
         if (trip := self.permit.latched) is not None and trip.cause is TripCause.OUTPUT:
             return f"THE LASER MAY BE LIT: {trip.text}; go and look", interrupt

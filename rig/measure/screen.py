@@ -98,8 +98,8 @@ class RunDisplay:
             elapsed_s = seconds(event.time_ns - new.start_ns)
             self._notes.append(f"{elapsed_s:8.1f} s  {event.line}")
             if self._json:
-                said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
-                self._to_print.append(partial(self.line, "event", said))
+                event_values = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
+                self._to_print.append(partial(self.line, "event", event_values))
             if event.kind == EventKind.REJECTED:
                 self._to_print.append(partial(say, f"{self._title}: {event.text}"))
 

@@ -195,9 +195,9 @@ def _in_u(change: ParameterDifference) -> str:
 
 def _largest(change_u: float, where: str, once: int, changed: int) -> str:
     """The largest change of those present in both, and the number of those present in only one, in words."""
-    said = [f"{plain(change_u, 2)} u, {where}"] if change_u > 0 else []
-    said += [f"{once} in one of the two only"] if once else []
-    return "; ".join(said or ["only in uncertainties or flags"]) if changed else ""
+    differences = [f"{plain(change_u, 2)} u, {where}"] if change_u > 0 else []
+    differences += [f"{once} in one of the two only"] if once else []
+    return "; ".join(differences or ["only in uncertainties or flags"]) if changed else ""
 
 
 def _clock(seconds: float) -> str:

@@ -107,16 +107,16 @@ def drawing(turn: Mapping[str, Any] | None) -> str:
         parts.append(f"<text x='{x + 15}' y='{y + 24}'>{name}</text>")
         if chosen and turn is not None:
             parts.append(_arrow(x, y, turn["parts"][0]))
-    said = ""
+    turn_label = ""
     if turn is not None:
         clock = ", then ".join(
             f"{abs(part):.2f} {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]
         )
-        said = f"turn weight {turn['weight']}: {clock}"
+        turn_label = f"turn weight {turn['weight']}: {clock}"
         parts.append("<text x='4' y='184'>the arrow: as one looks at the weight's screw</text>")
     return (
         "<svg viewBox='0 0 330 190' width='100%' style='max-height:170px' role='img' "
-        f"aria-label='{said or 'the pendulum and its weights'}'>{''.join(parts)}</svg>"
+        f"aria-label='{turn_label or 'the pendulum and its weights'}'>{''.join(parts)}</svg>"
     )
 
 

@@ -203,9 +203,9 @@ class CommandOutput:
         for name, job in tuple(self._jobs.items()):
             if not job.uses_camera:
                 state = "runs" if job.running else "done" if job.status == 0 else "failed"
-                lines += [f"rig {name}: {state}", *list(job.said)[-_LAST_LINES:]]
+                lines += [f"rig {name}: {state}", *list(job.output)[-_LAST_LINES:]]
         view = self._jobs.get("view")
-        for line in list(view.said) if view is not None and view.running else ():
+        for line in list(view.output) if view is not None and view.running else ():
             address = match[0] if (match := re.search(r"http://127\.0\.0\.1:\d+\S*", line)) else address
         self._words.set_text("\n".join(lines))
         self._link.props(f'href="{address}"')
