@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _LAST_LINES = 200
 _OBJECTS = 2000
-"""A measured balance has its whole way in them."""
+"""Number of JSON objects that are kept: a measurement of the balance with its whole path."""
 _READ_WITHIN_S = 2.0
 MESSAGES_NAME = "messages.txt"
 
@@ -67,7 +67,7 @@ class Job:
 
     @property
     def problem(self) -> str:
-        """What it has said last, as the reason of its failure."""
+        """The last line of its output, as the reason of its failure."""
         return self.output[-1].removeprefix("rig: ") if self.output else f"ended with status {self.status}"
 
     def wait(self, limit_s: float | None = None) -> bool:
@@ -81,14 +81,14 @@ class Job:
         return True
 
     def answer(self, text: str) -> None:
-        """A line to its standard input; what has ended hears nothing."""
+        """Write a line to its standard input; without effect on a command that has ended."""
         with suppress(OSError, ValueError):
             if self._process.stdin is not None:
                 self._process.stdin.write(f"{text}\n")
                 self._process.stdin.flush()
 
     def end(self) -> None:
-        """As Ctrl-C: it switches off what it has switched on."""
+        """Interrupt it as Ctrl-C does: it switches off what it has switched on."""
         self.ending = True
         with suppress(OSError):
             self._process.terminate()
@@ -128,7 +128,7 @@ class Jobs(dict[str, Job]):
         return self[name]
 
     def running(self, *, uses_camera: bool) -> list[tuple[str, Job]]:
-        """Those that run and use the camera, or those that do not."""
+        """Names and commands that run now, with or without the camera as `uses_camera` says."""
         return [
             (name, job) for name, job in tuple(self.items()) if job.uses_camera is uses_camera and job.running
         ]
@@ -140,19 +140,19 @@ _MEASURE, _FORGET, _END = "", "f", "q"
 
 
 class Balancing:
-    """Of one desk. What may wait for the camera says so."""
+    """Balancing at one desk, by the command `rig balance`."""
 
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
 
     @property
     def running(self) -> bool:
-        """Whether it is measured, or a turn is waited for."""
+        """Whether the command measures, or waits for a turn."""
         return self._job is not None
 
     @property
     def shown(self) -> BalanceDialogue:
-        """Where it stands; before anything was measured, what a session that runs says of it."""
+        """State of the dialogue; before any measurement, advice from the running session."""
         job = self._desk.jobs.get(_NAME)
         if job is not None:
             return balance_dialogue(
@@ -166,12 +166,12 @@ class Balancing:
 
     @property
     def unit(self) -> str:
-        """Of the trajectory."""
+        """Unit of the trajectory."""
         is_own = _NAME in self._desk.jobs
         return "arcsec" if is_own else self._desk.following.unit or "arcsec"
 
     def measure(self) -> None:
-        """Measure, or measure again. May wait."""
+        """Measure, or measure again; may wait for the camera."""
         job = self._job
         if job is None:
             words = ["--seed", "1"] if self._desk.config.simulated else []
@@ -180,14 +180,14 @@ class Balancing:
             job.answer(_MEASURE)
 
     def turned(self, weight: str, turns: str) -> None:
-        """A weight was turned so far; what it does is measured next."""
+        """State the turns of a weight, whose effect is measured next."""
         job = self._job
         if job is None or not _asks(job):
             raise ConfigurationError("first measure: a turn is stated between two measurements")
         job.answer(f"{weight} {turns.strip()}")
 
     def forget(self) -> str:
-        """Take the last turn back; returns what was done. May wait."""
+        """Take the last turn back; returns what was done. May wait for the command."""
         job = self._job
         if job is None:
             job = self._desk.start(_NAME, "--forget-last")
@@ -201,7 +201,7 @@ class Balancing:
         return "the last turn is taken out of the history; rig balance --history shows what is left"
 
     def end(self) -> None:
-        """End it; a measurement that goes on is given up."""
+        """End the command; a measurement that is not finished is discarded."""
         job = self._job
         if job is None:
             return

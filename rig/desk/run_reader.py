@@ -42,7 +42,7 @@ class RecordFollower:
         threading.Thread(target=self._follow, name="record", daemon=True).start()
 
     def close(self) -> None:
-        """Read no more."""
+        """Stop reading."""
         self._over.set()
 
     def _begin(self, config: Configuration | None) -> None:
@@ -74,7 +74,7 @@ class RecordFollower:
         return thinned_path(path)
 
     def history(self) -> dict[str, Any]:
-        """What charts show of the run since it began: swings and fit, amplitudes as shown."""
+        """Values for the charts since the run began: half-cycles and fit, amplitudes in the shown unit."""
         with self._lock:
             return {
                 "swings": {name: decimated(points) for name, points in self._swings.items()},
@@ -145,13 +145,13 @@ def clock(at_s: float) -> str:
 
 
 def decimated(points: Sequence[Point]) -> list[Point]:
-    """At most some hundred of the points of a curve, evenly; its last one is among them."""
+    """Some hundred points of a curve at most, evenly chosen, with the last one."""
     step = max(1, math.ceil(len(points) / _POINTS))
     return list(points)[::-1][::step][::-1]
 
 
 def _drawn(points: Sequence[RecordedFittedPoint], start_ns: int) -> dict[str, list[Point]]:
-    """The fit's curves and what it leaves over as they are shown; empty before the first fit."""
+    """Curves of the fit and its residuals in the shown units; empty before the first fit."""
     at_s = [round(seconds(one.turn_time_ns - start_ns), 3) for one in points]
     curves = {
         "amplitude": [round(one.amplitude_rad / ARCSEC_RAD, _DIGITS) for one in points],

@@ -52,7 +52,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 tab.button("Forget the last turn", apart(balancing.forget)).props("dense outline")
 
     def prefill(turn: Mapping[str, Any] | None) -> None:
-        """What is advised stands in the fields, once: what is typed over it stays."""
+        """Write the advice into the fields, once, so that typed values stay."""
         nonlocal advised
         if turn == advised:
             return
@@ -81,7 +81,7 @@ def build(desk: Desk, tab: Tab) -> None:
 
 
 def net_of(parts: Sequence[float]) -> str:
-    """What several turns of a screw come to; empty for one."""
+    """Sum of several turns of a screw, as text; empty for a single turn."""
     if len(parts) < 2:
         return ""
     return f"net {sum(parts):+.2f} (the second turn takes up the play)"

@@ -209,7 +209,7 @@ def aligner_of(desk: Desk) -> Aligner:
 
 
 def _lamps(verdicts: Sequence[Verdict]) -> str:
-    """A lamp for each; what is to be done stands below."""
+    """A lamp for each verdict, with the remedies below."""
     shown, remedies = [], []
     for one in verdicts:
         kind = "no" if not one.ok else "caution" if one.remedy else "go"
@@ -293,7 +293,7 @@ class PreflightChecks:
 
 
 def _next(against: int) -> str:
-    """What is to be done after the checks."""
+    """Text on the next step after the checks."""
     if not against:
         return "Nothing prevents a run: start it in Measure."
     what = "This stands" if against == 1 else f"These {against} stand"
