@@ -213,7 +213,7 @@ def _example(words: list[str]) -> str:
 
 
 def _usage_message(text: str, words: list[str]) -> str:
-    """What typer says of a wrong call, with the value that was given and without the names of its parts."""
+    """Typer's message on a wrong call, with the value received and without the names of typer's classes."""
     text = (
         text.removeprefix("Invalid value: ")
         .replace("Input should be", "should be")

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 
 class Severity(StrEnum):
-    """How much an event matters, the gravest first."""
+    """Importance of an event, the gravest first."""
 
     TRIP = "trip"
     """The light was switched off, and stays off until a person acknowledges it."""
@@ -125,7 +125,7 @@ _LEVELS: Final[Mapping[str, Severity]] = {
 
 
 def level_of(kind: str) -> Severity:
-    """How much events of a kind matter; those of unknown kinds are information."""
+    """Severity of the events of a kind; INFORMATION for unknown kinds."""
     return _LEVELS.get(kind, Severity.INFORMATION)
 
 

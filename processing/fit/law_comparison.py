@@ -123,7 +123,7 @@ class LawComparison:
     trials: tuple[LawTrial, ...]
 
     def above_best(self, trial: LawTrial) -> float:
-        """How far a law's BIC lies above the best one's; infinite where it has no fit."""
+        """A law's BIC minus the best one's; infinite for a law without a fit."""
         return trial.bic - self.trials[0].bic if trial.fit is not None else inf
 
     def odds_against(self, trial: LawTrial) -> float:

@@ -213,7 +213,7 @@ def _lowest(function: Callable[[float], float], low: float, high: float) -> floa
 
 
 def _crossing(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function that rises from negative values crosses zero, by halving."""
+    """Zero of a function that rises from negative values, by halving the interval."""
     for _ in range(8):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if function(middle) < 0 else (low, middle)

@@ -290,7 +290,7 @@ def clipping_warnings(name: str, values: NDArray[np.float64]) -> list[str]:
 
 
 def missing_for_laws(trajectory: Trajectory, config: Configuration | None) -> str:
-    """What is missing for a fit of the contact's laws, in words; empty if nothing is."""
+    """Text on what a fit of the contact's laws lacks; empty if nothing is missing."""
     if trajectory.scale_rad is None:
         if trajectory.unit == NOT_STATED:
             return f"the unit of the position is not stated; --unit takes {', '.join(ANGLES)}, or any word"

@@ -310,7 +310,7 @@ class Configuration(Section, frozen=True):
 
     @property
     def lever_reference_px(self) -> tuple[float, float] | None:
-        """Where the spot is at zero tilt, (x, y); None where no lever states it."""
+        """Position (x, y) of the spot at zero tilt; None where no lever states it."""
         lever = self.lever
         if lever is None or lever.reference_x_px is None or lever.reference_y_px is None:
             return None
