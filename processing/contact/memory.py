@@ -198,9 +198,9 @@ def _table(
     amplitude = np.repeat(np.exp(log_a)[None, :], len(sets), axis=0)
     steady = branch.at_reversal(amplitude, q)
     turn_moment = steady
-    for again in (True, False):
+    for is_first in (True, False):
         following, duration, next_turn_moment = _half_swing(branch, amplitude, turn_moment, q)
-        if again:
+        if is_first:
             # the moment at the next reversal is linear in the moment at this one
             distance = amplitude + following
             fading = (branch.resistance(distance, 0.0 * turn_moment, q) - next_turn_moment) / turn_moment

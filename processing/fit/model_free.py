@@ -85,7 +85,7 @@ class ModelFreeFit:
         # the drag is held at the law's value, so that the splines describe the law's friction alone
         known_s = fit.estimate(DRAG.key).value if fit.has_drag else 0.0
         known_s *= _drag_ratio(fit, self.fit.estimate("period0_s").value)
-        held = Evidence(drag_s=_exactly(known_s)) if drag else NO_EVIDENCE
+        held = Evidence(drag_s=_held_at(known_s)) if drag else NO_EVIDENCE
         model = ExactModel(predicted.first(count), self.pendulum, law=self.fit.law, drag=drag, evidence=held)
         start = next(chain(start_near(model, self.fit), starts_of(model)))
         model = model.linearised_at(start)
@@ -102,7 +102,7 @@ def _drag_ratio(fit: FitResult, period_s: float) -> float:
     return (period_s / fit.estimate("period0_s").value) ** 2
 
 
-def _exactly(drag_s: float) -> Estimate:
+def _held_at(drag_s: float) -> Estimate:
     return Estimate(drag_s, _HELD_U * max(abs(drag_s), 1e-6))
 
 
@@ -136,7 +136,7 @@ def fit_model_free(
 
 _SPACING = 0.4
 """Largest distance of an error's nodes, in ln A."""
-_REACH = 2.0
+_CORRELATION_LENGTH = 2.0
 """Distance in ln A over which errors are correlated: a wrong exponent or a missing term bends slowly."""
 _SIZES_TRIED = 10.0 ** np.arange(-5.0, 0.51, 0.25)
 """Relative errors of losses and harmonics that are tried; for durations times `_DURATION_SHARE`."""
@@ -195,7 +195,7 @@ def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
         return DiscrepancySize(against_law=nan), None
     model = at.model
     nodes = _HatFunctions(at.points.amplitude / model.reference)
-    of_waveform = _by_harmonics(at, nodes)
+    waveform_errors = _by_harmonics(at, nodes)
     own = model.noise_of(at.fit)
     errors = LawErrors(nodes, nodes)
 
@@ -204,7 +204,7 @@ def _discrepancy(at: LinearisedFit) -> tuple[DiscrepancySize, Floats | None]:
         if not np.all(np.isfinite(found.residuals)):
             return None
         padded = np.zeros((len(found.residuals), nodes.count))
-        padded[found.points :] = of_waveform
+        padded[found.points :] = waveform_errors
         return found._replace(by_errors=np.column_stack([found.by_errors, padded]))
 
     steps = _drives(own.step, float(np.median(model.u_amplitude)))
@@ -233,7 +233,7 @@ class _HatFunctions:
         x = np.log(amplitude)
         count = max(3, int(np.ceil(np.ptp(x) / _SPACING)) + 1)
         self._at = np.linspace(x.min(), x.max(), count)
-        apart = np.abs(self._at[:, None] - self._at) / _REACH
+        apart = np.abs(self._at[:, None] - self._at) / _CORRELATION_LENGTH
         correlation = np.exp(-0.5 * apart**2) + _DIAGONAL * np.eye(count)
         self._root = np.linalg.cholesky(correlation)
         self.count = count
@@ -265,13 +265,13 @@ def _by_harmonics(at: LinearisedFit, nodes: _HatFunctions) -> Floats:
     return out
 
 
-def _scaled(here: DrivenRows, judge: Callable[[RestrictedLikelihood], _Sizes], tolerance: float) -> _Sizes:
-    """Sizes by `judge`, at the scale of the turning points' scatter that their residuals then have."""
+def _scaled(here: DrivenRows, sizes_of: Callable[[RestrictedLikelihood], _Sizes], tolerance: float) -> _Sizes:
+    """Sizes by `sizes_of`, at the scale of the turning points' scatter that their residuals then have."""
     scale2 = 1.0
     for _ in range(3):
         rows = here.in_scatter(sqrt(scale2))
         restricted = RestrictedLikelihood(rows.residuals, rows.jacobian, np.split(rows.by_errors, 3, axis=1))
-        found = judge(restricted)
+        found = sizes_of(restricted)
         rest = restricted.unexplained(found.likeliest)[: rows.points]
         before = scale2
         scale2 = max(1.0, float(rest @ rest) * before / (rows.points - restricted.law.directions.shape[1]))

@@ -19,7 +19,7 @@ GROWTH: Final = ("ageing", "adhesion_ageing")
 """Names of the shared inputs for a friction that grows within every run, where no effect describes it."""
 _UNKNOWN_LEVEL = 100.0
 """Prior standard deviation of an unknown level about the median of the data, in usual sizes."""
-_NO_PRIOR = 30.0
+_NO_PRIOR_FACTOR = 30.0
 """Factor by which priors are widened so that they have no influence."""
 _LONG_SIDE = 0.2
 """Share of the normal likelihood on the longer side, where two of them stand for a skewed one."""
@@ -62,7 +62,9 @@ class SeriesModel:
 
     def without_priors(self) -> "SeriesModel":
         """The same with priors so wide that the data alone decide."""
-        return replace(self, sizes={name: _NO_PRIOR * self.size(name) for name in self.names}, levels={})
+        return replace(
+            self, sizes={name: _NO_PRIOR_FACTOR * self.size(name) for name in self.names}, levels={}
+        )
 
     def with_effects(self, *effects: Effect) -> "SeriesModel":
         """The same with further effects."""

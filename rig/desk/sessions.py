@@ -112,22 +112,22 @@ def session_row(folder: Path) -> SessionRow:
         return SessionRow(folder, str(error), text=f"{folder} {error}".lower())
     begun = min((entry.begun_utc for entry in session.entries if entry.begun_utc), default="")
     stated = session.configuration.get("session", {})
-    ended = state_of(session)
-    state = "no run made" if ended is None else ended.value
+    run_state = state_of(session)
+    state = "no run made" if run_state is None else run_state.value
     sample, operator = str(stated.get("sample", "")), str(stated.get("operator", ""))
-    when = begun.replace("T", " ").partition("+")[0].partition(".")[0]
+    began = begun.replace("T", " ").partition("+")[0].partition(".")[0]
     first, last = stated.get("initial_amplitude_arcsec"), stated.get("final_amplitude_arcsec")
     notes = str(stated.get("notes", ""))
     return SessionRow(
         folder,
         state,
-        begun=when,
+        begun=began,
         sample=sample,
         runs=f"{len(session.complete)} of {session.runs_wanted}",
         conditions="" if first is None or last is None else f"{float(first):g} to {float(last):g} arcsec",
         operator=operator,
-        resumable=ended not in (None, RunState.COMPLETE),
-        text=" ".join((folder.name, when, sample, operator, state, notes)).lower(),
+        resumable=run_state not in (None, RunState.COMPLETE),
+        text=" ".join((folder.name, began, sample, operator, state, notes)).lower(),
         **last_run(folder),
     )
 

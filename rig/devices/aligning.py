@@ -142,9 +142,9 @@ def align_camera(
     terminal = Keys() if keys is None else keys
     console = Console() if console is None else console
     with terminal, AligningScreen(console, HELP if terminal.available else "Ctrl-C ends") as screen:
-        going = True
-        while going:
-            going, request = False, None
+        is_shown = True
+        while is_shown:
+            is_shown, request = False, None
             for *_, frame in watch_latest(camera, 1, end_s):
                 look = take_look(frame.image, info.full_scale_dn, tracker, reference_px, applied, reference)
                 if view is not None:
@@ -167,7 +167,7 @@ def align_camera(
             if request is not None:
                 # the camera was stopped to be configured, and starts again in the next round
                 applied, note = _configured(camera, applied, request)
-                going = True
+                is_shown = True
     return saved
 
 
