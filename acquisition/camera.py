@@ -132,7 +132,7 @@ class CameraSettings(BaseModel, frozen=True, extra="forbid"):
         return features
 
 
-def refuse_wiring(settings: CameraSettings, name: str) -> None:
+def refuse_unsupported(settings: CameraSettings, name: str) -> None:
     """Raise DeviceError for a requested trigger, exposure output, network clock, binning or colour plane; for
     drivers that support none of them.
     """
@@ -143,8 +143,8 @@ def refuse_wiring(settings: CameraSettings, name: str) -> None:
 
 
 def refuse_features(settings: CameraSettings, name: str) -> None:
-    """Raise DeviceError for features, and for what `refuse_wiring` refuses; for cameras without features."""
-    refuse_wiring(settings, name)
+    """Raise DeviceError as `refuse_unsupported`, and for any feature; for drivers without features."""
+    refuse_unsupported(settings, name)
     if settings.features:
         raise DeviceError(
             f"{name}: has no features that can be set by name; leave [camera.features] out "
@@ -153,7 +153,7 @@ def refuse_features(settings: CameraSettings, name: str) -> None:
 
 
 class ShutterKind(StrEnum):
-    """What is known of a sensor's shutter."""
+    """Kinds of a sensor's shutter."""
 
     UNKNOWN = "unknown"
     ROLLING = "rolling"
@@ -233,7 +233,7 @@ class CameraStatus:
         return CameraStatus(*map(add, _counts(self), _counts(other)))
 
     def initial_counts(self, *, lost: bool) -> "CameraStatus":
-        """Initial counts of the next `start`: after a loss these and one reconnection, otherwise 0."""
+        """Counts with which the next `start` begins: after a loss these and one reconnection, otherwise 0."""
         return replace(self, reconnects=self.reconnects + 1) if lost else CameraStatus()
 
 

@@ -43,12 +43,12 @@ class Stability:
     """Stability of one coordinate of a record at rest, in the unit of the record.
 
     `noise` is the standard deviation of one sample without slow changes: the Allan deviation at the interval
-    of the samples. `drift_per_s` is the slope of a straight line; its uncertainty allows for a wandering
-    beam, as the residuals show it (`processing.slope_uncertainty`). `iso11670` is 2 standard deviations of
-    the whole record, the pointing stability of one axis (ISO 11670:2003: half of the 4 sigma width).
-    `claimed_ratio` is the root mean square of the stated uncertainties over `noise`. `lines` are the
-    strongest spectral lines, at most ten. `density` (m,) is the one-sided power spectral density, in the
-    squared unit per Hz, at `frequency_hz` (m,).
+    of the samples. `drift_per_s` is the slope of a straight line; its uncertainty allows for a beam that
+    wanders as much as the residuals of the line show (`processing.slope_uncertainty`). `iso11670` is 2
+    standard deviations of the whole record, the pointing stability of one axis (ISO 11670:2003: half of the 4
+    sigma width). `claimed_ratio` is the root mean square of the stated uncertainties over `noise`. `lines`
+    are the strongest spectral lines, at most ten. `density` (m,) is the one-sided power spectral density, in
+    the squared unit per Hz, at `frequency_hz` (m,).
     """
 
     noise: float
@@ -109,9 +109,9 @@ def stability(times_s: Floats, values: Floats, u_values: Floats) -> Stability:
         )
     interval_s = float(np.median(np.diff(times_s)))
     drift, u_drift = _drift(times_s, values)
-    flat = values - np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
+    detrended = values - np.polyval(np.polyfit(times_s - times_s[0], values, 1), times_s - times_s[0])
     allan = allan_deviation(values, interval_s)
-    frequency, density = _spectrum(flat, interval_s)
+    frequency, density = _spectrum(detrended, interval_s)
     return Stability(
         noise=float(allan.deviation[0]),
         drift_per_s=drift,
@@ -134,12 +134,12 @@ def _drift(times_s: Floats, values: Floats) -> tuple[float, float]:
     return float(solution[0]), u_wandering_slope(design, means - design @ solution)
 
 
-def _spectrum(flat: Floats, interval_s: float) -> tuple[Floats, Floats]:
+def _spectrum(detrended: Floats, interval_s: float) -> tuple[Floats, Floats]:
     """Frequencies and one-sided power spectral density, with a Hann window, without the zero frequency."""
-    window = np.hanning(len(flat))
-    power = np.abs(np.fft.rfft(flat * window)) ** 2
+    window = np.hanning(len(detrended))
+    power = np.abs(np.fft.rfft(detrended * window)) ** 2
     density = 2.0 * power * interval_s / np.sum(window**2)
-    return np.fft.rfftfreq(len(flat), interval_s)[1:].astype(np.float64), density[1:].astype(np.float64)
+    return np.fft.rfftfreq(len(detrended), interval_s)[1:].astype(np.float64), density[1:].astype(np.float64)
 
 
 def _lines(frequency: Floats, density: Floats) -> tuple[SpectralLine, ...]:

@@ -10,20 +10,21 @@ from processing.quantity import Quantity
 _ZERO_C_K = 273.15
 _DRY_J_PER_KG_K, _VAPOUR_J_PER_KG_K = 287.05, 461.5
 
-POSSIBLE: Final = {
+POSSIBLE_READINGS: Final = {
     "temperature_c": (-100.0, 200.0),
     "humidity_percent": (-10.0, 120.0),
     "pressure_pa": (1e4, 2e5),
 }
-"""Range of the readings of a working sensor of a laboratory's air, also those off its scale in damp air.
+"""Range of the readings that a working sensor of a laboratory's air can give.
 
-A reading outside, often -127 or -999, means that the sensor or its wire is broken.
+The range includes readings beyond 100 % in damp air. A reading outside it, often -127 or -999, means that the
+sensor or its wire is broken.
 """
 
 
 def is_possible(name: str, value: float) -> bool:
     """Whether a working sensor in air can give a reading `value` of the quantity `name`."""
-    lowest, highest = POSSIBLE[name]
+    lowest, highest = POSSIBLE_READINGS[name]
     return isfinite(value) and lowest < value < highest
 
 
@@ -35,10 +36,11 @@ class Air(NamedTuple):
 
 
 def humid_air(temperature_c: float, humidity_percent: float, pressure_pa: float) -> Air:
-    """Density, of a mixture of two ideal gases, and viscosity, of dry air, to half a per cent each.
+    """Density and viscosity of humid air, to half a per cent each.
 
-    Saturation by Magnus's formula (WMO guide no. 8), viscosity by Sutherland's: 17.16 uPa s at 0 degrees
-    Celsius, with 110.4 K.
+    The density is that of a mixture of two ideal gases, with the saturation pressure by Magnus's formula (WMO
+    guide no. 8). The viscosity is that of dry air by Sutherland's formula: 17.16 uPa s at 0 degrees Celsius,
+    with 110.4 K.
     """
     kelvin = temperature_c + _ZERO_C_K
     vapour_pa = 0.01 * humidity_percent * 611.2 * exp(17.62 * temperature_c / (243.12 + temperature_c))
@@ -88,7 +90,7 @@ def doubtful_humidity(percent: float) -> str:
     )
 
 
-def in_other_unit(name: str, values: Mapping[str, float]) -> str:
+def other_unit_warning(name: str, values: Mapping[str, float]) -> str:
     """Warning of runs, by label, whose humidity or pressure is in another unit than others'; else empty."""
     known = sorted(value for value in values.values() if isfinite(value) and value > 0)
     if name not in ("humidity_percent", "pressure_pa") or len(known) < 3:

@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Vector = NDArray[np.float64]
+"""Floats of shape (n,)."""
 Matrix = NDArray[np.float64]
-"""Floats of shape (n,) and (n, m)."""
+"""Floats of shape (n, m)."""
 Singles = NDArray[np.float32]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.int64]

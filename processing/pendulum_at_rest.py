@@ -258,7 +258,7 @@ def witness_at_rest(time_s: Floats, deflection: Floats, witness: Seismogram) -> 
     free = compared.steps - 1 - components - _DELAY_FREEDOM
     if free < _FEWEST_FREE - 1:
         raise DataError(
-            f"witness and pendulum at rest have {compared.steps} periods in common; at least "
+            f"seismometer and pendulum at rest have {compared.steps} periods in common; at least "
             f"{_FEWEST_FREE + 1 + components} are needed"
         )
     taken = components + _DELAY_FREEDOM

@@ -12,21 +12,21 @@ from processing.least_squares import FactoredJacobian
 from processing.reference_spot import BLOCKS, common_motion, fitted_gain, u_of_blocks
 from processing.units import seconds
 
-_STRETCHES = 10
+_MIN_STRETCHES = 10
 _LONGEST_S = 64.0
-_FEWEST = 64
+_MIN_FRAMES = 64
 """Fewest frames of a stretch."""
 _LARGEST_LOST_PART = 0.1
 """Fraction of lost frames from which on a stretch is left out."""
 _WINDOW = (0.35875, 0.48829, 0.14128, 0.01168)
-"""Window of Blackman and Harris, with sidelobes of -92 dB, for swings of 1e4 times the beam's motion."""
-_STARTS = 4
-"""Number of starts of stretches per length of a stretch: the window uses little more than its middle."""
+"""Window of Blackman and Harris: at sidelobes of -92 dB a swing of 1e4 times the beam's motion is gone."""
+_STARTS_PER_LENGTH = 4
+"""Stretches that begin within the length of one: they overlap, as the window uses only their middles."""
 _WEIGHT_ITERATIONS = 4
 
 
-def gain_in_swings(
-    times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
+def gain_while_swinging(
+    times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_reference_px: Floats
 ) -> Estimate:
     """Gain along one axis of the sensor, of a swinging pendulum; positions (n,) are NaN without a spot.
 
@@ -36,30 +36,38 @@ def gain_in_swings(
     Raises DataError for too short a run, and for a reference that shows no motion above its noise.
     """
     time_s = seconds(times_ns - times_ns[0])
-    found = np.isfinite(spot_px) & np.isfinite(u_spot_px) & np.isfinite(reference_px) & np.isfinite(u_px)
-    if np.count_nonzero(found) < _FEWEST * _STRETCHES:
+    found = (
+        np.isfinite(spot_px)
+        & np.isfinite(u_spot_px)
+        & np.isfinite(reference_px)
+        & np.isfinite(u_reference_px)
+    )
+    if np.count_nonzero(found) < _MIN_FRAMES * _MIN_STRETCHES:
         raise DataError(
-            f"{np.count_nonzero(found)} frames have both spots; {_FEWEST * _STRETCHES} are needed for the "
-            "gain of the reference: state reference.gain"
+            f"{np.count_nonzero(found)} frames have both spots; {_MIN_FRAMES * _MIN_STRETCHES} are needed "
+            "for the gain of the reference: state reference.gain"
         )
     step_s = float(np.median(np.diff(time_s)))
     even_s = step_s * np.arange(round(time_s[-1] / step_s) + 1)
     spot, reference = (np.interp(even_s, time_s[found], one[found]) for one in (spot_px, reference_px))
-    there = np.interp(even_s, time_s, found.astype(np.float64))
-    length = min(len(even_s) // _STRETCHES, max(_FEWEST, round(_LONGEST_S / step_s)))
+    presence = np.interp(even_s, time_s, found.astype(np.float64))
+    length = min(len(even_s) // _MIN_STRETCHES, max(_MIN_FRAMES, round(_LONGEST_S / step_s)))
     starts = [
-        k for k in range(0, len(even_s) - length + 1, length // _STARTS) if _complete(there[k : k + length])
+        k
+        for k in range(0, len(even_s) - length + 1, length // _STARTS_PER_LENGTH)
+        if _complete(presence[k : k + length])
     ]
     if len(starts) < BLOCKS:
         raise DataError("too few stretches of the run have both spots: state reference.gain")
     window = _window(length)
     spectra = [_spectra(np.stack([one[k : k + length] for k in starts]), window) for one in (spot, reference)]
-    noise = float(np.mean(u_px[found] ** 2)) * float(np.sum(window**2))
-    ours, theirs = spectra
-    cross, power = np.real(np.conj(theirs) * ours), np.abs(theirs) ** 2 - noise
+    noise = float(np.mean(u_reference_px[found] ** 2)) * float(np.sum(window**2))
+    spot_spectra, reference_spectra = spectra
+    cross = np.real(np.conj(reference_spectra) * spot_spectra)
+    power = np.abs(reference_spectra) ** 2 - noise
     gain = 0.0
     for _ in range(_WEIGHT_ITERATIONS):
-        weight = 1 / _means_of_others(np.abs(ours - gain * theirs) ** 2)
+        weight = 1 / _means_of_others(np.abs(spot_spectra - gain * reference_spectra) ** 2)
         top, bottom = np.sum(cross * weight, axis=1), np.sum(power * weight, axis=1)
         gain = _ratio(top, bottom)
     # neighbours overlap, so that each part has several
@@ -69,8 +77,8 @@ def gain_in_swings(
     return Estimate(gain, u)
 
 
-def _complete(there: Floats) -> bool:
-    return float(np.mean(there)) > 1 - _LARGEST_LOST_PART
+def _complete(presence: Floats) -> bool:
+    return float(np.mean(presence)) > 1 - _LARGEST_LOST_PART
 
 
 def _window(length: int) -> Floats:
@@ -89,10 +97,10 @@ def _spectra(stretches: Floats, window: Floats) -> np.ndarray:
 def _means_of_others(values: Floats) -> Floats:
     """Means (stretches, frequencies) over the other stretches that do not overlap.
 
-    With its own noise a stretch would give most weight to frequencies at which that is small by chance.
+    A weight from the stretch's own noise would favour frequencies at which that is small by chance.
     """
     places = np.arange(len(values))
-    apart = np.abs(places[:, None] - places) >= _STARTS
+    apart = np.abs(places[:, None] - places) >= _STARTS_PER_LENGTH
     return np.asarray(apart @ values / apart.sum(axis=1, keepdims=True))
 
 
@@ -113,8 +121,8 @@ class ReferenceAtRest(NamedTuple):
     before_px
         Standard deviation of the pendulum's spot.
     factor
-        Factor by which it falls if the reference is subtracted with the stated gain, or else with `gain`; the
-        uncertainty follows from parts of the record.
+        Factor by which that falls if the reference is subtracted, with the stated gain or else with `gain`;
+        its uncertainty follows from parts of the record.
     gain
         Gain that this record shows.
     share
@@ -132,7 +140,7 @@ def reference_at_rest(
     spot_px: Floats,
     u_spot_px: Floats,
     reference_px: Floats,
-    u_px: Floats,
+    u_reference_px: Floats,
     *,
     gain: float | None,
     period_s: float,
@@ -141,7 +149,7 @@ def reference_at_rest(
 
     Raises DataError for too few frames with both.
     """
-    common = common_motion(times_ns, reference_px, u_px)
+    common = common_motion(times_ns, reference_px, u_reference_px)
     use = common.known & np.isfinite(spot_px) & np.isfinite(u_spot_px)
     time_s = seconds(times_ns - times_ns[0])
     cleaned = (

@@ -165,7 +165,7 @@ def conversion(unit: str, into: str) -> float:
 
 
 def units_like(unit: str, among: tuple[str, ...]) -> tuple[str, ...]:
-    """Those of several units that measure the same quantity as `unit`."""
+    """Units, of those given, that measure the same quantity as `unit`."""
     return tuple(other for other in among if size(other).powers == size(unit).powers)
 
 

@@ -213,7 +213,7 @@ def _example(words: list[str]) -> str:
 
 
 def _usage_message(text: str, words: list[str]) -> str:
-    """What typer says of a wrong call, with the value that was given and without the names of its parts."""
+    """Typer's message on a wrong call, with the value received and without the names of typer's classes."""
     text = (
         text.removeprefix("Invalid value: ")
         .replace("Input should be", "should be")
@@ -238,11 +238,11 @@ def _usage_message(text: str, words: list[str]) -> str:
     for word, following in pairwise([*words, ""]):
         option, equals, value = word.partition("=")
         if option in names:
-            said = found[2].rstrip(".")
-            choices = said.partition(" is not one of ")[2]
+            reason = found[2].rstrip(".")
+            choices = reason.partition(" is not one of ")[2]
             meant = get_close_matches((value or following).lower(), re.findall(r"'([^']*)'", choices), 1)
-            said += f"; did you mean {meant[0]}?" if meant else ""
-            return f"{option} {value if equals else following}: {said}"
+            reason += f"; did you mean {meant[0]}?" if meant else ""
+            return f"{option} {value if equals else following}: {reason}"
     return text
 
 

@@ -166,7 +166,7 @@ class FrameLosses:
         )
 
     def since(self, before: "FrameLosses") -> "FrameLosses":
-        """What was lost after `before`."""
+        """Losses since the counts `before`."""
         return FrameLosses(*map(sub, self.counts, before.counts))
 
     def __str__(self) -> str:

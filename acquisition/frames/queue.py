@@ -1,4 +1,4 @@
-"""Bounded queue between two threads, for frames behind the camera and for entries before the disk."""
+"""Bounded queue between two threads: of frames from a camera, or of entries that wait for the disk."""
 
 import math
 import threading
@@ -39,7 +39,9 @@ class BoundedQueue(Generic[Item]):
     most
         Number of items at which the queue is full.
     most_bytes
-        Memory at which the queue is full, too, if at least `fewest` items wait in it.
+        Memory of the items at which the queue is full, too.
+    fewest
+        Number of items that the queue takes whatever their memory.
     """
 
     def __init__(self, most: float, policy: Policy, most_bytes: float = math.inf, *, fewest: int = 1) -> None:
@@ -48,7 +50,7 @@ class BoundedQueue(Generic[Item]):
         self._policy = policy
         self._changed = threading.Condition()
         self._closed = False
-        self._longest = self._longest_bytes = 0
+        self._peak = self._peak_bytes = 0
         self.most_bytes = most_bytes
         self.waiting_bytes = 0
         self.dropped = 0
@@ -106,18 +108,18 @@ class BoundedQueue(Generic[Item]):
         the policy ``wait``, an empty text.
         """
         waiting, size = len(self._items), self.waiting_bytes
-        if size > max(_WARN_FRACTION * self.most_bytes, self._longest_bytes) and self._policy != "wait":
-            begins, self._longest, self._longest_bytes = not self._longest, waiting, size
+        if size > max(_WARN_FRACTION * self.most_bytes, self._peak_bytes) and self._policy != "wait":
+            begins, self._peak, self._peak_bytes = not self._peak, waiting, size
             if begins:
                 memory = f"{size / 1e6:.0f} of {self.most_bytes / 1e6:.0f} MB"
                 return (
                     f"{waiting} frames wait to be processed, {memory}; once full, frames are lost and "
                     "counted: close other programs, or set a lower camera.frame_rate_hz or a smaller region"
                 )
-        elif self._longest and size <= 0.1 * _WARN_FRACTION * self.most_bytes:
-            said = f"caught up; at most {self._longest} frames waited, {self._longest_bytes / 1e6:.0f} MB"
-            self._longest = self._longest_bytes = 0
-            return said
+        elif self._peak and size <= 0.1 * _WARN_FRACTION * self.most_bytes:
+            text = f"caught up; at most {self._peak} frames waited, {self._peak_bytes / 1e6:.0f} MB"
+            self._peak = self._peak_bytes = 0
+            return text
         return ""
 
     def _is_full(self, more_bytes: int) -> bool:

@@ -1,4 +1,4 @@
-"""Values as messages and back: pixels, spots, half-cycles, balances, Foxglove's types.
+"""Encoding of values as messages, and decoding: pixels, spots, half-cycles, balances, Foxglove's types.
 
 Windows around the spot and whole frames are both compressed without loss.
 """
@@ -114,12 +114,14 @@ def deflections_of(spots: NDArray[Any], unit: DeflectionUnit) -> Deflections:
     return Deflections(np.array(spots["time_ns"], dtype=np.int64), x, y, u_x, u_y, unit)
 
 
-def encode_swing(kind: MessageType, swing: HalfCycle) -> bytes:
+def encode_swing(kind: MessageType, half_cycle: HalfCycle) -> bytes:
     """Message of type `SWING` or `SWING_UNCALIBRATED`."""
-    display_values = [2.0 * swing.half_period_s]
+    display_values = [2.0 * half_cycle.half_period_s]
     if kind is SWING:
-        display_values.insert(0, swing.amplitude / ARCSEC_RAD)
-    return kind.encode(*[getattr(swing, name) for name in HalfCycle.__dataclass_fields__], *display_values)
+        display_values.insert(0, half_cycle.amplitude / ARCSEC_RAD)
+    return kind.encode(
+        *[getattr(half_cycle, name) for name in HalfCycle.__dataclass_fields__], *display_values
+    )
 
 
 def swings_of(table: NDArray[Any]) -> list[HalfCycle]:

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple, Self
 
 
 class Severity(StrEnum):
-    """How much an event matters, the gravest first."""
+    """Importance of an event, the gravest first."""
 
     TRIP = "trip"
     """The light was switched off, and stays off until a person acknowledges it."""

@@ -135,7 +135,7 @@ class RecordedClockStep(NamedTuple):
 
 
 class RecordedPhase(NamedTuple):
-    """What the session does from `time_ns` on, and what it asks of the operator (empty: nothing).
+    """Phase of the session from `time_ns` on, and its request to the operator (empty: none).
 
     `phase` is measuring, closing the record or done, `progress` says how far, `reason` why the run ends.
     """
@@ -168,7 +168,7 @@ class RecordedLight(NamedTuple):
 
 
 class RecordedHealth(NamedTuple):
-    """How the session keeps up: frames that wait, age of the last ones, record and disk, clock, beam.
+    """State of the session's work: waiting frames and their age, record and disk, clock, beam.
 
     Counts are those since the record began; `waiting_frames` are in the queue between camera and processing.
     `frame_age_s` is NaN where frames are made on demand, `disk_silent_s` how long a write has hung. `alarm`

@@ -251,7 +251,7 @@ class DisturbanceTruth(SimulationSection, frozen=True):
 
 
 class StatedTruth(SimulationSection, frozen=True):
-    """How well the rig's constants are known: standard uncertainties of what is stated to the analysis.
+    """Standard uncertainties of the rig's constants, as they are stated to the analysis.
 
     The stated values themselves are the true ones.
     """

@@ -105,8 +105,8 @@ def law_harmonics(
 ) -> Complexes:
     """Harmonics (rad) of `ORDERS`, shape (n, orders), of free swings of amplitudes (n,) in their middle.
 
-    In the terms in which `HarmonicsWatch` measures pieces of `PIECE_HALF_CYCLES`. They are computed at a few
-    amplitudes and interpolated.
+    In the terms in which `HarmonicsMeasurement` measures pieces of `PIECE_HALF_CYCLES`. They are computed at
+    a few amplitudes and interpolated.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Half-swings of a law with memory, whose moment depends on the last reversal.
 
-In a decay every reversal lies inside the one before, so that no earlier one matters. From a reversal at the
-amplitude A the resisting moment, over m g R, is a function of the distance s = A - phi and of the moment at
-the reversal; the moment at the next reversal is the one at the end of the branch. The kinetic energy after
-the distance s is, over m g R and in units of the reference,
+In a decay the amplitude falls from reversal to reversal, so that only the last reversal matters. From a
+reversal at the amplitude A the resisting moment, over m g R, is a function of the distance s = A - phi and of
+the moment at the reversal; the moment at the next reversal is the one at the end of the branch. The kinetic
+energy after the distance s is, over m g R and in units of the reference,
 
     v^2/2 = s [A - s/2 - L(s)],      L(s) = 1/s integral_0^s (resistance) ds'
 
@@ -11,12 +11,13 @@ so that the next reversal lies at s = 2 r with A - r = L(2r). With s = r (1 - co
 
     G = v^2 / (r sin theta)^2 = 1 + 2 [L(2r) - L(s)] / (2r - s)
 
-is smooth at both ends but for powers of s, which theta = pi v^3 smooths; the half-swing lasts
+is smooth at both ends except for fractional powers of s, which the substitution theta = pi v^3 smooths. The
+half-swing lasts
 ``integral dtheta / (2 pi sqrt(G))`` in units of T0. A linear drag adds ``drag r^2 integral sin^2 sqrt(G)
 dtheta`` to the work, found by iteration.
 
-The amplitudes fall slowly, so that the moment at a reversal is a function of the amplitude, too: that of
-steady swings, corrected by the moment at the end of the branch before.
+The amplitudes fall slowly, so that the moment at a reversal, too, is a function of the amplitude: the moment
+in steady swings, corrected by the one at the end of the previous branch.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +38,7 @@ Arrays = Mapping[str, Floats]
 _NODES = 24
 """Nodes of a half-swing; decays by smooth laws then agree with an integration of their motion to 3e-7."""
 _PER_OCTAVE, _BEYOND, _FEWEST = 12, 1, 4
-"""Number of a table's amplitudes in a factor of two, beyond either end, and at least."""
+"""Numbers of amplitudes of a table: in each factor of two, beyond either end of the range, and at least."""
 _STEP = 1e-5
 """Relative step of the numerical derivatives by the parameters."""
 
@@ -100,7 +101,7 @@ class _QuadraturePoints(NamedTuple):
     """Gauss-Legendre nodes of v with theta = pi v^3.
 
     The rows of `work_per_share` map sqrt(G) at the nodes to ``integral_0^theta sin^2 sqrt(G) dtheta'``
-    divided by the share; only the root is interpolated, so that the digits stay near the reversal.
+    divided by the share. Only the root is interpolated, so that no digits are lost near the reversal.
     """
 
     share: Floats  # s / 2r
@@ -136,38 +137,40 @@ def _half_swing(
     `amplitude` and `turn_moment` have the shape ``(sets, amplitudes)``, the parameters ``(sets, 1)``.
     """
     nodes = _nodes()
-    drag, dry = q["drag"], q[branch.constant] if branch.constant else 0.0
-    radius, lost = amplitude.copy(), np.zeros_like(amplitude)  # work of the drag over r^2
-    wide = {key: value[..., None] for key, value in q.items()}
+    drag, constant = q["drag"], q[branch.constant] if branch.constant else 0.0
+    radius, drag_work = amplitude.copy(), np.zeros_like(amplitude)  # work of the drag over r^2
+    wide_q = {key: value[..., None] for key, value in q.items()}
     with np.errstate(all="ignore"):
         for _ in range(60):
             for _ in range(50):
-                way = 2 * radius
-                mean = branch.mean_resistance(way, turn_moment, q)
-                slope = 1 + (branch.resistance(way, turn_moment, q) - mean) / radius + 0.5 * drag * lost
-                change = (amplitude - radius - mean - dry - 0.5 * drag * lost * radius) / slope
+                distance = 2 * radius
+                mean = branch.mean_resistance(distance, turn_moment, q)
+                slope = (
+                    1 + (branch.resistance(distance, turn_moment, q) - mean) / radius + 0.5 * drag * drag_work
+                )
+                change = (amplitude - radius - mean - constant - 0.5 * drag * drag_work * radius) / slope
                 radius += np.clip(change, -0.5 * radius, 0.5 * radius)
                 if not np.any(np.abs(change) > 3e-16 * amplitude):
                     break
-            way = 2 * radius[..., None]
-            s = way * nodes.share
-            at_end = branch.mean_resistance(way, turn_moment[..., None], wide)
+            wide_distance = 2 * radius[..., None]
+            s = wide_distance * nodes.share
+            at_end = branch.mean_resistance(wide_distance, turn_moment[..., None], wide_q)
             root = np.ones_like(s)
-            over = at_end - branch.mean_resistance(s, turn_moment[..., None], wide)
+            excess = at_end - branch.mean_resistance(s, turn_moment[..., None], wide_q)
             if not np.any(drag):
-                root = np.sqrt(1 + 2 * over / (way - s))
+                root = np.sqrt(1 + 2 * excess / (wide_distance - s))
                 break
             for _ in range(60):
                 whole = ((nodes.sin2 * root) @ nodes.weight)[..., None]
-                by_drag = wide["drag"] * (0.25 * way) * (whole - root @ nodes.work_per_share.T)
-                new = np.sqrt(1 + 2 * (over + by_drag) / (way - s))
-                settled = not np.any(np.abs(new - root) > 1e-14)
+                by_drag = wide_q["drag"] * (0.25 * wide_distance) * (whole - root @ nodes.work_per_share.T)
+                new = np.sqrt(1 + 2 * (excess + by_drag) / (wide_distance - s))
+                converged = not np.any(np.abs(new - root) > 1e-14)
                 root = new
-                if settled:
+                if converged:
                     break
-            before = lost
-            lost = (nodes.sin2 * root) @ nodes.weight
-            if not np.any(np.abs(lost - before) > 1e-14):
+            before = drag_work
+            drag_work = (nodes.sin2 * root) @ nodes.weight
+            if not np.any(np.abs(drag_work - before) > 1e-14):
                 break
         following = 2 * radius - amplitude
         stuck = ~(following > 0)
@@ -195,14 +198,14 @@ def _table(
     amplitude = np.repeat(np.exp(log_a)[None, :], len(sets), axis=0)
     steady = branch.at_reversal(amplitude, q)
     turn_moment = steady
-    for again in (True, False):
+    for is_first in (True, False):
         following, duration, next_turn_moment = _half_swing(branch, amplitude, turn_moment, q)
-        if again:
+        if is_first:
             # the moment at the next reversal is linear in the moment at this one
-            way = amplitude + following
-            fading = (branch.resistance(way, 0.0 * turn_moment, q) - next_turn_moment) / turn_moment
-            more = (next_turn_moment / branch.at_reversal(following, q) - 1) / (1 + fading)
-            turn_moment = steady * (1 + _on_grid(log_a, np.log(following), more))
+            distance = amplitude + following
+            fading = (branch.resistance(distance, 0.0 * turn_moment, q) - next_turn_moment) / turn_moment
+            correction = (next_turn_moment / branch.at_reversal(following, q) - 1) / (1 + fading)
+            turn_moment = steady * (1 + _on_grid(log_a, np.log(following), correction))
     ratio = following / amplitude
     by = [(one[1 : 1 + count] - one[1 + count :]) / (2 * change[:, None]) for one in (ratio, duration)]
     return SwingTable.of(log_a, np.concatenate([ratio[:1], duration[:1], *by]), _FEWEST, _BEYOND)

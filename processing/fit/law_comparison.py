@@ -137,7 +137,7 @@ class LawComparison:
     trials: tuple[LawTrial, ...]
 
     def above_best(self, trial: LawTrial) -> float:
-        """How far a law's BIC lies above the best one's; infinite where it has no fit."""
+        """A law's BIC minus the best one's; infinite for a law without a fit."""
         return trial.bic - self.trials[0].bic if trial.fit is not None else inf
 
     def odds_against(self, trial: LawTrial) -> float:
@@ -169,13 +169,13 @@ class LawComparison:
         excluded = [trial.law.name for trial in self.trials if trial.law.name not in names]
         without = f"; excluded: {', '.join(excluded)}" if excluded else ""
         if len(names) > 1:
-            said = f"this decay cannot tell {' and '.join(names)} apart; {remedy}"
+            conclusion = f"this decay cannot tell {' and '.join(names)} apart; {remedy}"
         else:
-            said = f"of these laws, {names[0]} describes this decay best"
+            conclusion = f"of these laws, {names[0]} describes this decay best"
         if self.describes:
-            return said + without
+            return conclusion + without
         doubt = "but the residuals are not noise: something else moves the spot, or no law is right"
-        return f"{said}{without}; {doubt}"
+        return f"{conclusion}{without}; {doubt}"
 
 
 def compare_laws(

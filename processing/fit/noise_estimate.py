@@ -1,9 +1,9 @@
-"""How strongly the ground drives the pendulum, by the restricted likelihood of the turning points.
+"""Strength of the ground's drive of the pendulum, by the restricted likelihood of the turning points.
 
-Two variances explain how far turning points lie from their predictions: that of their measurement
-and that of the drive. They are estimated by the likelihood of the residuals that the fitted parameters
-leave (restricted likelihood): by that of the turning points themselves they would come out too small,
-since the parameters take up part of the scatter.
+Two variances explain how far turning points lie from their predictions: the variance of their measurement
+and that of the drive. They are estimated by the restricted likelihood, that of the residuals of a fit. The
+likelihood of the turning points themselves would make them too small, since the fitted parameters take up
+part of the scatter.
 """
 
 from collections.abc import Callable
@@ -18,34 +18,37 @@ from processing.fit.exact_result import OUTLIER
 from processing.fit.ground import Noise
 from processing.least_squares import Loss
 
-_TRIED = np.arange(-3.0, 3.01, 0.5)
-"""Decimal logarithms of the first steps tried, in units of the median uncertainty of the amplitudes."""
-_LARGEST = 0.2
+_FIRST_LOG_STEPS = np.arange(-3.0, 3.01, 0.5)
+"""Decimal logarithms of the steps of the drive tried first, over the amplitudes' median uncertainty."""
+_MAX_STEP_FRACTION = 0.2
 """Largest step tried, as a fraction of the lowest amplitude."""
 _LOWEST, _SPACING = -2.0, 0.1
-"""Lowest step of an average over steps, and the steps' spacing, as the logarithms of `_TRIED`."""
-_FALL = 0.7
-"""Exponent with which the prior density of steps falls."""
+"""Lowest step and spacing of the steps over which a covariance is averaged, as in `_FIRST_LOG_STEPS`."""
+_PRIOR_EXPONENT = 0.7
+"""The prior density of a step falls with this power of the step."""
 _WELL_KNOWN = 0.15
 """Relative uncertainty of the step below which it is taken as known."""
 _ONE_SIDED = 2.706
 """Rise of -2 ln L at a bound of 95 %: the square of the normal quantile 1.645."""
-_AS_STATED = 25.0
-"""Number of residuals as which the stated uncertainties count against a larger scatter. In a short run scale
-and drive explain a scatter alike, and the drive is what enlarges the parameters' uncertainties."""
+_STATED_WEIGHT = 25.0
+"""Weight of the stated uncertainties against a larger scale, as a number of residuals that agree with them.
+
+In a short run a larger scale and a drive explain a scatter equally well, but only the drive enlarges the
+uncertainties of the parameters.
+"""
 _SAME_SCALE = 1e-3
 """Relative change of the squared scale below which its iteration ends."""
-_LEAST_SHARE = 1e-13
-"""Rounding of sums over thousands of half-cycles, relative to a diagonal of ones: smaller eigenvalues are
-noise."""
+_MIN_EIGENVALUE = 1e-13
+"""Smallest eigenvalue of a matrix of unit diagonal: below it is the rounding of sums over thousands of
+half-cycles."""
 
 
 class LikeliestNoise(NamedTuple):
-    """The likeliest noise at given columns.
+    """The likeliest noise at given coordinates of the fit.
 
-    `deviance` is its restricted -2 ln L, that of the residuals which the columns leave, `unrestricted` that
-    of the turning points themselves. `against_rest` is by how much the deviance of ground at rest is larger,
-    `covariance` that of the columns with this noise.
+    `deviance` is -2 ln L by the restricted likelihood, `unrestricted` that by the turning points themselves.
+    `against_rest` is the deviance of ground at rest minus this one, `covariance` the covariance of the
+    coordinates with this noise.
     """
 
     noise: Noise
@@ -65,8 +68,8 @@ class NoiseBounds(NamedTuple):
 class NoiseSearch:
     """Maximises the restricted likelihood over the drive and the scale of the stated uncertainties.
 
-    The model is taken as linear in the columns about the given ones; the caller repeats fit and search until
-    neither moves. `kind` gives `averaged` and `limit` of every noise tried. The scale is at least 1; with a
+    The model is linear about the given coordinates `columns`; the caller repeats fit and search until neither
+    changes. Every noise tried has the `averaged` and `limit` of `kind`. The scale is at least 1; with a
     robust loss, which copes with outliers by itself, it is 1.
     """
 
@@ -75,13 +78,13 @@ class NoiseSearch:
         self._kind = kind
         self._unit = float(np.median(model.u_amplitude))
         self._evidence_rows = model.evidence_rows(columns)
-        self._highest = float(np.log10(_LARGEST * model.lowest / self._unit))
+        self._highest = float(np.log10(_MAX_STEP_FRACTION * model.lowest / self._unit))
         self._known: dict[float, LikeliestNoise] = {}
         self._rest = self._at(-np.inf)
 
     def likeliest(self) -> LikeliestNoise:
         """The optimum over all steps."""
-        tried = np.append(_TRIED[self._highest > _TRIED], self._highest)
+        tried = np.append(_FIRST_LOG_STEPS[self._highest > _FIRST_LOG_STEPS], self._highest)
         best = int(np.argmin([self._deviance(x) for x in tried.tolist()]))
         low, high = float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)])
         found = self._at(_lowest(self._deviance, low, high))
@@ -91,7 +94,7 @@ class NoiseSearch:
     def bounds(self, found: LikeliestNoise) -> NoiseBounds:
         """Uncertainty and bound of the step, by the rise of -2 ln L on either side of the optimum."""
         at_rest = found.noise.at_rest
-        start = float(_TRIED[0])
+        start = float(_FIRST_LOG_STEPS[0])
         if not at_rest:
             start = float(np.log10(found.noise.step / found.noise.scale / self._unit))
         target = found.deviance + _ONE_SIDED
@@ -104,17 +107,17 @@ class NoiseSearch:
             # half of a normal distribution about zero that has this bound
             return NoiseBounds(highest / 1.96, highest)
         h = 0.05
-        bend = self._deviance(start + h) - 2 * found.deviance + self._deviance(start - h)
-        relative = np.sqrt(2 / bend) * h * np.log(10) if bend > 0 else np.inf
-        # where the likelihood does not fall towards zero, the bound says more than the curvature
+        curvature = self._deviance(start + h) - 2 * found.deviance + self._deviance(start - h)
+        relative = np.sqrt(2 / curvature) * h * np.log(10) if curvature > 0 else np.inf
+        # where the likelihood hardly falls towards a step of zero, the curvature says less than the bound
         return NoiseBounds(min(float(found.noise.step * relative), highest), highest)
 
     def averaged_covariance(self, found: LikeliestNoise, bounds: NoiseBounds) -> Floats | None:
-        """Covariance of the columns averaged over the steps that the data allow; None for a well-known step.
+        """Covariance of the coordinates, averaged over the steps that the data allow; None for a known step.
 
-        Uncertainties grow with the step. Those of the likeliest step are too small where ground at rest is
-        not improbable: of weak drives one in three is estimated as zero. The average is over the likelihood
-        times a prior density that falls as step^-0.7: drives may be of any order of magnitude, and with this
+        Uncertainties grow with the step. The likeliest step makes them too small where ground at rest is not
+        improbable: one weak drive in three is estimated as zero. The weight of a step is its likelihood times
+        a prior density that falls as step^-0.7: drives may be of any order of magnitude, and with this
         exponent intervals come nearest to their coverage at rest and at weak drives together. With an
         auxiliary seismometer, steps below the least that it leaves unexplained are left out.
         """
@@ -129,9 +132,9 @@ class NoiseSearch:
         tried = np.arange(lowest, max(min(above + 0.5, self._highest), lowest + _SPACING), _SPACING)
         parts = [self._at(x) for x in tried.tolist()]
         steps = 10.0**tried
-        mass = steps ** (1 - _FALL) * _SPACING * np.log(10)
+        mass = steps ** (1 - _PRIOR_EXPONENT) * _SPACING * np.log(10)
         if not least:
-            mass[0] += steps[0] ** (1 - _FALL) / (1 - _FALL)
+            mass[0] += steps[0] ** (1 - _PRIOR_EXPONENT) / (1 - _PRIOR_EXPONENT)
         deviance = np.array([part.deviance for part in parts])
         weight = mass * np.exp(-0.5 * (deviance - np.min(deviance)))
         weight /= np.sum(weight)
@@ -150,7 +153,7 @@ class NoiseSearch:
         return self._known[log_step]
 
     def _evaluate(self, ratio: float) -> LikeliestNoise:
-        """The likeliest noise of a step in units of the scale, which follows from it in closed form."""
+        """The likeliest noise whose step is `ratio` times its scale; the scale follows in closed form."""
         found = self._model.filtered(self._columns, replace(self._kind, step=ratio))
         if not np.all(np.isfinite(found.residuals)):
             return LikeliestNoise(self._kind, np.inf)
@@ -163,10 +166,10 @@ class NoiseSearch:
                 return likeliest
 
     def _with_scale(self, found: FilterResult, ratio: float, weight: float) -> LikeliestNoise:
-        """The noise of a step, the evidence weighted for a squared scale `weight` of the turning points."""
-        beside, beside_by = (np.sqrt(weight) * part for part in self._evidence_rows)
-        residuals = np.concatenate([found.residuals, beside])
-        jacobian = np.concatenate([found.jacobian, beside_by])
+        """The noise with this ratio; the evidence is weighted for a squared scale `weight` of the points."""
+        evidence, evidence_jacobian = (np.sqrt(weight) * part for part in self._evidence_rows)
+        residuals = np.concatenate([found.residuals, evidence])
+        jacobian = np.concatenate([found.jacobian, evidence_jacobian])
         linear = self._loss == "linear"
         kept = np.ones(len(residuals), dtype=np.bool_) if linear else np.abs(residuals) < OUTLIER
         # Sums instead of a factorisation: the threads that linear algebra would start for so few columns
@@ -175,23 +178,23 @@ class NoiseSearch:
         information = np.einsum("ij,ik->jk", weighted, jacobian)
         norm = np.sqrt(np.diag(information))
         norm[norm == 0] = 1.0
-        share, vectors = np.linalg.eigh(information / np.outer(norm, norm))
-        share = np.maximum(share, _LEAST_SHARE)
+        eigenvalues, vectors = np.linalg.eigh(information / np.outer(norm, norm))
+        eigenvalues = np.maximum(eigenvalues, _MIN_EIGENVALUE)
         score = np.einsum("ij,i->j", weighted, residuals) / norm
-        left = residuals - jacobian @ ((vectors / share) @ (vectors.T @ score) / norm)
-        of_points = slice(len(found.residuals))
-        chi2, of_evidence = (
+        left = residuals - jacobian @ ((vectors / eigenvalues) @ (vectors.T @ score) / norm)
+        point_rows = slice(len(found.residuals))
+        chi2, evidence_chi2 = (
             float(np.sum(left[part][kept[part]] ** 2)) + OUTLIER**2 * float(np.count_nonzero(~kept[part]))
-            for part in (of_points, slice(len(found.residuals), None))
+            for part in (point_rows, slice(len(found.residuals), None))
         )
         count = len(found.residuals)
-        scale2 = max(1.0, chi2 / (count - len(self._columns) + _AS_STATED)) if linear else 1.0
-        log_information = float(np.sum(np.log(share)) + 2 * np.sum(np.log(norm)))
-        unrestricted = chi2 / scale2 + of_evidence / weight + count * np.log(scale2) + found.log_det
-        deviance = unrestricted - (len(self._columns) - _AS_STATED) * np.log(scale2) + log_information
+        scale2 = max(1.0, chi2 / (count - len(self._columns) + _STATED_WEIGHT)) if linear else 1.0
+        log_information = float(np.sum(np.log(eigenvalues)) + 2 * np.sum(np.log(norm)))
+        unrestricted = chi2 / scale2 + evidence_chi2 / weight + count * np.log(scale2) + found.log_det
+        deviance = unrestricted - (len(self._columns) - _STATED_WEIGHT) * np.log(scale2) + log_information
         scale = float(np.sqrt(scale2))
         noise = replace(self._kind, step=ratio * scale, scale=scale)
-        covariance = scale2 * ((vectors / share) @ vectors.T) / np.outer(norm, norm)
+        covariance = scale2 * ((vectors / eigenvalues) @ vectors.T) / np.outer(norm, norm)
         return LikeliestNoise(noise, float(deviance), covariance=covariance, unrestricted=float(unrestricted))
 
 
@@ -210,7 +213,7 @@ def _lowest(function: Callable[[float], float], low: float, high: float) -> floa
 
 
 def _crossing(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function that rises from negative values crosses zero, by halving."""
+    """Zero of a function that rises from negative values, by halving the interval."""
     for _ in range(8):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if function(middle) < 0 else (low, middle)

@@ -25,12 +25,12 @@ from processing.fit.result import FitResult
 from processing.least_squares import covariance_of
 from processing.swing import PIECE_HALF_CYCLES, TurningPoints
 
-_OWN = ("period0_s", AMPLITUDE.key, TIME.key)
+_RUN_PARAMETERS = ("period0_s", AMPLITUDE.key, TIME.key)
 """Parameters of which each run has its own."""
 _UNKNOWN_U = 1e6
-"""Relative uncertainty above which nothing is known: that of a singular matrix but for rounding."""
+"""Relative uncertainty from which on nothing is known: rounding makes a singular matrix give such a value."""
 _HIDDEN_RATIO = 10.0
-"""A run ends where the ground moves the pendulum in a half-swing by more than the amplitude over this."""
+"""A run ends where the amplitude is this many times the ground's step in a half-swing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,8 @@ class Conditions:
     `u_time_amplitude_s_rad` is the product of a time's uncertainty and its amplitude; `averaged` is that of
     `Noise`. `sine_covariance` is the covariance in rad^2 of the harmonics in quadrature of a piece (see
     `Waveform`), None where they are not used, and `known_drag_s` the prior of the drag. `seismometer_noise`
-    is the noise of a seismometer over the ground's motion in it, at the pendulum's frequency; None without.
+    is the ratio of a seismometer's own noise to the ground's motion in its record, at the pendulum's
+    frequency; None without a seismometer.
     """
 
     u_amplitude_rad: float
@@ -81,7 +82,7 @@ class Conditions:
         return Evidence(Waveform(middle, nothing, covariance, 1.0))
 
     def on_ground(self, rad_per_s2_rthz: float) -> "Conditions":
-        """The same measurement on another ground; a seismometer's noise stays, and its ratio changes."""
+        """The same measurement on another ground; a seismometer keeps its noise, but not the ratio of it."""
         noise = self.seismometer_noise
         if noise is not None and rad_per_s2_rthz > 0:
             noise = max(LEAST_UNEXPLAINED, noise * self.ground_rad_per_s2_rthz / rad_per_s2_rthz)
@@ -96,10 +97,10 @@ class Conditions:
 class PlannedRun:
     """One run between two amplitudes: how long it lasts, and the uncertainty of every parameter after it.
 
-    `complete` is False where the drive hides the swing before the amplitude at which the run should end.
-    `values` are those of every parameter of the fit, and `root` (k, k + 1) is a square root of Fisher's
-    information on relative changes of them (absolute ones of those that are 0), and on a relative growth of
-    the friction over the run. It does not contain the prior of the drag.
+    `complete` is False where the drive ends the run above the amplitude `last_rad`. `values` are those of the
+    k parameters of the fit. `root` (k, k + 1) is a square root of Fisher's information, without the prior of
+    the drag: on relative changes of the values (absolute ones for a value of 0), and on a relative growth of
+    the friction over the run.
     """
 
     first_rad: float
@@ -126,7 +127,7 @@ def planned_run(
     Raises
     ------
     DataError
-        The pendulum makes too few half-cycles between the two amplitudes, or none ends there.
+        The pendulum makes too few half-cycles between the two amplitudes.
     """
     drag = DRAG.key in values
     names = law.fit_names(calibrated=pendulum is not None, drag=drag)
@@ -148,15 +149,15 @@ def planned_run(
     step = step_of_density(conditions.unknown_rad_per_s2_rthz, float(np.diff(time).mean())) / model.reference
     noise, columns = Noise(step=step, averaged=conditions.averaged), model.columns.from_physical(known)
     all_known = {name: known[name] for name in model.names}
-    root = np.linalg.qr(by_relative_values(model, columns, noise)).R
+    root = np.linalg.qr(relative_jacobian(model, columns, noise)).R
     rows = np.vstack([root[:, :-1], *_drag_prior_row(conditions.known_drag_s, all_known)])
     size = np.array([abs(known[name]) or 1.0 for name in model.names])
     u = np.sqrt(np.diag(covariance_of(rows))) * size
-    told = dict(zip(model.names[:-2], u.tolist(), strict=False))
-    return PlannedRun(first_rad, last_rad, float(time[-1]), len(points), told, complete, all_known, root)
+    u_of = dict(zip(model.names[:-2], u.tolist(), strict=False))
+    return PlannedRun(first_rad, last_rad, float(time[-1]), len(points), u_of, complete, all_known, root)
 
 
-def by_relative_values(model: ExactModel, columns: Floats, noise: Noise) -> Floats:
+def relative_jacobian(model: ExactModel, columns: Floats, noise: Noise) -> Floats:
     """Derivatives (n, k + 1) of a run's residuals by relative changes of the parameters, and by the growth of
     the friction from its first turning point to its last."""
     rows = rows_with_drifts(model.linearised_at(columns), columns, noise)
@@ -179,8 +180,8 @@ def _drag_prior_row(known_drag_s: Estimate | None, values: Mapping[str, float]) 
 class PlannedSeries:
     """Runs of one contact, whose friction grows evenly during the runs and between them.
 
-    In one decay amplitude and time fall together, and the exponent takes up the effect of the age. Runs that
-    pass the same amplitudes at other times separate the two: from other first amplitudes, or after waiting.
+    In one decay the amplitude falls with time, so that the exponent p absorbs the effect of ageing. Runs that
+    pass the same amplitudes at other ages separate the two: from other first amplitudes, or after waiting.
 
     Attributes
     ----------
@@ -214,36 +215,35 @@ def planned_series(
     Every run has its own period, first amplitude and time; the prior of the drag counts once.
     """
     names = list(runs[0].values)
-    shared = [name for name in names if name not in _OWN]
-    stacked = by_shared_and_ageing(names, [(run.root, run.duration_s) for run in runs], waiting_s)
-    air = np.zeros((0, stacked.shape[1]))
+    shared = [name for name in names if name not in _RUN_PARAMETERS]
+    stacked = series_jacobian(names, [(run.root, run.duration_s) for run in runs], waiting_s)
+    prior_rows = np.zeros((0, stacked.shape[1]))
     for row in _drag_prior_row(known_drag_s, runs[0].values):
-        air = np.zeros((1, stacked.shape[1]))
-        air[0, : len(shared)] = row[[names.index(name) for name in shared]]
-    stacked = np.vstack([stacked, air])
+        prior_rows = np.zeros((1, stacked.shape[1]))
+        prior_rows[0, : len(shared)] = row[[names.index(name) for name in shared]]
+    stacked = np.vstack([stacked, prior_rows])
     u = np.sqrt(np.diag(covariance_of(stacked)))
     steady = np.sqrt(np.diag(covariance_of(np.delete(stacked, len(shared), axis=1))))
     size = [abs(runs[0].values[name]) or 1.0 for name in shared]
-    told = float(u[len(shared)]) if u[len(shared)] < _UNKNOWN_U else inf
+    u_growth = float(u[len(shared)]) if u[len(shared)] < _UNKNOWN_U else inf
     found = PlannedSeries(
         tuple(runs), waiting_s,
         {name: u[k] * size[k] for k, name in enumerate(shared)},
-        {name: steady[k] * size[k] for k, name in enumerate(shared)}, told,
+        {name: steady[k] * size[k] for k, name in enumerate(shared)}, u_growth,
     )  # fmt: skip
-    return replace(found, u_ageing_per_s=told / found.duration_s)
+    return replace(found, u_ageing_per_s=u_growth / found.duration_s)
 
 
-def by_shared_and_ageing(
-    names: Sequence[str], runs: Sequence[tuple[Floats, float]], waiting_s: float
-) -> Floats:
-    """Derivatives of the residuals of runs, one after the other, from those of `by_relative_values` and the
-    duration of each.
+def series_jacobian(names: Sequence[str], runs: Sequence[tuple[Floats, float]], waiting_s: float) -> Floats:
+    """Derivatives of the residuals of consecutive runs by shared parameters, ageing and their own parameters.
+
+    `runs` gives for each run the derivatives of `relative_jacobian` and the duration in s.
 
     The first columns are relative changes of the shared parameters, then the relative growth of the friction
     from the first turning point of all to the last, then each run's own parameters.
     """
-    shared = [k for k, name in enumerate(names) if name not in _OWN]
-    own = [k for k, name in enumerate(names) if name in _OWN]
+    shared = [k for k, name in enumerate(names) if name not in _RUN_PARAMETERS]
+    own = [k for k, name in enumerate(names) if name in _RUN_PARAMETERS]
     friction = [names.index(name) for name in ("b", "c")]
     ends_s = np.cumsum([duration_s + waiting_s for _, duration_s in runs]) - waiting_s
     whole_s, rows = float(ends_s[-1]), []
@@ -269,14 +269,14 @@ def _decay(
     conditions: Conditions,
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Amplitudes and times of the law's free decay, and whether it reaches the last amplitude."""
-    scaled = TurningPoints(
+    range_ends = TurningPoints(
         np.array([0, 1], dtype=np.int64),
         np.array([0.0, 1.0]),
         np.ones(2),
         np.array([first_rad, last_rad]),
         np.full(2, 1e-3 * last_rad),
     )
-    columns = law.columns(scaled, pendulum, names)
+    columns = law.columns(range_ends, pendulum, names)
     parameters = columns.map_parameters(columns.from_physical(known))[0]
     count = 256
     while True:
@@ -287,7 +287,7 @@ def _decay(
         count *= 2
     time = found.time * parameters[-2]
     half_period_s = float(time[1]) if np.isfinite(time[1]) else inf
-    weakest = _HIDDEN_RATIO * step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s)
-    lasting = np.isfinite(amplitude) & (amplitude >= max(last_rad, weakest))
-    complete = bool(weakest <= last_rad and np.nanmin(amplitude) < last_rad)
+    hidden_rad = _HIDDEN_RATIO * step_of_density(conditions.ground_rad_per_s2_rthz, half_period_s)
+    lasting = np.isfinite(amplitude) & (amplitude >= max(last_rad, hidden_rad))
+    complete = bool(hidden_rad <= last_rad and np.nanmin(amplitude) < last_rad)
     return amplitude[lasting], time[lasting], complete

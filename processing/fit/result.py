@@ -271,8 +271,8 @@ class FitResult(FitQuality):
         """Covariance of the values by some terms; zeros where the fit has none of them."""
         return part_of(self.terms, len(self.names), *names)
 
-    def with_term(self, name: str, by: Floats, *warnings: str, **said: Any) -> "FitResult":
-        """The fit with one further term in covariance and `terms`; `said` are fields of `FitQuality` to set.
+    def with_term(self, name: str, by: Floats, *warnings: str, **fields: Any) -> "FitResult":
+        """The fit with one further term in covariance and `terms`; `fields` are those of `FitQuality` to set.
 
         `by` are changes as in `terms`; a value that is not determined remains so.
         """
@@ -290,7 +290,7 @@ class FitResult(FitQuality):
             widened=factor if self.widened is None else self.widened * factor,
             terms={**self.terms, name: by},
             warnings=(*self.warnings, *warnings),
-            **said,
+            **fields,
         )
 
     def with_terms_of(self, other: "FitResult", *names: str) -> "FitResult":

@@ -259,17 +259,17 @@ class _Search:
             if not found.chosen:
                 return SeismometerFit(self.alone, replace(use, gain_of_prediction=found.gain))
             clock = clock_correction(self.points, self.pendulum, found.fit, drives, found.chosen)
-            said = ClockCorrection(
+            correction = ClockCorrection(
                 Estimate(delay_s + clock.delay_s.value, clock.delay_s.standard_uncertainty),
                 Estimate(drift + clock.drift.value, clock.drift.standard_uncertainty),
             )
             if not left or not clock.wrong:
                 break
-            delay_s, drift = said.delay_s.value, said.drift.value
+            delay_s, drift = correction.delay_s.value, correction.drift.value
         found = self._with(drives, found, SLOPES, pays)
-        u_delay_s = hypot(said.delay_s.standard_uncertainty, _U_DELAY * drives.period_s)
-        delay = Estimate(said.delay_s.value, u_delay_s)
-        use = replace(use, gain_of_prediction=found.gain, delay_s=delay, clock_drift=said.drift)
+        u_delay_s = hypot(correction.delay_s.standard_uncertainty, _U_DELAY * drives.period_s)
+        delay = Estimate(correction.delay_s.value, u_delay_s)
+        use = replace(use, gain_of_prediction=found.gain, delay_s=delay, clock_drift=correction.drift)
         use = accepted_use(use, self.alone, found.fit, drives.names, found.chosen)
         return SeismometerFit(
             found.fit, replace(use, spectra=seismometer_spectra(self.points, self.pendulum, found.fit))

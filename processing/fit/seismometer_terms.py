@@ -88,8 +88,8 @@ def signals_of(witness: Seismogram, period_s: float) -> Signals:
     good = np.all(np.isfinite(value), axis=1)
     if np.count_nonzero(good) * step_s < 4 * period_s:
         raise DataError(
-            f"the witness has {np.count_nonzero(good) * step_s:.3g} s of samples beside the run; at least "
-            f"four periods ({4 * period_s:.3g} s) are needed"
+            f"the seismometer has {np.count_nonzero(good) * step_s:.3g} s of samples beside the run; at "
+            f"least four periods ({4 * period_s:.3g} s) are needed"
         )
     filled = np.column_stack([np.interp(time, time[good], one[good]) for one in value.T])
     padding = min(ceil(_PADDED * period_s / step_s), len(time) - 1)
@@ -117,13 +117,13 @@ def _even(witness: Seismogram, period_s: float) -> tuple[Floats, Floats, float]:
     """Times, values (NaN where missing) and step in s of the samples at an even rate."""
     time, value = witness.time_s, witness.value
     if len(time) < 3:
-        raise DataError(f"the witness has {len(time)} samples beside the run: their times do not overlap")
+        raise DataError(f"the seismometer has {len(time)} samples beside the run: their times do not overlap")
     steps = np.diff(time)
     step_s = float(np.median(steps))
     if step_s > _COARSEST * period_s:
         raise DataError(
-            f"the witness has a sample every {step_s:.3g} s; the pendulum's period of {period_s:.3g} s needs "
-            f"one every {_COARSEST * period_s:.2g} s at least"
+            f"the seismometer has a sample every {step_s:.3g} s; the pendulum's period of {period_s:.3g} s "
+            f"needs one every {_COARSEST * period_s:.2g} s at least"
         )
     count = round((time[-1] - time[0]) / step_s) + 1
     even = time[0] + step_s * np.arange(count)
@@ -325,15 +325,15 @@ def best_offset(
     highest = points.time_s[0] + (1 - _COVERED) * length_s - first_s
     if highest <= lowest:
         raise DataError(
-            f"the witness lasts {last_s - first_s:.4g} s and has to cover {100 * _COVERED:.0f} % of the run "
-            f"of {length_s:.4g} s"
+            f"the seismometer lasts {last_s - first_s:.4g} s and has to cover {100 * _COVERED:.0f} % of the "
+            f"run of {length_s:.4g} s"
         )
     step_s = _SPACING * period_s
     tried = int((highest - lowest) / step_s) + 1
     if tried > _MOST_TRIED:
         raise DataError(
-            f"the witness lasts {last_s - first_s:.4g} s, too long to search for its offset: state it to "
-            f"{0.5 * _MOST_TRIED * step_s:.3g} s, or shorten the witness"
+            f"the seismometer lasts {last_s - first_s:.4g} s, too long to search for its offset: state it to "
+            f"{0.5 * _MOST_TRIED * step_s:.3g} s, or shorten its record"
         )
     signals = signals.only([k for one in range(len(witness.names)) for k in columns_of(one, PAIR)])
     drive = known_drive(points, signals, averaged=averaged)

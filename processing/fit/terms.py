@@ -147,9 +147,9 @@ class RestrictedLikelihood:
         by, of_others = half[:, :-1], half[:, -1]
         power, directions = np.linalg.eigh(self._gram[np.ix_(own, own)] - by.T @ by)
         score = directions.T @ (self._score[own] - by.T @ of_others)
-        told = 1.0 + np.outer(tried**2, np.maximum(power, 0.0))
+        inflation = 1.0 + np.outer(tried**2, np.maximum(power, 0.0))
         others = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(of_others @ of_others)
-        own_part = np.sum(np.log(told) - (tried[:, None] * score) ** 2 / told, axis=1)
+        own_part = np.sum(np.log(inflation) - (tried[:, None] * score) ** 2 / inflation, axis=1)
         return np.asarray(self._of_law + others + own_part)
 
     def unexplained(self, sizes: Floats) -> Floats:

@@ -18,11 +18,11 @@ USUAL_SIZE: Final[Mapping[str, float]] = {
 GROWTH: Final = ("ageing", "adhesion_ageing")
 """Names of the shared inputs for a friction that grows within every run, where no effect describes it."""
 _UNKNOWN_LEVEL = 100.0
-"""Prior standard deviation of an unknown level about the data's middle, in usual sizes."""
-_NO_PRIOR = 30.0
+"""Prior standard deviation of an unknown level about the median of the data, in usual sizes."""
+_NO_PRIOR_FACTOR = 30.0
 """Factor by which priors are widened so that they have no influence."""
-_FAR = 0.2
-"""Share of the sub-likelihood on the long side of an uneven one."""
+_LONG_SIDE = 0.2
+"""Share of the normal likelihood on the longer side, where two of them stand for a skewed one."""
 _BAD_FACTORS = (3.0, 10.0, 30.0)
 """Factors, of equal probability, on a bad run's own uncertainty and its scatter."""
 
@@ -62,7 +62,9 @@ class SeriesModel:
 
     def without_priors(self) -> "SeriesModel":
         """The same with priors so wide that the data alone decide."""
-        return replace(self, sizes={name: _NO_PRIOR * self.size(name) for name in self.names}, levels={})
+        return replace(
+            self, sizes={name: _NO_PRIOR_FACTOR * self.size(name) for name in self.names}, levels={}
+        )
 
     def with_effects(self, *effects: Effect) -> "SeriesModel":
         """The same with further effects."""
@@ -79,7 +81,12 @@ class LatentNumber(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Censored values: design, limits, +1 for upper ones, softness, place of the coordinate."""
+    """Values of B runs that are only bounded.
+
+    `x` (B, P) are their derivatives by the latent numbers, `limit` (B,) the limits, `sign` is +1 for an upper
+    limit and -1 for a lower one. `softness` is the standard deviation of a limit, `coordinate` the index of
+    the bounded coordinate.
+    """
 
     x: Floats
     limit: Floats
@@ -91,13 +98,19 @@ class Bounds(NamedTuple):
 class Design(NamedTuple):
     """Arrays of a series of R runs, k coordinates, P latent numbers, S sub-likelihoods a run.
 
-    `y` (R, S, k), `covariance` (R, S, k, k), `log_share` (R, S): each run's likelihood as a sum of normal
-    ones. Where a run does not have a coordinate, `has` (R, k) is 0, its variance 1 and its value 0. `x`
-    (R, k, P) are the derivatives of the values by the latent numbers `levels`, whose priors are `prior_mean`
-    and `prior_u` (P,). `blurred` (E, R, k) times the latent numbers `blurred_by` (E,) are standard deviations
-    by uncertain covariates. `scatter` (k,) and `varies` (P,) are places among `scales`, the scales (H,) of
-    half-normal priors of the scatters `hyper`, or -1. `worse` (K,) are factors on the widths of good and bad
-    runs, `log_kind` (K,) the logarithms of their prior probabilities.
+    Each run's likelihood is a sum of S normal ones with the means `y` (R, S, k), covariances `covariance`
+    (R, S, k, k) and logarithms of their shares `log_share` (R, S). Where a run does not have a coordinate,
+    `has` (R, k) is 0, its variance 1 and its value 0.
+
+    `x` (R, k, P) are the derivatives of the values by the latent numbers `levels`, whose priors are normal
+    with `prior_mean` and `prior_u` (P,). `blurred` (E, R, k) are standard deviations of the values by
+    uncertain covariates, for effects of size 1; `blurred_by` (E,) are the indices of these effects among
+    `levels`.
+
+    The scatters `hyper` (H,) have half-normal priors with the scales `scales` (H,). `scatter` (k,) is the
+    index of each coordinate's scatter between runs, `varies` (P,) that of the scatter of each latent number;
+    -1 means none. `worse` (K,) are factors on the widths of good and bad runs, `log_kind` (K,) the logarithms
+    of their prior probabilities.
     """
 
     y: Floats
@@ -136,20 +149,22 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
     contacts = list(dict.fromkeys(run.contact for run in runs))
     alike = model.contacts_alike and len(contacts) > 1
     for place, name in enumerate(names):
-        seen = [run.values[run.names.index(name)] for run in runs if name in run.names]
-        seen = seen or [run.bounds[name].limit for run in runs if name in run.bounds]
-        if not seen:
+        measured = [run.values[run.names.index(name)] for run in runs if name in run.names]
+        measured = measured or [run.bounds[name].limit for run in runs if name in run.bounds]
+        if not measured:
             raise DataError(f"{name}: no run of the series determines it; leave it out of the parameters")
-        prior = model.levels.get(name, Estimate(float(np.median(seen)), _UNKNOWN_LEVEL * model.size(name)))
-        whole = np.zeros((count, len(names)))
-        whole[:, place] = 1.0
+        prior = model.levels.get(
+            name, Estimate(float(np.median(measured)), _UNKNOWN_LEVEL * model.size(name))
+        )
+        all_runs = np.zeros((count, len(names)))
+        all_runs[:, place] = 1.0
         if alike:
-            latent.append((LatentNumber("mean", name), whole, *prior, -1))
+            latent.append((LatentNumber("mean", name), all_runs, *prior, -1))
             hyper.append(LatentNumber("between contacts", name))
         for contact in contacts:
-            own = whole * np.array([run.contact == contact for run in runs])[:, None]
-            about = (0.0, 1.0, len(hyper) - 1) if alike else (*prior, -1)
-            latent.append((LatentNumber("contact", name, contact), own, *about))
+            own = all_runs * np.array([run.contact == contact for run in runs])[:, None]
+            contact_prior = (0.0, 1.0, len(hyper) - 1) if alike else (*prior, -1)
+            latent.append((LatentNumber("contact", name, contact), own, *contact_prior))
     blurred: list[Floats] = []
     blurred_by: list[int] = []
     for effect in model.effects:
@@ -186,7 +201,7 @@ def design_of(runs: Sequence[CompressedRun], model: SeriesModel) -> Design:
 
 
 def _add(row: Floats, names: Sequence[str], run: CompressedRun, moved: Floats | None) -> None:
-    """Add changes of a run's values to a row of the model's coordinates."""
+    """Add changes `moved` of a run's values to a row of the model's coordinates."""
     for name, by in zip(run.names, () if moved is None else moved, strict=False):
         if name in names:
             row[names.index(name)] += by
@@ -206,12 +221,15 @@ def _values(runs: Sequence[CompressedRun], names: Sequence[str]) -> tuple[Floats
 def _skewed(
     runs: Sequence[CompressedRun], names: Sequence[str], y: Floats, covariance: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Each run as a sum of two normal likelihoods, with the first three moments of one whose widths differ on
-    either side, along the value with the most uneven profile; where none is uneven, as one."""
+    """Logarithms of shares, means and covariances of the normal likelihoods whose sum stands for each run.
+
+    They are two for each run, or one if no run has a skewed profile. Along the value with the most skewed
+    profile their sum has the first three moments of a likelihood whose widths differ on either side.
+    """
     if not any(uneven for run in runs for name, uneven in run.asymmetry.items() if name in names):
         return np.zeros((len(runs), 1)), y[:, None], covariance[:, None]
     share = np.full((len(runs), 2), 0.5)
-    both, wide = np.repeat(y[:, None], 2, axis=1), np.repeat(covariance[:, None], 2, axis=1)
+    means, covariances = np.repeat(y[:, None], 2, axis=1), np.repeat(covariance[:, None], 2, axis=1)
     for row, run in enumerate(runs):
         found = [(abs(a), a, names.index(name)) for name, a in run.asymmetry.items() if name in names]
         most, a, place = max(found, default=(0.0, 0.0, 0))
@@ -222,14 +240,14 @@ def _skewed(
         mean = float(np.sqrt(2 / np.pi)) * apart
         variance = (1 - 2 / np.pi) * apart**2 + product
         third = mean * ((4 / np.pi - 1) * apart**2 + product)
-        between = float(np.cbrt(third / (_FAR * (1 - _FAR) * (1 - 2 * _FAR))))
-        inner = variance - _FAR * (1 - _FAR) * between**2
+        between = float(np.cbrt(third / (_LONG_SIDE * (1 - _LONG_SIDE) * (1 - 2 * _LONG_SIDE))))
+        inner = variance - _LONG_SIDE * (1 - _LONG_SIDE) * between**2
         # the other values follow this one by their correlation
         along = covariance[row][:, place] / u**2
-        share[row] = 1 - _FAR, _FAR
-        both[row] += (mean + between * np.array([-_FAR, 1 - _FAR]))[:, None] * along
-        wide[row] += (inner - u**2) * np.outer(along, along)
-    return np.log(share), both, wide
+        share[row] = 1 - _LONG_SIDE, _LONG_SIDE
+        means[row] += (mean + between * np.array([-_LONG_SIDE, 1 - _LONG_SIDE]))[:, None] * along
+        covariances[row] += (inner - u**2) * np.outer(along, along)
+    return np.log(share), means, covariances
 
 
 def _effect(runs: Sequence[CompressedRun], effect: Effect, names: Sequence[str]) -> tuple[Floats, Floats]:
@@ -238,12 +256,12 @@ def _effect(runs: Sequence[CompressedRun], effect: Effect, names: Sequence[str])
     if not moved:
         raise DataError(f"{effect.label}: {effect.parameter} is not one of the parameters {', '.join(names)}")
     x, u = covariate_of(runs, effect.covariate if effect.form is not Form.DURING else ORDER)
-    here = np.array([effect.contact in ("", run.contact) for run in runs])
+    concerned = np.array([effect.contact in ("", run.contact) for run in runs])
     column, blur = np.zeros((2, len(runs), len(names)))
     value, u_value = effect.expected(x, u)
-    column[:, moved], blur[:, moved] = (value * here)[:, None], (u_value * here)[:, None]
+    column[:, moved], blur[:, moved] = (value * concerned)[:, None], (u_value * concerned)[:, None]
     if effect.bends_decays:
-        for row, (run, rate) in enumerate(zip(runs, effect.slope(x) * here, strict=True)):
+        for row, (run, rate) in enumerate(zip(runs, effect.slope(x) * concerned, strict=True)):
             if run.by_growth is not None:
                 _add(column[row], names, run, run.by_growth * rate * run.duration_s)
     return column, blur

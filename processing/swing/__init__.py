@@ -6,7 +6,7 @@ from processing.swing.half_cycle_harmonics import (
     ORDERS,
     PIECE_HALF_CYCLES,
     HarmonicClass,
-    HarmonicsWatch,
+    HarmonicsMeasurement,
     HarmonicTerms,
     SwingHarmonics,
     harmonic_classes,

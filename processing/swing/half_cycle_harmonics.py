@@ -79,8 +79,8 @@ class SwingHarmonics:
         return np.asarray(-self.harmonics.imag)
 
 
-class HarmonicsWatch:
-    """Measurement of the harmonics in a stream of deflections.
+class HarmonicsMeasurement:
+    """Measurement of the harmonics in deflections that come block by block.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ class HarmonicsWatch:
         needed = self._pieces[0][0] if self._pieces else self._run[0] if self._run else None
         self._blocks = [kept if needed is None else kept.since(needed.turn_time_ns)]
 
-    def found(self) -> SwingHarmonics:
+    def harmonics(self) -> SwingHarmonics:
         """Harmonics of all pieces so far, except those of too few samples."""
         count, values = len(ORDERS), np.array(self._values).reshape(-1, HarmonicTerms.COUNT)
         covariance = np.array(self._covariances).reshape(-1, count, count)

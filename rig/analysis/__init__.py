@@ -50,7 +50,7 @@ if TYPE_CHECKING:
         model_curves,
         with_laws,
     )
-    from rig.analysis.contact_fits import loss_of, settled_swings
+    from rig.analysis.contact_fits import loss_of, refined_half_cycles
     from rig.analysis.contact_verdicts import TABLE4_AMPLITUDE_ARCSEC, base_motion, with_contact
     from rig.analysis.half_cycle_fits import clock_rate_of
     from rig.analysis.passing_deflections import PassingDeflections
@@ -79,7 +79,7 @@ else:
         for module, names in {
             "air": "evidence_of expected_drag known_drag recorded_surroundings stated_surroundings",
             "compared_laws": "Curves ModelCurve chosen_laws curves_of model_curves with_laws",
-            "contact_fits": "loss_of settled_swings",
+            "contact_fits": "loss_of refined_half_cycles",
             "contact_verdicts": "TABLE4_AMPLITUDE_ARCSEC base_motion with_contact",
             "half_cycle_fits": "clock_rate_of",
             "passing_deflections": "PassingDeflections",

@@ -20,8 +20,8 @@ from processing.swing import SwingHarmonics
 from rig.settings import Configuration
 from rig.terminal import percent, quantity
 
-_AIR = ("temperature_c", "humidity_percent", "pressure_pa")
-_USUAL = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
+_AIR_KEYS = ("temperature_c", "humidity_percent", "pressure_pa")
+_USUAL_AIR = {"temperature_c": 20.0, "humidity_percent": 50.0, "pressure_pa": 101325.0}
 _FEWEST_READINGS = 4
 """Fewest readings that show a change."""
 _HISTORY_KEYS = {"dwell_s": "contact_made", "age_s": "surfaces_cleaned"}
@@ -53,13 +53,13 @@ def recorded_surroundings(reader: RecordReader, config: Configuration | None = N
         air = asdict(stated_surroundings(config))
         stated = {name: getattr(config.session, key) for name, key in _HISTORY_KEYS.items()}
         times = {name: at.isoformat() if at is not None else "" for name, at in stated.items()}
-    return AmbientConditions(**_read(reader, air), **_since(reader, times))
+    return AmbientConditions(**_air_readings(reader, air), **_contact_history(reader, times))
 
 
-def _read(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]:
+def _air_readings(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]:
     table = reader.table(ENVIRONMENT.topic)
     found = {}
-    for name in _AIR:
+    for name in _AIR_KEYS:
         readings = table[name] if len(table) else np.empty(0)
         read = readings[np.isfinite(readings)]
         found[name] = float(np.mean(read)) if len(read) else stated.get(name, nan)
@@ -70,7 +70,7 @@ def _read(reader: RecordReader, stated: Mapping[str, float]) -> dict[str, float]
     return found
 
 
-def _since(reader: RecordReader, times: Mapping[str, str]) -> dict[str, float]:
+def _contact_history(reader: RecordReader, times: Mapping[str, str]) -> dict[str, float]:
     stated = {name: datetime.fromisoformat(text) for name, text in times.items() if text}
     first = next(iter(reader.messages(SPOT.topic)), None) if stated else None
     # the log time is UTC already
@@ -88,21 +88,26 @@ def _number(text: str) -> float:
         return nan
 
 
-def air_doubts(found: AmbientConditions) -> list[str]:
+def ambient_warnings(ambient: AmbientConditions) -> list[str]:
     """Warnings of stated times that are impossible, and of a humidity that was hardly meant."""
-    said = [doubtful_humidity(found.humidity_percent)]
-    return [*filter(None, said)] + [
-        f"session.{key} lies {-getattr(found, name):.0f} s after the run began: correct its date or offset"
+    humidity = doubtful_humidity(ambient.humidity_percent)
+    return [*filter(None, [humidity])] + [
+        f"session.{key} lies {-getattr(ambient, name):.0f} s after the run began: correct its date or offset"
         for name, key in _HISTORY_KEYS.items()
-        if getattr(found, name) < 0
+        if getattr(ambient, name) < 0
     ]
 
 
 def expected_drag(
-    found: AmbientConditions, pendulum: PendulumOnBall, period_s: float, config: Configuration
+    ambient: AmbientConditions, pendulum: PendulumOnBall, period_s: float, config: Configuration
 ) -> ExpectedDrag:
-    """The drag of a bar of the pendulum's size in this air; `_USUAL` values stand for unknown ones."""
-    air = humid_air(**{**_USUAL, **{name: value for name, value in found.known().items() if name in _AIR}})
+    """The drag of a bar of the pendulum's size in this air; values of `_USUAL_AIR` stand for unknown ones."""
+    air = humid_air(
+        **{
+            **_USUAL_AIR,
+            **{name: value for name, value in ambient.known().items() if name in _AIR_KEYS},
+        }
+    )
     stated = config.pendulum
     length, width = (None, None) if stated is None else (stated.length_m, stated.width_m)
     bar = bar_of(pendulum, period_s, length, width)
@@ -112,19 +117,22 @@ def expected_drag(
         air_viscosity_pa_s=air.viscosity_pa_s,
         length_m=bar.length_m,
         width_m=bar.width_m,
-        assumed=tuple(name for name in _AIR if name not in found.known())
+        assumed=tuple(name for name in _AIR_KEYS if name not in ambient.known())
         + tuple(name for name, value in (("length_m", length), ("width_m", width)) if value is None),
     )
 
 
 _U_RELATIVE, _U_RELATIVE_STATED = 0.75, 0.3
-"""Relative standard uncertainty of a bar's drag as that of the pendulum: a factor of two up or down, and the
-effect of ends, mirror and weights where length and width are stated."""
+"""Relative standard uncertainty of the drag of a bar as an estimate of the pendulum's drag.
+
+The first is a factor of two up or down. The second, where length and width are stated, is the effect of ends,
+mirror and weights.
+"""
 _GEOMETRY = frozenset({"length_m", "width_m"})
 
 
 class FittedDrag(NamedTuple):
-    """Whether a drag is fitted, and its prior, None without one."""
+    """Whether a drag is fitted, and the prior `known_s` of it, None without one."""
 
     fitted: bool = True
     known_s: Estimate | None = None
@@ -136,16 +144,16 @@ OPEN_DRAG = FittedDrag()
 def known_drag(
     config: Configuration, air: AmbientConditions, pendulum: PendulumOnBall, period_s: float
 ) -> tuple[FittedDrag, ExpectedDrag]:
-    """The drag that [fit] asks for, and the one expected of the air."""
-    of_air, settings = expected_drag(air, pendulum, period_s, config), config.fit
+    """The drag as the section [fit] states it, and the one expected of the air."""
+    expected, settings = expected_drag(air, pendulum, period_s, config), config.fit
     if settings.drag == "vacuum":
-        return FittedDrag(fitted=False), of_air
+        return FittedDrag(fitted=False), expected
     if settings.drag == "open":
-        return FittedDrag(), of_air
+        return FittedDrag(), expected
     if settings.drag_s is not None:
-        return FittedDrag(known_s=Estimate(settings.drag_s, settings.u_drag_s)), of_air
-    doubt = _U_RELATIVE if _GEOMETRY & set(of_air.assumed) else _U_RELATIVE_STATED
-    return FittedDrag(known_s=Estimate(of_air.drag_s, doubt * of_air.drag_s)), of_air
+        return FittedDrag(known_s=Estimate(settings.drag_s, settings.u_drag_s)), expected
+    doubt = _U_RELATIVE if _GEOMETRY & set(expected.assumed) else _U_RELATIVE_STATED
+    return FittedDrag(known_s=Estimate(expected.drag_s, doubt * expected.drag_s)), expected
 
 
 def evidence_of(drag: FittedDrag, harmonics: SwingHarmonics | None) -> Evidence:
@@ -160,10 +168,11 @@ _DRIFT_NAMES = {"ageing": "friction b", "adhesion_ageing": "c", "drag_drift": "t
 
 
 def assumed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, InputQuantity]:
-    """Relative changes over a run by the names of `RigQuantities`: 0 with the uncertainties of [fit].
+    """Relative changes over a run, by their names in `RigQuantities`: all are 0, with standard uncertainties.
 
-    Those of period and drag follow from the change of the temperature, read or stated: by the pendulum's
-    thermal expansion and by the viscosity of the air.
+    The section [fit] states the uncertainties of friction, adhesion and drag. Those of the period, and of the
+    drag where none is stated, follow from the change of the temperature, measured or stated, through thermal
+    expansion and the viscosity of the air.
     """
     fit, change_k = config.fit, config.fit.u_temperature_change_k
     if isfinite(air.temperature_change_k):
@@ -178,9 +187,9 @@ def assumed_drifts(config: Configuration, air: AmbientConditions) -> dict[str, I
     return {name: InputQuantity(0.0, one) for name, one in u.items()}
 
 
-def limit_sentence(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit: FitResult) -> str:
+def drift_note(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], fit: FitResult) -> str:
     """Note on the effect of drifts that a decay alone does not reveal; empty where it is below 1 u."""
-    said = []
+    notes = []
     for source, what in _DRIFT_NAMES.items():
         moved = []
         for name, slope in zip(fit.contact_names, drifts[source].tolist(), strict=True):
@@ -188,11 +197,11 @@ def limit_sentence(drifts: Mapping[str, Floats], u_drifts: Mapping[str, float], 
             if by > (u := fit.estimate(name).standard_uncertainty):
                 moved.append(f"{quantity(name).symbol} by {by / u:.2g} u")
         if moved:
-            said.append(f"{percent(u_drifts[source])} of {what} over the run would move {', '.join(moved)}")
-    if not said:
+            notes.append(f"{percent(u_drifts[source])} of {what} over the run would move {', '.join(moved)}")
+    if not notes:
         return ""
     return (
-        f"A single decay cannot reveal ageing of the contact, or a drag that drifts: {'; '.join(said)} of "
+        f"A single decay cannot reveal ageing of the contact, or a drag that drifts: {'; '.join(notes)} of "
         "the swings; the budget includes it (fit.u_ageing, u_adhesion_ageing, u_drag_drift). Runs from other "
         "first amplitudes, and after waiting, can reveal it."
     )

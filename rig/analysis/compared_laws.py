@@ -92,7 +92,7 @@ def with_laws(run: AnalysedRun, laws: Iterable[Law | StatedLaw]) -> AnalysedRun:
 
 
 def _remedy(free: ModelFreeMoments, one: str, other: str) -> str:
-    """Where two laws differ most in uncertainties of one run, and how many runs would separate them there."""
+    """Largest difference of two laws in uncertainties of a run, and the number of runs that separate them."""
     by_moment = {
         "friction": np.abs(free.laws[one].friction_n_m - free.laws[other].friction_n_m) / free.u_friction_n_m,
         "elastic moment": np.abs(free.laws[one].elastic_n_m - free.laws[other].elastic_n_m)

@@ -44,7 +44,7 @@ from processing.position_map import PositionMap, PositionMapSearch
 from processing.swing import (
     CycleWatch,
     HalfCycle,
-    HarmonicsWatch,
+    HarmonicsMeasurement,
     KnownMotion,
     SwingHarmonics,
     TurningPoints,
@@ -71,7 +71,7 @@ class RefinedHalfCycles(NamedTuple):
     harmonics: SwingHarmonics | None = None
 
 
-def settled_swings(
+def refined_half_cycles(
     swings: Sequence[HalfCycle],
     blocks: Iterable[Deflections],
     unit: DeflectionUnit,
@@ -104,17 +104,17 @@ def settled_swings(
     turned = [swing.centre + swing.side * swing.amplitude for swing in swings if not swing.flags]
     search = PositionMapSearch(min(turned), max(turned), watch.cycles)
     again = second_measurement(swings, _watched(blocks, watch, search), motion)
-    settled = RefinedHalfCycles(*refine(swings, blocks, motion, first, fit, again), harmonics=harmonics)
+    refined = RefinedHalfCycles(*refine(swings, blocks, motion, first, fit, again), harmonics=harmonics)
     found = search.position_map()
     if found is None:
-        return settled
-    corrected = _without_position_errors(swings, blocks, motion, settled.exact or first, found, fit, drag)
+        return refined
+    corrected = _without_position_errors(swings, blocks, motion, refined.exact or first, found, fit, drag)
     if corrected is None:
         doubt = (
             "the residuals show errors of position that are fixed on the sensor, but correcting them does "
             "not improve the fit of the laws: they are left uncorrected"
         )
-        return settled._replace(doubt="; ".join(filter(None, [settled.doubt, doubt])))
+        return refined._replace(doubt="; ".join(filter(None, [refined.doubt, doubt])))
     return corrected
 
 
@@ -182,10 +182,10 @@ def _with_remaining_errors(
 
 
 def _harmonics_of(blocks: Iterable[Deflections], swings: Sequence[HalfCycle]) -> SwingHarmonics:
-    watch = HarmonicsWatch(swings)
+    watch = HarmonicsMeasurement(swings)
     for block in blocks:
         watch.update(block)
-    return watch.found()
+    return watch.harmonics()
 
 
 def _position_errors(

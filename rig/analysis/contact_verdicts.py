@@ -41,7 +41,7 @@ from processing.fit import (
 from processing.noise_models import nlnm_db
 from processing.swing import TurningPoints
 from processing.units import ARCSEC_RAD
-from rig.analysis.air import limit_sentence
+from rig.analysis.air import drift_note
 from rig.analysis.contact_results import Correlation, Fit
 from rig.analysis.result_rows import (
     SURFACE_ENERGY,
@@ -163,9 +163,7 @@ def with_contact(
             by_plane = amplitude_error_effects(at, plane_errors)
             by_inputs["plane_of_swing_rad"] = by_plane / rig.plane_of_swing_rad.u
         contact = replace(fitted_contact(exact), by_inputs=by_inputs)
-        notes += filter(
-            None, [limit_sentence(drifts, {name: rig.inputs()[name].u for name in drifts}, exact)]
-        )
+        notes += filter(None, [drift_note(drifts, {name: rig.inputs()[name].u for name in drifts}, exact)])
         tables = budgets(contact, rig)
         if all(quantity.u == 0 for quantity in rig.inputs().values()):
             notes.append(

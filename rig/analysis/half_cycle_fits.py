@@ -19,7 +19,7 @@ from processing.fit import FitResult, InputQuantity, points_in_true_time, row_de
 from processing.instruments import SharedError
 from processing.swing import TurningPoints
 from rig.analysis.air import OPEN_DRAG, assumed_drifts, evidence_of, known_drag
-from rig.analysis.contact_fits import fit_decay, settled_swings
+from rig.analysis.contact_fits import fit_decay, refined_half_cycles
 from rig.analysis.contact_verdicts import rig_quantities, with_contact
 from rig.analysis.other_instruments import reduce_run
 from rig.analysis.run_values import PositionErrors, StoredTurningPoints
@@ -62,9 +62,9 @@ def analyse_swings(
     if pendulum is not None and len(detected) > 1:
         drag, of_air = known_drag(config, air, pendulum, mean_period(detected))
     believed = assumed_drifts(config, air)
-    settled = settled_swings(followed.swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
-    points = points_in_true_time(settled.swings, clock_rate)
-    first_ns = next((swing.turn_time_ns for swing in settled.swings if not swing.flags), None)
+    refined = refined_half_cycles(followed.swings, deflections, unit, pendulum, config.fit, clock_rate, drag)
+    points = points_in_true_time(refined.swings, clock_rate)
+    first_ns = next((swing.turn_time_ns for swing in refined.swings if not swing.flags), None)
     fits: Mapping[str, FitResult] = {}
     of_ground, problem = None, followed.problem
     if not problem and unit is not DeflectionUnit.RAD:
@@ -75,9 +75,9 @@ def analyse_swings(
                 points,
                 pendulum,
                 config.fit,
-                settled.exact,
+                refined.exact,
                 drag=drag.fitted,
-                evidence=evidence_of(drag, settled.harmonics),
+                evidence=evidence_of(drag, refined.harmonics),
                 drifts={name: one.u for name, one in believed.items()} if config.fit.drifts else None,
                 witness=None if witness is None or first_ns is None else witness.beside(first_ns),
             )
@@ -85,13 +85,13 @@ def analyse_swings(
         problem = str(error)
     ratio = deflections.fast_ratio()
     across = why_no_half_cycles(path.name, ratio, len(points), config.axes)
-    errors = None if settled.position_map is None else PositionErrors.of(settled.position_map, unit)
-    warnings = list(dict.fromkeys([*_fit_warnings(fits), *filter(None, [settled.doubt])]))
-    if settled.harmonics is not None and config.lever is not None and len(points) > 1:
-        of_rows = row_delay(settled.harmonics, mean_period(points))
+    errors = None if refined.position_map is None else PositionErrors.of(refined.position_map, unit)
+    warnings = list(dict.fromkeys([*_fit_warnings(fits), *filter(None, [refined.doubt])]))
+    if refined.harmonics is not None and config.lever is not None and len(points) > 1:
+        of_rows = row_delay(refined.harmonics, mean_period(points))
         if of_rows.seen:
             warnings.append(of_rows.text(config.lever.pixel_pitch_m / (2.0 * config.lever.arm_m)))
-    rest_rad = float(np.median([swing.centre for swing in settled.swings if not swing.flags] or [0.0]))
+    rest_rad = float(np.median([swing.centre for swing in refined.swings if not swing.flags] or [0.0]))
     inputs = {
         "common_amplitude_rad": InputQuantity(0.0, u_common_rad),
         "plane_of_swing_rad": InputQuantity(0.0, followed.u_rad),
@@ -102,17 +102,17 @@ def analyse_swings(
         of_ground = replace(of_ground, source=record.name, understood=record.understood)
     run = AnalysedRun(
         **_head(path, points, unit),
-        measured_again_on=settled.motion,
+        measured_again_on=refined.motion,
         position_errors=errors,
         problem=across or problem,
         warnings=tuple(warnings),
         settings=config.fit.model_dump(),
-        turning_points=StoredTurningPoints.of(points, settled.swings, unit, clock_rate),
+        turning_points=StoredTurningPoints.of(points, refined.swings, unit, clock_rate),
         witness=of_ground,
         notes=tuple(filter(None, [followed.text, "" if errors is None else errors.text])),
         fitted=fits,
         rig=rig_quantities(config, ratio, rest_rad, u_clock, **inputs),
-        harmonics=settled.harmonics,
+        harmonics=refined.harmonics,
     )
     if not fits or pendulum is None:
         return run

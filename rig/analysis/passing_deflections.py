@@ -12,7 +12,7 @@ from processing.arrays import Floats, Ints
 from processing.deflections import Deflections, DeflectionUnit
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.reference_gain import gain_in_swings
+from processing.reference_gain import gain_while_swinging
 from processing.reference_spot import (
     CorrectedPositions,
     ReferenceVerdict,
@@ -179,9 +179,11 @@ class BeamMotionCorrection:
     def text(self) -> str:
         """Verdict on the reference spot, in one line."""
         lost = int(np.count_nonzero(next(iter(self.found.values())).fallen_back))
-        said = ", ".join(f"{name[0]} {one.verdict}{self._gain(one)}" for name, one in self.found.items())
+        gains_text = ", ".join(
+            f"{name[0]} {one.verdict}{self._gain(one)}" for name, one in self.found.items()
+        )
         fallen = f"; {lost} frames without it are unchanged" if lost else ""
-        return f"reference spot: {said}{fallen}"
+        return f"reference spot: {gains_text}{fallen}"
 
     def _gain(self, one: CorrectedPositions) -> str:
         if self._stated is not None or not np.isfinite(one.gain.value):
@@ -318,7 +320,7 @@ def _fitted_gain(
     times_ns: Ints, spot_px: Floats, u_spot_px: Floats, reference_px: Floats, u_px: Floats
 ) -> Estimate | None:
     try:
-        return gain_in_swings(times_ns, spot_px, u_spot_px, reference_px, u_px)
+        return gain_while_swinging(times_ns, spot_px, u_spot_px, reference_px, u_px)
     except DataError:
         return None
 

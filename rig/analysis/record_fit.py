@@ -14,7 +14,7 @@ from processing.balance import balance_of_run
 from processing.deflections import Deflections, DeflectionUnit
 from processing.spot import BeamUse
 from processing.swing import HalfCycle, swings_of_blocks
-from rig.analysis.air import air_doubts, recorded_surroundings
+from rig.analysis.air import ambient_warnings, recorded_surroundings
 from rig.analysis.decay_values import decay_rows, values_of_points
 from rig.analysis.half_cycle_fits import analyse_swings, u_second
 from rig.analysis.passing_deflections import (
@@ -129,7 +129,7 @@ def analyse_run(
     run = analyse_swings(reader.path, followed, config, surroundings, u_clock, beside)
     began, ended = reader.utc(deflections.first_ns), reader.utc(deflections.last_ns)
     calibration, doubts = judge_calibration(config, reader.attachments, began, ended)
-    warnings = [*run.warnings, *doubts, *reader.doubts(), *air_doubts(surroundings)]
+    warnings = [*run.warnings, *doubts, *reader.doubts(), *ambient_warnings(surroundings)]
     end = end_of(reader.events())
     judged = Beam.of(beam, noise_is_known=config.sensor is not None)
     if pulled is not None and judged.poor_fit_frames:

@@ -69,15 +69,15 @@ def run_clock(reader: RecordReader, config: Configuration) -> RunClock | None:
 def _u_of_rate(config: Configuration, rate: float, u_rate: float, u_host: float) -> float:
     """Relative standard uncertainty of the rate with which the run's times were computed.
 
-    A calibrated rate that the run contradicts, and an assumed one, have their deviation from the run's own
-    rate as uncertainty.
+    It is that of the calibration; for a calibrated rate that the run contradicts, and for an assumed rate, it
+    is the deviation from the run's own rate.
     """
-    u_seen = math.hypot(u_rate, u_host, U_QUARTZ)
+    u_measured = math.hypot(u_rate, u_host, U_QUARTZ)
     if config.timebase is None:
-        return _U_UNKNOWN if math.isnan(u_rate) else math.hypot(rate - 1.0, u_seen)
-    off, u_known = rate - config.timebase.camera_rate, config.timebase.u_camera_rate
-    contradicted = math.isfinite(u_rate) and abs(off) > 3.0 * math.hypot(u_known, u_seen)
-    return math.hypot(off, u_seen) if contradicted else u_known
+        return _U_UNKNOWN if math.isnan(u_rate) else math.hypot(rate - 1.0, u_measured)
+    deviation, u_known = rate - config.timebase.camera_rate, config.timebase.u_camera_rate
+    contradicted = math.isfinite(u_rate) and abs(deviation) > 3.0 * math.hypot(u_known, u_measured)
+    return math.hypot(deviation, u_measured) if contradicted else u_known
 
 
 _MOST_KELVIN = 1.0
@@ -85,7 +85,7 @@ _MOST_KELVIN = 1.0
 with each kelvin."""
 _MOST_LEFT_OUT = 0.2
 """Largest share of half-cycles that the ground moves too much to be fitted."""
-_STEPS = {
+_FORBIDDEN_EVENTS = {
     EventKind.LASER_DARK: (
         "light",
         "nothing confirmed that the laser was lit",
@@ -117,16 +117,16 @@ def run_conditions(
         _fraction("dropped frames", dropped, frames + dropped, most, remedy),
         *([] if run.beam is None else [_beam(run.beam, limits.max_poor_fit_fraction)]),
         *([] if run.beam is None else [_saturation(run.beam, frames, limits.max_saturated_fraction)]),
-        *_steps(reader.events()),
+        *_forbidden_events(reader.events()),
         *([] if run.clock is None else [_clock(run.clock)]),
-        *_watching(reader.events()),
+        *_watcher_failures(reader.events()),
         *_temperature(reader),
         *_ground(None if exact is None else exact.ground, run.half_cycles),
         *others,
     )
 
 
-def _judged(name: str, ok: bool, reason: str, remedy: str, measured: str, limit: str) -> Verdict:
+def _condition(name: str, ok: bool, reason: str, remedy: str, measured: str, limit: str) -> Verdict:
     """A condition, with reason and remedy where it is not met."""
     return Verdict(name, ok, "" if ok else reason, "" if ok else remedy, measured=measured, limit=limit)
 
@@ -142,10 +142,10 @@ def _end(end: Event | None) -> Verdict:
     return Verdict("end", True, early, measured=end.text, limit="its own")
 
 
-def _fraction(name: str, count: int, of: int, most: float, remedy: str) -> Verdict:
-    part = count / of if of else 0.0
-    measured = f"{count} of {of} ({percent(part)})"
-    return _judged(name, part <= most, "too many", remedy, measured, f"{100 * most:g} %")
+def _fraction(name: str, count: int, total: int, most: float, remedy: str) -> Verdict:
+    part = count / total if total else 0.0
+    measured = f"{count} of {total} ({percent(part)})"
+    return _condition(name, part <= most, "too many", remedy, measured, f"{100 * most:g} %")
 
 
 def _beam(beam: Beam, most: float) -> Verdict:
@@ -154,7 +154,7 @@ def _beam(beam: Beam, most: float) -> Verdict:
     part = percent(beam.poor_fit_frames / max(beam.judged_frames, 1))
     measured = f"{beam.model or 'no spot'}, POOR_FIT in {beam.poor_fit_frames} of {beam.judged_frames}"
     good = not beam.poor_fit_fraction > most
-    found = _judged("beam", good, why, beam.remedy, f"{measured} ({part})", f"{100 * most:g} %")
+    found = _condition("beam", good, why, beam.remedy, f"{measured} ({part})", f"{100 * most:g} %")
     return replace(found, ok=True)
 
 
@@ -170,18 +170,18 @@ def _saturation(beam: Beam, frames: int, most: float) -> Verdict:
     return replace(found, ok=True, reason="" if found.ok else "pixels at full scale are lost to the fit")
 
 
-def _steps(events: Sequence[Event]) -> list[Verdict]:
+def _forbidden_events(events: Sequence[Event]) -> list[Verdict]:
     unlit = EventKind.LASER_DARK
     events = [one._replace(kind=unlit) if one.kind == EventKind.LASER_UNKNOWN else one for one in events]
     happened = Counter(event.kind for event in events)
     texts = {event.kind: event.text for event in reversed(events)}
     times = {0: "never", 1: "once"}
     return [
-        _judged(
+        _condition(
             name, not happened[kind], f"{reason}: {texts.get(kind, '')}", remedy,
             times.get(happened[kind], f"{happened[kind]} times"), "never",
         )
-        for kind, (name, reason, remedy) in _STEPS.items()
+        for kind, (name, reason, remedy) in _FORBIDDEN_EVENTS.items()
     ]  # fmt: skip
 
 
@@ -195,7 +195,7 @@ def _clock(clock: RunClock) -> Verdict:
     return Verdict("camera's clock", ok, known, remedy, measured=clock.text, limit=_LIMIT)
 
 
-def _watching(events: Sequence[Event]) -> list[Verdict]:
+def _watcher_failures(events: Sequence[Event]) -> list[Verdict]:
     """A warning where a part that only watches the run failed, which leaves the record whole."""
     texts = [event.text for event in events if event.kind == EventKind.WATCHER_FAILED]
     if not texts:
@@ -212,7 +212,7 @@ def _temperature(reader: RecordReader) -> list[Verdict]:
     measured = f"{np.min(read_c):.2f} to {np.max(read_c):.2f} °C"
     reason, remedy = "it changed during the run", "wait until the room is steady; shield the rig"
     ok = float(np.ptp(read_c)) <= _MOST_KELVIN
-    return [_judged("temperature", ok, reason, remedy, measured, f"within {_MOST_KELVIN:g} K")]
+    return [_condition("temperature", ok, reason, remedy, measured, f"within {_MOST_KELVIN:g} K")]
 
 
 def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
@@ -225,4 +225,4 @@ def _ground(ground: Ground | None, half_cycles: int) -> list[Verdict]:
     remedy = "measure at a quieter time or place; end at a larger amplitude"
     measured = f"{percent(part)} of the half-cycles left out, uncertainties × {widest:.2g}"
     limit = f"{100 * _MOST_LEFT_OUT:g} % left out"
-    return [_judged("ground", part <= _MOST_LEFT_OUT, reason, remedy, measured, limit)]
+    return [_condition("ground", part <= _MOST_LEFT_OUT, reason, remedy, measured, limit)]

@@ -223,8 +223,8 @@ def _fit_remarks(run: RunResults) -> Iterator[Remark]:
         yield Remark("advice", RemarkLevel.ADVICE, _advice(whole_result(run)))
     for row in run.contact:
         if not row.determined and row.quantity not in ENERGIES:
-            said = f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip()
-            yield Remark("not determined", detail, f"{said}.")
+            unknown = f"Not determined: {row.shown.symbol}, {row.text} {row.shown.unit}".rstrip()
+            yield Remark("not determined", detail, f"{unknown}.")
     for note in run.notes:
         yield Remark("note", detail, note)
 
@@ -366,10 +366,10 @@ def _waveform_sentence(worth: Mapping[str, Mapping[str, float]]) -> str:
         return ""
     ordered = sorted(gained.items(), key=lambda item: -item[1])
     listed = ", ".join(f"{plain(one, 2)} ({quantity(name).symbol})" for name, one in ordered if isfinite(one))
-    said = [f"the uncertainties would be larger, by factors of {listed}"] if listed else []
+    effects = [f"the uncertainties would be larger, by factors of {listed}"] if listed else []
     lost = " and ".join(quantity(name).symbol for name, one in ordered if not isfinite(one))
-    said += [f"{lost} would not be determined at all"] if lost else []
-    return f"Without the waveform of the swing {', and '.join(said)}."
+    effects += [f"{lost} would not be determined at all"] if lost else []
+    return f"Without the waveform of the swing {', and '.join(effects)}."
 
 
 def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -> str:
@@ -382,7 +382,7 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
     moved = f"; it changes {changes}" if changes else ""
     match drag.finding:
         case DragFinding.SEEN:
-            said = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
+            drag_text = f"{shown.text(*drag.drag_s) if row is None else row.text} s{moved}"
         case DragFinding.OPEN if _by_the_data(drag):
             counted = "part of every uncertainty" if fitted else "in no uncertainty (fit.drag = vacuum)"
             return (
@@ -390,18 +390,18 @@ def _drag_sentence(drag: Drag, rows: Mapping[str, ResultRow], *, fitted: bool) -
                 f"friction; what it allows, {shown.text(*drag.of_data_s)} s, is {counted}{moved}."
             ).replace("-", "−")
         case DragFinding.OPEN if drag.known_s is not None:
-            said = (
+            drag_text = (
                 f"the drag expected of the air, {shown.text(*drag.known_s)} s, is used; its uncertainty is "
                 f"part of all others{moved}"
             )
         case DragFinding.OPEN:
             known = f"{shown.text(*drag.drag_s)} s; " if isfinite(drag.drag_s.value) else ""
-            said = f"{known}state what you know of the air (fit.drag)"
+            drag_text = f"{known}state what you know of the air (fit.drag)"
         case _:
-            said = (
+            drag_text = (
                 f"{shown.text(*drag.of_data_s)} s, with a probability of {plain(drag.p_value, 2)} by chance"
             )
-    return f"{_FINDINGS[drag.finding]}: {said}.".replace("-", "−")
+    return f"{_FINDINGS[drag.finding]}: {drag_text}.".replace("-", "−")
 
 
 def _by_the_data(drag: Drag) -> bool:
@@ -414,9 +414,10 @@ def decay_lines(results: RunResults) -> list[str]:
     """Lines on period, decrement, quality factor and damping of a decay, as far as they are known."""
     names = ("mean_period_s", "log_decrement", "quality_factor")
     rows = [row for row in results.table if row.fit == DECAY and row.quantity in names]
-    said = {"mean_period_s": "period"}
+    shown_names = {"mean_period_s": "period"}
     lines = [
-        f"{said.get(row.quantity, row.shown.symbol)} {row.text} {row.shown.unit}".rstrip() for row in rows
+        f"{shown_names.get(row.quantity, row.shown.symbol)} {row.text} {row.shown.unit}".rstrip()
+        for row in rows
     ]
     if results.damping is not None:
         lines += results.damping.lines(results.amplitude_unit or "")

@@ -120,10 +120,10 @@ def _read_table(path: Path, columns: Sequence[str], time_unit: str) -> Seismomet
     try:
         table = read_columns(path, columns, time_unit)
     except RigError as error:
-        said = str(error)
+        message = str(error)
         for option, of_witness in _REMEDIES.items():
-            said = said.replace(option, of_witness)
-        raise type(error)(said) from None
+            message = message.replace(option, of_witness)
+        raise type(error)(message) from None
     return SeismometerRecord(
         path.name,
         table.times_ns,

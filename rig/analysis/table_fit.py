@@ -28,7 +28,7 @@ from processing.swing import (
     turning_points,
 )
 from processing.units import ARCSEC_RAD, seconds
-from rig.analysis.air import air_doubts, stated_surroundings, table_surroundings
+from rig.analysis.air import ambient_warnings, stated_surroundings, table_surroundings
 from rig.analysis.compared_laws import with_laws
 from rig.analysis.decay_values import amplitude_damping, decay_rows, decay_values
 from rig.analysis.half_cycle_fits import analyse_swings
@@ -291,7 +291,7 @@ def _analyse(
         found = table_surroundings(config, began_s if began_s > FIRST_UTC_S else None)
         run = replace(run, surroundings=found)
         session = {key: text for key in _STATED if (text := getattr(config.session, key))}
-        warnings += air_doubts(found)
+        warnings += ambient_warnings(found)
         warnings += strange_amplitudes(points.amplitude / ARCSEC_RAD, trajectory, config)
         notes += _taken_as_exact(config) if run.budget else []
     results = replace(

@@ -136,9 +136,9 @@ def _connected(
         yield connection
     except (duckdb.DataError, duckdb.InvalidInputException, duckdb.OutOfMemoryException) as error:
         # for example '45 %', which is no number, or a table joined with itself
-        said = str(error).splitlines()[0].partition(": ")[2]
+        reason = str(error).splitlines()[0].partition(": ")[2]
         raise ConfigurationError(
-            f"condition or columns: {said}; docs/reference/archive.md lists the columns and their units"
+            f"condition or columns: {reason}; docs/reference/archive.md lists the columns and their units"
         ) from None
     except duckdb.Error as error:
         raise RecordError(
@@ -275,14 +275,14 @@ def selected(
                 raise ConfigurationError(f"condition {condition!r}: holds a semicolon; leave it out")
             chosen = connection.sql(query)
         except duckdb.Error as error:
-            said = str(error).splitlines()[0].removeprefix("Binder Error: ")
+            reason = str(error).splitlines()[0].removeprefix("Binder Error: ")
             at_fault = f"condition {condition!r}"
             try:
                 connection.sql(f"select {wanted} from runs limit 0")
             except duckdb.Error:
                 at_fault = f"columns {wanted!r}"
             raise ConfigurationError(
-                f"{at_fault}: {said}; docs/reference/archive.md lists the columns"
+                f"{at_fault}: {reason}; docs/reference/archive.md lists the columns"
             ) from None
         found = chosen.query("chosen", then) if then else chosen
         return list(found.columns), found.fetchall()

@@ -248,9 +248,9 @@ def _say(path: Path) -> None:
     found = made.calibration
     answer(calibration=found.model_dump(mode="json"), written=[path])
     print_line(f"{found.kind}: {found.method}, valid until {found.valid_until:%Y-%m-%d}")
-    said = numbers_of(found)
-    open_ends = {name for name, value in said.items() if isinstance(value, float) and not isfinite(value)}
-    for name, value in said.items():
+    numbers = numbers_of(found)
+    open_ends = {name for name, value in numbers.items() if isinstance(value, float) and not isfinite(value)}
+    for name, value in numbers.items():
         if {name, f"u_{name}"} & open_ends and not name.endswith("_dof"):
             print_line(f"  {name:24} not determined")
         elif isinstance(value, bool | str):

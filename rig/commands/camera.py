@@ -292,11 +292,11 @@ def align(
     loaded = complete(load_configuration(config, set_ or []))
     with ExitStack() as stack:
         camera, info, applied = stack.enter_context(_opened_camera(config, set_))
-        show = None
+        show_frame = None
         if rrd is not None or view:
             shown = stack.enter_context(ScratchView("aligning", MODES[view], rrd, "balancing"))
 
-            def show(frame: "Frame", spot: "Spot") -> None:
+            def show_frame(frame: "Frame", spot: "Spot") -> None:
                 if not shown.begun:
                     attachments = configuration_attachments(loaded, config)
                     metadata = session_metadata(loaded, info, frame)
@@ -314,7 +314,7 @@ def align(
             reference=optics.reference(),
             reference_px=loaded.lever_reference_px,
             seconds=seconds,
-            view=show,
+            view=show_frame,
         ):
             answer(written=[path])
             typer.echo(str(path))

@@ -89,14 +89,17 @@ def fit(
     ] = None,
     witness_column: Annotated[
         list[str] | None,
-        typer.Option(help="Column or channel of the witness; may be repeated; default: all of them."),
+        typer.Option(help="Column or channel of the seismometer; may be repeated; default: all of them."),
     ] = None,
     witness_offset: Annotated[
         float | None,
-        typer.Option(help="Seconds to add to the witness's times; default: searched for if they do not fit."),
+        typer.Option(
+            help="Seconds to add to the seismometer's times; default: searched for if they do not fit."
+        ),
     ] = None,
     witness_time_unit: Annotated[
-        str, typer.Option(help="Unit of the time of a witness's table, as --time-unit.", show_default=False)
+        str,
+        typer.Option(help="Unit of the time of a seismometer's table, as --time-unit.", show_default=False),
     ] = "",
     pixel: Annotated[
         str,

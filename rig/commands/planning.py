@@ -62,7 +62,7 @@ def plan(
         float | None,
         typer.Option(
             min=0.0,
-            help="Noise of a witness of the ground over the ground it sees, at the swing's frequency: 0.1; "
+            help="Noise of a seismometer over the ground it sees, at the swing's frequency: 0.1; "
             "default: that of [witness].",
         ),
     ] = None,

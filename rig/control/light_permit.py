@@ -61,7 +61,7 @@ class SpotSeen:
         self._noise_dn = max(1.5 * float(np.median(np.abs(sample - middle))), 1.0)
         self._contrast_dn, self._sampled_s = peak - middle, now_s
 
-    def told(self, lit: bool) -> None:
+    def note_laser(self, lit: bool) -> None:
         """Take account of the state that the laser reports now."""
         now_s = self._clock_s()
         if lit is not self._lit:

@@ -285,9 +285,9 @@ class ControlService(DeviceThread):
         """Longest time for which the board's state may be unknown."""
         return (1.0 - _WATCHDOG_MARGIN) * self._settings.watchdog_s
 
-    def _latch_trips(self, status: ControllerStatus, told: set[str]) -> None:
+    def _latch_trips(self, status: ControllerStatus, event_causes: set[str]) -> None:
         """Latch each trip once, whether the board sent an event about it or only its status shows it."""
-        causes, latch = set(told), status.latch
+        causes, latch = set(event_causes), status.latch
         if latch is not None and (self._latch is None or latch.number != self._latch.number):
             causes.add(latch.cause)
         first = self._interlock_closed is None

@@ -86,7 +86,7 @@ class SeismometerSettings(BaseModel, frozen=True, extra="forbid"):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if self.kind == "serial" and not self.port:
-            raise ValueError("port is missing; name the witness's serial port, or see `rig doctor`")
+            raise ValueError("port is missing; name the seismometer's serial port, or see `rig doctor`")
         if self.kind == "file" and self.file is None:
             raise ValueError("file is missing; name the file to which its lines are appended")
         if len(set(self.columns)) < len(self.columns) or not 1 <= len(self.components) <= _MAX_COLUMNS:

@@ -112,7 +112,7 @@ class SafetyNow:
         return ", ".join([*words, "interlock closed" if closed else "INTERLOCK OPEN"])
 
     @classmethod
-    def told(cls, values: Mapping[str, Any]) -> "SafetyNow":
+    def from_news(cls, values: Mapping[str, Any]) -> "SafetyNow":
         """The state from the plain values of a session's answer, in which infinite ages are null."""
         return _adapter().validate_python(_known(values))
 

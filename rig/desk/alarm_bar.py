@@ -12,7 +12,7 @@ from rig.desk.tab import DELIBERATE, Tab, at_once
 
 
 class AlarmBar:
-    """Shows the list; a trip is acknowledged where the light is, which stands beside."""
+    """Shows the list of alarms; a trip is acknowledged beside the state of the light, not in the list."""
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._alarms, self._tab = desk.alarming.alarms, tab
@@ -36,7 +36,7 @@ class AlarmBar:
         self._fold.set_value(not self._fold.value)
 
     def refresh(self) -> list[AlarmRow]:
-        """Show the list as it is now; returns the alarms that cry."""
+        """Show the list as it is now; returns the alarms that sound."""
         rows = self._alarms.rows()
         crying = [row for row in rows if row.cries]
         worst = crying[0] if crying else None
@@ -56,8 +56,8 @@ class AlarmBar:
         present = [row for row in rows if not row.earlier]
         earlier = [row for row in rows if row.earlier]
         counted = [(str(state), sum(row.state is state for row in present)) for state in AlarmState]
-        told = [f"{count} {words}" for words, count in (*counted, ("from before", len(earlier))) if count]
-        self._counts.set_text(f"Alarms: {', '.join(told) or 'none'}")
+        counts = [f"{count} {words}" for words, count in (*counted, ("from before", len(earlier))) if count]
+        self._counts.set_text(f"Alarms: {', '.join(counts) or 'none'}")
         for row in present:
             self._row(row)
         if earlier:
@@ -90,12 +90,12 @@ class AlarmBar:
 
 
 def sentence(text: str) -> str:
-    """With a capital letter."""
+    """The text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def _times(row: AlarmRow) -> str:
-    """Since when it is as it is."""
+    """Times of day at which an alarm was raised, cleared and acknowledged."""
     cleared_s = row.cleared_s if row.state is AlarmState.CLEARED else None
-    told = (("since", row.raised_s), ("cleared", cleared_s), ("seen", row.acknowledged_s))
-    return ", ".join(f"{word} {clock(at)}" for word, at in told if at is not None)
+    times = (("since", row.raised_s), ("cleared", cleared_s), ("seen", row.acknowledged_s))
+    return ", ".join(f"{word} {clock(at)}" for word, at in times if at is not None)

@@ -10,7 +10,7 @@ from typing import Final, Self
 from processing.errors import RigError
 
 _SEEN_ONLY: Final = False
-"""Of an alarm that is not heard: data that will have to be looked at."""
+"""Remedy of an alarm without a sound: data that have to be inspected later."""
 
 
 class AlarmKey(StrEnum):
@@ -113,11 +113,11 @@ AFTER_S: Final[Mapping[AlarmKey, float]] = {
     AlarmKey.ENVIRONMENT: 1.0,
     AlarmKey.BALANCE: 5.0,
 }
-"""For how long a condition holds before it is an alarm, where that is longer than a moment."""
+"""Time in s for which a condition must hold before it raises an alarm; 0 for all others."""
 
 
 class AlarmState(StrEnum):
-    """How an alarm stands; the order is that of the list."""
+    """States of an alarm, in the order of the list."""
 
     ACTIVE = "active"
     """Nobody has acknowledged it."""
@@ -145,7 +145,7 @@ class AlarmRow:
 
     @property
     def state(self) -> AlarmState:
-        """How it stands."""
+        """State of the alarm."""
         if self.acknowledged_s is not None:
             return AlarmState.ACKNOWLEDGED
         is_active = self.cleared_s is None or self.key in _LATCHED
@@ -153,7 +153,7 @@ class AlarmRow:
 
     @property
     def cries(self) -> bool:
-        """Whether it is to be heard: it is there, matters, and nobody has seen it yet."""
+        """Whether the alarm sounds: it is active, of a kind that sounds, and raised in this session."""
         matters = self.key.is_heard and not self.earlier
         return matters and self.state is AlarmState.ACTIVE
 
@@ -171,7 +171,7 @@ class AlarmList:
         self._lock = threading.Lock()
 
     def see(self, conditions: Mapping[AlarmKey, str], happened: Iterable[RaisedAlarm] = ()) -> None:
-        """What holds at this moment, each with its cause, and what has happened since the last call."""
+        """Update the list by the conditions that hold now, with causes, and by events since the last call."""
         now_s = self._clock()
         with self._lock:
             self._since_s = {key: self._since_s.get(key, now_s) for key in conditions}
@@ -190,20 +190,20 @@ class AlarmList:
                     self._rows[key] = replace(row, cleared_s=now_s)
 
     def session_begins(self) -> None:
-        """What no condition holds now belongs to what was before: it is still to be seen, and not heard."""
+        """Mark alarms whose condition is gone as left over: they stay in the list, without a sound."""
         with self._lock:
             for key, row in self._rows.items():
                 self._rows[key] = replace(row, earlier=row.earlier or row.cleared_s is not None)
 
     def rows(self) -> list[AlarmRow]:
-        """All that is in the list: what is to be seen first comes first."""
+        """All alarms, in the order of the list."""
         with self._lock:
             return sorted(self._rows.values(), key=_order)
 
     def acknowledge(self, key: AlarmKey) -> None:
-        """Somebody has seen it; one whose cause is gone leaves the list.
+        """Note that a person has seen the alarm; if its cause is gone, it leaves the list.
 
-        Raises RigError for a trip, whose acknowledgement is more than that.
+        Raises RigError for a trip, which is acknowledged at the devices.
         """
         with self._lock:
             row = self._rows.get(key)
@@ -219,7 +219,7 @@ class AlarmList:
     def _raise(self, key: AlarmKey, cause: str, now_s: float, *, again: bool) -> None:
         row = self._rows.get(key)
         if row is None or again or row.cleared_s is not None:
-            # where it comes again the operator has seen the last one, and not this one
+            # an alarm that is raised again is a new one, which nobody has seen
             self._rows[key] = AlarmRow(key, cause, now_s, times=1 if row is None else row.times + 1)
         elif row.earlier or row.cause != cause:
             self._rows[key] = replace(row, cause=cause, earlier=False)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 _SPOT_S = 0.5
-"""A spot that was lost for less is data, and no alarm."""
+"""Shortest loss of the spot that is an alarm; a shorter one is data."""
 _FRAMES_S = 1.5
 _NEWS_S = 10.0
 """A busy machine makes the news of a sound session late by seconds, never by so much."""
@@ -41,7 +41,7 @@ _UNDER_TRIP: Final = frozenset({AlarmKey.LASER_DARK, AlarmKey.SPOT, AlarmKey.BAL
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What a desk sees at one moment.
+    """State of session, devices and picture at one moment, as the desk knows it.
 
     `news` is what the running session said `news_age_s` ago, empty without one, and `beat_age_s` how long ago
     it gave any sign of life; `lit_by` who has the laser; `picture_late_s` for how long the live picture has
@@ -62,7 +62,7 @@ class Seen:
 def conditions(seen: Seen) -> dict[AlarmKey, str]:
     """The alarms whose conditions hold, each with its cause.
 
-    What somebody does with LIGHT OFF is none, and what follows from a trip is not told beside it.
+    A press of LIGHT OFF is no alarm, and consequences of a trip are no alarms beside the trip.
     """
     found = dict([*_of_light(seen), *_of_session(seen)])
     if seen.picture_late_s > STALE_S:
@@ -74,7 +74,7 @@ def conditions(seen: Seen) -> dict[AlarmKey, str]:
 def happened(
     events: Iterable[Mapping[str, Any]], ends: Iterable[RaisedAlarm], trip: LatchedTrip | None = None
 ) -> list[RaisedAlarm]:
-    """Alarms of a session's new events that are warnings, and of its end; none of what follows from a `trip`.
+    """Alarms by a session's new warnings and its end; consequences of a `trip` are no alarms.
 
     A session that ends because somebody has pressed LIGHT OFF has not failed.
     """

@@ -56,12 +56,12 @@ class LitCamera:
 
 _LOOK_S = 0.1
 _UNSEEN_S = 30.0
-"""For so long the laser stays lit while no browser fetches the picture."""
+"""Longest time for which the laser stays lit while no browser fetches the picture."""
 _LEFT = f"nobody has looked at the picture for {_UNSEEN_S:g} s"
 _FOCUS_POINTS = 600
 _LEAST_REGION_PX = 8
 EXPOSE = "expose"
-"""A wish for the exposure at which the peak is right."""
+"""Request for the exposure at which the peak is at its target."""
 Wish = CameraSettings | str | Callable[[CameraSettings], CameraSettings]
 
 
@@ -103,7 +103,7 @@ class Aligner:
         self._wishes.put(wish)
 
     def wish_region(self, left_px: int, top_px: int, width_px: int, height_px: int) -> None:
-        """Ask for a part of what the camera shows now, which may be a part of the sensor already."""
+        """Request a region within the present frame, which may be a region of the sensor already."""
         if (look := self.look) is None:
             return
         rows, columns = look.image.shape
@@ -129,11 +129,11 @@ class Aligner:
         return None if devices is None else devices.safety()
 
     def looked_at(self) -> None:
-        """A browser has fetched the picture."""
+        """Note that a browser has fetched the picture."""
         self._seen_s = time.monotonic()
 
     def light_off(self) -> None:
-        """Dark at once, also before anything was lit; never waits."""
+        """Switch the laser off at once, also before it was lit; never blocks."""
         self._off = True
         if (devices := self._devices) is not None:
             devices.light_off("the desk")
@@ -151,7 +151,7 @@ class Aligner:
 
     @property
     def late_s(self) -> float:
-        """For how long the picture has stood still; 0 before its first frame, and after its end."""
+        """Time in s since the last new frame; 0 before the first frame, and after the end."""
         return time.monotonic() - self._looked_s if self.running and self.number else 0.0
 
     @property

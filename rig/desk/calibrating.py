@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 FOLDER = Path("calibrations")
 Stated = Mapping[str, str]
-"""What was typed into the fields of a kind, by their names."""
+"""Texts typed into the fields of a kind of calibration, by the names of the fields."""
 _UNKNOWN = "unknown"
 _SIDES = (_UNKNOWN, "+", "-")
 
@@ -27,7 +27,7 @@ class CalibrationKind:
 
     title: str
     do: str
-    """What is to be done at the rig, for a person."""
+    """Instruction for a person at the rig."""
     seconds: float | None = None
     """Length of a record that it needs; None: it needs whole frames."""
     list_text: str = ""
@@ -138,12 +138,12 @@ class Calibrating:
             self._recording[2].end()
 
     def recording(self) -> str:
-        """What is being recorded, and what the command said last; empty if nothing is."""
+        """Name of the recording and the last line of its command; empty if nothing is recorded."""
         if self._recording is None:
             return ""
         kind, path, job = self._recording
         if job.status is None:
-            return f"{path} is recorded{f': {job.said[-1]}' if job.said else ''}"
+            return f"{path} is recorded{f': {job.output[-1]}' if job.output else ''}"
         self._recording = None
         if job.ending:
             self.problems[kind] = "the recording was stopped"

@@ -137,7 +137,7 @@ def chart_options(
 def _axis(
     shown: QuantityDisplay, row: int, *, is_labelled: bool = True, has_ends: bool = True
 ) -> dict[str, Any]:
-    """What both axes of a row have; `has_ends`: there are labels at its ends."""
+    """Options common to both axes of a row; `has_ends` is True for labels at both ends."""
     return {
         "type": "value",
         "gridIndex": row,
@@ -157,13 +157,13 @@ def _axis(
 
 
 def _whole(points: Sequence[Points]) -> dict[str, float]:
-    """From the first to the last x of all curves: rows below each other have one."""
+    """First and last x of all curves, so that rows one below the other have the same axis."""
     every = [x for curve in points for x, *_ in curve if x is not None]
     return {"min": min(every), "max": max(every)} if every else {}
 
 
 def _from_to(reach: float | None) -> dict[str, float | None]:
-    """As far to both sides of zero, with labels at both ends; None: as far as ECharts finds anything."""
+    """Axis from -reach to reach with labels at both ends; None: ECharts chooses it by the data."""
     # the browser merges options: ends that are no longer named would stay
     low, step = (None, None) if reach is None else (-reach, reach / _STEPS)
     return {"min": low, "max": reach, "interval": step}
@@ -260,7 +260,7 @@ class Chart:
 
 
 class TrajectoryChart:
-    """The way of the spot in a square chart, to scale about zero or stretched."""
+    """Path of the spot in a square chart, with equal scales about zero, or with each axis stretched."""
 
     def __init__(self) -> None:
         self.chart = Chart("trajectory", "deflection_x", WAY, square=True)
@@ -293,7 +293,7 @@ _STEPS = 3
 
 
 def trajectory_reach(known: Sequence[tuple[float, float]]) -> float:
-    """How far the axes of a trajectory that is to scale go: it does not change with every sample."""
+    """Half-length of the axes of a trajectory to scale, in steps, so that few samples change it."""
     least = 1.02 / _STEPS * max(max(abs(a), abs(b)) for a, b in known)
     tens = 10.0 ** math.floor(math.log10(least or 1.0))
     return _STEPS * tens * next(one for one in (1, 2, 3, 4, 5, 6, 8, 10) if one * tens >= least * (1 - 1e-9))

@@ -1,4 +1,4 @@
-"""What all tabs of the desk share: configuration, the running session, commands that were started."""
+"""State that all tabs of the desk share: configuration, running session, started commands."""
 
 import os
 import signal
@@ -28,13 +28,13 @@ from rig.settings import Configuration, FaultyConfiguration, load_configuration
 
 _ENDS_WITHIN_S = 5.0
 _WAKES_WITHIN_S = 10.0
-"""A process that was stopped, and goes on to end, answers again by then, or is gone."""
+"""Time within which a process that was stopped (Ctrl-Z) and continued answers again, or has ended."""
 _LOOK_S = 0.1
 _REGION = ("width_px", "height_px", "offset_x_px", "offset_y_px")
 
 
 class StartState(StrEnum):
-    """How a session stands that the desk has started."""
+    """States of the process of a session that the desk has started."""
 
     RUNNING = "running"
     DONE = "done"
@@ -87,7 +87,7 @@ class Desk:
         return load_configuration(self.source, self.overridden(values))
 
     def fault(self, key: str, value: object) -> str:
-        """What is wrong with one value, in the models' words; empty if nothing is."""
+        """Fault of one value, as the models of the configuration state it; empty without a fault."""
         try:
             self.checked({key: value})
         except FaultyConfiguration as error:
@@ -170,10 +170,10 @@ class Desk:
         self.end_aligning()
 
     def _has_ended(self) -> bool:
-        """Whether the process of the session that was started ends in a moment: it was followed, and is gone.
+        """Whether the process of the last started session ends within a moment, for which this waits.
 
-        One that was stopped answers no more, and its runs are on the page, before it has closed its devices.
-        One that is still to be heard of, or whose report is being made, does not end.
+        A session that was stopped answers no more before it has closed its devices. A session that has not
+        answered yet, or whose report is being made, does not end.
         """
         if self.started is None or self.following.last_folder != self.started[1]:
             return False
@@ -185,7 +185,7 @@ class Desk:
         return True
 
     def _needs_leave(self, who: str) -> None:
-        """Raises ConfigurationError while a trip is latched: nothing is started that would light."""
+        """Refuse, by a ConfigurationError, to start anything that would light while a trip is latched."""
         if (trip := self.safety.trip) is not None:
             raise ConfigurationError(f"rig {who} is not started: {trip.text}; acknowledge it first")
 
@@ -202,7 +202,7 @@ class Desk:
         self.begin_aligning()
 
     def keep_camera(self, applied: CameraSettings) -> None:
-        """What was set at the camera holds for what this desk starts; raises RigError if it cannot."""
+        """Use the camera's present settings for all that this desk starts; RigError if they are not valid."""
         values = applied.model_dump(exclude_none=True)
         own = {
             f"camera.{name}": values[name] for name in ("exposure_us", "gain_db", *_REGION) if name in values
@@ -211,7 +211,7 @@ class Desk:
         self.kept.update(own)
 
     def end_aligning(self) -> None:
-        """Give the camera free."""
+        """Close the camera of the live picture."""
         if self.aligner is not None:
             self.aligner.close()
             self.aligner = None
@@ -220,7 +220,7 @@ class Desk:
 
     @property
     def session_state(self) -> StartState | None:
-        """Of the session that this desk has started; None if none was."""
+        """State of the process of the last session that this desk started; None if it started none."""
         if self.started is None:
             return None
         status = self.started[0].poll()
@@ -228,7 +228,7 @@ class Desk:
 
     @property
     def starting(self) -> bool:
-        """Whether the session that this desk has started last has still to be heard of."""
+        """Whether the session that this desk started last runs and has not answered yet."""
         begun = self.started
         return begun is not None and begun[0].poll() is None and self.following.last_folder != begun[1]
 
@@ -238,19 +238,19 @@ class Desk:
         return self.following.last_folder or (self.started[1] if self.started is not None else None)
 
     def resumable(self) -> Path | None:
-        """The last session, where it was interrupted and none runs: its missing runs can be made."""
+        """Folder of the last session if it was interrupted and none runs, so that it can be resumed."""
         folder = self.session_folder
         if folder is None or self.following.running or self.session_state is StartState.RUNNING:
             return None
         return folder if last_state(folder) == RunState.INTERRUPTED else None
 
     def hand_over(self) -> HandOver | None:
-        """What the last session hands over; None without one. Takes a moment where that has changed."""
+        """Results that the last session hands over to a person; None without a session. May take a moment."""
         folder = self.session_folder
         return None if folder is None else last_hand_over(folder)
 
     def last_words(self) -> list[str]:
-        """What the last session has printed, its last lines."""
+        """Last lines that the last session has printed."""
         folder = self.session_folder
         try:
             text = "" if folder is None else (folder / MESSAGES_NAME).read_text("utf-8", errors="replace")

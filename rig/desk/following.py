@@ -73,11 +73,11 @@ class Heartbeat:
 class Following:
     """A thread that asks the running session for news, and looks for one while there is none.
 
-    `news` is what it said last (empty without a session), `events` those of its records, `folder` where it is
-    and `last_folder` where the last one was; `silent` is True while it is there and does not answer;
-    `heard_s` is the monotonic time of the last news, `heartbeat` tells when it last gave a sign of life.
-    `ended` are alarms of sessions that have ended under its eyes, and `unheard` events, until the alarms have
-    been judged by them.
+    `news` is its last answer (empty without a session), `events` are those of its records. `folder` is its
+    folder (None without a session), `last_folder` that of the last session. `silent` is True while it exists
+    and does not answer. `heard_s` is the monotonic time of the last news, `heartbeat` asks for signs of life.
+    `ended` are alarms of sessions that ended while they were followed, `unheard` are events; both wait until
+    the alarms have been updated by them.
     """
 
     def __init__(self, output: Path) -> None:
@@ -101,7 +101,7 @@ class Following:
         self._wake = threading.Event()
 
     def start(self) -> None:
-        """Look for a session once, so that who asks next knows of it; then go on beside."""
+        """Look for a session once, and then continuously in a thread."""
         self._search()
         threading.Thread(target=self._follow, name="following", daemon=True).start()
         self.heartbeat.start()
@@ -122,7 +122,7 @@ class Following:
 
     @property
     def frozen(self) -> bool:
-        """Whether the running session has given no sign of life for longer than that can be delay."""
+        """Whether the running session has given no sign of life for longer than a delay can explain."""
         return self.running and min(time.monotonic() - self.heard_s, self.heartbeat.age_s) > STALE_S
 
     @property
@@ -133,27 +133,27 @@ class Following:
 
     @property
     def frames_age_s(self) -> float:
-        """How old the last frame is that the running session has looked at; 0 before its first one."""
-        told_s = self.news.get("frames_age_s")
-        return 0.0 if told_s is None else float(told_s) + time.monotonic() - self.heard_s
+        """Age in s of the last frame that the running session has processed; 0 before the first one."""
+        stated_s = self.news.get("frames_age_s")
+        return 0.0 if stated_s is None else float(stated_s) + time.monotonic() - self.heard_s
 
     @property
     def config(self) -> Configuration | None:
-        """The configuration of what is measured: its record's, before that the session's; None without."""
+        """Configuration of the record, or before a record that of the session; None without a session."""
         reader = self._reader
         recorded = None if reader is None else reader.config
         return recorded or self._stated
 
     @property
     def unit(self) -> str:
-        """Of amplitudes and positions; empty where no configuration is known."""
+        """Unit of amplitudes and positions; empty where no configuration is known."""
         config = self.config
         return "" if config is None else config.deflection_unit.shown
 
     @property
     def safety(self) -> SafetyNow:
         """State of laser, controller and interlock as the running session has told it."""
-        return SafetyNow.told(self.news.get("safety") or {})
+        return SafetyNow.from_news(self.news.get("safety") or {})
 
     def look_now(self, folder: Path | None = None) -> None:
         """Look for a session at once; `folder`: one that was just started in another place."""
@@ -177,7 +177,7 @@ class Following:
     def picture(self) -> SessionPicture | None:
         """The newest frame of the running session, and ask for the next; blocks for a moment.
 
-        Who asks while another one waits for a session that does not answer gets the last frame.
+        While another caller waits for a session that does not answer, the last frame is returned.
         """
         folder = self.folder
         if not self._one_picture.acquire(blocking=False):
@@ -199,7 +199,7 @@ class Following:
             self._one_picture.release()
 
     def history(self) -> dict[str, Any]:
-        """What charts show of the running session, from its record; empty before there is one. Blocks."""
+        """Values for the charts from the record of the running session; empty without a record. Blocks."""
         reader = self._reader
         return {} if reader is None else reader.history()
 
@@ -259,7 +259,7 @@ class Following:
 
 
 def _configuration_in(folder: Path) -> Configuration | None:
-    """That of the session in a folder; None where what runs there is no session."""
+    """Configuration of the session in a folder; None if there is no session that can be read."""
     path = str(folder / STATE_NAME)
     with suppress(RigError):
         return validate_configuration(unnumbered(read_session(folder).configuration, path), path)
@@ -273,9 +273,9 @@ def doing(state: Mapping[str, Any] | None) -> str:
 
 
 def _alarms_of_end(folder: Path) -> list[RaisedAlarm]:
-    """Of a session that does not answer any more; none of one that has ended as it should."""
+    """Alarms by the end of a session that does not answer any more; empty if it ended as it should."""
     if (folder / ORDERS_NAME).exists():
-        # one that was killed has left its file
+        # only a session that was killed leaves this file
         return [(AlarmKey.SESSION_DIED, f"{folder.name}: killed, or crashed")]
     try:
         entries = read_session(folder).entries

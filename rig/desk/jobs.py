@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _LAST_LINES = 200
 _OBJECTS = 2000
-"""A measured balance has its whole way in them."""
+"""Number of JSON objects that are kept: a measurement of the balance with its whole path."""
 _READ_WITHIN_S = 2.0
 MESSAGES_NAME = "messages.txt"
 
@@ -35,8 +35,8 @@ def start_session(words: list[str], folder: Path) -> "subprocess.Popen[bytes]":
 class Job:
     """A command that ends with the desk, because its pipes do; it answers in JSON lines.
 
-    `lines` are the last objects it has printed, `said` its other words. `ending`: it was asked to end, and
-    will in a moment. `uses_camera`: while it runs nothing else has the camera, and LIGHT OFF ends it.
+    `lines` are the last JSON objects that it printed, `output` its other lines. `ending` is True once it was
+    asked to end. While a command that `uses_camera` runs, no other has the camera, and LIGHT OFF ends it.
     """
 
     def __init__(self, words: list[str], *, uses_camera: bool) -> None:
@@ -48,7 +48,7 @@ class Job:
         self.ending = False
         self.lines: deque[dict[str, Any]] = deque(maxlen=_OBJECTS)
         self.newest: dict[str, dict[str, Any]] = {}
-        self.said: deque[str] = deque(maxlen=_LAST_LINES)
+        self.output: deque[str] = deque(maxlen=_LAST_LINES)
         self._readers = [
             threading.Thread(target=target, name=f"job-{words[0]}", daemon=True)
             for target in (self._read, self._listen)
@@ -67,8 +67,8 @@ class Job:
 
     @property
     def problem(self) -> str:
-        """What it has said last, as the reason of its failure."""
-        return self.said[-1].removeprefix("rig: ") if self.said else f"ended with status {self.status}"
+        """The last line of its output, as the reason of its failure."""
+        return self.output[-1].removeprefix("rig: ") if self.output else f"ended with status {self.status}"
 
     def wait(self, limit_s: float | None = None) -> bool:
         """Whether it ends within the limit; what it has printed is read by then."""
@@ -81,14 +81,14 @@ class Job:
         return True
 
     def answer(self, text: str) -> None:
-        """A line to its standard input; what has ended hears nothing."""
+        """Write a line to its standard input; without effect on a command that has ended."""
         with suppress(OSError, ValueError):
             if self._process.stdin is not None:
                 self._process.stdin.write(f"{text}\n")
                 self._process.stdin.flush()
 
     def end(self) -> None:
-        """As Ctrl-C: it switches off what it has switched on."""
+        """Interrupt it as Ctrl-C does: it switches off what it has switched on."""
         self.ending = True
         with suppress(OSError):
             self._process.terminate()
@@ -100,7 +100,7 @@ class Job:
                 try:
                     found = json.loads(line)
                 except ValueError:
-                    self.said.append(line.rstrip())
+                    self.output.append(line.rstrip())
                     continue
                 if isinstance(found, dict):
                     self.lines.append(found)
@@ -113,7 +113,7 @@ class Job:
         assert self._process.stderr is not None
         with self._process.stderr as lines:
             for line in lines:
-                self.said.append(line.rstrip())
+                self.output.append(line.rstrip())
 
 
 class Jobs(dict[str, Job]):
@@ -128,7 +128,7 @@ class Jobs(dict[str, Job]):
         return self[name]
 
     def running(self, *, uses_camera: bool) -> list[tuple[str, Job]]:
-        """Those that run and use the camera, or those that do not."""
+        """Names and commands that run now, with or without the camera as `uses_camera` says."""
         return [
             (name, job) for name, job in tuple(self.items()) if job.uses_camera is uses_camera and job.running
         ]
@@ -140,23 +140,23 @@ _MEASURE, _FORGET, _END = "", "f", "q"
 
 
 class Balancing:
-    """Of one desk. What may wait for the camera says so."""
+    """Balancing at one desk, by the command `rig balance`."""
 
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
 
     @property
     def running(self) -> bool:
-        """Whether it is measured, or a turn is waited for."""
+        """Whether the command measures, or waits for a turn."""
         return self._job is not None
 
     @property
     def shown(self) -> BalanceDialogue:
-        """Where it stands; before anything was measured, what a session that runs says of it."""
+        """State of the dialogue; before any measurement, advice from the running session."""
         job = self._desk.jobs.get(_NAME)
         if job is not None:
             return balance_dialogue(
-                list(job.lines), list(job.said), running=job.running, failed=bool(job.status)
+                list(job.lines), list(job.output), running=job.running, failed=bool(job.status)
             )
         news = self._desk.following.news
         path = news.get("path") or {"x": [], "y": []}
@@ -166,12 +166,12 @@ class Balancing:
 
     @property
     def unit(self) -> str:
-        """Of the trajectory."""
+        """Unit of the trajectory."""
         is_own = _NAME in self._desk.jobs
         return "arcsec" if is_own else self._desk.following.unit or "arcsec"
 
     def measure(self) -> None:
-        """Measure, or measure again. May wait."""
+        """Measure, or measure again; may wait for the camera."""
         job = self._job
         if job is None:
             words = ["--seed", "1"] if self._desk.config.simulated else []
@@ -180,14 +180,14 @@ class Balancing:
             job.answer(_MEASURE)
 
     def turned(self, weight: str, turns: str) -> None:
-        """A weight was turned so far; what it does is measured next."""
+        """State the turns of a weight, whose effect is measured next."""
         job = self._job
         if job is None or not _asks(job):
             raise ConfigurationError("first measure: a turn is stated between two measurements")
         job.answer(f"{weight} {turns.strip()}")
 
     def forget(self) -> str:
-        """Take the last turn back; returns what was done. May wait."""
+        """Take the last turn back; returns what was done. May wait for the command."""
         job = self._job
         if job is None:
             job = self._desk.start(_NAME, "--forget-last")
@@ -201,7 +201,7 @@ class Balancing:
         return "the last turn is taken out of the history; rig balance --history shows what is left"
 
     def end(self) -> None:
-        """End it; a measurement that goes on is given up."""
+        """End the command; a measurement that is not finished is discarded."""
         job = self._job
         if job is None:
             return

@@ -25,15 +25,15 @@ T = TypeVar("T")
 
 _PRESSES_KEPT = 64
 _KEPT_WITHIN_S = 0.5
-"""So long everything else waits for the press to be kept; a disk that hangs holds nothing up for longer."""
+"""Longest wait until the press is stored; a disk that hangs delays switching off by no more."""
 _HEARD_WITHIN_S = 1.5
-"""So long the answer waits for who was ordered; what lights is commanded off before."""
+"""Longest wait for the answers to orders; devices are commanded off before that."""
 AT = "the desk"
-"""Where it was pressed, in the words of a trip."""
+"""Place of the press, in the text of a trip."""
 
 
 def _beside(do: Callable[..., T], *given: object) -> Future[T]:
-    """Do it in a thread of its own, which may hang: for a process that is frozen, or a disk."""
+    """Call a function in a thread of its own, which may hang at a frozen process or a disk."""
     done: Future[T] = Future()
 
     def work() -> None:
@@ -47,7 +47,7 @@ def _beside(do: Callable[..., T], *given: object) -> Future[T]:
 
 
 class Lighting:
-    """Of whatever lights at a desk: its live picture, the session it follows, the commands it has started."""
+    """Light of all that lights at a desk: live picture, followed session, started commands."""
 
     def __init__(self, desk: "Desk") -> None:
         self._desk = desk
@@ -57,25 +57,26 @@ class Lighting:
     def off(self, press: str = "") -> list[str]:
         """Switch everything off, whichever program has lit it; returns what failed.
 
-        All are told before a device, a session or a command is waited for.
+        All get the order before any device, session or command is waited for.
 
-        First of all the press is left beside the rig's state, where every program that lights reads it: one
-        that only starts hears no order. Ports are told off directly, too: a frozen session hears its order
-        only when it goes on, and then stays dark. The same `press` comes by two ways: the later one must not
-        darken what a person has acknowledged and lit again meanwhile, and says what the first one says.
+        First the press is stored beside the rig's state, where every program reads it before it lights: a
+        program that is only starting cannot take an order. "Off" is also written to the ports directly,
+        because a frozen session takes its order only when it goes on. The same `press` arrives in two ways:
+        the later one must not darken a laser that a person has acknowledged and lit again meanwhile, and
+        returns the result of the first one.
         """
         with self._pressing:
             first = self._pressed.get(press) if press else None
-            said: Future[list[str]] = first or Future()
-            self._pressed[press] = said
+            reply: Future[list[str]] = first or Future()
+            self._pressed[press] = reply
             while len(self._pressed) > _PRESSES_KEPT:
                 self._pressed.pop(next(iter(self._pressed)))
         if first is None:
             try:
-                said.set_result(self._off())
+                reply.set_result(self._off())
             except Exception as error:
-                said.set_exception(error)
-        return said.result(2.0 * _HEARD_WITHIN_S)
+                reply.set_exception(error)
+        return reply.result(2.0 * _HEARD_WITHIN_S)
 
     def _off(self) -> list[str]:
         desk = self._desk
@@ -89,11 +90,11 @@ class Lighting:
         if (begun := desk.started) is not None and begun[0].poll() is None:
             folders.add(begun[1].absolute())
             if desk.following.last_folder != begun[1] and not (begun[1] / ORDERS_NAME).exists():
-                # it hears no order yet; one that was seen before, and is gone, is being fitted
+                # it cannot take an order yet; a session that was followed and is gone is being fitted
                 begun[0].terminate()
                 heard = True
         orders = [_beside(_order_dark, folder) for folder in folders]
-        # the disk that says who has the rig may hang
+        # in a thread, because the disk with the name of the program that has the rig may hang
         orders.append(_beside(self._holder_dark, folders))
         for _, job in desk.jobs.running(uses_camera=True):
             job.end()
@@ -117,7 +118,7 @@ class Lighting:
         return problems
 
     def _kept(self) -> str:
-        """Leave the press beside the rig's state; why that could not be done in time, empty if it was."""
+        """Store the press beside the rig's state; returns why that failed, empty if it succeeded in time."""
         presses = self._desk.rig.presses
         if presses is None:
             return ""
@@ -126,19 +127,19 @@ class Lighting:
         except TimeoutError:
             return f"{presses.path}: the disk hangs"
         except Exception as error:
-            # whatever it is: what follows switches off
+            # after any error the laser must still be switched off
             return str(error)
         return ""
 
-    def _holder_dark(self, told: Collection[Path]) -> bool:
-        """Also the program that has the rig and works in another folder; whether it has heard."""
+    def _holder_dark(self, ordered: Collection[Path]) -> bool:
+        """Order a program that has the rig and works in another folder to darken; True if it answered."""
         folder = self._desk.rig.folder_of_holder
-        return folder is not None and folder not in told and _order_dark(folder)
+        return folder is not None and folder not in ordered and _order_dark(folder)
 
     def acknowledge(self, number: int) -> str:
-        """Somebody has looked that nobody is in the beam's way; raises RigError if that cannot be. May wait.
+        """Acknowledge a trip for a person who has checked that the beam path is free; lights nothing.
 
-        Lights nothing.
+        Raises RigError if the trip cannot be acknowledged. May wait.
         """
         desk = self._desk
         if (aligner := desk.aligner) is not None and aligner.running:
@@ -152,7 +153,7 @@ class Lighting:
             return devices.acknowledge(number, "the desk")
 
     def again(self) -> str:
-        """Light again what waits in the dark; raises RigError if nothing does. May wait."""
+        """Ask the live picture or the session to light again; RigError if neither runs. May wait."""
         desk = self._desk
         if (aligner := desk.aligner) is not None and aligner.running:
             aligner.relight()
@@ -161,14 +162,14 @@ class Lighting:
 
     @property
     def may_follow(self) -> bool:
-        """Whether something is there that light could be given to, once the trip is acknowledged."""
+        """Whether a session or live picture runs, which could light again after the acknowledgement."""
         desk = self._desk
         aligner = desk.aligner
         return desk.following.running or (aligner is not None and aligner.running)
 
     @property
     def waits(self) -> bool:
-        """Whether something that was lit is dark, and may be lit again."""
+        """Whether a session or live picture is dark and waits for a person to light it again."""
         desk = self._desk
         now = desk.safety.now
         if now.trip is not None:
@@ -191,12 +192,12 @@ def _order_dark(folder: Path) -> bool:
 
 _READ_S = 0.25
 _CONFIRMED = (Light.ON, Light.OFF, Light.INTERLOCK_OPEN)
-"""What a device has said itself; all others are silence."""
+"""States that a device has reported itself; the others mean that it is silent."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConfirmedState:
-    """The last state that somebody has confirmed: which one, at what time of the day in s, and who."""
+    """A confirmed state of light or interlock, its time of day in s, and the devices that confirmed it."""
 
     state: Light | Loop
     at_s: float
@@ -204,11 +205,12 @@ class ConfirmedState:
 
 
 class Safety:
-    """Who has the devices is asked; a trip also holds when nobody has them any more.
+    """The safety state of the rig, by the program that has its devices and by the rig's state on disk.
 
-    The file of a rig is read by a thread of this class. A rig without one (simulated) is remembered here as
-    long as the desk lives: `unfiled` is its latch, None where a file has it. `by` is the device that says
-    whether there is light; `light` and `interlock` are what was confirmed last, None before.
+    A trip on disk holds also while no program has the devices. A thread of this class reads the file. The
+    state of a rig without a file (simulated) is kept here until the desk ends: `unfiled` is its latch, None
+    for a rig with a file. `by` is the device that reports the light; `light` and `interlock` are the last
+    confirmed states, None before any.
     """
 
     def __init__(
@@ -222,35 +224,35 @@ class Safety:
         self._of_command: tuple[SafetyNow, float] | None = None
 
     def start(self) -> None:
-        """Begin to read, and to ask."""
+        """Start the threads that read the rig's state and ask the program that has the devices."""
         threading.Thread(target=self._read, name="rig's state", daemon=True).start()
         if self.unfiled is None:
             threading.Thread(target=self._ask, name="who has the rig", daemon=True).start()
 
     def stop(self) -> None:
-        """Read no more."""
+        """Stop the threads."""
         self._ended.set()
 
     @property
     def now(self) -> SafetyNow:
-        """What is known, with its ages now; never blocks."""
+        """The present safety state, with present ages; never blocks."""
         aligner = self._aligner()
         own = None if aligner is None else aligner.safety
         if own is not None:
             return own
         following = self._following
         if following.running and following.news:
-            told, heard_s = following.safety, following.heard_s
+            state, heard_s = following.safety, following.heard_s
         elif (of_command := self._of_command) is not None:
-            told, heard_s = of_command
+            state, heard_s = of_command
         else:
             return SafetyNow(trip=self._rig.trip)
         since_s = time.monotonic() - heard_s
         return replace(
-            told,
-            trip=told.trip or (None if self.unfiled is not None else self._rig.trip),
-            light_age_s=told.light_age_s + since_s,
-            interlock_age_s=told.interlock_age_s + since_s,
+            state,
+            trip=state.trip or (None if self.unfiled is not None else self._rig.trip),
+            light_age_s=state.light_age_s + since_s,
+            interlock_age_s=state.interlock_age_s + since_s,
         )
 
     @property
@@ -259,7 +261,7 @@ class Safety:
         return self.now.trip
 
     def confirm(self, now: SafetyNow) -> None:
-        """Keep what is confirmed at this moment."""
+        """Store the states of light and interlock that are confirmed now."""
         at_s = time.time()
         if now.light in _CONFIRMED and now.light_age_s <= STALE_S:
             agrees = now.seen is (now.light is Light.ON) and now.seen_age_s <= STALE_S
@@ -284,7 +286,7 @@ class Safety:
                 latched = None
 
     def _ask(self) -> None:
-        """Ask the command that has the rig, and is no session, how its light stands."""
+        """Ask a command that has the rig, and is no session, for its safety state."""
         while not self._ended.wait(_READ_S):
             folder = None if self._following.running else self._rig.folder_of_holder
             try:
@@ -292,16 +294,16 @@ class Safety:
                     self._of_command = None
                     continue
                 with OrderConnection(folder) as line:
-                    self._of_command = SafetyNow.told(line.news()["safety"]), time.monotonic()
+                    self._of_command = SafetyNow.from_news(line.news()["safety"]), time.monotonic()
             except SessionBusy:
-                # what it said last grows older
+                # the last answer stays, and its age grows
                 continue
             except (NoSession, KeyError, ValueError):
                 self._of_command = None
 
 
 def refusal(safety: SafetyNow) -> str:
-    """Why a trip cannot be acknowledged yet, as the devices would say; empty where they do not refuse."""
+    """Reason why the devices would refuse an acknowledgement now; empty if they would not."""
     is_open = safety.interlock is Loop.OPEN and safety.interlock_age_s <= STALE_S
     return "close the interlock first" if is_open else ""
 
@@ -311,10 +313,11 @@ _LOOPS = {Loop.CLOSED: "go", Loop.OPEN: "no"}
 
 
 def lamps(safety: Safety, recording: str) -> dict[str, Mapping[str, object]]:
-    """What the bar shows: for each lamp its text, its kind and its age in s, None for what was never heard.
+    """Values of the lamps in the safety bar: text, kind and age in s, None for a state never reported.
 
-    `recording` is empty where nothing is recorded. The page itself lets them grow older; what is too old
-    gives way to `last`, what was confirmed last, whose age is `last_age_s`. `more` holds in any case.
+    `recording` is empty where nothing is recorded. The page increases the ages itself. In the place of a
+    state that is too old it shows `last`, the last confirmed one, whose age is `last_age_s`; `more` it always
+    shows.
     """
     now = safety.now
     laser = _lamp(now.light, _KINDS.get(now.light, "unknown"), now.light_age_s)
@@ -332,9 +335,9 @@ def _lamp(text: str, kind: str, age_s: float) -> Mapping[str, object]:
 
 
 def _last(confirmed: ConfirmedState | None) -> Mapping[str, object]:
-    """`off, confirmed 05:48:36 by board and camera`; light that was on may be off by now."""
+    """`off, confirmed 05:48:36 by board and camera`; a light that was on may be off by now."""
     if confirmed is None:
         return {}
-    said = f"{confirmed.state}, confirmed {clock(confirmed.at_s)} by {confirmed.by}"
-    text = f"unknown; {said}" if confirmed.state is Light.ON else said
+    known = f"{confirmed.state}, confirmed {clock(confirmed.at_s)} by {confirmed.by}"
+    text = f"unknown; {known}" if confirmed.state is Light.ON else known
     return {"last": text, "last_age_s": round(time.time() - confirmed.at_s, 1)}

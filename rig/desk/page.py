@@ -51,16 +51,16 @@ def build_page(desk: Desk, off_port: int) -> None:
         state.set_text(_state(desk))
         crying = over_all.refresh()
         shown = json.dumps(lamps(desk.safety, _recording(desk)))
-        told = json.dumps([_told(row) for row in crying])
+        alarms = json.dumps([_alarm_values(row) for row in crying])
         of_session = json.dumps(_session_age(desk))
-        ui.run_javascript(f"window.rigSafety({shown}, {told}); window.rigAlarms({told}, {of_session});")
+        ui.run_javascript(f"window.rigSafety({shown}, {alarms}); window.rigAlarms({alarms}, {of_session});")
 
     refresh()
     ui.timer(_LOOK_S, refresh)
 
 
 class PageHeader:
-    """What stands above every panel: alarms, light that waits for a person, a request, errors."""
+    """Head of every panel: alarms, light that waits for a person, a request to the operator, errors."""
 
     def __init__(self, desk: Desk, tab: Tab) -> None:
         self._desk = desk
@@ -76,7 +76,7 @@ class PageHeader:
             tab.errors = ui.element("div").classes("errors full-width")
 
     def refresh(self) -> list[AlarmRow]:
-        """Show what holds now; returns the alarms that cry."""
+        """Show the present state; returns the alarms that sound."""
         desk, trip = self._desk, self._desk.safety.trip
         refused, waiting = refusal(desk.safety.now), desk.lighting.waits
         if trip is not None:
@@ -124,18 +124,18 @@ def _build_panels(desk: Desk, tab: Tab) -> None:
 
 
 def _taken(trip: LatchedTrip) -> str:
-    """Who or what has taken the light; what a person has done needs no number."""
+    """Text of a trip; that of a press of LIGHT OFF without its number."""
     return sentence(trip.why if trip.cause is TripCause.PERSON else trip.text)
 
 
-def _told(row: AlarmRow) -> dict[str, str]:
-    """As the browser is told of it; one that comes again has another name."""
+def _alarm_values(row: AlarmRow) -> dict[str, str]:
+    """Values of an alarm for the browser; an alarm that is raised again has another name."""
     name = f"{row.key}@{row.raised_s:.2f}"
     return {"name": name, "title": row.key, "text": f"{row.cause}\n{row.key.remedy}"}
 
 
 def _session_age(desk: Desk) -> dict[str, object] | None:
-    """How old what is shown of the session is; None without one."""
+    """Age of the news of the session that the page shows; None without a session."""
     following = desk.following
     if following.folder is None or not following.news:
         return None
@@ -168,7 +168,7 @@ def _state(desk: Desk) -> str:
 
 
 def _recording(desk: Desk) -> str:
-    """What is being recorded; empty if nothing is."""
+    """Text on the present recording; empty without one."""
     news = desk.following.news
     if desk.following.running:
         return str(news.get("run") or "") if (news.get("state") or {}).get("phase") == Phase.MEASURING else ""
@@ -184,7 +184,7 @@ def _keys() -> list[tuple[str, str]]:
 DARK = "/dark"
 """Where LIGHT OFF is sent to, at both servers."""
 _DEAD_S = 30.0
-"""A page that was told nothing for so long is not merely slow."""
+"""Time without news after which a page counts as disconnected, and not only as slow."""
 _STATIC = Path(__file__).with_name("static")
 _STYLES = ("theme.css", "desk.css")
 _SCRIPTS = ("page.js", "safety.js", "watchdog.js")
@@ -203,8 +203,8 @@ _BARS = """
 
 
 def build_head(off_port: int) -> None:
-    """Add it to the page that is being built; `off_port` is the server of LIGHT OFF beside the event loop."""
-    told = {
+    """Add the safety bar to the page being built; `off_port` is the separate server of LIGHT OFF."""
+    script_values = {
         "offPort": off_port,
         "dark": DARK,
         "staleS": STALE_S,
@@ -215,5 +215,5 @@ def build_head(off_port: int) -> None:
         "".join((_STATIC / name).read_text("utf-8") for name in names) for names in (_STYLES, _SCRIPTS)
     )
     ui.add_css(styles)
-    ui.add_head_html(f"<script>window.rigDesk = {json.dumps(told)};\n{scripts}</script>")
+    ui.add_head_html(f"<script>window.rigDesk = {json.dumps(script_values)};\n{scripts}</script>")
     ui.add_body_html(_BARS)

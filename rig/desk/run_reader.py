@@ -42,7 +42,7 @@ class RecordFollower:
         threading.Thread(target=self._follow, name="record", daemon=True).start()
 
     def close(self) -> None:
-        """Read no more."""
+        """Stop reading."""
         self._over.set()
 
     def _begin(self, config: Configuration | None) -> None:
@@ -74,7 +74,7 @@ class RecordFollower:
         return thinned_path(path)
 
     def history(self) -> dict[str, Any]:
-        """What charts show of the run since it began: swings and fit, amplitudes as shown."""
+        """Values for the charts since the run began: half-cycles and fit, amplitudes in the shown unit."""
         with self._lock:
             return {
                 "swings": {name: decimated(points) for name, points in self._swings.items()},
@@ -108,16 +108,16 @@ class RecordFollower:
                 return
             self._start_ns = int(reader.table(SPOT.topic, piece)["time_ns"][0])
         start_ns, size = self._start_ns, reader.deflection_unit.shown_size
-        told = piece_contents(reader, piece, start_ns, start_ns)
-        if told.balances and self.config is not None:
-            self.balance = _told(self.config, told.balances[-1])
+        new = piece_contents(reader, piece, start_ns, start_ns)
+        if new.balances and self.config is not None:
+            self.balance = _balance_values(self.config, new.balances[-1])
         with self._lock:
             if SPOT.topic in piece:
                 deflections = reader.deflections(reader.table(SPOT.topic, piece))
                 self._path.append(deflections)
                 while deflections.times_ns[-1] - self._path[0].times_ns[-1] > PATH_S * NS_PER_S:
                     self._path.popleft()
-            for swing in told.swings:
+            for swing in new.swings:
                 if not swing.flags:
                     at_s = round(seconds(swing.turn_time_ns - start_ns), 3)
                     self._swings["amplitude"].append((at_s, round(swing.amplitude / size, _DIGITS)))
@@ -128,15 +128,15 @@ class RecordFollower:
                 # those of an earlier fit are forgotten
                 last_ns = points[-1].time_ns
                 self._fitted = [one for one in (*self._fitted, *points) if one.time_ns == last_ns]
-            for event in told.events:
-                told_of = {
+            for event in new.events:
+                event_values = {
                     "elapsed_s": seconds(event.time_ns - start_ns),
                     "kind": event.kind,
                     "level": event.level,
                     "text": event.text,
                     "at": clock(seconds(event.time_ns + reader.epoch_offset_ns)),
                 }
-                self._events.append(told_of)
+                self._events.append(event_values)
 
 
 def clock(at_s: float) -> str:
@@ -145,13 +145,13 @@ def clock(at_s: float) -> str:
 
 
 def decimated(points: Sequence[Point]) -> list[Point]:
-    """At most some hundred of the points of a curve, evenly; its last one is among them."""
+    """Some hundred points of a curve at most, evenly chosen, with the last one."""
     step = max(1, math.ceil(len(points) / _POINTS))
     return list(points)[::-1][::step][::-1]
 
 
 def _drawn(points: Sequence[RecordedFittedPoint], start_ns: int) -> dict[str, list[Point]]:
-    """The fit's curves and what it leaves over as they are shown; empty before the first fit."""
+    """Curves of the fit and its residuals in the shown units; empty before the first fit."""
     at_s = [round(seconds(one.turn_time_ns - start_ns), 3) for one in points]
     curves = {
         "amplitude": [round(one.amplitude_rad / ARCSEC_RAD, _DIGITS) for one in points],
@@ -165,7 +165,7 @@ def _drawn(points: Sequence[RecordedFittedPoint], start_ns: int) -> dict[str, li
     }
 
 
-def _told(config: Configuration, balance: Balance) -> dict[str, Any]:
+def _balance_values(config: Configuration, balance: Balance) -> dict[str, Any]:
     return {
         "next_step": advice_for(config, balance).next_step or None,
         "against": balance_failures(balance, config.balance),

@@ -107,8 +107,8 @@ class Guard:
         parts = (part.strip().partition("=") for part in cookies.split(";"))
         return any(self._is_key(value) for name, _, value in parts if name == self._cookie)
 
-    def _is_key(self, told: str) -> bool:
-        return hmac.compare_digest(told.encode(), self._key.encode())
+    def _is_key(self, stated: str) -> bool:
+        return hmac.compare_digest(stated.encode(), self._key.encode())
 
     def _with_policy(self, send: Send) -> Send:
         policy = self._policy
@@ -209,18 +209,18 @@ def _light_off(desk: Desk) -> FastAPI:
     async def dark(request: Request) -> Response:
         press = urllib.parse.unquote(request.url.query)
         loop = asyncio.get_running_loop()
-        said: asyncio.Future[str] = loop.create_future()
+        reply: asyncio.Future[str] = loop.create_future()
 
         def off() -> None:
             problems = ["the desk has failed: turn the key switch"]
             try:
                 problems = desk.lighting.off(press)
             finally:
-                loop.call_soon_threadsafe(said.set_result, "; ".join(problems))
+                loop.call_soon_threadsafe(reply.set_result, "; ".join(problems))
 
         # a thread of its own: those of a pool may all be waiting
         threading.Thread(target=off, name="light off", daemon=True).start()
-        return PlainTextResponse(await said)
+        return PlainTextResponse(await reply)
 
     return app
 

@@ -17,18 +17,20 @@ from rig.measure import STATE_NAME, HandOver, RunState, hand_over, read_session,
 from rig.terminal import quantity, with_uncertainty
 
 SERVED = "/sessions"
-"""Where the server has the files of the sessions' folder."""
+"""Path on the desk's server below which the files of the sessions' folder are served."""
 RESULTS_NAME = "results.json"
-_SHOWN = frozenset({".html", ".svg", ".png", ".csv", ".json"})
+_SERVED_SUFFIXES = frozenset({".html", ".svg", ".png", ".csv", ".json"})
 
 
 @dataclass(frozen=True, slots=True)
 class SessionRow:
-    """A session: its folder, when it began, what of, by whom, how many runs are complete, what is the matter.
+    """One session in the list, as texts.
 
-    `conditions` are the amplitudes it was to run between. `sigma`, `b` and `c` are those of its last run,
+    `state` is how it ended, or why it cannot be read, `runs` the number of complete runs of those wanted, and
+    `conditions` the first and last amplitude of its runs. `sigma`, `b` and `c` are those of its last run,
     with their whole uncertainty, in the units of `NUMBERS`; `balance` is go, no, or empty where it was not
-    judged. `resumable`: it lacks runs, which can be made. `text` is what is searched.
+    judged. `resumable` is True if runs are missing that can still be made. `text` is what a search looks
+    through.
     """
 
     folder: Path
@@ -66,7 +68,7 @@ class SessionIndex:
         self._known: dict[str, tuple[tuple[int, int], SessionRow]] = {}
 
     def rows(self, running: Path | None, words: str = "") -> list[SessionRow]:
-        """The sessions with all these words in folder, sample, operator, state or date; never blocks."""
+        """The sessions whose `SessionRow.text` has all of these words; never blocks."""
         wanted = words.lower().split()
         now = None if running is None else running.resolve()
         return [
@@ -78,7 +80,7 @@ class SessionIndex:
         ]
 
     def look(self) -> None:
-        """Read the sessions that are new, or whose files have changed; may take long."""
+        """Read the sessions that are new, or whose files have changed; this may take long."""
         files: list[tuple[tuple[int, int], str]] = []
         with suppress(OSError), os.scandir(self._output) as entries:
             for entry in entries:
@@ -95,7 +97,7 @@ class SessionIndex:
 
 
 def _changed_ns(path: str) -> int:
-    """When a file was written last; 0 without one."""
+    """Time in ns of the last change of a file; 0 if there is no file."""
     try:
         return os.stat(path).st_mtime_ns
     except OSError:
@@ -103,45 +105,45 @@ def _changed_ns(path: str) -> int:
 
 
 def session_row(folder: Path) -> SessionRow:
-    """The row of one session; of a file that is none, what is wrong with it."""
+    """The row of one session; if its folder cannot be read as a session, `state` is the reason."""
     try:
         session = read_session(folder)
     except RigError as error:
         return SessionRow(folder, str(error), text=f"{folder} {error}".lower())
     begun = min((entry.begun_utc for entry in session.entries if entry.begun_utc), default="")
     stated = session.configuration.get("session", {})
-    ended = state_of(session)
-    state = "no run made" if ended is None else ended.value
+    run_state = state_of(session)
+    state = "no run made" if run_state is None else run_state.value
     sample, operator = str(stated.get("sample", "")), str(stated.get("operator", ""))
-    when = begun.replace("T", " ").partition("+")[0].partition(".")[0]
+    began = begun.replace("T", " ").partition("+")[0].partition(".")[0]
     first, last = stated.get("initial_amplitude_arcsec"), stated.get("final_amplitude_arcsec")
     notes = str(stated.get("notes", ""))
     return SessionRow(
         folder,
         state,
-        begun=when,
+        begun=began,
         sample=sample,
         runs=f"{len(session.complete)} of {session.runs_wanted}",
         conditions="" if first is None or last is None else f"{float(first):g} to {float(last):g} arcsec",
         operator=operator,
-        resumable=ended not in (None, RunState.COMPLETE),
-        text=" ".join((folder.name, when, sample, operator, state, notes)).lower(),
+        resumable=run_state not in (None, RunState.COMPLETE),
+        text=" ".join((folder.name, began, sample, operator, state, notes)).lower(),
         **last_run(folder),
     )
 
 
 NUMBERS = {"sigma": "surface_energy_table2_j_per_m2", "b": "b", "c": "c"}
-"""Quantities of the list by the name of their column."""
+"""Keys of the quantities in the list, by the name of their column."""
 
 
 def last_run(folder: Path) -> dict[str, str]:
-    """What the list shows of the last run, from the results of a session; nothing without them."""
+    """Columns of the list that follow from a session's last run; empty without results."""
     try:
         run = json.loads((folder / RESULTS_NAME).read_bytes())["runs"][-1]
         rows = {row["quantity"]: row for row in run["table"] if row["fit"] == FitMethod.EXACT}
-        of_balance = [one for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
-        # what is ok and has a remedy is not known
-        judged = [one["ok"] for one in of_balance if not (one["ok"] and one.get("remedy"))]
+        conditions = [one for one in run["conditions"] if one["name"] in BALANCE_CONDITIONS]
+        # a condition that is met and still has a remedy was not determined
+        judged = [one["ok"] for one in conditions if not (one["ok"] and one.get("remedy"))]
         numbers = {name: _number(rows.get(key)) for name, key in NUMBERS.items()}
     except (OSError, ValueError, KeyError, IndexError, TypeError):
         return {}
@@ -149,7 +151,7 @@ def last_run(folder: Path) -> dict[str, str]:
 
 
 def _number(row: Mapping[str, Any] | None) -> str:
-    """Value and whole uncertainty in the unit shown; none of what is not determined."""
+    """Value and whole uncertainty in the unit shown, or the verdict on a quantity that is not determined."""
     if row is None or row["value"] is None:
         return ""
     if row["verdict"] != "determined":
@@ -169,7 +171,7 @@ def _state_at(folder: Path, _changed_ns: int) -> str:
 
 
 def last_state(folder: Path) -> str:
-    """The word of the list for a session that has ended; empty if it left none."""
+    """State of a session that has ended, as in the list; empty if it left no state."""
     return _state_at(folder, _changed_ns(f"{folder}/{STATE_NAME}"))
 
 
@@ -182,17 +184,20 @@ def _hand_over_at(folder: Path, *_changed_ns: int) -> HandOver | None:
 
 
 def last_hand_over(folder: Path) -> HandOver | None:
-    """What a session hands over, None where there is none; read again when its files have changed."""
+    """What the last run of a session hands over to a person; None without one.
+
+    It is read again only when the files of the session have changed.
+    """
     names = (STATE_NAME, RESULTS_NAME, "report.html")
     return _hand_over_at(folder, *(_changed_ns(f"{folder}/{name}") for name in names))
 
 
 def served_file(output: Path, name: str) -> Path | None:
-    """The file of a report by its name below the sessions' folder; None for what is not to be seen."""
+    """The file of a report by its name below the sessions' folder; None for a file that is not served."""
     try:
         path = (output / name).resolve()
-        shown = path.is_relative_to(output.resolve()) and path.suffix in _SHOWN and path.is_file()
+        shown = path.is_relative_to(output.resolve()) and path.suffix in _SERVED_SUFFIXES and path.is_file()
     except (OSError, ValueError):
-        # no name that a file can have: too long, or with a zero in it
+        # the name is too long for a file, or contains a zero byte
         return None
     return path if shown else None

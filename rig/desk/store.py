@@ -1,4 +1,4 @@
-"""What a desk keeps on disk: its key and port; and its lock."""
+"""The key and the port of a desk, which it stores in a file, and the locks that make it the only desk."""
 
 import contextlib
 import hashlib
@@ -27,7 +27,10 @@ class _DeskFile(BaseModel, extra="ignore"):
 
 
 class DeskStore:
-    """Of one configuration. Where its folder cannot be written it is in memory, as long as the desk lives."""
+    """Stored key and port of the desk of one configuration.
+
+    If the folder of the file cannot be written, they are kept in memory until the desk ends.
+    """
 
     def __init__(self, source: Path) -> None:
         source = source.resolve()
@@ -35,58 +38,58 @@ class DeskStore:
         self._folder = state_folder() / "desks" / f"{source.stem}-{digest}"
         self._source = source
         self._lock: IO[str] | None = None
-        self._of_output: IO[str] | None = None
+        self._sessions_lock: IO[str] | None = None
         self._stored = _DeskFile()
 
     def hold(self, output: Path) -> None:
-        """Be the only desk of this configuration, and of the folder where its sessions are.
+        """Lock the configuration and the folder of its sessions, so that this is their only desk.
 
-        Raises ConfigurationError where another one is: two would both act on one session.
+        Raises ConfigurationError if another desk holds one of them: both would act on one session.
         """
         where = output.resolve()
         digest = hashlib.sha256(str(where).encode()).hexdigest()[:12]
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            # nobody else reads what is in it
+            # only this user may read the key
             self._folder.chmod(0o700)
             held = (self._folder / "lock").open("a+", encoding="utf-8")
-            of_output = (self._folder.parent / f"sessions-{digest}.lock").open("a+", encoding="utf-8")
+            sessions_lock = (self._folder.parent / f"sessions-{digest}.lock").open("a+", encoding="utf-8")
         except OSError:
             return
         if (other := _locked(held)) is not None:
-            of_output.close()
+            sessions_lock.close()
             raise ConfigurationError(
                 f"{self._source}: it already has an open desk: use {other or 'that'}, or end it first"
             )
-        if (other := _locked(of_output)) is not None:
+        if (other := _locked(sessions_lock)) is not None:
             held.close()
             raise ConfigurationError(
                 f"session.output = {where}: the desk of another configuration has its sessions there: use "
                 f"{other or 'that'}, or end it, or state another folder"
             )
-        self._lock, self._of_output = held, of_output
+        self._lock, self._sessions_lock = held, sessions_lock
         with contextlib.suppress(OSError, ValidationError):
             self._stored = _DeskFile.model_validate_json((self._folder / _NAME).read_bytes())
 
     def opened_at(self, address: str, port: int) -> None:
-        """Tell the next desk where this one is, and take its port again the next time."""
+        """Write the address into the locks, where a second desk reads it, and store the port."""
         self._stored.port = port
         if self._lock is not None:
             with contextlib.suppress(OSError):
                 atomic_write.replace(self._folder / _NAME, self._stored.model_dump_json(indent=1).encode())
-        for held in (self._lock, self._of_output):
+        for held in (self._lock, self._sessions_lock):
             if held is not None:
                 held.truncate(0)
                 held.write(address)
                 held.flush()
 
     def close(self) -> None:
-        """Let another desk in."""
-        for held in (self._lock, self._of_output):
+        """Release the locks, so that another desk can start."""
+        for held in (self._lock, self._sessions_lock):
             if held is not None:
                 held.truncate(0)
                 held.close()
-        self._lock = self._of_output = None
+        self._lock = self._sessions_lock = None
 
     @property
     def key(self) -> str:
@@ -100,17 +103,20 @@ class DeskStore:
 
 
 def _locked(held: IO[str]) -> str | None:
-    """Lock the file; what stands in it, and closes it, where another program has. None, too, where the disk
-    knows no locks."""
+    """Lock a file.
+
+    Returns None if that succeeds, or if the disk knows no locks. If another program holds the lock, the file
+    is closed and its content returned.
+    """
     if fcntl is None:
         return None
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         held.seek(0)
-        said = held.read().strip()
+        address = held.read().strip()
         held.close()
-        return said
+        return address
     except OSError:
         return None
     return None

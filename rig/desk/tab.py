@@ -63,12 +63,12 @@ class Tab:
     def every(self, seconds: float, refresh: Handler) -> None:
         """Call it again and again while the panel that is being built is seen, once at a time.
 
-        What fails is told once: a log that is filled, and that nobody reads, would hold the desk up.
+        An error is reported once: a log that is filled, and that nobody reads, would hold the desk up.
         """
-        panel, told = self.building, ""
+        panel, reported = self.building, ""
 
         async def due() -> None:
-            nonlocal told
+            nonlocal reported
             if panel and self.shown != panel:
                 return
             try:
@@ -76,10 +76,10 @@ class Tab:
                 if inspect.isawaitable(done):
                     await done
             except Exception as error:
-                if repr(error) != told:
-                    told = repr(error)
+                if repr(error) != reported:
+                    reported = repr(error)
                     _log.exception("%s is not brought up to date", panel or "the page")
-                    self.tell(f"{panel or 'the page'} is not brought up to date: {told}")
+                    self.tell(f"{panel or 'the page'} is not brought up to date: {reported}")
 
         ui.timer(seconds, due)
 
@@ -166,8 +166,8 @@ def apart(do: Callable[..., object], *given: object) -> Handler:
     """A handler that does it in a thread, since it may wait, and shows the words that it returns."""
 
     async def done() -> None:
-        if isinstance(said := await run.io_bound(do, *given), str):
-            ui.notify(said)
+        if isinstance(reply := await run.io_bound(do, *given), str):
+            ui.notify(reply)
 
     return done
 

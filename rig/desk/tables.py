@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 def table(rows: Sequence[Sequence[str]], label: str) -> str:
-    """A table of text whose first column names the rest."""
+    """A table of text; the first cell of each row is its heading."""
     lines = [
         f"<tr><th scope='row'>{html.escape(row[0])}</th>"
         + "".join(f"<td>{html.escape(cell)}</td>" for cell in row[1:])
@@ -18,9 +18,11 @@ def table(rows: Sequence[Sequence[str]], label: str) -> str:
 
 
 class LimitBar(NamedTuple):
-    """A number against its limit: both as parts of a full bar, `part` None where it is not known.
+    """A number beside its limit, as a bar.
 
-    `kind` is go, no, caution or dim; `shown` the number in words, `note` what more is to be said.
+    `part` and `limit_part` are the number and its limit as parts of the full bar; `part` is None for an
+    unknown number. `kind` is the class of its colour: go, no, caution or dim. `shown` is the number as text,
+    `note` a remark below it.
     """
 
     name: str
@@ -32,7 +34,7 @@ class LimitBar(NamedTuple):
 
 
 def bars(rows: Sequence[LimitBar], label: str) -> str:
-    """Bars below each other; who does not see them reads name, number and note."""
+    """Bars one below the other; a screen reader reads name, number and note of each."""
     lines = []
     for row in rows:
         filled = 0.0 if row.part is None else 100 * min(max(abs(row.part), 0.0), 1.0)

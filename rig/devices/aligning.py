@@ -111,11 +111,11 @@ def align_camera(
     camera
         Open, configured and stopped; it is stopped again afterwards and keeps what the keys have set.
     applied
-        Settings that the camera has read back.
+        Settings that hold in the camera, as read back.
     folder
         Folder for the pictures that the key `s` saves, align-1.png and so on; none is overwritten.
     reference
-        Tracker of the reference's spot, and the row from which on frames are the reference's.
+        Tracker of the reference spot, and the first row of the frame that belongs to the reference.
     reference_px
         Position (x, y) at which the spot should rest; default: the middle of the frame.
     view

@@ -215,12 +215,12 @@ _FIRST_NS, _BETWEEN_NS = 3_000_000_000, 10_000_000_000
 class ClockRate:
     """Rate of the camera's clock, from a line through some hundred pairs of times, each 10 s of the run.
 
-    With `beside` a thread of its own fits the line, which takes 10 ms, for which frames would wait. Its error
-    is raised by the next call.
+    With `in_thread` the line is fitted in a thread of its own, so that frames do not wait for the 10 ms that
+    a fit takes; its error is raised by the next call.
     """
 
-    def __init__(self, *, beside: bool = True) -> None:
-        self._beside = beside
+    def __init__(self, *, in_thread: bool = True) -> None:
+        self._in_thread = in_thread
         self._pairs: list[tuple[int, int, int]] = []
         self._every = 1
         self._passed = 0
@@ -260,7 +260,7 @@ class ClockRate:
         if host_ns >= self._due_ns and (self._thread is None or not self._thread.is_alive()):
             self._due_ns = host_ns + _BETWEEN_NS
             table = np.array(self._pairs, dtype=np.int64)
-            if self._beside:
+            if self._in_thread:
                 self._thread = threading.Thread(target=self._look, args=(table,), name="clock", daemon=True)
                 self._thread.start()
             else:

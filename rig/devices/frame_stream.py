@@ -179,8 +179,8 @@ class FrameStream:
     def take(self, at_most: int, timeout_s: float) -> list[Frame]:
         """Up to `at_most` frames in order; empty after the timeout, and if drained."""
         self.permit.moved(Stage.PROCESSING)
-        if said := self._queue.remark():
-            self._events.append((EventKind.BACKLOG, said))
+        if remark := self._queue.remark():
+            self._events.append((EventKind.BACKLOG, remark))
         frames = self._queue.take(at_most, timeout_s)
         try:
             self._raise_if_it_hangs(0.0 if frames else timeout_s)
@@ -366,8 +366,8 @@ class FrameStream:
 
     @staticmethod
     def _named(error: Exception) -> str:
-        said = in_one_line(error)
-        return said if said.startswith("camera: ") else f"camera: {said}"
+        text = in_one_line(error)
+        return text if text.startswith("camera: ") else f"camera: {text}"
 
     def _fail(self, error: Exception, reason: str) -> None:
         if not isinstance(error, RigError):

@@ -54,11 +54,11 @@ _SILENT = (Light.SILENT, Light.CONTROLLER_SILENT)
 
 
 class LitDevices:
-    """The devices that can light, which `Devices` opens; `task` is their purpose in `folder`'s audit log.
+    """The devices that can light, opened by `Devices`; `folder` has their audit log, `task` is its purpose.
 
     After a trip nothing is lit until a person has acknowledged it by its number and a person asks for light
-    again. The trip belongs to the rig, not to a session: `SafetyState`. `lights_again` is False once nothing
-    follows that would light.
+    again. The trip belongs to the rig, not to a session: `SafetyState`. `lights_again` becomes False when the
+    session will not light the laser any more.
     """
 
     def __init__(
@@ -90,12 +90,12 @@ class LitDevices:
         if trip := self.permit.latched:
             self.audit(AuditEntry.REFUSED, trip.text)
             raise LightRefused(f"the laser stays off: {trip.text}; {self.remedy}")
-        # noted before the wait for the lock, so that a trip meanwhile counts as later than the request
+        # before the wait for the lock: a trip during the wait then counts as later than the request
         if asked:
             self.permit.request_light()
         # if a run and an order light at the same time, the second finds the laser lit
         with self._lighting:
-            return self._lit(in_run)
+            return self._light_once(in_run)
 
     @property
     def remedy(self) -> str:
@@ -112,7 +112,7 @@ class LitDevices:
             f"{trip.number}, or at the desk"
         )
 
-    def _lit(self, in_run: bool) -> str:
+    def _light_once(self, in_run: bool) -> str:
         kind = self._config.laser.kind
         if self.permit.needs_request:
             self.audit(AuditEntry.REFUSED, TO_BE_ASKED)
@@ -156,7 +156,7 @@ class LitDevices:
         Waits for no device. A trip that is latched already stays as it is.
         """
         self._order_dark()
-        # the same press may also be noted beside the rig's state
+        # the press may be noted beside the rig's state as well: it then counts once
         self.permit.look_for_presses()
         if self.permit.latched is None:
             self.permit.trip(TripCause.PERSON, f"LIGHT OFF was pressed at {who}")
@@ -173,7 +173,7 @@ class LitDevices:
             self.state.lit(False)
 
     def hear_presses(self) -> None:
-        """Darken and latch after a press of LIGHT OFF that reached this program by no order."""
+        """Darken and latch after a press of LIGHT OFF that is noted beside the rig's state."""
         if self.permit.look_for_presses():
             self._order_dark()
         self.state.keep()
@@ -197,13 +197,13 @@ class LitDevices:
         Returns what was done; lights nothing. Raises DeviceError for another number than the latched one, and
         while an interlock is open, because the person who closes it later may be in the beam path.
         """
-        trip, still = self.permit.latched, self._open_interlock()
+        trip, interlock = self.permit.latched, self._open_interlock()
         if trip is None:
             raise DeviceError(f"trip {number} cannot be acknowledged: nothing is latched")
         if trip.number != number:
             raise DeviceError(f"trip {number} cannot be acknowledged: latched is {trip.text}")
-        if still:
-            raise DeviceError(f"{still.text} is still open: close it, then acknowledge trip {number}")
+        if interlock:
+            raise DeviceError(f"{interlock.text} is still open: close it, then acknowledge trip {number}")
         if silent := self._silent():
             raise DeviceError(
                 f"trip {number} cannot be acknowledged: {silent}, so its cause may still be present"
@@ -226,7 +226,7 @@ class LitDevices:
         laser, spot = self.laser_report(), self.permit.spot
         if laser is None or laser.light not in (Light.ON, Light.OFF, Light.INTERLOCK_OPEN):
             return
-        spot.told(laser.on)
+        spot.note_laser(laser.on)
         if not spot.disagrees:
             self._disagreed = False
         elif not self._disagreed:
@@ -287,7 +287,7 @@ class LitDevices:
 
     @property
     def without_word(self) -> str:
-        """Behaviour, in words, of a laser whose device does not answer."""
+        """What happens, in words, to a laser whose device does not answer."""
         if not through_controller(self._config.laser):
             return STAYS_LIT
         return (
@@ -330,8 +330,8 @@ class LitDevices:
             why, interrupted = confirmed_dark(off, command, begun_s + within_s)
             interrupt = interrupt or interrupted
             if why:
-                said = f"the {who} does not confirm that it is off ({why})"
-                return f"THE LASER MAY BE LIT: {said}; go and check", interrupt
+                doubt = f"the {who} does not confirm that it is off ({why})"
+                return f"THE LASER MAY BE LIT: {doubt}; go and check", interrupt
         self.compare()
         if (trip := self.permit.latched) is not None and trip.cause is TripCause.OUTPUT:
             return f"THE LASER MAY BE LIT: {trip.text}; go and look", interrupt
@@ -340,8 +340,8 @@ class LitDevices:
             self.state.lit(False)
         if not asked:
             return NOT_OURS, interrupt
-        witnesses = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.agrees
-        return f"laser off, confirmed by the {' and the '.join(witnesses)}", interrupt
+        confirming = [who for who, _, _ in asked] + ["camera"] * self.permit.spot.agrees
+        return f"laser off, confirmed by the {' and the '.join(confirming)}", interrupt
 
     def darkness(self) -> str:
         """The reason why the laser does not emit; empty if it emits, or if no laser is controlled."""
@@ -409,7 +409,7 @@ class LitDevices:
             trip=self.permit.latched,
             refusal=self.permit.refusal or self.state.problem,
             light=Light.DISAGREES if spot.disagrees else laser.light,
-            # a device that is silent now counts as never heard
+            # the age of a device's state is infinite while the device is silent
             light_age_s=math.inf if laser.light in _SILENT else laser.age_s,
             interlock=loop if oldest_s <= STALE_S else Loop.UNKNOWN,
             interlock_age_s=oldest_s,

@@ -122,10 +122,10 @@ class Devices(LitDevices):
         interrupt: KeyboardInterrupt | None = None
         try:
             if self._was_lit:
-                said, interrupt = self._darkened()
+                confirmation, interrupt = self._darkened()
                 # the terminal may have been closed, which must not block the end
                 with suppress(OSError):
-                    say(said)
+                    say(confirmation)
                     if self.permit.latched is not None:
                         say(f"{self.permit.latched.text}: {self.remedy}")
         finally:

@@ -205,7 +205,7 @@ def _read(path: Path, key: str = "") -> bytes:
         return path.read_bytes()
     except FileNotFoundError:
         where = "" if path.is_absolute() else f" in {Path.cwd()}, where the command was given"
-        said = f"calibration.{key} = {str(path)!r}" if key else str(path)
-        raise ConfigurationError(f"{said}: no such file{where}; rig calibrate makes one") from None
+        stated_as = f"calibration.{key} = {str(path)!r}" if key else str(path)
+        raise ConfigurationError(f"{stated_as}: no such file{where}; rig calibrate makes one") from None
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot read the calibration: {error.strerror or error}") from None

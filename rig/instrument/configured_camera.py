@@ -324,5 +324,5 @@ class ObserverGuard:
 
     @property
     def text(self) -> str:
-        """How often each observer has failed; empty without failures."""
+        """Numbers of failures by observer, as text; empty without failures."""
         return ", ".join(f"{name} {count} times" for name, count in sorted(self.failures.items()))

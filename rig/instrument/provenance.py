@@ -192,8 +192,8 @@ def recorded_configuration(reader: RecordReader, overrides: Sequence[str] = ()) 
     except ConfigurationError as error:
         raise RecordError(str(error)) from None
     except ValidationError as error:
-        said = in_words(Configuration, error.errors()[0])
-        raise RecordError(f"{reader.path}: its configuration is of another version ({said})") from None
+        reason = in_words(Configuration, error.errors()[0])
+        raise RecordError(f"{reader.path}: its configuration is of another version ({reason})") from None
     if not overrides:
         return config
     tree = config.model_dump(mode="json", exclude_none=True)

@@ -82,7 +82,7 @@ _STATES: Final[tuple[type[TimedMessage], ...]] = (
 
 
 class Phase(StrEnum):
-    """What a run is doing."""
+    """Phases of a run."""
 
     WAITING = "waiting for the first frame"
     REST = "rest"

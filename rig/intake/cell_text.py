@@ -17,14 +17,15 @@ _SPACES: Final = "  ’'"
 _POINT: Final = re.compile(rf"[+-]?(?:\d+\.\d*|\.\d+){_EXPONENT}")
 _COMMA: Final = re.compile(rf"[+-]?(?:\d+,\d*|,\d+){_EXPONENT}")
 _WHOLE: Final = re.compile(rf"[+-]?\d+{_EXPONENT}")
-_BY_POINT: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
-_BY_COMMA: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
-_BY_SPACE: Final = re.compile(rf"[+-]?\d{{1,3}}(?:[{_SPACES} ]\d{{3}})+(?:[.,]\d+)?")
+# digits in groups of three, between points, commas or spaces
+_BY_POINTS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
+_BY_COMMAS: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
+_BY_SPACES: Final = re.compile(rf"[+-]?\d{{1,3}}(?:[{_SPACES} ]\d{{3}})+(?:[.,]\d+)?")
 _MINUS: Final = "\u2212\u2013"
-_NONE: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|--?|)", re.IGNORECASE)
+_MISSING: Final = re.compile(r"[+-]?(?:nan|inf(?:inity)?|n/?a|null|none|--?|)", re.IGNORECASE)
 _PLAIN_NUMBER: Final = re.compile(r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?")
 _WITH_UNIT: Final = re.compile(r"(?P<number>[+\u2212\u2013-]?[\d.,].*?)\s*(?P<unit>[^\d\s.,+-][^\d,.+]*)")
-_COUNT: Final = re.compile(r'"?\d{1,15}"?')
+_ROW_NUMBER: Final = re.compile(r'"?\d{1,15}"?')
 _MIN_COUNTED_ROWS: Final = 8
 MOMENT: Final = re.compile(
     r"(?P<date>\d{4}-\d\d-\d\d|\d{4}/\d\d/\d\d|\d\d\.\d\d\.\d{4})?(?:(?<=\d)[T ])?"
@@ -40,15 +41,15 @@ class NumberFormat(NamedTuple):
     decimal: str = "."
     thousands: str = ""
 
-    def plain(self, cell: str) -> str:
+    def python_text(self, cell: str) -> str:
         """The cell in Python's number format; unchanged if it is no number."""
         if self.decimal == "." and _PLAIN_NUMBER.fullmatch(cell):
             return cell
         text = _with_ascii_minus(cell).strip(f" \t{_SPACES}")
-        if _BY_SPACE.fullmatch(text):
+        if _BY_SPACES.fullmatch(text):
             text = re.sub(rf"[{_SPACES} ]", "", text)
         if self.thousands and self.thousands in text:
-            pattern = _BY_POINT if self.thousands == "." else _BY_COMMA
+            pattern = _BY_POINTS if self.thousands == "." else _BY_COMMAS
             # a thousands mark elsewhere is a typing error: the cell is not a number
             text = text.replace(self.thousands, "") if pattern.fullmatch(text) else f"?{text}"
         if self.decimal == "," and _COMMA.fullmatch(text):
@@ -63,7 +64,7 @@ def _with_ascii_minus(cell: str) -> str:
 
 def is_missing(cell: str) -> bool:
     """Whether a cell stands for a missing number: empty, or a word for none."""
-    return bool(_NONE.fullmatch(cell.strip()))
+    return bool(_MISSING.fullmatch(cell.strip()))
 
 
 def is_number(cell: str) -> bool:
@@ -72,7 +73,8 @@ def is_number(cell: str) -> bool:
         return True
     cell = _with_ascii_minus(cell)
     return any(
-        kind.fullmatch(cell) for kind in (_WHOLE, _POINT, _COMMA, _BY_COMMA, _BY_POINT, _BY_SPACE, _NONE)
+        kind.fullmatch(cell)
+        for kind in (_WHOLE, _POINT, _COMMA, _BY_COMMAS, _BY_POINTS, _BY_SPACES, _MISSING)
     )
 
 
@@ -92,7 +94,7 @@ def is_value(cell: str) -> bool:
 
 def counts_rows(column: Sequence[str]) -> bool:
     """Whether a column counts the rows: whole numbers that increase by 1."""
-    if len(column) < _MIN_COUNTED_ROWS or not all(map(_COUNT.fullmatch, column)):
+    if len(column) < _MIN_COUNTED_ROWS or not all(map(_ROW_NUMBER.fullmatch, column)):
         return False
     return all(int(b.strip('"')) - int(a.strip('"')) == 1 for a, b in pairwise(column))
 
@@ -110,16 +112,16 @@ def number_format(cells: Iterable[str], stated: str, where: str) -> NumberFormat
     for cell in map(_with_ascii_minus, cells):
         if "." in cell and "," in cell:
             decimal = max(".,", key=cell.rindex)
-            if (_BY_POINT if decimal == "," else _BY_COMMA).fullmatch(cell):
+            if (_BY_POINTS if decimal == "," else _BY_COMMAS).fullmatch(cell):
                 mixed[decimal] = cell
         elif "," in cell and _COMMA.fullmatch(cell):
-            if _BY_COMMA.fullmatch(cell):
+            if _BY_COMMAS.fullmatch(cell):
                 ambiguous = ambiguous or cell
             else:
                 comma = comma or cell
         elif "." in cell and _POINT.fullmatch(cell):
-            pointed |= bool(_BY_POINT.fullmatch(cell))
-            if not _BY_POINT.fullmatch(cell):
+            pointed |= bool(_BY_POINTS.fullmatch(cell))
+            if not _BY_POINTS.fullmatch(cell):
                 point = point or cell
     comma, point = comma or mixed[","], point or mixed["."]
     if stated:
@@ -197,7 +199,7 @@ def moments_ns(cells: Sequence[str], *, minutes_first: bool = False) -> list[int
 
 
 def _clock_ns(text: str, minutes_first: bool) -> int | None:
-    """A time of day in ns; None for an impossible one (12:75). Hours and leading minutes may exceed a day."""
+    """A time of day in ns; None for an impossible one (12:75). The first field has no upper limit."""
     fields = text.replace(",", ".").split(":")
     if len(fields) == 2:
         # only seconds have a fraction

@@ -32,7 +32,7 @@ class Cells:
 
     `names` is empty without a header; `units` are those stated in a line of their own or in the cells.
     `left_out` are the numbers of lines with another number of columns. `blocks` holds, for each row, the
-    number of its block; blocks are separated by blank lines, comments or a repeated header. `said` are
+    number of its block; blocks are separated by blank lines, comments or a repeated header. `remarks` are
     remarks on the reading.
     """
 
@@ -44,7 +44,7 @@ class Cells:
     blocks: Sequence[int]
     separator: str
     number_format: NumberFormat
-    said: Sequence[str] = ()
+    remarks: Sequence[str] = ()
 
 
 def read_cells(path: Path, decimal: str = "") -> Cells:
@@ -61,7 +61,7 @@ def read_cells(path: Path, decimal: str = "") -> Cells:
     given = binary_rows(path, raw)
     if given is not None:
         filled = [(number, cells) for number, cells in enumerate(given.rows, 1) if any(cells)]
-        return replace(_cells(path, filled, [], "", decimal), said=given.said)
+        return replace(_cells(path, filled, [], "", decimal), remarks=given.remarks)
     numbered = [
         (number, line) for number, line in enumerate(decode(raw).splitlines(), 1) if line.strip(" \t;,|")
     ]
@@ -162,7 +162,7 @@ def _cells(
         units[k] = units[k] or behind
     numbers = (cell for column in columns for cell in column if not is_moment(cell))
     form = number_format(numbers, decimal, str(path))
-    columns = [[cell if is_moment(cell) else form.plain(cell) for cell in column] for column in columns]
+    columns = [[cell if is_moment(cell) else form.python_text(cell) for cell in column] for column in columns]
     rows = list(zip(*columns, strict=True))
     lines = [number for number, _ in body]
     return Cells(names, units, rows, lines, left_out, _blocks(lines, left_out), separator, form)

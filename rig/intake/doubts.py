@@ -237,9 +237,9 @@ def strange_amplitudes(
 
 def decay_warnings(summary: DecaySummary) -> list[str]:
     """Warnings of a decay that grows, or whose period or decrement is not constant."""
-    said = []
+    doubts = []
     if summary.grows:
-        said.append(
+        doubts.append(
             f"the amplitude grows, its log decrement is {plain(summary.decrement.value, 3)} in the mean: "
             "this is no free decay; is time reversed, or does something drive the pendulum?"
         )
@@ -254,11 +254,11 @@ def decay_warnings(summary: DecaySummary) -> list[str]:
                 if np.isfinite(mean.first)
                 else ""
             )
-            said.append(
+            doubts.append(
                 f"the {name} is not constant (χ²/dof {mean.chi2_per_dof:.3g} if it were){ends}; the "
                 "uncertainty of its mean allows for it"
             )
-    return said
+    return doubts
 
 
 def clipping_warnings(name: str, values: NDArray[np.float64]) -> list[str]:
@@ -269,7 +269,7 @@ def clipping_warnings(name: str, values: NDArray[np.float64]) -> list[str]:
     """
     values = values[np.isfinite(values)]
     middle, steps = float(np.median(values)), np.diff(np.unique(values))
-    said = []
+    doubts = []
     for extreme, what in ((values.max(), "largest"), (values.min(), "smallest")):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], values == extreme, [0]]).astype(np.int8)))
         begins, rows = edges[::2], np.diff(edges)[::2]
@@ -281,16 +281,16 @@ def clipping_warnings(name: str, values: NDArray[np.float64]) -> list[str]:
         is_longer = phase < 0.5 * math.pi and level / math.cos(phase) - level > 2.0 * steps.min()
         # no swing stays within one step of its digits for half of its period
         if is_longer or (phase >= 0.5 * math.pi and np.ptp(values) > 4.0 * steps.min()):
-            said.append(
+            doubts.append(
                 f"{name} stays at its {what} value, {extreme:.6g}, for up to {rows.max()} rows, "
                 f"{np.count_nonzero(stays)} times: its sensor cuts the swings off, and amplitudes and "
                 "damping are not those of the pendulum there; use a later stretch (--from)"
             )
-    return said
+    return doubts
 
 
 def missing_for_laws(trajectory: Trajectory, config: Configuration | None) -> str:
-    """What is missing for a fit of the contact's laws, in words; empty if nothing is."""
+    """Text on what a fit of the contact's laws lacks; empty if nothing is missing."""
     if trajectory.scale_rad is None:
         if trajectory.unit == NOT_STATED:
             return f"the unit of the position is not stated; --unit takes {', '.join(ANGLES)}, or any word"

@@ -37,7 +37,7 @@ class Sheet(NamedTuple):
     """Rows of one sheet as text, and remarks on what a user of the workbook would not expect."""
 
     rows: list[list[str]]
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def read_bytes_of(path: Path) -> bytes:
@@ -203,8 +203,10 @@ def _rows_of_matrix(path: Path, name: str, array: Any) -> list[list[str]]:
 def _with_names(columns: dict[str, Any], path: Path) -> list[list[str]]:
     lengths = {name: len(np.atleast_1d(value)) for name, value in columns.items()}
     if len(set(lengths.values())) != 1:
-        said = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise DataError(f"{path}: its vectors have different lengths ({said}); save those of one measurement")
+        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise DataError(
+            f"{path}: its vectors have different lengths ({listed}); save those of one measurement"
+        )
     return [list(columns), *map(list, zip(*map(_texts, columns.values()), strict=True))]
 
 
@@ -265,15 +267,15 @@ def workbook_rows(raw: bytes, path: Path) -> Sheet:
         raise ValueError(
             "no sheet holds numbers; the values of formulas are in it once a spreadsheet program saves it"
         )
-    title, said = holding[0], []
+    title, remarks = holding[0], []
     if len(holding) > 1:
         others = ", ".join(repr(other) for other in holding[1:])
-        said.append(f"sheet {title!r}, the first that holds a table; {others} not read: save it as a file")
+        remarks.append(f"sheet {title!r}, the first that holds a table; {others} not read: save it as a file")
     elif len(read) > 1:
-        said.append(f"sheet {title!r}" + ("" if seen[title] else ", which is hidden"))
+        remarks.append(f"sheet {title!r}" + ("" if seen[title] else ", which is hidden"))
     if hides:
-        said.append("rows or columns that the workbook hides are read, too")
-    return Sheet(read[title], tuple(said))
+        remarks.append("rows or columns that the workbook hides are read, too")
+    return Sheet(read[title], tuple(remarks))
 
 
 def _without_styles(raw: bytes) -> tuple[io.BytesIO, bool]:

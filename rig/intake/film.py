@@ -126,7 +126,7 @@ def film_trajectory(
     lost = f"{status.dropped_by_camera} missing, {status.incomplete} damaged or of another size"
     followed = "a dark object (the picture is inverted)" if seen.dark else "a bright spot"
     what = f"followed: {followed}; {flags['LOST']} frames without one" + _flagged(flags, status.delivered)
-    said = [
+    lines = [
         *camera.remarks,
         *([_LOSSY.format(camera.lossy)] if camera.lossy else []),
         f"frames: {status.delivered} read, {lost}",
@@ -151,7 +151,7 @@ def film_trajectory(
     xy[:, 0] = camera.pixel_aspect * (xy[:, 0] + 0.5) - 0.5
     inside = _inside(path, seconds(since_ns), options)
     if camera.lossy:
-        said += _break_remarks(seconds(since_ns[inside]), xy[inside])
+        lines += _break_remarks(seconds(since_ns[inside]), xy[inside])
     return Trajectory(
         times_ns=since_ns[inside],
         positions=tuple((factor * xy[inside]).T),
@@ -159,7 +159,7 @@ def film_trajectory(
         unit=unit,
         scale_rad=conversion(unit, "rad") if unit in ANGLES else None,
         time_name="the film's times" if options.rate_hz is None else "the stated rate",
-        understood=tuple(said),
+        understood=tuple(lines),
         u_common_in_noises=_U_LOSSY_IN_NOISES if camera.lossy else 0.0,
         remedy=f"{what.capitalize()}, {_extent(xy[inside])}; --dark, --bright, --from and --to choose "
         "something else",

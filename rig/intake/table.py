@@ -87,10 +87,10 @@ class TableColumns:
         return cells, chosen, all_runs
 
     def _trajectory(self, path: Path, whole: Cells, run: RowsOfRun, all_runs: list[RowsOfRun]) -> Trajectory:
-        said = [f"{_listed(all_runs)}; this is {run.name}"] if len(all_runs) > 1 else []
+        remarks = [f"{_listed(all_runs)}; this is {run.name}"] if len(all_runs) > 1 else []
         without = len(whole.rows) - sum(len(one.cells.rows) for one in all_runs)
-        said += [f"left out: {without} rows that are of no run"] if without else []
-        return _TableReader(path, self, run, said).trajectory()
+        remarks += [f"left out: {without} rows that are of no run"] if without else []
+        return _TableReader(path, self, run, remarks).trajectory()
 
 
 def _listed(runs: Sequence[RowsOfRun]) -> str:
@@ -101,12 +101,14 @@ def _listed(runs: Sequence[RowsOfRun]) -> str:
 class _TableReader:
     """Reads one run of a table."""
 
-    def __init__(self, path: Path, options: TableColumns, run: RowsOfRun, said: Sequence[str] = ()) -> None:
+    def __init__(
+        self, path: Path, options: TableColumns, run: RowsOfRun, remarks: Sequence[str] = ()
+    ) -> None:
         self._path, self._options, self._run = path, options, run.name
         self._cells: Cells = run.cells
         self._columns = HeaderColumns(path, run.cells)
         self._names = self._columns.names
-        self._said: list[str] = [*run.cells.said, *said]
+        self._remarks: list[str] = [*run.cells.remarks, *remarks]
         self._time_is_assumed = False
 
     def trajectory(self) -> Trajectory:
@@ -118,7 +120,7 @@ class _TableReader:
             assert options.rate_hz is not None
             times_ns = np.round(np.arange(len(rows)) * (1e9 / options.rate_hz)).astype(np.int64)
             good, time_unit, first_ns = np.ones(len(rows), bool), "s", 0
-            self._said.append(f"time: {options.rate_hz:g} rows a second, as --rate says")
+            self._remarks.append(f"time: {options.rate_hz:g} rows a second, as --rate says")
         else:
             times_ns, good, time_unit, first_ns = self._times(t_column)
         unit = self._position_unit(p_columns)
@@ -135,7 +137,7 @@ class _TableReader:
                 self._path, self._names[k], unit, table[:, place], lines[inside]
             )
             if turns:
-                self._said.append(f"position: {self._names[k]} jumps by a turn {turns} times: unwrapped")
+                self._remarks.append(f"position: {self._names[k]} jumps by a turn {turns} times: unwrapped")
         judge_size(self._path, unit, table)
         names = [self._names[k] for k in p_columns]
         return self._trajectory_of_columns(t_column, times_ns, time_unit, first_ns, table, names, unit)
@@ -157,10 +159,10 @@ class _TableReader:
             raise DataError(f"{self._path}: no column beside {self._names[t_column]!r} has numbers")
         names = [self._names[k] for k in chosen]
         kept = [name for name, none in zip(names, empty.tolist(), strict=True) if not none]
-        self._said.append(f"columns: {', '.join(kept)}")
+        self._remarks.append(f"columns: {', '.join(kept)}")
         if empty.any():
             without = ", ".join(name for name in names if name not in kept)
-            self._said.append(f"left out: columns without numbers: {without}")
+            self._remarks.append(f"left out: columns without numbers: {without}")
         table = table[:, ~empty]
         self._left_out(good, np.asarray(self._cells.lines)[good], table, kept)
         return self._trajectory_of_columns(t_column, times_ns, time_unit, first_ns, table, kept, NOT_STATED)
@@ -184,7 +186,7 @@ class _TableReader:
             time_unit=time_unit,
             time_name="the rate" if t_column is None else self._names[t_column],
             time_is_assumed=self._time_is_assumed,
-            understood=(self._how_written(), *self._said),
+            understood=(self._how_written(), *self._remarks),
             first_ns=first_ns,
             run=self._run,
         )
@@ -202,7 +204,7 @@ class _TableReader:
             read = [cell for cell, yes in zip(cells, good, strict=True) if yes]
             check_increasing(self._path, times_ns, read, SORT)
             judge_zones(self._path, read, times_ns)
-            self._said.append(
+            self._remarks.append(
                 f"time: {self._names[column]}, " + (f"as {form} ({source})" if form else "moments")
             )
             return times_ns, good, "s", kept[0]
@@ -214,16 +216,16 @@ class _TableReader:
         judge_begin(self._path, self._names[column], unit, source, first_ns, times_ns)
         if unit == "s":
             judge_clock_digits(self._path, self._names[column], seconds(times_ns + first_ns))
-        self._said.append(f"time: {self._names[column]}, in {unit} ({source})")
+        self._remarks.append(f"time: {self._names[column]}, in {unit} ({source})")
         if unit == "d" and is_spreadsheet_time(first_ns):
             first_ns -= SPREADSHEET_ZERO_NS
-            self._said.append("time: days since 1899-12-30, as spreadsheets count")
+            self._remarks.append("time: days since 1899-12-30, as spreadsheets count")
         return times_ns, good, unit, first_ns
 
     def _position_unit(self, columns: Sequence[int]) -> str:
         titles, named = [self._names[k] for k in columns], [self._columns.named[k] for k in columns]
         unit, source = unit_of_positions(self._path, titles, named, self._options.unit)
-        self._said.append(
+        self._remarks.append(
             f"position: {', '.join(titles)}"
             + (f", in {unit} ({source})" if unit != NOT_STATED else f" ({source})")
         )
@@ -243,7 +245,7 @@ class _TableReader:
         steps_s = np.diff(since_s[inside])
         step_s = float(np.median(steps_s))
         even = float(steps_s.max()) < 1.5 * step_s
-        self._said.append(
+        self._remarks.append(
             f"stretch: {since_s[inside][0]:.6g} to {since_s[inside][-1]:.6g} s of 0 to {since_s[-1]:.6g} s, "
             f"{1 / step_s:.6g} rows a second"
             + ("" if even else f", unevenly, up to {steps_s.max():.6g} s apart")
@@ -267,10 +269,10 @@ class _TableReader:
             ("rows without a readable time", all_runs[~good].tolist()),
         ):
             if which:
-                self._said.append(f"left out: {len(which)} {what} ({lines_text(which)})")
+                self._remarks.append(f"left out: {len(which)} {what} ({lines_text(which)})")
         for name, values in zip(names, table.T, strict=True):
             if (missing := np.isnan(values)).any():
-                self._said.append(
+                self._remarks.append(
                     f"missing from the fit: {int(missing.sum())} values of {name} that are not "
                     f"numbers ({lines_text(lines[missing].tolist())})"
                 )

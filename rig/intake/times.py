@@ -45,9 +45,9 @@ def lines_text(lines: Sequence[int]) -> str:
             stretches[-1][1] = line
         else:
             stretches.append([line, line])
-    said = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in stretches[:_MAX_LISTED])
+    listed = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in stretches[:_MAX_LISTED])
     more = f" and {len(stretches) - _MAX_LISTED} more places" if len(stretches) > _MAX_LISTED else ""
-    return f"line{'s' if len(lines) > 1 else ''} {said}{more}"
+    return f"line{'s' if len(lines) > 1 else ''} {listed}{more}"
 
 
 def check_increasing(path: Path, times_ns: NDArray[np.int64], cells: Sequence[str], remedy: str) -> None:

@@ -163,7 +163,7 @@ class PreflightWait:
         return True
 
     def texts(self) -> list[str]:
-        """What the next try of a run has waited for, for its record; must be called at every try."""
+        """Texts on the waiting before the next try of a run, for its record; to be called at every try."""
         if not self._refused:
             # no try was refused since the last call: this is a new run
             self._since, self._run_waited_s = "", 0.0

@@ -356,7 +356,7 @@ def preflight_wanted(config: Configuration) -> bool:
 
 
 def _preflight_s(config: Configuration) -> float:
-    """How long the resting spot is watched: longer with a slow camera, so that its frames suffice."""
+    """Duration of watching the resting spot: longer with a slow camera, so that its frames suffice."""
     return max(config.preflight.duration_s, _RESTING_FRAMES / (config.camera.frame_rate_hz or math.inf))
 
 

@@ -211,15 +211,15 @@ def acknowledge_trip(config: Configuration, number: int) -> int:
     """Acknowledge a trip, in the session that runs or with the devices opened here; lights nothing."""
     for folder in _sessions(config):
         with suppress(NoSession), OrderConnection(folder) as line:
-            said = line.order(f"acknowledge {number} rig light acknowledge")
-            answer(acknowledged=number, said=said)
-            say(said)
+            reply = line.order(f"acknowledge {number} rig light acknowledge")
+            answer(acknowledged=number, said=reply)
+            say(reply)
             return 0
     with Devices(config, config.session.output, "rig light acknowledge") as devices:
         devices.wait_until_heard()
-        said = devices.acknowledge(number, "rig light acknowledge")
-        answer(acknowledged=number, said=said)
-        say(said)
+        reply = devices.acknowledge(number, "rig light acknowledge")
+        answer(acknowledged=number, said=reply)
+        say(reply)
     return 0
 
 
@@ -253,7 +253,7 @@ def _sessions(config: Configuration) -> Iterator[Path]:
 def _session_state(config: Configuration) -> SafetyNow | None:
     for folder in _sessions(config):
         with suppress(NoSession, KeyError, ValueError), OrderConnection(folder) as line:
-            return SafetyNow.told(line.news()["safety"])
+            return SafetyNow.from_news(line.news()["safety"])
     return None
 
 

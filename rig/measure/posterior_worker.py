@@ -35,7 +35,7 @@ from processing.fit import (
     with_discrepancy,
 )
 from processing.spot import Spot
-from processing.swing import HalfCycle, HarmonicsWatch, TurningPoints, turning_points
+from processing.swing import HalfCycle, HarmonicsMeasurement, TurningPoints, turning_points
 from rig.analysis import (
     PassingDeflections,
     PlaneBalances,
@@ -57,9 +57,9 @@ from rig.instrument import (
 from rig.settings import Configuration
 
 FIRST_HALF_CYCLES = 40
-"""Half-cycles before the first fit: with fewer, u of b and c exceeds b and c for every pair of the paper."""
+"""Half-cycles before the first fit. With fewer, b and c are less than their u for every pair of the paper."""
 _GROWTH = 1.04
-"""Growth of the number of half-cycles from fit to fit: u falls by a tenth where it falls fastest."""
+"""Growth of the number of half-cycles from fit to fit; an uncertainty then falls by a tenth at most."""
 _MAX_CORE_FRACTION = 0.02
 """Largest fraction of the time of a core that fits may take."""
 _LOOK_INTERVAL_S = 0.5
@@ -90,13 +90,13 @@ _MAX_POINTS = 300
 
 
 def fitted_points(
-    swings: Sequence[HalfCycle], points: TurningPoints, fit: FitResult, pendulum: PendulumOnBall
+    half_cycles: Sequence[HalfCycle], points: TurningPoints, fit: FitResult, pendulum: PendulumOnBall
 ) -> list[RecordedFittedPoint]:
-    """The points that compare the exact fit with its data: `points` are the unflagged `swings` in true time.
+    """Comparison of the exact fit with its data; `points` are the unflagged `half_cycles` in true time.
 
     The time of the fit itself is left 0; the recorder sets it.
     """
-    times_ns = [swing.turn_time_ns for swing in swings if not swing.flags]
+    times_ns = [swing.turn_time_ns for swing in half_cycles if not swing.flags]
     index = points.index - points.index[0]
     start = fit.estimate(AMPLITUDE.key).value
     amplitude, time_s = turning_points_of(fit.parameters, pendulum, start, int(index[-1]))
@@ -117,7 +117,7 @@ def fitted_points(
 
 MOST_SAMPLES = 1 << 22
 """Largest number of deflections that are kept, 160 MB: 2.3 hours of 500 frames/s."""
-_BEFORE = 4
+_KEPT_BEFORE = 4
 """Half-cycles kept before the first one that is refined: neighbours are fitted together."""
 
 
@@ -143,9 +143,9 @@ class MeasuredRun:
         """Number of deflections that are kept."""
         return sum(map(len, self._blocks))
 
-    def take(self, swings: Sequence[HalfCycle], deflections: Deflections) -> None:
+    def take(self, half_cycles: Sequence[HalfCycle], deflections: Deflections) -> None:
         """Add the next half-cycles and deflections."""
-        self._refinable += swings
+        self._refinable += half_cycles
         if not len(deflections):
             return
         self._blocks.append(deflections)
@@ -160,8 +160,8 @@ class MeasuredRun:
 
         If the plane of swing turns, the half-cycles are those of the motion in that plane.
         """
-        swings, blocks = self._half_cycles_in_plane()
-        refined, self._last_fit = fitted_twice(swings, blocks, fit, self._last_fit, self._fixed)
+        half_cycles, blocks = self._half_cycles_in_plane()
+        refined, self._last_fit = fitted_twice(half_cycles, blocks, fit, self._last_fit, self._fixed)
         if refined.exact is not None and self.samples > self._most:
             self._fix_older_half(refined.swings)
         return refined.swings, with_discrepancy(
@@ -183,13 +183,13 @@ class MeasuredRun:
         numbered = [replace(one, index=one.index + shift) for one in plane.swings if not one.flags]
         return [one for one in numbered if one.index in known], plane.deflections
 
-    def _fix_older_half(self, swings: Sequence[HalfCycle]) -> None:
+    def _fix_older_half(self, half_cycles: Sequence[HalfCycle]) -> None:
         half = len(self._refinable) // 2
-        if half < _BEFORE:
+        if half < _KEPT_BEFORE:
             return
-        from_ns = self._refinable[half - _BEFORE].turn_time_ns
+        from_ns = self._refinable[half - _KEPT_BEFORE].turn_time_ns
         self._refinable = self._refinable[half:]
-        self._fixed = [one for one in swings if one.index < self._refinable[0].index]
+        self._fixed = [one for one in half_cycles if one.index < self._refinable[0].index]
         self._blocks = [kept for block in self._blocks if len(kept := block.since(from_ns))]
 
 
@@ -253,10 +253,10 @@ class FollowedRun:
         self._pendulum, self._clock_rate = pendulum, clock_rate_of(config)
         self._motion = FollowedMotion(reader, config)
         self._run = MeasuredRun(axes=config.axes)
-        self._waveform = HarmonicsWatch()
+        self._waveform = HarmonicsMeasurement()
         self._swings: list[HalfCycle] = []
         self._taken = 0
-        self._untaken: list[Deflections] = []
+        self._new_deflections: list[Deflections] = []
 
     @property
     def half_cycles(self) -> int:
@@ -265,30 +265,32 @@ class FollowedRun:
 
     def read(self) -> None:
         """Read what was flushed since the last call."""
-        for swings, deflections in self._motion.unread():
+        for half_cycles, deflections in self._motion.unread():
             self._waveform.update(deflections)
-            self._waveform.add(swings)
+            self._waveform.add(half_cycles)
             if len(deflections):
-                self._untaken.append(deflections)
+                self._new_deflections.append(deflections)
                 if not self._swings:
-                    # keep only what half-cycles need that are found late: the pendulum may not swing yet
+                    # the pendulum may not swing yet: only deflections that a first half-cycle needs are kept
                     early_ns = int(deflections.times_ns[-1]) - _EARLY_NS
-                    while int(self._untaken[0].times_ns[-1]) < early_ns:
-                        self._untaken.pop(0)
-            self._swings += [swing for swing in swings if not swing.flags]
+                    while int(self._new_deflections[0].times_ns[-1]) < early_ns:
+                        self._new_deflections.pop(0)
+            self._swings += [swing for swing in half_cycles if not swing.flags]
 
     def fitted(self) -> Posterior:
         """The fit that the final analysis would make of these half-cycles; no estimates without a fit."""
         config, pendulum = self._config, self._pendulum
-        self._run.take(self._swings[self._taken :], joined(self._untaken, DeflectionUnit.RAD))
-        self._taken, self._untaken = len(self._swings), []
+        self._run.take(self._swings[self._taken :], joined(self._new_deflections, DeflectionUnit.RAD))
+        self._taken, self._new_deflections = len(self._swings), []
         with suppress(DataError):
             period_s = mean_period(points_in_true_time(self._swings, self._clock_rate))
             drag, _ = known_drag(config, stated_surroundings(config), pendulum, period_s)
-            evidence = evidence_of(drag, self._waveform.found())
-            how = DecayFit(pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit))
-            swings, fit = self._run.fitted(how)
-            points = fitted_points(swings, how.points(swings), fit, pendulum)
+            evidence = evidence_of(drag, self._waveform.harmonics())
+            decay_fit = DecayFit(
+                pendulum, self._clock_rate, config.fit.fits_drag, evidence, loss_of(config.fit)
+            )
+            half_cycles, fit = self._run.fitted(decay_fit)
+            points = fitted_points(half_cycles, decay_fit.points(half_cycles), fit, pendulum)
             return Posterior(self._taken, {name: fit.estimate(name) for name in fit.contact_names}, points)
         return Posterior(self._taken)
 
@@ -299,15 +301,15 @@ def fits(reader: RecordReader, *, in_step: bool) -> Iterator[Posterior]:
     Fits take at most `_MAX_CORE_FRACTION` of the time. With `in_step` there is one fit for each line on the
     standard input, which says that the record was flushed.
     """
-    run, warm, due_half_cycles, due_s = FollowedRun(reader), False, FIRST_HALF_CYCLES, 0.0
+    run, is_warm, due_half_cycles, due_s = FollowedRun(reader), False, FIRST_HALF_CYCLES, 0.0
     for _ in _flushed(reader) if in_step else reader.follow(_LOOK_INTERVAL_S):
         run.read()
         if not in_step and (run.half_cycles < due_half_cycles or time.monotonic() < due_s):
             continue
-        if not warm:
+        if not is_warm:
             # the first fit of a process loads its kernels, so its time does not show what a fit costs
             run.fitted()
-            warm = True
+            is_warm = True
         began_s = time.process_time()
         yield run.fitted()
         due_half_cycles = next_fit_half_cycles(run.half_cycles)

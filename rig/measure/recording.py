@@ -28,13 +28,13 @@ from rig.measure.session_orders import StartJudge
 
 _LIVE_FIT = "the live fit"
 _BEAM_CORRECTION = "the live subtraction of the reference spot"
-_LIVE_PICTURE = "the picture for who watches"
+_LIVE_PICTURE = "the live picture"
 
 _BLOCK_FRAMES = 64
 _MAX_BLOCK_NS = 2_000_000_000
 """Longest time span of a block, so that a run with a slow camera ends when it should."""
 _PUBLISH_INTERVAL_NS = 10_000_000
-"""Shortest time between two published states of the run; nobody looks more often."""
+"""Shortest time between two published states of the run, shorter than a screen can show."""
 
 _LOST_IMAGE_INTERVAL_NS, _PREVIEW_INTERVAL_NS = 1_000_000_000, 300_000_000
 _MIN_LOST_S = 5.0
@@ -45,7 +45,7 @@ class FrameCounts:
     """Counts of frames and losses of one run; it numbers the frames of a record from 0."""
 
     def __init__(self, first: Frame, full_frame_interval_ns: int, *, keep_windows: bool) -> None:
-        self.start_ns = self.last_ns = self._seen_ns = first.time_ns
+        self.start_ns = self.last_ns = self._last_spot_ns = first.time_ns
         self.frames = self.missing = self.lost_spots = 0
         self.beam = BeamUse()
         self._model: SpotModel | None = None
@@ -64,9 +64,9 @@ class FrameCounts:
     @property
     def lost_text(self) -> str:
         """Text that says since when the spot is lost, once that lasts for `_MIN_LOST_S`; else empty."""
-        if seconds(self.last_ns - self._seen_ns) < _MIN_LOST_S:
+        if seconds(self.last_ns - self._last_spot_ns) < _MIN_LOST_S:
             return ""
-        minutes, rest_s = divmod(seconds(self._seen_ns - self.start_ns), 60)
+        minutes, rest_s = divmod(seconds(self._last_spot_ns - self.start_ns), 60)
         return f"spot lost since {minutes:.0f}:{rest_s:04.1f}: laser on? beam on the sensor?"
 
     @property
@@ -92,7 +92,7 @@ class FrameCounts:
                 kind = EventKind.SPOT_LOST if lost else EventKind.SPOT_FOUND
                 events.append(Event(time_ns, kind, f"at frame {number}"))
             self._lost = lost
-            self._seen_ns = self._seen_ns if lost else time_ns
+            self._last_spot_ns = self._last_spot_ns if lost else time_ns
             self.lost_spots += lost
             is_due = time_ns >= self._next_image_ns
             if is_due:
@@ -179,7 +179,7 @@ class Recording:
             text = f"{type(error).__name__}: {error}"
             kinds = (EventKind.FAILED, EventKind.STOP)
             self._recorder.put(RecordEntry(events=[Event(last_ns, kind, text) for kind in kinds]))
-            # told now, because closing the devices may take seconds
+            # watchers are informed now, because closing the devices may take seconds
             self._inform_watchers([Event(last_ns, EventKind.FAILED, in_one_line(error))])
             raise
         return rejected
@@ -254,13 +254,13 @@ class Recording:
         self._last = taken[-1]
         messages, clock_events = self._readings.take(taken)
         messages += self._notes()
-        stepped: list[Event] = self._guard.call("the watch for steps", [], self._steps.take, block)
-        entry.events = [*entry.events, *beam_events, *stepped, *clock_events, *self._device_events()]
+        step_events: list[Event] = self._guard.call("the watch for steps", [], self._steps.take, block)
+        entry.events = [*entry.events, *beam_events, *step_events, *clock_events, *self._device_events()]
         entry.messages = messages
         self._recorder.put(entry)
         if parts.posterior is not None:
-            ways = self._recorder.flush, self._stream.waits_on_purpose
-            self._guard.call(_LIVE_FIT, None, parts.posterior.take, shown.swings, *ways)
+            callbacks = self._recorder.flush, self._stream.waits_on_purpose
+            self._guard.call(_LIVE_FIT, None, parts.posterior.take, shown.swings, *callbacks)
         due = bool(shown.swings) or self._on_demand or taken_ns - self._published_ns > _PUBLISH_INTERVAL_NS
         if due:
             self._published_ns = taken_ns

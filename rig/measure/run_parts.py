@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """What one run is to be: configuration, record, and those who are informed of it."""
+    """Plan of one run: its configuration, its record, and the observers that are informed of it."""
 
     config: Configuration
     source: Path
@@ -140,7 +140,7 @@ class RunParts:
 
 @dataclass(frozen=True, slots=True)
 class RunOutcome:
-    """How a run has ended; its record is closed, unless `hangs` is not empty."""
+    """End of a run; its record is closed unless `hangs` names what hangs."""
 
     last: RunNow
     """State of the run at its end."""

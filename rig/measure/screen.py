@@ -83,13 +83,13 @@ class RunDisplay:
 
     # -- as a watcher, in the run's thread -----------------------------------
 
-    def take(self, told: RecordContents) -> None:
+    def take(self, new: RecordContents) -> None:
         """Keep half-cycles for the forecast, and lines of the log."""
-        for swing in told.swings:
+        for swing in new.swings:
             if not swing.flags:
                 self._swings.append((seconds(swing.turn_time_ns), swing.amplitude, swing.u_amplitude))
-        for event in told.events:
-            elapsed_s = seconds(event.time_ns - told.start_ns)
+        for event in new.events:
+            elapsed_s = seconds(event.time_ns - new.start_ns)
             self._notes.append(f"{elapsed_s:8.1f} s  {event.line}")
             if self.json_lines:
                 said = {"elapsed_s": elapsed_s, "event": event.kind, "text": event.text}
@@ -180,9 +180,9 @@ class RunDisplay:
             "at_most_s": self._time_to_limit_s(now),
             **self._numbers(now.balance),
         }
-        told = asdict(replace(now, balance=None))
-        del told["balance"]
-        return {**told, **own}
+        fields = asdict(replace(now, balance=None))
+        del fields["balance"]
+        return {**fields, **own}
 
     def rows(self, now: RunNow) -> list[tuple[str, str]]:
         """Names and texts of the state, for people."""

@@ -191,8 +191,8 @@ def read_input(path: Path, model: type[_Model]) -> _Model:
         )
     found, faults = validated(model, tree)
     if found is None:
-        said = "; ".join(fault.line for fault in faults)
-        raise ConfigurationError(f"{path}: {said}; docs/calibrate.md shows such a file")
+        problem = "; ".join(fault.line for fault in faults)
+        raise ConfigurationError(f"{path}: {problem}; docs/calibrate.md shows such a file")
     return found
 
 

@@ -66,9 +66,9 @@ class BalanceDialogue:
 
 
 def balance_dialogue(
-    lines: Sequence[Mapping[str, Any]], said: Sequence[str], *, running: bool, failed: bool
+    lines: Sequence[Mapping[str, Any]], output: Sequence[str], *, running: bool, failed: bool
 ) -> BalanceDialogue:
-    """The dialogue from the JSON lines that the command has printed, and its other output `said`.
+    """The dialogue from the JSON lines that the command has printed, and other `output`.
 
     Parameters
     ----------
@@ -88,19 +88,19 @@ def balance_dialogue(
     x, y = _trajectory(lines, whole=stage is not BalanceStage.MEASURING)
     problem = next((str(one["problem"]) for one in list(lines)[-2:] if one.get("problem")), "")
     turn = None if stage is BalanceStage.MEASURING else last.get("turn")
-    advice, detail = _advice(stage, last, turn, said)
+    advice, detail = _advice(stage, last, turn, output)
     return BalanceDialogue(stage, advice, detail, turn, faults, last.get("before") or [], x, y, problem)
 
 
 def _advice(
-    stage: BalanceStage, last: Mapping[str, Any], turn: Mapping[str, Any] | None, said: Sequence[str]
+    stage: BalanceStage, last: Mapping[str, Any], turn: Mapping[str, Any] | None, output: Sequence[str]
 ) -> tuple[str, str]:
     """The advice, and its reason."""
     if stage is BalanceStage.MEASURING:
         return "Hands off: measuring", ""
     why, hint, text = (str(last.get(key) or "") for key in ("why", "hint", "text"))
     if stage is BalanceStage.FAILED:
-        return "The measurement has failed", " ".join(list(said)[-2:]) or why
+        return "The measurement has failed", " ".join(list(output)[-2:]) or why
     if turn is not None:
         parts = ", then ".join(
             f"{abs(part):.2f} turns {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]

@@ -321,11 +321,11 @@ class LearnedTurns:
             responses.turned(weight, pair.parts)
             return True
         say(f"nothing is learned from this turn: it looks as if weight {weight} {doubt}")
-        told = [each for each in (self._pairs.get(weight), pair) if each is not None]
+        known_pairs = [each for each in (self._pairs.get(weight), pair) if each is not None]
         if doubt is Doubt.REVERSED and (doubts[-1:] == [doubt] or responses.pairs[weight] == 1):
             # either this turn or the earlier learning is wrong
             say(f"weight {weight} may do the opposite of what was learned; what was learned is discarded")
-            seen = [(each.parts, each.before, each.after, np.nan_to_num(each.u)) for each in told]
+            seen = [(each.parts, each.before, each.after, np.nan_to_num(each.u)) for each in known_pairs]
             responses.relearn(weight, seen if responses.pairs[weight] == 1 else seen[-1:])
             doubts.clear()
         else:

@@ -7,7 +7,7 @@ from math import isfinite, nan, sqrt
 
 import numpy as np
 
-from processing.ambient import in_other_unit
+from processing.ambient import other_unit_warning
 from processing.arrays import Floats
 from processing.contact import surface_energy
 from processing.errors import DataError
@@ -299,7 +299,7 @@ def _covariate_warnings(stated: StatedCampaign, runs: Sequence[CompressedRun]) -
     texts: list[str] = []
     for covariate in sorted(stated.covariates - {"", ORDER}):
         known = {run.label: run.covariates[covariate].value for run in runs if covariate in run.covariates}
-        texts += filter(None, [in_other_unit(covariate, known)])
+        texts += filter(None, [other_unit_warning(covariate, known)])
         without = [run.label for run in runs if covariate not in run.covariates]
         if without:
             texts.append(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acquisition import atomic_write
-from processing.ambient import AmbientConditions, in_other_unit
+from processing.ambient import AmbientConditions, other_unit_warning
 from processing.contact.laws import DEFAULT_LAW
 from processing.errors import ConfigurationError, RecordError
 from processing.estimate import Estimate
@@ -97,7 +97,7 @@ def ambient_table(runs: Sequence[RunAtCondition], name: str) -> Table:
     note += "chance: the probability of a slope this steep if there is no dependence."
     if not shown:
         note = f"{len(runs)} runs: too few, or all at the same value, for a line."
-    other = in_other_unit(name, {f"{run.series} {run.run}": run.ambient_value for run in runs})
+    other = other_unit_warning(name, {f"{run.series} {run.run}": run.ambient_value for run in runs})
     note += f" {other}." if other else ""
     return Table(
         "against", f"Parameters against {over.name}", columns, rows,

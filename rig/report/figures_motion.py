@@ -360,11 +360,11 @@ def witness_figure(spectra: SeismometerSpectra) -> ReportFigure:
     figure.subplots_adjust(left=0.1, right=0.985, bottom=0.17, top=0.96, wspace=0.26)
     return ReportFigure(
         "witness",
-        "What the witness of the ground explains",
-        "Left: the drive near the pendulum's frequency (dotted) as its turning points show it, as the "
-        "witness predicts it with the fitted response, and the remainder; also the apparent drive from the "
-        "uncertainties of the turning points alone, which grows away from that frequency. "
-        "Right: the squared coherence of pendulum and witness, over "
+        "What the auxiliary seismometer explains",
+        "Left: the drive near the pendulum's frequency (dotted) as its turning points show it, as "
+        "the seismometer predicts it with the fitted response, and the remainder; also the apparent drive "
+        "from the uncertainties of the turning points alone, which grows away from that frequency. "
+        "Right: the squared coherence of pendulum and seismometer, over "
         f"{spectra.stretches} stretches of the run (dashed: what unrelated records would show).",
         figure,
     )

@@ -26,7 +26,7 @@ from rig.analysis import (
     Series,
     StoredTurningPoints,
     combined_series,
-    settled_swings,
+    refined_half_cycles,
     with_contact,
 )
 from rig.report.source import ShownTrajectory, ShownUnit
@@ -147,10 +147,10 @@ def simulate_pair(pair: PrintedPair, seed: int) -> PairSeries:
         seen = noisy(motion, noise_rad, noise_rad, seed + number)
         deflections = slow_deflections(seen.times_ns, seen.y_rad, noise_rad)
         swings = swings_of_blocks([deflections])
-        settled = settled_swings(swings, [deflections], deflections.unit, pendulum, FitSettings())
-        runs.append(turning_points(settled.swings))
-        stored.append(StoredTurningPoints.of(runs[-1], settled.swings, deflections.unit, 1.0))
-        exact.append(settled.exact or fit_exact(runs[-1], pendulum))
+        refined = refined_half_cycles(swings, [deflections], deflections.unit, pendulum, FitSettings())
+        runs.append(turning_points(refined.swings))
+        stored.append(StoredTurningPoints.of(runs[-1], refined.swings, deflections.unit, 1.0))
+        exact.append(refined.exact or fit_exact(runs[-1], pendulum))
         time_s = seconds(seen.times_ns - next(swing.turn_time_ns for swing in swings if swing.flags == 0))
         unit = ShownUnit("arcsec", ARCSEC_RAD)
         shown.append(ShownTrajectory(time_s, seen.x_rad / ARCSEC_RAD, seen.y_rad / ARCSEC_RAD, unit))

@@ -40,9 +40,9 @@ class Plan:
 
     @property
     def scales(self) -> dict[str, float]:
-        """Reference values of relative uncertainties; 0 for a drag below its u in every run."""
-        unseen = all(run.u.get(DRAG.key, 0.0) > abs(self.values.get(DRAG.key, 0.0)) for run in self.runs)
-        return {name: 0.0 if name == DRAG.key and unseen else value for name, value in self.values.items()}
+        """Values to which uncertainties are relative; 0 for a drag below its uncertainty in every run."""
+        hidden = all(run.u.get(DRAG.key, 0.0) > abs(self.values.get(DRAG.key, 0.0)) for run in self.runs)
+        return {name: 0.0 if name == DRAG.key and hidden else value for name, value in self.values.items()}
 
     def relative(self, run: PlannedRun) -> dict[str, float]:
         """Relative uncertainty by parameter; infinite where the reference value is 0."""
@@ -116,22 +116,24 @@ def plan_table(plan: Plan) -> Table:
 
 
 def plan_ageing(plan: Plan, waits_s: Sequence[float]) -> tuple[tuple[PlannedSeries, ...], PlannedSeries]:
-    """The run with the smallest u(b) and its pairs with runs of equal last amplitude after each wait.
+    """The run with the smallest u(b), and its pairs with a second run to the same amplitude after each wait.
 
     Also returns the proposed pair: the shortest in which unknown ageing enlarges u(b) by less than a fifth,
     or else the pair with the smallest u(b).
     """
-    best, known = min(plan.runs, key=lambda run: run.u["b"]), plan.conditions.known_drag_s
-    seconds = sorted(
+    best, prior = min(plan.runs, key=lambda run: run.u["b"]), plan.conditions.known_drag_s
+    second_runs = sorted(
         (run for run in plan.runs if run.last_rad == best.last_rad), key=lambda run: -run.first_rad
     )
-    pairs = [planned_series([best, run], wait_s, known) for run in seconds for wait_s in sorted(set(waits_s))]
+    pairs = [
+        planned_series([best, run], wait_s, prior) for run in second_runs for wait_s in sorted(set(waits_s))
+    ]
     good = [one for one in pairs if one.u["b"] < _MAX_AGEING_FACTOR * one.u_steady["b"]]
     proposed = min(good, key=lambda one: one.duration_s) if good else min(pairs, key=lambda one: one.u["b"])
-    return (planned_series([best], known_drag_s=known), *pairs), proposed
+    return (planned_series([best], known_drag_s=prior), *pairs), proposed
 
 
-def _percent(share: float) -> str:
+def _percent_or_unknown(share: float) -> str:
     return percent(share) if share < 10 else "unknown"
 
 
@@ -140,14 +142,16 @@ def ageing_table(plan: Plan, waits_s: Sequence[float]) -> Table:
     lines = []
     series, proposed = plan_ageing(plan, waits_s)
     for one in series:
-        between = [(run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD) for run in one.runs]
-        second, waiting = (between[1][0], f"{one.waiting_s / 60:g}") if len(between) > 1 else (math.nan, "")
+        amplitudes = [(run.first_rad / ARCSEC_RAD, run.last_rad / ARCSEC_RAD) for run in one.runs]
+        second, waiting = (
+            (amplitudes[1][0], f"{one.waiting_s / 60:g}") if len(amplitudes) > 1 else (math.nan, "")
+        )
         u_b, per_h = (one.u_steady["b"], one.u["b"]), 3600.0 * one.u_ageing_per_s
-        cells = [*between[0], second, one.waiting_s, one.duration_s, *u_b, one.u_ageing_per_s]
-        words = ", then ".join(f"{first:g} to {last:g}" for first, last in between)
+        cells = [*amplitudes[0], second, one.waiting_s, one.duration_s, *u_b, one.u_ageing_per_s]
+        words = ", then ".join(f"{first:g} to {last:g}" for first, last in amplitudes)
         words += " <- proposed" if one is proposed else ""
-        relative = [_percent(u / abs(plan.values["b"])) for u in u_b]
-        rate = _percent(per_h) + (" per h" if per_h < 10 else "")
+        relative = [_percent_or_unknown(u / abs(plan.values["b"])) for u in u_b]
+        rate = _percent_or_unknown(per_h) + (" per h" if per_h < 10 else "")
         lines.append(TableRow(cells, [words, waiting, f"{one.duration_s / 60:.1f}", *relative, rate]))
     symbol = quantity("b").symbol
     return Table.of(
@@ -179,7 +183,8 @@ def save_plan(plan: Plan, folder: Path, ageing: Table) -> None:
 
 
 def plan_figure(plan: Plan) -> "ReportFigure":
-    """Uncertainty against last amplitude and against time; a colour a parameter, a line a first amplitude."""
+    """Uncertainty against last amplitude and against time: a colour for each parameter, a line style for each
+    first amplitude."""
     from matplotlib.lines import Line2D
 
     from rig.report.drawing import INK, ReportFigure, canvas
@@ -202,8 +207,8 @@ def plan_figure(plan: Plan) -> "ReportFigure":
                 by_time.plot(minutes, u_percent / np.sqrt(count), line, color=colour, marker=".", alpha=faint)
     by_amplitude.set(xscale="log", yscale="log")
     by_amplitude.invert_xaxis()
-    lasts = sorted({run.last_rad / ARCSEC_RAD for run in plan.runs})
-    by_amplitude.set_xticks(lasts, [f"{last:g}" for last in lasts])
+    last_arcsec = sorted({run.last_rad / ARCSEC_RAD for run in plan.runs})
+    by_amplitude.set_xticks(last_arcsec, [f"{last:g}" for last in last_arcsec])
     by_amplitude.set_xticks([], minor=True)
     by_amplitude.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     by_amplitude.set_xlabel("last amplitude / arcsec")

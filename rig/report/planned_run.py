@@ -14,7 +14,7 @@ from processing.errors import ConfigurationError, DataError
 from processing.fit import LEAST_UNEXPLAINED, Conditions, FitMethod, waveform_of
 from processing.noise_models import density_of_db, nhnm_db, nlnm_db
 from processing.spot import SensorModel, SpotTracker
-from processing.swing import HarmonicsWatch, swings_of_blocks, turning_points
+from processing.swing import HarmonicsMeasurement, swings_of_blocks, turning_points
 from processing.units import ARCSEC_RAD, nanoseconds
 from rig.analysis import AnalysedRun, Fit, known_drag, read_results, stated_surroundings
 from rig.instrument import complete, pendulum_on_ball, sensor_model
@@ -206,7 +206,7 @@ def _half_cycle_uncertainties(
         swing_rad += np.fft.irfft(np.append(0.0, waves), len(time_s))
     seen = slow_deflections(nanoseconds(time_s), swing_rad, noise_rad)
     swings = swings_of_blocks([seen])
-    points, waveform = turning_points(swings), HarmonicsWatch(swings)
+    points, waveform = turning_points(swings), HarmonicsMeasurement(swings)
     waveform.update(seen)
     if len(points) < _HALF_CYCLES // 2:
         raise ConfigurationError(
@@ -214,7 +214,7 @@ def _half_cycle_uncertainties(
         )
     later = slice(len(points) // 2, None)
     u_amplitude, u_time = points.u_amplitude[later], points.u_time_s[later]
-    found = waveform_of(waveform.found())
+    found = waveform_of(waveform.harmonics())
     covariance = None if found is None else found.median_covariance
     return float(np.median(u_amplitude)), float(np.median(u_time)), covariance
 

@@ -24,18 +24,18 @@ from rig.report import Campaign, StatedCampaign, fit_model, read_campaign, runs_
 from rig.scripting.session import Record, Session, columns_of, overrides_of, path_of, several, text_of
 from rig.settings import load_configuration
 
-Recorded = str | Path | Record | Session
+RecordSource = str | Path | Record | Session
 
 
 def fit(
-    source: Recorded | Sequence[Recorded],
+    source: RecordSource | Sequence[RecordSource],
     overrides: Mapping[str, object] | None = None,
     *,
     witness: str | Path | None = None,
     law: StatedMoment | None = None,
     elastic: StatedMoment | None = None,
 ) -> SessionResults:
-    """Fit the contact laws to one or more records, or evaluate them as the kind of pendulum requires.
+    """Fit the contact laws to records; records of other pendulums give the quantities of their kind.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def fit(
         A record, a session, the path of a record or of a session's folder, or a sequence of these, which are
         combined as a series.
     overrides
-        Changes of the recorded configuration for this fit, by dotted key: ``{"fit.drag": True}``.
+        Changes of the recorded configuration for this fit, by dotted key: ``{"fit.drag": "open"}``.
     witness
         What a seismometer or tiltmeter recorded beside the runs: CSV, miniSEED or SAC.
     law
@@ -130,7 +130,7 @@ def fit_film(
     Raises
     ------
     RigError
-        No film, one that cannot be read right, or no free decay in it.
+        The file is no film, cannot be read as it was recorded, or shows no free decay.
     """
     film = path_of(path, "path")
     config = None
@@ -152,7 +152,7 @@ def _laws(law: StatedMoment | None, elastic: StatedMoment | None) -> tuple[Law |
     return DEFAULT_LAW, StatedLaw(law, elastic)
 
 
-def _paths(source: Recorded) -> list[Path]:
+def _paths(source: RecordSource) -> list[Path]:
     match source:
         case Session():
             return [record.path for record in source.records]
@@ -257,7 +257,8 @@ def campaign(
     Raises
     ------
     RigError
-        Results cannot be read, a run is there twice, or something is stated that there is not.
+        Results cannot be read, a run is there twice, or the file names a key, parameter or covariate that
+        does not exist.
     """
     folders = [
         one.folder if isinstance(one, Session) else path_of(one, "sessions")

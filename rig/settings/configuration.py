@@ -11,7 +11,7 @@ from acquisition.cameras.drivers import find_driver
 from acquisition.simulation.inputs import FaultSettings
 from acquisition.simulation.settings import SimulationSettings
 from calibration import Axes, Lever, Shutter, deflection_unit
-from processing.ambient import POSSIBLE
+from processing.ambient import POSSIBLE_READINGS
 from processing.contact import STANDARD_GRAVITY_M_PER_S2, Material
 from processing.deflections import DeflectionUnit
 from processing.spot import SensorModel
@@ -65,7 +65,7 @@ class SessionSettings(Section, frozen=True):
     )
 
 
-_TEMPERATURE_C, _PRESSURE_PA = POSSIBLE["temperature_c"], POSSIBLE["pressure_pa"]
+_TEMPERATURE_C, _PRESSURE_PA = POSSIBLE_READINGS["temperature_c"], POSSIBLE_READINGS["pressure_pa"]
 
 
 class EnvironmentConditions(Section, frozen=True):
@@ -310,7 +310,7 @@ class Configuration(Section, frozen=True):
 
     @property
     def lever_reference_px(self) -> tuple[float, float] | None:
-        """Where the spot is at zero tilt, (x, y); None where no lever states it."""
+        """Position (x, y) of the spot at zero tilt; None where no lever states it."""
         lever = self.lever
         if lever is None or lever.reference_x_px is None or lever.reference_y_px is None:
             return None

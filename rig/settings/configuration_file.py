@@ -50,11 +50,11 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
         raise ConfigurationError(f"{path}: is not TOML: {error}{_hint(str(error), text)}") from None
 
 
-def _hint(said: str, text: str) -> str:
+def _hint(toml_error: str, text: str) -> str:
     """The likely meaning of a common error that TOML's message does not explain; else empty."""
-    place = re.search(r"at line (\d+)", said)
+    place = re.search(r"at line (\d+)", toml_error)
     line = text.splitlines()[int(place[1]) - 1] if place and int(place[1]) <= text.count("\n") + 1 else ""
-    if said.startswith(_TWICE_MESSAGES):
+    if toml_error.startswith(_TWICE_MESSAGES):
         return "; this is stated twice, as a section or with its name before a point: state it once"
     if number := re.match(r"\s*([\w.]+)\s*=\s*[+-]?\d[\d.eE+-]*\s+[^\W\d]", line):
         return f"; {number[1]} is a number alone, in the unit that its name ends with"

@@ -92,7 +92,7 @@ class RecordDrawer:
 
     @property
     def summary(self) -> str:
-        """How the record ended and what is in it, in Markdown."""
+        """End and contents of the record, in Markdown."""
         reader = self._reader
         end = "truncated" if reader.truncated else "damaged" if reader.damages else "complete"
         start = datetime.fromtimestamp(seconds((self._start_ns or 0) + reader.epoch_offset_ns), UTC)

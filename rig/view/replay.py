@@ -224,7 +224,7 @@ class Replay:
         self._swings: list[HalfCycle] = []
         self._deflections: list[Deflections] = []
         self._beam = BeamUse()
-        self._rate = None if self._config.on_demand else ClockRate(beside=False)
+        self._rate = None if self._config.on_demand else ClockRate(in_thread=False)
         self._clock = CameraClock()
         self._first_sequence, self._last_sequence = -1, -1
         self._comparison = ReplayComparison(self.start_ns)

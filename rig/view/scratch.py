@@ -1,4 +1,4 @@
-"""Views of a run and of programs that do not measure, which write a scratch record for `rig view`."""
+"""Views of a run, and of programs that do not measure and write a scratch record for `rig view` instead."""
 
 import math
 import os
@@ -83,10 +83,10 @@ class RunningView:
         Returns the problem of the Rerun file, empty without one. If `patient`, the file may take any time.
         """
         self._wait_for_end(self._viewer_process, _MAX_SHOW_END_S)
-        last_words = self._wait_for_end(self._file_process, None if patient else _MAX_WRITE_END_S)
-        if last_words is None:
+        last_line = self._wait_for_end(self._file_process, None if patient else _MAX_WRITE_END_S)
+        if last_line is None:
             return ""
-        return last_words or f"the Rerun file {self.rrd} is not whole: its writer was ended"
+        return last_line or f"the Rerun file {self.rrd} is not whole: its writer was ended"
 
     def _start(self, *words: str) -> "subprocess.Popen[Any]":
         null = subprocess.DEVNULL
@@ -101,17 +101,17 @@ class RunningView:
         if not self.record.exists():
             process.terminate()
         try:
-            _, last_words = process.communicate(timeout=limit_s)
+            _, errors = process.communicate(timeout=limit_s)
         except subprocess.TimeoutExpired:
             process.kill()
-            _, last_words = process.communicate()
+            _, errors = process.communicate()
         if os.name == "posix":
             # end the page's server that a killed view may have left
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
         if process.returncode == 0 or not self.record.exists():
             return None
-        lines = last_words.decode(errors="replace").strip().splitlines()
+        lines = errors.decode(errors="replace").strip().splitlines()
         return lines[-1].removeprefix("rig: ") if lines else ""
 
 
@@ -244,11 +244,11 @@ class ScratchView:
             self._picture_due_ns = frame.time_ns + _PICTURE_INTERVAL_NS
             self._write(lambda writer: writer.write_preview(frame))
 
-    def half_cycles(self, swings: list[HalfCycle]) -> None:
+    def half_cycles(self, half_cycles: list[HalfCycle]) -> None:
         """Write half-cycles that are completed only at the end."""
-        none = np.empty(0)
-        nothing = Deflections(np.empty(0, dtype=np.int64), none, none, none, none, self._unit)
-        self.block(Block([], nothing, swings, []))
+        empty = np.empty(0)
+        no_deflections = Deflections(np.empty(0, dtype=np.int64), empty, empty, empty, empty, self._unit)
+        self.block(Block([], no_deflections, half_cycles, []))
 
     def look(self, frame: Frame, spot: Spot) -> None:
         """Write a frame and the spot in it, without a deflection."""
@@ -256,7 +256,7 @@ class ScratchView:
         self.block(self._single_spot(frame.time_ns, spot), [frame])
 
     def event(self, event: Event) -> None:
-        """Write an event for the log, or advice on the last balance."""
+        """Write an event: a line of the log, or the advice on the last balance."""
         self._write(lambda writer: writer.write_event(event.time_ns, event.kind, event.text))
 
     def jump(self, time_ns: int, text: str) -> None:
@@ -274,9 +274,9 @@ class ScratchView:
         self._write(lambda writer: writer.flush())
 
     def _single_spot(self, time_ns: int, spot: Spot) -> Block:
-        nothing, unit = np.full(1, math.nan), self._unit
-        at = Deflections(np.array([time_ns]), nothing, nothing, nothing, nothing, unit)
-        return Block([spot], at, [], [])
+        unknown, unit = np.full(1, math.nan), self._unit
+        deflection = Deflections(np.array([time_ns]), unknown, unknown, unknown, unknown, unit)
+        return Block([spot], deflection, [], [])
 
     def _write(self, write: Callable[[RecordWriter], None]) -> None:
         """Write into the record, unless it has not begun or writing has failed."""

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 class Setup(NamedTuple):
-    """What a drawing must know before its first value.
+    """Title, layout, expected values and panels that a drawing needs before its first value.
 
     `runs` are the names of the runs that are overlaid, one empty name for a single run. `period_s` (of the
     slow mode) and `amplitude` (of the first axes) are expected values, `unit` is that of all deflections.

@@ -19,7 +19,7 @@ from processing.contact.laws import PAPER
 from processing.deflections import DeflectionUnit, slow_deflections
 from processing.fit import fit_exact
 from processing.swing import swings_of_blocks, turning_points
-from rig.analysis import settled_swings
+from rig.analysis import refined_half_cycles
 from rig.analysis.air import FittedDrag
 from rig.settings import FitSettings
 from tests.benchmarks.cases import each_seed, run_cases
@@ -114,11 +114,11 @@ def pulls(case: Case, seed: int) -> list[float]:
     blocks = [
         slow_deflections(times_ns, samples.angle_rad + noise * rng.standard_normal(len(times_ns)), noise)
     ]
-    settled = settled_swings(
+    refined = refined_half_cycles(
         swings_of_blocks(blocks), blocks, DeflectionUnit.RAD, samples.pendulum, FitSettings(),
         drag=FittedDrag(fitted=case.drag),
     )  # fmt: skip
-    fit = settled.exact or fit_exact(turning_points(settled.swings), samples.pendulum, drag=case.drag)
+    fit = refined.exact or fit_exact(turning_points(refined.swings), samples.pendulum, drag=case.drag)
     found = {name: fit.estimate(name) for name in PAPER.names(drag=case.drag)}
     return [
         (one.value - getattr(samples.parameters, name)) / one.standard_uncertainty

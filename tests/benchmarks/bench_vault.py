@@ -1,4 +1,4 @@
-"""The exact fit with a witness of the ground: scatter, coverage, refusals.
+"""The exact fit with an auxiliary seismometer: scatter, coverage, refusals.
 
 Run as ``python -m tests.benchmarks vault [--quick]``. Decays are
 integrated step by step, with the ground as a force; the fit shares no formula with that. The recorded

@@ -11,7 +11,7 @@ from processing.fit import FitResult
 from processing.fit.exact_model import ExactModel
 from processing.least_squares import covariance_of
 from processing.swing import TurningPoints, swings_of_blocks
-from rig.analysis import settled_swings
+from rig.analysis import refined_half_cycles
 from rig.analysis.air import FittedDrag
 from rig.analysis.contact_fits import RefinedHalfCycles
 from rig.settings import FitSettings
@@ -79,4 +79,4 @@ def in_frames(
     """What a session makes of a path that a camera sees: detected, and measured again."""
     samples = seen_in_frames(path_rad, noise_arcsec * ARCSEC, seed, FRAMES_PER_S)
     swings = swings_of_blocks([samples])
-    return settled_swings(swings, [samples], DeflectionUnit.RAD, pendulum, FitSettings(), drag=drag)
+    return refined_half_cycles(swings, [samples], DeflectionUnit.RAD, pendulum, FitSettings(), drag=drag)

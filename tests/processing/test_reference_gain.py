@@ -6,7 +6,7 @@ import pytest
 from processing.arrays import Floats, Ints
 from processing.errors import DataError
 from processing.estimate import Estimate
-from processing.reference_gain import gain_in_swings
+from processing.reference_gain import gain_while_swinging
 
 FRAMES_PER_S, U_PX, GAIN = 50.0, 0.01, 1.5
 
@@ -39,7 +39,7 @@ def spread(found: list[Estimate], true: float) -> Floats:
 
 @pytest.mark.parametrize(("duration_s", "u"), [(60.0, 0.1), (300.0, 0.03)])
 def test_the_gain_is_found_beside_a_swing_a_thousand_times_as_large(duration_s: float, u: float) -> None:
-    found = [gain_in_swings(*seen(seed, duration_s)) for seed in range(40)]
+    found = [gain_while_swinging(*seen(seed, duration_s)) for seed in range(40)]
     off = spread(found, GAIN)
     assert max(one.standard_uncertainty for one in found) < u
     assert 0.6 < float(np.std(off)) < 1.4
@@ -47,7 +47,7 @@ def test_the_gain_is_found_beside_a_swing_a_thousand_times_as_large(duration_s: 
 
 
 def test_an_unrelated_reference_has_none() -> None:
-    off = spread([gain_in_swings(*seen(seed, related=False)) for seed in range(40)], 0.0)
+    off = spread([gain_while_swinging(*seen(seed, related=False)) for seed in range(40)], 0.0)
     # of ten parts, as Student has it
     assert np.count_nonzero(np.abs(off) > 4.0) <= 1
     assert np.max(np.abs(off)) < 6.0
@@ -59,19 +59,19 @@ def test_lost_frames_and_a_long_gap_do_not_pull_it() -> None:
     lost = rng.random(len(rows[0])) < 0.03
     lost[4000:6500] = True
     rows[3][lost] = np.nan
-    found = gain_in_swings(*rows)
+    found = gain_while_swinging(*rows)
     assert found.value == pytest.approx(GAIN, abs=4 * found.standard_uncertainty)
     assert found.standard_uncertainty < 0.03
 
 
 def test_what_shows_no_gain_is_said() -> None:
     with pytest.raises(DataError, match="640 are needed for the gain"):
-        gain_in_swings(*(one[:600] for one in seen(0)))
+        gain_while_swinging(*(one[:600] for one in seen(0)))
     rows = seen(0, 300.0)
     rows[3][:] = np.nan
     with pytest.raises(DataError, match="0 frames have both spots"):
-        gain_in_swings(*rows)
+        gain_while_swinging(*rows)
     rows = seen(1, 60.0)
     rows[3][np.arange(len(rows[3])) % 600 < 300] = np.nan
     with pytest.raises(DataError, match="too few stretches"):
-        gain_in_swings(*rows)
+        gain_while_swinging(*rows)

@@ -13,7 +13,8 @@ _HEAD = """# Validation
 How far the numbers of this program can be trusted. Each row is a claim, tested by means that share nothing
 with the code: certified values, a standard, published data, another program, or a simulation without a
 formula of the analysis. **Bold** falls short of its limit. A share of cases has as its limit three binomial
-standard deviations about 68 %, if nothing else is said. `docs/validation.json` keeps the numbers.
+standard deviations about 68 %, if nothing else is said. `docs/validation.json` keeps the numbers, each
+with the commit that it was measured on.
 
     make validation                         # rows that this commit has no number of; about two hours
     make validation ARGS="--quick"          # rows that take seconds
@@ -77,17 +78,15 @@ def _line(row: Row, found: Kept | None) -> str:
         before = f"; earlier, by [benchmarks](benchmarks.md): {known_number(row.known)}" if row.known else ""
         return f"| `{row.name}` | {row.claim} | {row.means} | not run on this commit{before} | {limit} | |"
     detail = f"; {found.detail}" if found.detail else ""
-    when = f"{found.date}, {found.commit}"
-    return f"| `{row.name}` | {row.claim} | {row.means} | {shown(row, found)}{detail} | {limit} | {when} |"
+    return (
+        f"| `{row.name}` | {row.claim} | {row.means} | {shown(row, found)}{detail} | {limit} | {found.date} |"
+    )
 
 
 def _machines(rows: Sequence[Row], kept: Mapping[str, Kept]) -> str:
-    """What the last column says, and where it was measured."""
+    """The machines on which the rows were measured."""
     machines = sorted({kept[row.name].machine for row in rows if row.name in kept})
-    return (
-        "Measured: date, last commit that touched the program (+ where something was not committed); "
-        f"on {'; '.join(machines)}."
-    )
+    return f"Measured on {'; '.join(machines)}."
 
 
 def write_page(text: str, path: Path = FILE) -> None:

@@ -63,7 +63,7 @@ class FilmIndex:
     `ticks` are times in units of `tick_s`, `time_ns` times since the first frame, `sequence` numbers that
     count missing frames too. `rate_hz` is the constant rate with which all times agree, else None.
     `key_ticks` are the times of key frames, `first_packets` the bytes of the first packets. `cut_off` is the
-    number of frames at the end that the container announces but lacks; they have times too.
+    number of frames that the container announces beyond its last packet; `time_ns` and `sequence` have them.
     """
 
     ticks: Sequence[int]
@@ -189,14 +189,14 @@ def _constant_rate(
     for rate_hz in dict.fromkeys(stated):
         if not rate_hz or rate_hz * tick_s > 1 or len(ticks) < 3:
             continue
-        for start in (Fraction(0), Fraction(1, 2), Fraction(-1, 2)):
-            exact = [(tick - ticks[0] + start) * tick_s * rate_hz for tick in ticks]
+        for offset_ticks in (Fraction(0), Fraction(1, 2), Fraction(-1, 2)):
+            exact = [(tick - ticks[0] + offset_ticks) * tick_s * rate_hz for tick in ticks]
             numbers = [round(one) for one in exact]
             errors = [one - number for one, number in zip(exact, numbers, strict=True)]
             steps = [after - before for before, after in pairwise(numbers)]
             # a microsecond more than a tick, because some files state rates to nine digits only
-            width = tick_s + Fraction(1, 1_000_000) if tick_s * rate_hz != 1 else 0
-            if min(steps) > 0 and _median(steps) == 1 and max(errors) - min(errors) <= width * rate_hz:
+            tolerance_s = tick_s + Fraction(1, 1_000_000) if tick_s * rate_hz != 1 else 0
+            if min(steps) > 0 and _median(steps) == 1 and max(errors) - min(errors) <= tolerance_s * rate_hz:
                 return Fraction(rate_hz), [number - numbers[0] for number in numbers]
     return None, []
 
@@ -206,20 +206,20 @@ def _median(values: Sequence[int]) -> int:
 
 
 def _cut_off(
-    container: Any, stream: "VideoStream", ticks: Sequence[int], total: int, tick_s: Fraction, last: int
+    container: Any, stream: "VideoStream", ticks: Sequence[int], total: int, tick_s: Fraction, last_ticks: int
 ) -> int:
     """Number of frames announced beyond the last packet; 0 for containers that do not state it exactly."""
     steps = [after - before for before, after in pairwise(ticks)]
-    step = _median(steps) if steps else last
+    step = _median(steps) if steps else last_ticks
     start, kind = stream.start_time or 0, container.format.name
     if "avi" in kind and stream.average_rate and tick_s * stream.average_rate == 1:
         # a chunk without bytes, which repeats a frame, counts too
         return max(stream.frames - 1 - ticks[-1], 0)
     if step and stream.duration and stream.frames:
-        missing = int((start + stream.duration - ticks[-1] - max(last, step)) / step + 0.25)
+        missing = int((start + stream.duration - ticks[-1] - max(last_ticks, step)) / step + 0.25)
         return max(min(missing, stream.frames - total), 0)
     if step and "matroska" in kind and container.duration and len(container.streams) == 1:
         # the container's duration begins at time zero, not at the first frame
         announced = round(container.duration / (1_000_000 * tick_s))
-        return max(int((announced - ticks[-1] - max(last, step)) / step + 0.25), 0)
+        return max(int((announced - ticks[-1] - max(last_ticks, step)) / step + 0.25), 0)
     return 0

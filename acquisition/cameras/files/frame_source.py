@@ -67,6 +67,7 @@ class FilesSettings(BaseModel, frozen=True, extra="forbid"):
 
 T = TypeVar("T")
 _MAX_DIGITS = 11
+"""Largest decimal exponent of a time in s that is computed; a larger time does not fit into 64 bits of ns."""
 _MAX_OFF_TICKS = 1.5
 """Largest difference of a film's times from a stated rate, in ticks of its clock; both ends are rounded."""
 _MAX_OFF_FRACTION = 2e-5
@@ -178,7 +179,7 @@ def _times_from_csv(path: Path, count: int, names: Sequence[str]) -> FrameTimes:
 def _ns_of_seconds(text: str) -> int:
     seconds = Decimal(text)
     if seconds.is_finite() and seconds.adjusted() > _MAX_DIGITS:
-        raise OverflowError  # with an exponent of a thousand million the integer would have as many digits
+        raise OverflowError  # a mistyped exponent could make an integer of a thousand million digits
     return round(seconds * 1_000_000_000)
 
 

@@ -18,7 +18,7 @@ from acquisition.camera import (
     FeatureValue,
     Frame,
     PixelFormat,
-    refuse_wiring,
+    refuse_unsupported,
 )
 from acquisition.cameras.drivers import V4l2Settings, buffer_count
 from acquisition.cameras.pixel_formats import in_plane_px, in_sensor_px
@@ -107,7 +107,7 @@ class LinuxSource:
 
     def apply(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings, in an order in which no setting changes an earlier one."""
-        refuse_wiring(settings.model_copy(update={"colour_plane": None}), self._name)
+        refuse_unsupported(settings.model_copy(update={"colour_plane": None}), self._name)
         self._plane = settings.colour_plane or self._plane
         settings = in_sensor_px(settings.model_copy(update={"colour_plane": self._plane}))
         try:

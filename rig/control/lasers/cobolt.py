@@ -1,8 +1,8 @@
 """Cobolt lasers (04-01, 06-01, 08 series): text commands that end with CR, replies with CR LF, power in W.
 
-An executed command is answered by ``OK``, any other by ``Syntax error: ...``. Modulation is switched off
-(constant power), and so is the direct input, 5 V at which lights an OEM model; autostart, in which the key
-lights it, must be switched off by hand.
+An executed command is answered by ``OK``, any other by ``Syntax error: ...``. The driver switches modulation
+off (constant power), and also the direct input, where 5 V light an OEM model. Autostart, with which the key
+alone lights the laser, must be switched off by hand.
 """
 
 from rig.control.lasers.serial_laser import LaserIdentity, LaserRefused, LaserState, SerialLaser

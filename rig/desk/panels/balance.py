@@ -52,7 +52,7 @@ def build(desk: Desk, tab: Tab) -> None:
                 tab.button("Forget the last turn", apart(balancing.forget)).props("dense outline")
 
     def prefill(turn: Mapping[str, Any] | None) -> None:
-        """What is advised stands in the fields, once: what is typed over it stays."""
+        """Write the advice into the fields, once, so that typed values stay."""
         nonlocal advised
         if turn == advised:
             return
@@ -81,7 +81,7 @@ def build(desk: Desk, tab: Tab) -> None:
 
 
 def net_of(parts: Sequence[float]) -> str:
-    """What several turns of a screw come to; empty for one."""
+    """Sum of several turns of a screw, as text; empty for a single turn."""
     if len(parts) < 2:
         return ""
     return f"net {sum(parts):+.2f} (the second turn takes up the play)"
@@ -107,16 +107,16 @@ def drawing(turn: Mapping[str, Any] | None) -> str:
         parts.append(f"<text x='{x + 15}' y='{y + 24}'>{name}</text>")
         if chosen and turn is not None:
             parts.append(_arrow(x, y, turn["parts"][0]))
-    said = ""
+    turn_label = ""
     if turn is not None:
         clock = ", then ".join(
             f"{abs(part):.2f} {'clockwise' if part > 0 else 'anticlockwise'}" for part in turn["parts"]
         )
-        said = f"turn weight {turn['weight']}: {clock}"
+        turn_label = f"turn weight {turn['weight']}: {clock}"
         parts.append("<text x='4' y='184'>the arrow: as one looks at the weight's screw</text>")
     return (
         "<svg viewBox='0 0 330 190' width='100%' style='max-height:170px' role='img' "
-        f"aria-label='{said or 'the pendulum and its weights'}'>{''.join(parts)}</svg>"
+        f"aria-label='{turn_label or 'the pendulum and its weights'}'>{''.join(parts)}</svg>"
     )
 
 

@@ -160,10 +160,10 @@ class RunFacts:
         text = str(self._noting.value or "").strip()
         if not text:
             raise RigError("an empty note: type some text")
-        said = await run.io_bound(self._desk.following.order, f"note {text}")
+        reply = await run.io_bound(self._desk.following.order, f"note {text}")
         # only what is on the session's disk leaves the field
         self._noting.set_value("")
-        ui.notify(said)
+        ui.notify(reply)
 
 
 _REDRAW_S = 1.0

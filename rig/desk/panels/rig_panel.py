@@ -196,9 +196,9 @@ class CameraControls:
     def _show_applied(self, applied: CameraSettings) -> None:
         for name, field in self._fields.items():
             value = getattr(applied, name)
-            said = "" if value is None else f"now {value:.6g}"
-            if field.props.get("placeholder") != said:
-                field.props(f'placeholder="{said}"')
+            hint = "" if value is None else f"now {value:.6g}"
+            if field.props.get("placeholder") != hint:
+                field.props(f'placeholder="{hint}"')
 
 
 def aligner_of(desk: Desk) -> Aligner:
@@ -209,8 +209,8 @@ def aligner_of(desk: Desk) -> Aligner:
 
 
 def _lamps(verdicts: Sequence[Verdict]) -> str:
-    """A lamp for each; what is to be done stands below."""
-    shown, told = [], []
+    """A lamp for each verdict, with the remedies below."""
+    shown, remedies = [], []
     for one in verdicts:
         kind = "no" if not one.ok else "caution" if one.remedy else "go"
         # a beam's verdict is a sentence; it is among the figures
@@ -218,8 +218,8 @@ def _lamps(verdicts: Sequence[Verdict]) -> str:
         shown.append(f"<span class='{kind}'>{html.escape(f'{one.name} {words}')}</span>")
         if one.remedy:
             why = "; ".join(filter(None, (one.reason, one.remedy)))
-            told.append(f"<div class='{kind}'>{html.escape(f'{one.name}: {why}')}</div>")
-    return f"<div class='lamps'>{''.join(shown)}</div>{''.join(told)}"
+            remedies.append(f"<div class='{kind}'>{html.escape(f'{one.name}: {why}')}</div>")
+    return f"<div class='lamps'>{''.join(shown)}</div>{''.join(remedies)}"
 
 
 def _ask_region(desk: Desk, left: float, top: float, width: float, height: float) -> None:
@@ -264,14 +264,14 @@ class PreflightChecks:
         """Show what the running session, or the last command, has found."""
         job, news = self._desk.jobs.get("doctor"), self._desk.following.news
         found: Sequence[Mapping[str, Any]] = ()
-        said = "it checks whether a run can be made"
+        progress = "it checks whether a run can be made"
         if news.get("preflight"):
             found = news["preflight"]
         elif job is not None:
             found = job.newest.get("preflight", {}).get("table", ())
-            said = "\n".join(list(job.said)[-3:])
+            progress = "\n".join(list(job.output)[-3:])
             if job.running:
-                said = doing(job.newest.get("state")) or "the camera is opened"
+                progress = doing(job.newest.get("state")) or "the camera is opened"
         self._button.set_enabled(job is None or not job.running)
         self._ending.set_visibility(job is not None and job.running and not found)
         against = [one for one in found if not one["ok"]]
@@ -281,7 +281,7 @@ class PreflightChecks:
         self._verdict.set_visibility(bool(found))
         self._verdict.classes(remove="go no", add="no" if against else "go")
         done = "" if self._desk.following.running else _next(len(against))
-        self._words.set_text(done if found else said)
+        self._words.set_text(done if found else progress)
         self._failing.set_content(lights(shown_first))
         self._passing.set_content(lights(passed))
         self._folded.set_text(f"{len(passed)} of {len(found)} checks passed")
@@ -293,7 +293,7 @@ class PreflightChecks:
 
 
 def _next(against: int) -> str:
-    """What is to be done after the checks."""
+    """Text on the next step after the checks."""
     if not against:
         return "Nothing prevents a run: start it in Measure."
     what = "This stands" if against == 1 else f"These {against} stand"

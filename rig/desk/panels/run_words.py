@@ -1,4 +1,4 @@
-"""What a running session is said to be doing, in words: its steps, its end, its fits, its events."""
+"""Texts on a running session: its steps, its end, its fits, its events."""
 
 import html
 import math
@@ -54,7 +54,7 @@ def minutes(seconds: float) -> str:
 
 
 def first_fit(run_state: Mapping[str, Any]) -> str:
-    """What is to be said while nothing is fitted yet."""
+    """Text in the place of parameters before the first fit."""
     count = int(run_state.get("half_cycles") or 0)
     if count >= FIRST_HALF_CYCLES:
         return f"the first fit of {count} half-cycles is being made"

@@ -25,8 +25,9 @@ _LAMP = """<q-td :props="props"><span v-if="props.value" :class="props.value">
   <span class="light" style="background: currentcolor"></span>{{ props.value }}</span></q-td>"""
 _ROWS_PER_PAGE, _LAST_LINES = 15, 14
 _MOST_ROWS = 500
-"""So many are sent to the browser; older ones are found by words."""
-_WAIT_OF_WORK = 15.0
+"""Largest number of rows that are sent to the browser; older ones are found by a search."""
+_PAUSE_OVER_WORK = 15.0
+"""Ratio of the pause between two looks through the folder to the time that the last look took."""
 _MARK = '<q-checkbox v-model="props.selected" dense :aria-label="`mark ${props.row.folder}`" />'
 
 
@@ -39,16 +40,16 @@ def build(desk: Desk, tab: Tab) -> None:
     with ui.row().classes("items-center"):
         find = ui.input("find").props('dense outlined clearable type="search" data-key="find"')
         find.classes("find")
-        which = at_once(ui.toggle(["sessions", "archive"], value="sessions"))
-        which.props('dense no-caps aria-label="which list"')
+        list_choice = at_once(ui.toggle(["sessions", "archive"], value="sessions"))
+        list_choice.props('dense no-caps aria-label="which list"')
         actions = Actions(desk, tab)
     listed = SessionList(desk, words, actions.mark)
     archived = ArchivedRuns(desk, words)
     output = CommandOutput(desk)
 
     async def refresh() -> None:
-        is_archive = which.value == "archive"
-        which.set_visibility(desk.archive.is_file())
+        is_archive = list_choice.value == "archive"
+        list_choice.set_visibility(desk.archive.is_file())
         archived.table.set_visibility(is_archive)
         for one in (listed.table, *actions.elements):
             one.set_visibility(not is_archive)
@@ -57,7 +58,7 @@ def build(desk: Desk, tab: Tab) -> None:
         output.refresh()
         await archived.refresh()
 
-    which.on_value_change(refresh)
+    list_choice.on_value_change(refresh)
     find.on_value_change(refresh)
     tab.key("o", tab.act(actions.report))
     tab.key("v", tab.act(actions.view))
@@ -71,7 +72,7 @@ def _table(label: str, **how: Any) -> ui.table:
 
 
 class SessionList:
-    """The sessions that are found, of which one is marked. Built where it is made."""
+    """Table of the sessions that the search finds, of which one may be marked; it is added to the page."""
 
     def __init__(
         self, desk: Desk, words: Callable[[], str], on_mark: Callable[[SessionRow | None], None]
@@ -89,12 +90,12 @@ class SessionList:
         self.table.on_select(self._mark)
 
     async def refresh(self) -> None:
-        """Show what is found now."""
+        """Show the sessions that the search finds now."""
         began_s = time.monotonic()
         if began_s >= self._due_s:
             await run.io_bound(self._desk.sessions.look)
             # a large folder is looked through less often
-            self._due_s = time.monotonic() + _WAIT_OF_WORK * (time.monotonic() - began_s)
+            self._due_s = time.monotonic() + _PAUSE_OVER_WORK * (time.monotonic() - began_s)
         found = self._desk.sessions.rows(self._desk.following.folder, self._words())[:_MOST_ROWS]
         self._rows = {str(row.folder): row for row in found}
         if self._marked in self._rows:
@@ -109,7 +110,7 @@ class SessionList:
             self.table.update()
 
     def _mark(self) -> None:
-        # another one takes the place of the one before
+        # only one session is marked: the new one replaces the previous one
         names = [str(row["folder"]) for row in self.table.selected]
         self._marked = next((name for name in names if name != self._marked), names[0] if names else "")
         self.table.selected = [row for row in self.table.rows if row["folder"] == self._marked]
@@ -124,7 +125,7 @@ class Actions:
         self._marked: SessionRow | None = None
         self._resume = resume_dialog(desk, tab)
         self._buttons = [
-            # what is read aloud begins with what is seen
+            # the label that a screen reader reads begins with the visible text
             tab.button(name, do).props(f'outline aria-label="{name}: {words}"').tooltip(words)
             for name, do, words in (
                 ("Report", self.report, "open the report, key o"),
@@ -185,7 +186,7 @@ class Actions:
 
 
 class CommandOutput:
-    """The last words of the commands that need no camera, and the address of what Rerun shows."""
+    """Last lines of the output of commands that use no camera, and a link to the page of `rig view`."""
 
     def __init__(self, desk: Desk) -> None:
         self._jobs = desk.jobs
@@ -196,15 +197,15 @@ class CommandOutput:
             self._words.style("white-space: pre; overflow: auto; max-height: 300px; font: 13px monospace")
 
     def refresh(self) -> None:
-        """Show how each of them stands, and what they have said by now."""
+        """Show the state of each command and the last lines of its output."""
         lines: list[str] = []
         address = ""
         for name, job in tuple(self._jobs.items()):
             if not job.uses_camera:
                 state = "runs" if job.running else "done" if job.status == 0 else "failed"
-                lines += [f"rig {name}: {state}", *list(job.said)[-_LAST_LINES:]]
+                lines += [f"rig {name}: {state}", *list(job.output)[-_LAST_LINES:]]
         view = self._jobs.get("view")
-        for line in list(view.said) if view is not None and view.running else ():
+        for line in list(view.output) if view is not None and view.running else ():
             address = match[0] if (match := re.search(r"http://127\.0\.0\.1:\d+\S*", line)) else address
         self._words.set_text("\n".join(lines))
         self._link.props(f'href="{address}"')
@@ -240,20 +241,20 @@ _REREAD_S = 30.0
 
 
 class ArchivedRuns:
-    """The runs of the archive that are found; `words` says what is searched. Built where it is made."""
+    """Table of the archive's runs with all `words` of the search; it is added to the page."""
 
     def __init__(self, desk: Desk, words: Callable[[], str]) -> None:
         self._archive, self._words = desk.archive, words
-        self._asked: str | None = None
-        self._asked_s = 0.0
+        self._searched: str | None = None
+        self._searched_s = 0.0
         self.table = _table("runs of the archive")
 
     async def refresh(self) -> None:
-        """Show what is found now; the archive is read again only for other words, or after a while."""
+        """Show the runs that the search finds; the archive is read again for other words or after a while."""
         words, now_s = self._words(), time.monotonic()
-        if not self.table.visible or (words == self._asked and now_s - self._asked_s < _REREAD_S):
+        if not self.table.visible or (words == self._searched and now_s - self._searched_s < _REREAD_S):
             return
-        self._asked, self._asked_s = words, now_s
+        self._searched, self._searched_s = words, now_s
         self._say(f"{self._archive} is read …")
         try:
             found = await run.io_bound(find_runs, self._archive, words, _MOST_ROWS)
@@ -261,14 +262,14 @@ class ArchivedRuns:
             self.table.rows = []
             self._say(str(error))
             return
-        if found is None or self._asked != words:
-            # typed on meanwhile
+        if found is None or self._searched != words:
+            # the search was changed meanwhile
             return
         self.table.columns = _columns({name: name for name in found.head})
         self.table.rows = [dict(zip(found.head, row, strict=True)) for row in found.shown]
         self._say(f"no run in {self._archive} is found")
 
     def _say(self, nothing: str) -> None:
-        """In the place of rows while there are none."""
+        """Show a text in the place of rows while there are none."""
         self.table.props["no-data-label"] = nothing
         self.table.update()

@@ -14,7 +14,7 @@ from processing.arrays import Floats
 from processing.errors import DataError
 from processing.fit import Seismogram
 from processing.pendulum_at_rest import SeismometerAtRest, ground_at_rest, swing_at_rest, witness_at_rest
-from processing.reference_gain import ReferenceAtRest, gain_in_swings, reference_at_rest
+from processing.reference_gain import ReferenceAtRest, gain_while_swinging, reference_at_rest
 from processing.reference_spot import common_motion
 from processing.spot import Spot, SpotFlag
 from processing.units import seconds
@@ -89,7 +89,9 @@ def _without_beam_motion(look: TrialFrames, stated: ReferenceSettings | None) ->
     for axis in (0, 1):
         gain = stated.gain
         if gain is None:
-            fitted = gain_in_swings(at.times_ns, spots[axis], spots[2 + axis], refs[axis], refs[2 + axis])
+            fitted = gain_while_swinging(
+                at.times_ns, spots[axis], spots[2 + axis], refs[axis], refs[2 + axis]
+            )
             gain = fitted.value if fitted.value > _MAX_OFF_U * fitted.standard_uncertainty else 0.0
         beam += gain * per_px[axis] * common_motion(at.times_ns, refs[axis], refs[2 + axis]).value
     return np.asarray(at.y - beam)

@@ -4,7 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.deflections import Deflections, slow_deflections
-from processing.swing import HarmonicsWatch, SwingHarmonics, TurningPoints, swings_of_blocks, turning_points
+from processing.swing import (
+    HarmonicsMeasurement,
+    SwingHarmonics,
+    TurningPoints,
+    swings_of_blocks,
+    turning_points,
+)
 
 
 def seen_in_frames(
@@ -19,6 +25,6 @@ def seen_in_frames(
 def points_and_harmonics(samples: Deflections) -> tuple[TurningPoints, SwingHarmonics]:
     """Turning points of the detector, and the waveform between them."""
     swings = swings_of_blocks([samples])
-    watch = HarmonicsWatch(swings)
+    watch = HarmonicsMeasurement(swings)
     watch.update(samples)
-    return turning_points(swings), watch.found()
+    return turning_points(swings), watch.harmonics()

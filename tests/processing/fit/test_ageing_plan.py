@@ -9,7 +9,7 @@ from processing.contact import AMPLITUDE, LAWS, TIME
 from processing.fit import Conditions, PlannedSeries, planned_run, planned_series
 from processing.fit.exact_model import ExactModel
 from processing.fit.ground import Noise
-from processing.fit.planning import by_relative_values, by_shared_and_ageing
+from processing.fit.planning import relative_jacobian, series_jacobian
 from tests.processing.fit.decays import ARCSEC, paper_pair, truth, with_noise
 from tests.processing.fit.driven import World, changing_path
 
@@ -82,10 +82,10 @@ def test_the_age_of_integrated_runs_is_found_within_its_uncertainty() -> None:
             model = ExactModel(points, PENDULUM)
             columns = model.columns.from_physical({**VALUES, AMPLITUDE.key: first, TIME.key: 0.0})
             noise = Noise(step=0.0)
-            rows = by_relative_values(model, columns, noise)
+            rows = relative_jacobian(model, columns, noise)
             runs.append((rows, float(points.time_s[-1] - points.time_s[0])))
             residuals.append(model.on_ground(columns, noise)(columns)[0])
-        stacked = by_shared_and_ageing(list(series.runs[0].values), runs, wait_s)
+        stacked = series_jacobian(list(series.runs[0].values), runs, wait_s)
         change = -np.linalg.lstsq(stacked, np.concatenate(residuals), rcond=1e-13)[0]
         pulls.append((change[len(series.u)] - growth) / u)
     # the mean of 20 is known to 0.22, their scatter to 16 %

@@ -1,4 +1,4 @@
-"""A witness of the ground beside the exact fit: what it saves, and what must not help."""
+"""An auxiliary seismometer beside the exact fit: what it saves, and what must not help."""
 
 import gzip
 import os
@@ -25,7 +25,7 @@ PARAMETERS, PENDULUM = paper_pair("glass_k8")
 Q = 1e-7
 STEP_S = 0.1
 UNIT = 1e9
-"""The witness counts so many for 1 rad/s^2."""
+"""Counts of the seismometer for 1 rad/s^2."""
 SEISMOMETERS = (
     Path(os.environ.get("RIG_SHARED_DATA", Path(__file__).parents[5] / "shared" / "data"))
     / "ground"
@@ -181,7 +181,7 @@ def test_samples_too_far_apart_are_said() -> None:
     points, alone = on_white()
     coarse = Seismogram(CLOCK[::20], white(3)[::20, None], ("Z",))
     found = fit_with_seismometer(points, PENDULUM, coarse, alone, averaged=False)
-    assert found.use.reason.startswith("the witness has a sample every 2 s")
+    assert found.use.reason.startswith("the seismometer has a sample every 2 s")
 
 
 @pytest.mark.skipif(not SEISMOMETERS.exists(), reason="the recorded ground is not on this machine")

@@ -8,7 +8,13 @@ import pytest
 from processing.contact import law_harmonics
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, slow_deflections
-from processing.swing import ORDERS, HarmonicsWatch, SwingHarmonics, TurningPointDetector, swings_of_blocks
+from processing.swing import (
+    ORDERS,
+    HarmonicsMeasurement,
+    SwingHarmonics,
+    TurningPointDetector,
+    swings_of_blocks,
+)
 from tests.processing.fit.decays import ARCSEC, paper_pair
 from tests.processing.fit.driven import driven_path
 
@@ -32,10 +38,10 @@ def samples_of(y: np.ndarray, x: np.ndarray | None = None) -> Deflections:
 
 
 def measured(samples: Deflections, block: int = 500) -> SwingHarmonics:
-    watch = HarmonicsWatch(swings_of_blocks([samples]))
+    watch = HarmonicsMeasurement(swings_of_blocks([samples]))
     for begin in range(0, len(samples), block):
         watch.update(samples[begin : begin + block])
-    return watch.found()
+    return watch.harmonics()
 
 
 def test_what_is_measured_is_what_the_law_predicts(path: np.ndarray) -> None:
@@ -60,13 +66,13 @@ def test_a_drag_makes_no_harmonic() -> None:
 def test_blocks_of_any_length_and_half_cycles_that_come_later_are_the_same(path: np.ndarray) -> None:
     samples = samples_of(path)
     whole = measured(samples, len(samples))
-    live, detector = HarmonicsWatch(), TurningPointDetector()
+    live, detector = HarmonicsMeasurement(), TurningPointDetector()
     for begin in range(0, len(samples), 37):
         block = samples[begin : begin + 37]
         live.update(block)
         live.add(detector.update(block.times_ns, block.y, block.u_y))
     live.add(detector.finish())
-    for other in (measured(samples, 41), live.found()):
+    for other in (measured(samples, 41), live.harmonics()):
         np.testing.assert_array_equal(other.amplitude, whole.amplitude)
         np.testing.assert_array_equal(other.harmonics, whole.harmonics)
 
@@ -87,12 +93,12 @@ def test_stated_uncertainties_are_those_of_the_scatter(path: np.ndarray) -> None
 def test_a_piece_with_a_disturbed_half_cycle_is_left_out(path: np.ndarray) -> None:
     samples = samples_of(path)
     swings = swings_of_blocks([samples])
-    clean = HarmonicsWatch(swings)
+    clean = HarmonicsMeasurement(swings)
     clean.update(samples)
     flagged = [replace(one, flags=2) if one.index == swings[6].index else one for one in swings]
-    fewer = HarmonicsWatch(flagged)
+    fewer = HarmonicsMeasurement(flagged)
     fewer.update(samples)
-    assert len(fewer.found()) < len(clean.found())
+    assert len(fewer.harmonics()) < len(clean.harmonics())
 
 
 def test_what_the_fast_mode_leaks_is_no_harmonic(path: np.ndarray) -> None:

@@ -11,7 +11,7 @@ import pytest
 from acquisition.record.reader import RecordReader
 from processing.ambient import AmbientConditions
 from processing.errors import ConfigurationError
-from rig.analysis.air import air_doubts, recorded_surroundings
+from rig.analysis.air import ambient_warnings, recorded_surroundings
 from rig.instrument import recorded_configuration
 from rig.settings import load_configuration
 from tests.rig.command_line import CONFIGS
@@ -34,9 +34,9 @@ def test_dwell_and_age_are_counted_to_the_first_frame(measured_series: Path) -> 
         assert found.age_s == pytest.approx(86400.0)
         assert (found.humidity_percent, found.pressure_pa) == (43.0, 98500.0)
         assert isnan(found.temperature_c)
-        assert air_doubts(found) == []
+        assert ambient_warnings(found) == []
         later = [f"session.contact_made={(began + timedelta(minutes=10)).isoformat()}"]
-        (doubt,) = air_doubts(recorded_surroundings(reader, recorded_configuration(reader, later)))
+        (doubt,) = ambient_warnings(recorded_surroundings(reader, recorded_configuration(reader, later)))
         assert doubt == "session.contact_made lies 600 s after the run began: correct its date or offset"
         # the record's own texts, for who has no configuration
         assert recorded_surroundings(reader) == AmbientConditions()

@@ -8,9 +8,9 @@ import pytest
 
 from processing.deflections import Deflections, DeflectionUnit
 from processing.fit import FIXED_PATTERN, fit_exact, known_motion, second_measurement
-from processing.swing import HarmonicsWatch, turning_points
+from processing.swing import HarmonicsMeasurement, turning_points
 from processing.units import ARCSEC_RAD
-from rig.analysis import PositionErrors, RunResults, SessionResults, settled_swings
+from rig.analysis import PositionErrors, RunResults, SessionResults, refined_half_cycles
 from rig.analysis.air import OPEN_DRAG, evidence_of
 from rig.analysis.contact_fits import RefinedHalfCycles
 from rig.analysis.passing_deflections import PassingDeflections
@@ -26,29 +26,33 @@ def in_blocks(one: Run) -> list[Deflections]:
 
 
 @cache
-def settled_over_fringes() -> tuple[Run, PassingDeflections, RefinedHalfCycles]:
+def refined_over_fringes() -> tuple[Run, PassingDeflections, RefinedHalfCycles]:
     """A run over fringes, its deflections, and what is made of them."""
     one = run(fringes, seed=1)
     passing = PassingDeflections(in_blocks(one), DeflectionUnit.RAD)
-    return one, passing, settled_swings(one.swings, passing, DeflectionUnit.RAD, one.pendulum, FitSettings())
+    return (
+        one,
+        passing,
+        refined_half_cycles(one.swings, passing, DeflectionUnit.RAD, one.pendulum, FitSettings()),
+    )
 
 
 @pytest.mark.slow
 def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
-    one, passing, settled = settled_over_fringes()
-    assert settled.position_map is not None
-    assert settled.exact is not None
-    assert FIXED_PATTERN in settled.exact.terms
+    one, passing, refined = refined_over_fringes()
+    assert refined.position_map is not None
+    assert refined.exact is not None
+    assert FIXED_PATTERN in refined.exact.terms
     before = fit_exact(turning_points(one.swings), one.pendulum)
-    assert settled.exact.estimate("n").standard_uncertainty < 0.5 * before.estimate("n").standard_uncertainty
-    for name in settled.exact.contact_names:
-        value, u = settled.exact.estimate(name)
+    assert refined.exact.estimate("n").standard_uncertainty < 0.5 * before.estimate("n").standard_uncertainty
+    for name in refined.exact.contact_names:
+        value, u = refined.exact.estimate(name)
         assert abs(value - getattr(one.parameters, name)) < 3 * u, name
     # all passes but the first leave the counts alone
     assert passing.frames == len(one.deflections)
     assert passing.last_ns == one.deflections.times_ns[-1]
 
-    errors = PositionErrors.of(settled.position_map, DeflectionUnit.RAD)
+    errors = PositionErrors.of(refined.position_map, DeflectionUnit.RAD)
     assert 0.01 < errors.rms / ARCSEC_RAD < 0.015
     assert "0.012 arcsec r.m.s." in errors.text
     path = tmp_path / "results.json"
@@ -64,34 +68,35 @@ def test_fringes_no_longer_move_the_parameters(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_without_structure_nothing_changes_bit_for_bit() -> None:
     one = run(nothing, seed=1)
-    settled = settled_swings(one.swings, in_blocks(one), DeflectionUnit.RAD, one.pendulum, FitSettings())
-    waveform = HarmonicsWatch(one.swings)
+    refined = refined_half_cycles(one.swings, in_blocks(one), DeflectionUnit.RAD, one.pendulum, FitSettings())
+    waveform = HarmonicsMeasurement(one.swings)
     for block in in_blocks(one):
         waveform.update(block)
-    evidence = evidence_of(OPEN_DRAG, waveform.found())
+    evidence = evidence_of(OPEN_DRAG, waveform.harmonics())
     first = fit_exact(turning_points(one.swings), one.pendulum, drag=True, evidence=evidence)
     motion = known_motion(first.parameters, one.pendulum, float(turning_points(one.swings).amplitude[0]))
     again = second_measurement(one.swings, [one.deflections], motion)
-    assert settled.position_map is None
-    assert repr(list(settled.swings)) == repr(again)
+    assert refined.position_map is None
+    assert repr(list(refined.swings)) == repr(again)
     second = fit_exact(turning_points(again), one.pendulum, drag=True, evidence=evidence, near=first)
-    assert settled.exact is not None
-    assert np.array_equal(settled.exact.values, second.values)
-    assert np.array_equal(settled.exact.covariance, second.covariance)
+    assert refined.exact is not None
+    assert np.array_equal(refined.exact.values, second.values)
+    assert np.array_equal(refined.exact.covariance, second.covariance)
 
 
 @pytest.mark.slow
 def test_the_waveform_is_that_of_the_deflections_without_the_errors() -> None:
     """They change the third harmonic of friction, too, by which contact and air are told apart."""
-    one, _, settled = settled_over_fringes()
-    assert settled.position_map is not None
-    assert settled.harmonics is not None
-    straight, raw = HarmonicsWatch(settled.swings), HarmonicsWatch(one.swings)
+    one, _, refined = refined_over_fringes()
+    assert refined.position_map is not None
+    assert refined.harmonics is not None
+    straight, raw = HarmonicsMeasurement(refined.swings), HarmonicsMeasurement(one.swings)
     for block in in_blocks(one):
-        straight.update(settled.position_map.corrected(block))
+        straight.update(refined.position_map.corrected(block))
         raw.update(block)
     third = 1
     found, without, with_errors = (
-        float(np.mean(each.sine[:, third])) for each in (settled.harmonics, straight.found(), raw.found())
+        float(np.mean(each.sine[:, third]))
+        for each in (refined.harmonics, straight.harmonics(), raw.harmonics())
     )
     assert abs(found - without) < 0.2 * abs(with_errors - without)

@@ -1,4 +1,4 @@
-"""A witness of the ground from a file, beside a table and beside a record."""
+"""An auxiliary seismometer from a file, beside a table and beside a record."""
 
 import re
 import sys
@@ -125,7 +125,7 @@ def test_the_report_of_a_table_draws_what_its_witness_explains(decay: Path, tmp_
     write_results(tmp_path / RESULTS_NAME, table.results)
     make_table_report(table, tmp_path)
     page = (tmp_path / "report.html").read_text()
-    assert "What the witness of the ground explains" in page
+    assert "What the auxiliary seismometer explains" in page
     assert "it explains" in page
     assert (tmp_path / "report" / "run-1" / "witness.svg").exists()
     assert table.longest.results.witness is not None
@@ -138,7 +138,7 @@ def test_an_unrelated_witness_changes_nothing_but_what_is_said(decay: Path) -> N
     assert found.witness.verdict is SeismometerVerdict.NO_GAIN
     assert encoded(replace(found, witness=None)) == encoded(alone)
     (said,) = witness_sentences(found.witness)
-    assert said.startswith("Witness of the ground refused")
+    assert said.startswith("Auxiliary seismometer refused")
     assert "offsets of its clock were tried" in said
 
 
@@ -230,7 +230,7 @@ def test_what_is_no_number_is_left_out_and_told(decay: Path, tmp_path: Path) -> 
     ).longest.results.witness
     assert found is not None
     assert (found.source, found.understood) == ("w.csv", record.understood)
-    assert "Of the witness w.csv: left out" in witness_sentences(found)[-1]
+    assert "Of the seismometer w.csv: left out" in witness_sentences(found)[-1]
     with pytest.raises(DataError, match="column 'name' has no numbers"):
         SeismometerSource(path, ("name",)).read()
 

@@ -131,7 +131,7 @@ def watched(clock: Clock, spot: SpotSeen, told: bool, peak_dn: float, lamp_dn: f
     for number in range(60):
         clock.sleep(0.05)
         spot.frame(frame(peak_dn, lamp_dn, number % 7))
-        spot.told(told)
+        spot.note_laser(told)
 
 
 @pytest.mark.slow
@@ -166,7 +166,7 @@ def test_a_spot_that_left_the_sensor_while_it_was_lit_confirms_no_darkness(
         watched(clock, spot, True, 200.0)
         clock.sleep(0.5)
         spot.frame(frame(0.0))
-        spot.told(True)
+        spot.note_laser(True)
     clock.sleep(20.0)
     watched(clock, spot, False, 0.0)
     assert spot.agrees

@@ -1,4 +1,4 @@
-"""A witness of the ground at a pseudo-terminal, and in a file that grows."""
+"""An auxiliary seismometer at a pseudo-terminal, and in a file that grows."""
 
 import math
 import os

@@ -30,7 +30,7 @@ def frames(seconds: float, drift_ppm: float, *, seed: int = 3, clock: bool = Tru
 
 
 def read(given: list[Frame], size: int = 5, steps: tuple[RecordedClockStep, ...] = ()) -> list[CameraClock]:
-    rate = ClockRate(beside=False)
+    rate = ClockRate(in_thread=False)
     return [
         rate.take(given[first : first + size], steps if not first else ())
         for first in range(0, len(given), size)

@@ -1,4 +1,4 @@
-"""A witness of the ground beside a run: recorded with its frames, and fitted with no further word."""
+"""An auxiliary seismometer beside a run: recorded with its frames, and fitted with no further word."""
 
 import itertools
 import os
@@ -38,7 +38,7 @@ fitted_once = cache(analyse_record)
 
 @pytest.fixture(scope="module")
 def vault(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session of one run on ground that shakes, with a witness of it."""
+    """A session of one run on ground that shakes, with a seismometer beside it."""
     folder = tmp_path_factory.mktemp("vault") / "run"
     source = CONFIGS / "demo.toml"
     wanted = (*(f"{key}={value}" for key, value in SMALL.items()), *APPARATUS, *GROUND)

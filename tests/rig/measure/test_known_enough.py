@@ -11,11 +11,11 @@ from processing.errors import ConfigurationError, DataError
 from processing.estimate import Estimate
 from rig.devices import FrameStream
 from rig.instrument import RunNow
+from rig.interruption import BY_USER
 from rig.measure.end_of_run import CONSECUTIVE_FITS, EndOfRun, StopRequest
 from rig.measure.run_status import estimate_rows
 from rig.measure.session import measure_session
 from rig.settings import StopCondition, load_configuration
-from rig.terminal import BY_USER
 from rig.view.show import show_records
 from tests.rig.command_line import CONFIGS, SMALL, configured
 from tests.rig.view.rrd_contents import column

@@ -11,9 +11,9 @@ from calibration import Axes
 from processing.contact.laws import PAPER
 from processing.deflections import Deflections, DeflectionUnit, slow_deflections
 from processing.fit import DecayFit, FitResult, LinearisedFit, with_discrepancy
-from processing.swing import HalfCycle, HarmonicsWatch, TurningPointDetector
+from processing.swing import HalfCycle, HarmonicsMeasurement, TurningPointDetector
 from processing.units import ARCSEC_RAD
-from rig.analysis import evidence_of, settled_swings
+from rig.analysis import evidence_of, refined_half_cycles
 from rig.analysis.air import OPEN_DRAG
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.analysis.turning_plane import follow_plane
@@ -54,9 +54,9 @@ def fed(
 
 
 def how(swings: list[HalfCycle], samples: Deflections) -> DecayFit:
-    watch = HarmonicsWatch(swings)
+    watch = HarmonicsMeasurement(swings)
     watch.update(samples)
-    return DecayFit(PENDULUM, evidence=evidence_of(OPEN_DRAG, watch.found()))
+    return DecayFit(PENDULUM, evidence=evidence_of(OPEN_DRAG, watch.harmonics()))
 
 
 def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> None:
@@ -64,11 +64,11 @@ def test_a_live_fit_is_that_of_the_final_analysis_of_the_same_half_cycles() -> N
     swings = swings[: STEPS[-1]]
     upto = samples[: int(np.searchsorted(samples.times_ns, measured()[0][STEPS[-1]].turn_time_ns))]
     live = fed(MeasuredRun())
-    settled = settled_swings(swings, [upto], DeflectionUnit.RAD, PENDULUM, FitSettings())
-    assert settled.exact is not None
-    assert settled.motion is not None
+    refined = refined_half_cycles(swings, [upto], DeflectionUnit.RAD, PENDULUM, FitSettings())
+    assert refined.exact is not None
+    assert refined.motion is not None
     fit = how(swings, samples)
-    final = with_discrepancy(LinearisedFit.of(fit.points(settled.swings), PENDULUM, settled.exact))
+    final = with_discrepancy(LinearisedFit.of(fit.points(refined.swings), PENDULUM, refined.exact))
     detected = fit.of(swings)
     moved = 0.0
     for name in PAPER.names(drag=True):
@@ -101,13 +101,13 @@ def test_a_live_fit_follows_a_plane_of_swing_that_turns_as_the_results_do() -> N
     upto = samples[: int(np.searchsorted(samples.times_ns, swings[STEPS[-1]].turn_time_ns))]
     followed = follow_plane(swings[: STEPS[-1]], PassingDeflections([upto], DeflectionUnit.RAD), Axes())
     assert followed.is_turned
-    settled = settled_swings(
+    refined = refined_half_cycles(
         followed.swings, followed.deflections, DeflectionUnit.RAD, PENDULUM, FitSettings()
     )
-    assert settled.exact is not None
+    assert refined.exact is not None
     unfollowed = 0.0
     for name in PAPER.names(drag=True):
-        value, u = settled.exact.estimate(name)
+        value, u = refined.exact.estimate(name)
         assert live.estimate(name).value == pytest.approx(value, abs=0.3 * u), name
         unfollowed = max(unfollowed, abs(how(swings, samples).of(swings).estimate(name).value - value) / u)
     assert unfollowed > 3.0

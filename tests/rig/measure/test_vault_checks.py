@@ -1,4 +1,4 @@
-"""What preflight says of a witness and of a reference: on made-up values, and beside the simulated vault."""
+"""Preflight of a seismometer and of a reference: on made-up values, and beside the simulated vault."""
 
 import math
 from collections.abc import Sequence

@@ -19,7 +19,7 @@ from processing.fit.reported import fitted_contact
 from processing.fit.uncertainty import budgets
 from processing.swing import swings_of
 from processing.units import ARCSEC_RAD
-from rig.analysis import settled_swings
+from rig.analysis import refined_half_cycles
 from rig.analysis.contact_verdicts import rig_quantities
 from rig.instrument import complete, pendulum_on_ball
 from rig.settings import Configuration, validate_configuration
@@ -113,8 +113,8 @@ def measure(
     assert pendulum is not None
     assert quantities is not None
     slow, clock_rate = slow_deflections(stamps_ns, y_rad, u_y_rad), config.timebase.camera_rate
-    settled = settled_swings(swings, [slow], slow.unit, pendulum, config.fit, clock_rate)
-    exact = settled.exact or fit_exact(points_in_true_time(settled.swings, clock_rate), pendulum)
+    refined = refined_half_cycles(swings, [slow], slow.unit, pendulum, config.fit, clock_rate)
+    exact = refined.exact or fit_exact(points_in_true_time(refined.swings, clock_rate), pendulum)
     table = budgets(fitted_contact(exact), quantities)
     truth = {name: float(getattr(contact, name)) for name in ("b", "p", "c", "n", "period0_s", "gamma_pa")}
     truth["surface_energy_table2_j_per_m2"] = _surface_energy(contact)

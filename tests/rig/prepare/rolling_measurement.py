@@ -27,7 +27,7 @@ from processing.fit.exact import fit_exact
 from processing.spot import Spot
 from processing.swing import TurningPoints, swings_of_blocks
 from processing.units import ARCSEC_RAD
-from rig.analysis import settled_swings
+from rig.analysis import refined_half_cycles
 from rig.instrument import Deflector, complete, pendulum_on_ball
 from rig.settings import Configuration, FitSettings
 
@@ -95,7 +95,7 @@ def measure(
     swings = [swing for swing in swings if swing.amplitude > FINAL_ARCSEC * ARCSEC_RAD]
     slow = slow_deflections(at.times_ns, at.y, at.u_y)
     points = points_in_true_time(
-        settled_swings(swings, [slow], slow.unit, pendulum, FitSettings()).swings, 1.0
+        refined_half_cycles(swings, [slow], slow.unit, pendulum, FitSettings()).swings, 1.0
     )
     return _seen(settings, points, pendulum)
 

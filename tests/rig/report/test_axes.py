@@ -26,7 +26,6 @@ def curves(first: float, last: float) -> tuple[TurningPoints, Curves]:
     points = TurningPoints(index, 2.0 * index, np.full(40, 1e-5), amplitude, np.full(40, 1e-9))
     found = Curves(
         asymptotic_rad=amplitude, exact_rad=amplitude, exact_time_s=points.time_s, period_rad=amplitude,
-        period_time_s=points.time_s,
         period_s=period, u_period_s=np.full(40, 1e-6), asymptotic_period_s=period, exact_period_s=period,
         smooth_s=period,
     )  # fmt: skip

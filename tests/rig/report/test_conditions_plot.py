@@ -7,7 +7,7 @@ import pytest
 
 from processing.ambient import AmbientConditions
 from processing.errors import ConfigurationError, RecordError
-from rig.analysis.air import air_doubts
+from rig.analysis.air import ambient_warnings
 from rig.report.comparison import compare
 from tests.rig.report.test_compare import session
 
@@ -56,7 +56,7 @@ def test_a_humidity_stated_as_a_fraction_is_said(tmp_path: Path) -> None:
         "another unit"
         not in compare([at_humidities(tmp_path / "b", [5.0, 45, 58])], None, "humidity")[-1].note
     )
-    (doubt,) = air_doubts(AmbientConditions(humidity_percent=0.45))
+    (doubt,) = ambient_warnings(AmbientConditions(humidity_percent=0.45))
     assert doubt.endswith("state humidity_percent = 45")
 
 

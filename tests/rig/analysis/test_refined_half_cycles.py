@@ -8,7 +8,7 @@ import pytest
 from processing.deflections import Deflections, DeflectionUnit, joined, slow_deflections
 from processing.swing import swings_of_blocks
 from processing.units import ARCSEC_RAD
-from rig.analysis import passing_deflections, settled_swings
+from rig.analysis import passing_deflections, refined_half_cycles
 from rig.analysis.passing_deflections import PassingDeflections
 from rig.settings import FitSettings
 from tests.processing.fit.decays import paper_pair
@@ -25,12 +25,12 @@ def test_few_noisy_samples_are_measured_again() -> None:
     seen = path + noise * np.random.default_rng([0, 9]).standard_normal(len(path))
     blocks = [slow_deflections(times_ns, seen, noise)]
     swings = swings_of_blocks(blocks)
-    settled = settled_swings(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
-    assert settled.motion is not None
-    assert not settled.doubt
-    assert settled.exact is not None
+    refined = refined_half_cycles(swings, blocks, DeflectionUnit.RAD, pendulum, FitSettings())
+    assert refined.motion is not None
+    assert not refined.doubt
+    assert refined.exact is not None
     for name in ("n", "period0_s", "gamma_pa"):
-        value, u_value = settled.exact.estimate(name)
+        value, u_value = refined.exact.estimate(name)
         assert abs(value - getattr(parameters, name)) < 3 * u_value, name
 
 
